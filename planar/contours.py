@@ -1,0 +1,419 @@
+"""Object contours: what the rod is swept along.
+
+A contour lies above the base line ``y = 0``.  The rod, clamped on that line and moved in -x, touches its lower side and
+passes it from right to left: the slope angle ``α̃`` falls from ``π/2`` (right) through 0 (lowest point) to ``-π/2`` (left).
+``t = (cos α̃, sin α̃)`` is the tangent and ``n = (sin α̃, -cos α̃)`` the outward normal.
+
+A strictly convex contour is parametrised by its slope.  A convex polygon is the limit: along an edge the slope is fixed and
+the point moves, at a vertex the point is fixed and the slope turns through the vertex's cone.  Both become one `Path` of
+pieces, each with a parameter in [0, 1], so that polygons need no smoothing.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# Pieces are short enough for the base position along one of them to be smooth with at most one extremum.
+_LONGEST_PIECE = 0.05
+_WIDEST_PIECE = np.radians(4.0)
+# Step in slope over which a curve's radius of curvature is differenced: rounding and truncation are both about 1e-10.
+_DIFFERENCE = 1e-5
+# Corners that stand out by less than this share of the polygon's size are rounding.
+_COLLINEAR = 1e-13
+
+
+class Contour(ABC):
+    """A convex contour in the plane, in rod lengths."""
+
+    @abstractmethod
+    def path(self) -> Path:
+        """The part of the contour that the rod can reach, from its first touch onwards."""
+
+    @abstractmethod
+    def distance(self, points: ArrayLike) -> Array:
+        """Distance (n,) of points (n, 2) to the contour, in rod lengths, never negative."""
+
+
+class SmoothContour(Contour):
+    """A strictly convex contour given by the place and the curvature of its points as functions of the slope angle."""
+
+    @abstractmethod
+    def points(self, slope: ArrayLike) -> Array:
+        """Contour points (n, 2) with the slope angles (n,) in radians."""
+
+    @abstractmethod
+    def radius_of_curvature(self, slope: ArrayLike) -> Array:
+        """Radius of curvature (n,) at the slope angles (n,), in rod lengths."""
+
+    def path(self) -> Path:
+        lowest = self.points(np.zeros(1))[0, 1]
+        _check_height(lowest)
+
+        def above_tip(slope: float) -> float:
+            return float(self.points(np.array([slope]))[0, 1] - 1.0)
+
+        first, last = np.pi / 2, -np.pi / 2
+        if above_tip(first) > 0:
+            first = brentq(above_tip, 0.0, first, xtol=1e-16, rtol=1e-15)
+        if above_tip(last) > 0:
+            last = brentq(above_tip, last, 0.0, xtol=1e-16, rtol=1e-15)
+        slope = np.linspace(first, last, 2 + int((first - last) / _WIDEST_PIECE))
+        while True:
+            chord = np.linalg.norm(np.diff(self.points(slope), axis=0), axis=1)
+            long = chord > _LONGEST_PIECE
+            if not long.any() or len(slope) > 100_000:
+                break
+            middle = (slope[:-1] + slope[1:]) / 2
+            slope = np.sort(np.concatenate([slope, middle[long]]))[::-1]
+        points = self.points(slope)
+        return Path(
+            slope[:-1], np.diff(slope), points[:-1], np.diff(points, axis=0), np.array([0, len(slope) - 1]), self
+        )
+
+    def distance(self, points: ArrayLike) -> Array:
+        """Distance (n,) of points (n, 2) to the contour's lower side, slopes from -π/2 to π/2."""
+        points = np.asarray(points, dtype=float)
+        slope = np.linspace(-np.pi / 2, np.pi / 2, 721)
+        nearest = slope[cKDTree(self.points(slope)).query(points)[1]]
+        low, high = nearest - np.pi / 720, nearest + np.pi / 720
+        for _ in range(60):  # the foot point, where the offset is normal to the contour, by bisection
+            middle = (low + high) / 2
+            offset = points - self.points(middle)
+            ahead = offset[:, 0] * np.cos(middle) + offset[:, 1] * np.sin(middle) > 0
+            low, high = np.where(ahead, middle, low), np.where(ahead, high, middle)
+        return np.linalg.norm(points - self.points(np.clip(low, -np.pi / 2, np.pi / 2)), axis=1)
+
+
+@dataclass(frozen=True)
+class Curve(SmoothContour):
+    """Any strictly convex contour, from callables of the slope angle (n,) in [-π/2, π/2], radians.
+
+    `place` gives its points (n, 2), `curvature_radius` its radius of curvature (n,), which must be positive; without it the
+    radius is differenced from the points.  `from_support` makes one from the support function.
+    """
+
+    place: Callable[[Array], Array]
+    curvature_radius: Callable[[Array], Array] | None = None
+
+    def __post_init__(self) -> None:
+        slope = np.linspace(-np.pi / 2, np.pi / 2, 257)
+        points, radius = np.asarray(self.points(slope)), self.radius_of_curvature(slope)
+        if points.shape != (len(slope), 2) or not np.isfinite(points).all():
+            raise ValueError(f"a curve must give finite points (n, 2) for slopes (n,), got the shape {points.shape}")
+        if not (radius > 0).all():
+            worst = int(np.argmin(radius))
+            raise ValueError(
+                f"the curve must be strictly convex: at the slope {np.degrees(slope[worst]):.4g}° its radius of curvature "
+                f"is {radius[worst]:.3g}"
+            )
+        chords = np.diff(points, axis=0)
+        lag = np.arctan2(chords[:, 1], chords[:, 0]) - (slope[:-1] + slope[1:]) / 2
+        if np.abs(lag).max() > np.pi / 256:
+            raise ValueError(
+                "the curve's points must be given by their slope angle: their chords have other directions"
+            )
+
+    @classmethod
+    def from_support(
+        cls,
+        support: Callable[[Array], Array],
+        derivative: Callable[[Array], Array],
+        second_derivative: Callable[[Array], Array] | None = None,
+    ) -> Curve:
+        """From the support function ``h(α̃) = max <n, p>`` in the direction of the normal ``n = (sin α̃, -cos α̃)``."""
+
+        def place(slope: Array) -> Array:
+            c, s, h, d = np.cos(slope), np.sin(slope), support(slope), derivative(slope)
+            return np.stack([h * s + d * c, -h * c + d * s], axis=-1)
+
+        if second_derivative is None:
+            return cls(place)
+        return cls(place, lambda slope: support(slope) + second_derivative(slope))
+
+    def points(self, slope: ArrayLike) -> Array:
+        return self.place(np.asarray(slope, dtype=float))
+
+    def radius_of_curvature(self, slope: ArrayLike) -> Array:
+        slope = np.asarray(slope, dtype=float)
+        if self.curvature_radius is not None:
+            return np.asarray(self.curvature_radius(slope))
+        # one-sided at the ends of the range of slopes
+        low, high = np.maximum(slope - _DIFFERENCE, -np.pi / 2), np.minimum(slope + _DIFFERENCE, np.pi / 2)
+        chord = self.points(high) - self.points(low)
+        middle = (low + high) / 2
+        return (chord[..., 0] * np.cos(middle) + chord[..., 1] * np.sin(middle)) / (high - low)
+
+
+@dataclass(frozen=True)
+class Mirrored(SmoothContour):
+    """The mirror image of a smooth contour, x → -x: what a sweep in +x meets."""
+
+    image: SmoothContour
+
+    def points(self, slope: ArrayLike) -> Array:
+        return self.image.points(-np.asarray(slope, dtype=float)) * np.array([-1.0, 1.0])
+
+    def radius_of_curvature(self, slope: ArrayLike) -> Array:
+        return self.image.radius_of_curvature(-np.asarray(slope, dtype=float))
+
+    def distance(self, points: ArrayLike) -> Array:
+        return self.image.distance(np.asarray(points, dtype=float) * np.array([-1.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Ellipse(SmoothContour):
+    """Ellipse with `semi_axes` (a, b), the first turned by `angle` from the x axis, in rod lengths and radians."""
+
+    semi_axes: tuple[float, float]
+    center: tuple[float, float]
+    angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        a, b = self.semi_axes
+        if not (np.isfinite([a, b, *self.center, self.angle]).all() and a > 0 and b > 0):
+            raise ValueError(
+                f"an ellipse needs finite numbers and positive semi-axes, got semi_axes={self.semi_axes}, "
+                f"center={self.center}, angle={self.angle}"
+            )
+
+    def _normal_in_axes(self, slope: ArrayLike) -> tuple[Array, Array, Array]:
+        slope = np.asarray(slope, dtype=float)
+        # n = (sin α̃, -cos α̃) turned into the ellipse's axes
+        u, v = np.sin(slope - self.angle), -np.cos(slope - self.angle)
+        a, b = self.semi_axes
+        return u, v, np.hypot(a * u, b * v)
+
+    def points(self, slope: ArrayLike) -> Array:
+        u, v, support = self._normal_in_axes(slope)
+        a, b = self.semi_axes
+        p, q = a * a * u / support, b * b * v / support
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return np.stack([self.center[0] + c * p - s * q, self.center[1] + s * p + c * q], axis=-1)
+
+    def radius_of_curvature(self, slope: ArrayLike) -> Array:
+        a, b = self.semi_axes
+        return np.asarray((a * b) ** 2 / self._normal_in_axes(slope)[2] ** 3)
+
+    def distance(self, points: ArrayLike) -> Array:
+        offset = np.asarray(points, dtype=float) - self.center
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        x, y = np.abs(offset @ np.array([c, s])), np.abs(offset @ np.array([-s, c]))
+        a, b = self.semi_axes
+        # Foot point (a cos θ, b sin θ): alternating between the foot and the centre of curvature there converges fast.
+        u, v = np.full_like(x, np.sqrt(0.5)), np.full_like(x, np.sqrt(0.5))
+        for _ in range(60):
+            ex, ey = (a * a - b * b) * u**3 / a, (b * b - a * a) * v**3 / b
+            scale = np.hypot(a * u - ex, b * v - ey) / np.maximum(np.hypot(x - ex, y - ey), np.finfo(float).tiny)
+            u = np.clip(((x - ex) * scale + ex) / a, 0.0, 1.0)
+            v = np.clip(((y - ey) * scale + ey) / b, 0.0, 1.0)
+            norm = np.hypot(u, v)
+            u, v = u / norm, v / norm
+        return np.hypot(x - a * u, y - b * v)
+
+
+@dataclass(frozen=True)
+class Circle(SmoothContour):
+    """Circle with `radius` and `center`, in rod lengths: the contour (4) of the paper."""
+
+    radius: float
+    center: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.radius, *self.center]).all() and self.radius > 0):
+            raise ValueError(f"a circle needs a positive radius and a finite center, got {self}")
+
+    def points(self, slope: ArrayLike) -> Array:
+        slope = np.asarray(slope, dtype=float)
+        return np.asarray(self.center) + self.radius * np.stack([np.sin(slope), -np.cos(slope)], axis=-1)
+
+    def radius_of_curvature(self, slope: ArrayLike) -> Array:
+        return np.full(np.shape(slope), float(self.radius))
+
+    def distance(self, points: ArrayLike) -> Array:
+        offset = np.asarray(points, dtype=float) - self.center
+        return np.abs(np.hypot(offset[..., 0], offset[..., 1]) - self.radius)
+
+
+@dataclass(frozen=True)
+class Polygon(Contour):
+    """Convex polygon with `vertices` (n, 2) in rod lengths, in either order.
+
+    Duplicate and collinear vertices are dropped; afterwards `vertices` runs counter-clockwise.  Raises ValueError if the
+    polygon is not convex, crosses itself, or has no area.
+    """
+
+    vertices: Array = field(repr=False)
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.vertices, dtype=float)
+        if given.ndim != 2 or given.shape[1:] != (2,) or len(given) < 3:
+            raise ValueError(f"a polygon needs vertices of shape (n >= 3, 2), got {given.shape}")
+        if not np.isfinite(given).all():
+            raise ValueError(
+                f"a polygon needs finite vertices, got {int((~np.isfinite(given)).any(axis=1).sum())} that are not"
+            )
+        vertices = _tidy(given)
+        vertices.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+
+    def path(self) -> Path:
+        return polygon_paths([self])
+
+    def distance(self, points: ArrayLike) -> Array:
+        points = np.asarray(points, dtype=float)
+        edges = np.roll(self.vertices, -1, axis=0) - self.vertices
+        squared = (edges**2).sum(axis=1)
+        nearest = np.empty(len(points))
+        rows = max(1, 2_000_000 // len(edges))
+        for start in range(0, len(points), rows):
+            offset = points[start : start + rows, None] - self.vertices
+            along = np.clip((offset * edges).sum(axis=-1) / squared, 0.0, 1.0)
+            gap = np.linalg.norm(offset - along[..., None] * edges, axis=-1)
+            nearest[start : start + rows] = gap.min(axis=1)
+        return nearest
+
+
+@dataclass(frozen=True)
+class Path:
+    """Contours as the rod passes them: rows of pieces, those of contour i from `offsets[i]` to `offsets[i + 1]`.
+
+    On a polygon's piece slope and point are linear in the parameter t in [0, 1]; a smooth contour gives them itself.
+    """
+
+    slope: Array
+    """(p,) slope angle at the start of each piece, falling along the path."""
+    turn: Array
+    """(p,) change of slope over the piece, at most 0."""
+    point: Array
+    """(p, 2) contour point at the start."""
+    move: Array
+    """(p, 2) change of the point over the piece."""
+    offsets: Index
+    """(contours + 1,) first piece of each contour."""
+    smooth: SmoothContour | None = None
+
+    def at(self, piece: Index, t: Array) -> tuple[Array, Array, Array]:
+        """Slope, x and y of the contour at parameter t (n,) of the pieces (n,)."""
+        slope = self.slope[piece] + t * self.turn[piece]
+        if self.smooth is not None:
+            points = self.smooth.points(slope)
+            return slope, points[:, 0], points[:, 1]
+        point, move = self.point[piece], self.move[piece]
+        return slope, point[:, 0] + t * move[:, 0], point[:, 1] + t * move[:, 1]
+
+    def arc_rate(self, piece: Index, slope: Array) -> Array:
+        """Signed arc length along the tangent per unit of t: at most 0, for the path runs against the tangent."""
+        if self.smooth is not None:
+            return self.smooth.radius_of_curvature(slope) * self.turn[piece]
+        return -np.hypot(self.move[piece, 0], self.move[piece, 1])
+
+
+def polygon_paths(polygons: Sequence[Polygon]) -> Path:
+    """One path over many polygons, which are swept together."""
+    parts = [_polygon_pieces(polygon.vertices) for polygon in polygons]
+    offsets = np.cumsum([0] + [len(part[0]) for part in parts])
+    slope, turn, point, move = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Path(slope, turn, point, move, offsets)
+
+
+def _polygon_pieces(vertices: Array) -> tuple[Array, Array, Array, Array]:
+    """Slope, turn, point and move of the pieces on the lower side of a counter-clockwise convex polygon."""
+    _check_height(vertices[:, 1].min())
+    edges = np.roll(vertices, -1, axis=0) - vertices
+    # The lower side: edges that run to the right.  Vertical edges stay out, the rod stands parallel to them without force.
+    lower = np.flatnonzero(edges[:, 0] > 0)
+    gap = np.flatnonzero(np.diff(lower) != 1)
+    if len(gap):
+        lower = np.roll(lower, -(gap[0] + 1))
+    corners = vertices[np.append(lower, (lower[-1] + 1) % len(vertices))][::-1]
+    angles = np.arctan2(edges[lower, 1], edges[lower, 0])[::-1]
+
+    # vertex, edge, vertex, ..., vertex: the slope turns at the vertices, the point moves along the edges
+    count = 2 * len(angles) + 1
+    slope, turn = np.empty(count), np.zeros(count)
+    point, move = np.repeat(corners, 2, axis=0)[:-1], np.zeros((count, 2))
+    bounds = np.concatenate([[np.pi / 2], angles, [-np.pi / 2]])
+    slope[0::2], slope[1::2] = bounds[:-1], angles
+    turn[0::2] = np.diff(bounds)
+    move[1::2] = np.diff(corners, axis=0)
+
+    # What the tip of the upright rod can't reach stays out: y <= 1 is one stretch of the path, y being convex along it.
+    ends = point + move
+    inside = np.minimum(point[:, 1], ends[:, 1]) <= 1.0
+    inside &= (turn != 0) | (np.abs(move).sum(axis=1) > 0)
+    slope, turn, point, move, ends = slope[inside], turn[inside], point[inside], move[inside], ends[inside]
+    if point[0, 1] > 1.0:
+        cut = (point[0, 1] - 1.0) / (point[0, 1] - ends[0, 1])
+        point[0] += cut * move[0]
+        move[0] = ends[0] - point[0]
+    if ends[-1, 1] > 1.0:
+        move[-1] *= (1.0 - point[-1, 1]) / (ends[-1, 1] - point[-1, 1])
+
+    parts = np.maximum(np.hypot(*move.T) / _LONGEST_PIECE, np.abs(turn) / _WIDEST_PIECE)
+    parts = np.maximum(np.ceil(parts), 1).astype(np.intp)
+    row = np.repeat(np.arange(len(parts)), parts)
+    step = (np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
+    turn, move = turn[row] / parts[row], move[row] / parts[row, None]
+    return slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move
+
+
+def _check_height(lowest: float) -> None:
+    if lowest <= 0:
+        raise ValueError(f"the object must lie above the base line y = 0, its lowest point is at y = {lowest:.6g}")
+    if lowest > 1:
+        raise ValueError(
+            f"the object is out of the rod's reach: its lowest point is at y = {lowest:.6g} rod lengths, the tip at 1"
+        )
+
+
+def _tidy(vertices: Array) -> Array:
+    """Counter-clockwise vertices without duplicates and without corners that turn by less than rounding."""
+    size = np.ptp(vertices, axis=0).max()
+    steps = np.roll(vertices, -1, axis=0) - vertices
+    kept = vertices[np.hypot(*steps.T) > _COLLINEAR * size]
+    if len(kept) < 3:
+        raise ValueError(f"a polygon needs at least three distinct vertices, got {len(kept)}")
+    following = np.roll(kept, -1, axis=0)
+    centre = kept.mean(axis=0)
+    area = (
+        np.sum((kept - centre)[:, 0] * (following - centre)[:, 1] - (kept - centre)[:, 1] * (following - centre)[:, 0])
+        / 2
+    )
+    if abs(area) <= _COLLINEAR * size**2:
+        raise ValueError("a polygon needs an area, its vertices all lie on one line")
+    if area < 0:
+        kept = kept[::-1]
+    while True:
+        before, after = kept - np.roll(kept, 1, axis=0), np.roll(kept, -1, axis=0) - kept
+        cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+        chord = np.maximum(np.hypot(*(before + after).T), np.finfo(float).tiny)
+        straight = (np.abs(cross) <= _COLLINEAR * size * chord) & ((before * after).sum(axis=1) > 0)
+        # never two neighbours at once: the chord must stay within rounding of what it replaces
+        even = np.arange(len(kept)) % 2 == 0
+        even[-1] &= len(kept) % 2 == 0
+        straight &= even | ~(np.roll(straight, 1) | np.roll(straight, -1))
+        if not straight.any() or len(kept) <= 3:
+            break
+        kept = kept[~straight]
+    turn = np.arctan2(cross, (before * after).sum(axis=1))
+    if (turn < 0).any():
+        worst = int(np.argmin(turn))
+        raise ValueError(
+            f"the polygon must be convex: at ({kept[worst, 0]:.6g}, {kept[worst, 1]:.6g}) it turns inwards by "
+            f"{np.degrees(-turn[worst]):.3g}°; pass its convex hull (scipy.spatial.ConvexHull) if that is what you mean"
+        )
+    if abs(turn.sum() - 2 * np.pi) > 1e-6:
+        raise ValueError(
+            f"the polygon must not cross itself: it turns {turn.sum() / (2 * np.pi):.0f} times instead of once"
+        )
+    return np.ascontiguousarray(kept)

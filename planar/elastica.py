@@ -1,0 +1,143 @@
+"""The bent rod in closed form: the shape that a force at its contact gives to a clamped rod.
+
+The rod (3) ``x' = cos φ, y' = sin φ, φ' = κ, κ' = f cos(φ - α)`` is clamped upright at ``s = 0`` and carries no moment at
+its contact ``s = s1``.  On the branch ``κ < 0`` on ``[0, s1)`` its shape depends on two numbers only:
+
+``α``
+    direction of the contact force ``f (sin α, -cos α)`` on the rod, in radians;
+``q = m0z / (2 √f) ≥ 0``
+    the clamping moment over twice the root of the force.
+
+The elliptic parameter is ``m = k² = sin²(α/2) + q²`` (the first integral (11) at the clamp), and everything else scales
+with ``√f``.  In the angle ``ψ1 = φ1 - α`` of the rod's end to the force, ``k = sin(π/4 - ψ1/2)``.
+
+Writing ``q`` instead of ``ψ1`` keeps full precision near touch-down, where ``q → 0`` while ``ψ1`` tends to a finite angle.
+Derivation: first integral of the elastica, then Legendre's normal form; the complementary amplitude ``u'`` (``F(u') = K -
+F(u0)``) avoids the cancellation in that difference.  See L. Merker, J. Steigenberger, C. Behn, "Friction invariant object
+reconstruction using a vibrissa-inspired tactile sensor concept", Byrd & Friedman, *Handbook of elliptic integrals*, and
+B. C. Carlson, "Numerical computation of real or complex elliptic integrals" (1995), for the forms that are evaluated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ellipe, ellipeinc, ellipj, ellipk, elliprd, elliprf
+
+Array = NDArray[np.float64]
+
+
+class Shape(NamedTuple):
+    """A bent rod in units of ``1/√f``: arrays of one shape, dimensionless."""
+
+    length: Array
+    """``√f s1``, arc length from the clamp to the contact."""
+    x: Array
+    """``√f (x1 - x0)``, contact relative to the clamp, across the undeformed rod."""
+    y: Array
+    """``√f y1``, contact relative to the clamp, along the undeformed rod."""
+
+
+class ShapeSlopes(NamedTuple):
+    """A bent rod and its partial derivatives, the suffix naming the variable (``α`` or ``q``)."""
+
+    shape: Shape
+    length_alpha: Array
+    length_q: Array
+    x_alpha: Array
+    x_q: Array
+    y_alpha: Array
+    y_q: Array
+
+
+def bend(alpha: Array, q: Array) -> Shape:
+    """Shape of the rod under a force in direction ``alpha`` with ``q = m0z / (2 √f)``.
+
+    Both in the same shape, ``q >= 0``, ``sin²(α/2) + q² <= 1`` (NaN beyond: no such rod exists).
+    """
+    return _bend(alpha, q)[0]
+
+
+def bend_with_slopes(alpha: Array, q: Array) -> ShapeSlopes:
+    """`bend` with the partial derivatives of the shape.  ``α = q = 0`` (no rod: any small bow is one) gives NaN."""
+    shape, first, second = _bend(alpha, q)
+    s, c = np.sin(alpha / 2), np.cos(alpha / 2)
+    m = s * s + q * q
+    complement = c * c - q * q
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # dF/dm and dE/dm of the incomplete integrals, with the derivative of the amplitude u' folded in
+        a = second / complement - first
+        b = second - first
+        length_q = (s / c + q * a) / m
+        length_alpha = (s * c * a - q) / (2 * m)
+        second_q = (s / c + q * b) / m
+        second_alpha = (s * c * b - q * (c * c - m) / (c * c)) / (2 * m)
+        along_q = 2 * second_q - length_q - 2 * s / c
+        along_alpha = 2 * second_alpha - length_alpha - q / (c * c)
+    cos_alpha, sin_alpha = np.cos(alpha), np.sin(alpha)
+    return ShapeSlopes(
+        shape,
+        length_alpha,
+        length_q,
+        x_alpha=-shape.y - along_alpha * sin_alpha,
+        x_q=2 * cos_alpha - along_q * sin_alpha,
+        y_alpha=shape.x + along_alpha * cos_alpha,
+        y_q=2 * sin_alpha + along_q * cos_alpha,
+    )
+
+
+def _bend(alpha: Array, q: Array) -> tuple[Shape, Array, Array]:
+    """Shape and the elliptic integrals F(u'), E(u') at the complementary amplitude, ``tan u' = q / (k' sin(α/2))``."""
+    s, c = np.sin(alpha / 2), np.cos(alpha / 2)
+    m = s * s + q * q
+    complement = c * c - q * q
+    # Legendre's integrals in Carlson's form, scaled by (c k)² so that amplitude and modulus need no roots.
+    x, y, z = complement * s * s, complement * m, c * c * m
+    first = q * elliprf(x, y, z)
+    lost = m * q**3 / 3 * elliprd(x, y, z)
+    second = first - lost
+    beyond = s < 0  # u' > π/2
+    if beyond.any():
+        first = np.where(beyond, 2 * ellipk(m) - first, first)
+        second = np.where(beyond, 2 * ellipe(m) - second, second)
+        lost = first - second
+    # along and across the force; m sin u0 sin u' = q tan(α/2)
+    along = first - 2 * (lost + q * (s / c))
+    across = 2 * q
+    cos_alpha, sin_alpha = np.cos(alpha), np.sin(alpha)
+    shape = Shape(first, across * cos_alpha - along * sin_alpha, across * sin_alpha + along * cos_alpha)
+    return shape, first, second
+
+
+def partial_shape(alpha: Array, q: Array, remaining: Array) -> tuple[Array, Array]:
+    """The part of a bent rod before its contact: x and y over which it still runs, times √f.
+
+    `remaining` is ``√f (s1 - s)``; negative values continue the same elastica past the contact.
+    """
+    m = np.sin(alpha / 2) ** 2 + q * q
+    sn, cn, dn, amplitude = ellipj(remaining, m)
+    along = 2 * (ellipeinc(amplitude, m) - m * sn * cn / dn) - remaining
+    across = 2 * np.sqrt(m * (1 - m)) * sn / dn
+    return across * np.cos(alpha) - along * np.sin(alpha), across * np.sin(alpha) + along * np.cos(alpha)
+
+
+def tangential_q(slope: Array, friction_angle: Array) -> Array:
+    """``q`` of a rod that lies tangentially on a contour: ``φ1 = α̃``, hence ``ψ1 = -ζ`` (7) and ``α = α̃ + ζ``.
+
+    ``q² = (sin ζ + cos α)/2``, written as a product so that it keeps its precision near a vertical slope.
+    """
+    steepness = np.maximum(np.pi / 2 - slope, 0.0)
+    product = np.sin(steepness / 2) * np.cos(friction_angle - steepness / 2)
+    return np.sqrt(np.maximum(product, 0.0))
+
+
+def unbowed_height(alpha: Array) -> Array:
+    """``y1 / s1`` of the rod whose clamping moment vanishes: the straight rod for ``α >= 0``, else the bow with inflections.
+
+    Tip contacts above it, relative to the rod's length, have no equilibrium with ``κ < 0`` on ``[0, s1)``.
+    """
+    m = np.sin(np.minimum(alpha, 0.0) / 2) ** 2
+    height = np.cos(alpha) * (2 * ellipe(m) / ellipk(m) - 1)
+    return np.where(alpha >= 0, 1.0, height)

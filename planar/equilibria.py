@@ -1,0 +1,163 @@
+"""Equilibria of the rod at given places of a contour: tangential contact (7) and tip contact (6).
+
+A place is a slope angle ``α̃`` and a point ``(ξ, η)``; with the friction angle ``ζ`` the contact force has the direction
+``α = α̃ + ζ`` (2).  The base position ``x0`` follows from the place, not the other way round, so that nothing has to be
+marched: tangential contact is explicit, tip contact one scalar root.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar.elastica import Array, ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
+
+# Below this angle to the vertical the rod is straight to rounding, and its limit is used.
+_UPRIGHT = 1e-7
+# Residual of y1 = η, in rod lengths, at which the root of a tip contact is as good as double precision lets it be.
+_HEIGHT_ROUNDING = 4 * np.finfo(float).eps
+
+
+class State(NamedTuple):
+    """Equilibria (n,), dimensionless; NaN where there is none."""
+
+    x0: Array
+    """Base position."""
+    q: Array
+    """``m0z / (2 √f)``."""
+    root_f: Array
+    """``√f``."""
+    s1: Array
+    """Contact along the rod."""
+    x0_slope: Array
+    """Change of x0 with the slope at a fixed point, as at a vertex."""
+    x0_arc: Array
+    """Change of x0 with the arc length along the tangent at a fixed slope, as on an edge."""
+
+
+def lies_tangentially(slope: Array, y: Array, friction_angle: Array) -> NDArray[np.bool_]:
+    """Whether the rod touches the place tangentially (``s1 <= 1``) or can only touch it with its tip."""
+    return overhang(slope, y, friction_angle) <= 0
+
+
+def overhang(slope: Array, y: Array, friction_angle: Array) -> Array:
+    """Continuous measure that is positive where tangential contact would need a rod longer than it is."""
+    shape = bend(slope + friction_angle, tangential_q(slope, friction_angle))
+    upright = slope > np.pi / 2 - _UPRIGHT
+    return np.where(upright, y - 1.0, np.where(shape.y > 0, shape.length * y - shape.y, np.inf))
+
+
+def tangential(slope: Array, x: Array, y: Array, friction_angle: Array) -> State:
+    """Tangential contact: ``φ1 = α̃`` fixes the rod's shape, the height of the contact its scale."""
+    alpha = slope + friction_angle
+    q = tangential_q(slope, friction_angle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bent = bend_with_slopes(alpha, q)
+        shape = bent.shape
+        lean = shape.x / shape.y
+        q_alpha = -np.sin(alpha) / (4 * q)
+        shape_x = bent.x_alpha + bent.x_q * q_alpha
+        shape_y = bent.y_alpha + bent.y_q * q_alpha
+        lean_slope = (shape_x - lean * shape_y) / shape.y
+        root_f = shape.y / y
+        s1 = shape.length / root_f
+    # upright: a cantilever under a small end load, turned by 3/2 of its deflection over its length
+    steepness = np.pi / 2 - slope
+    upright = steepness < _UPRIGHT
+    lean = np.where(upright, 2 / 3 * steepness, lean)
+    lean_slope = np.where(upright, -2 / 3, lean_slope)
+    s1 = np.where(upright, y, s1)
+    root_f = np.where(q == 0, 0.0, root_f)
+    return State(x - y * lean, q, root_f, s1, -y * lean_slope, np.cos(slope) - lean * np.sin(slope))
+
+
+def tip(slope: Array, x: Array, y: Array, friction_angle: Array, q: Array | None = None) -> State:
+    """Tip contact, ``s1 = 1``: the root ``q`` of ``y1(q) = η`` where not given, on the branch without inflections."""
+    alpha = slope + friction_angle
+    q = np.full(alpha.shape, np.nan) if q is None else q.copy()
+    unknown = np.isnan(q)
+    q[unknown] = _tip_root(alpha[unknown], y[unknown], tangential_q(slope, friction_angle)[unknown])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bent = bend_with_slopes(alpha, q)
+        lean, lean_alpha, lean_q, _, height_alpha, height_q = tip_ratios(bent)
+        x0_height = -lean_q / height_q
+    straight = (q == 0) & (alpha > 0)
+    lean = np.where(straight, 0.0, lean)
+    lean_alpha = np.where(straight, 0.0, lean_alpha)
+    root_f = np.where(straight, 0.0, bent.shape.length)
+    # at touch-down x0 leaves with the root of the height: an infinite rate
+    x0_height = np.where(straight, np.inf, x0_height)
+    height_alpha = np.where(straight, 0.0, height_alpha)
+    with np.errstate(invalid="ignore"):
+        x0_slope = np.where(straight, 0.0, -lean_alpha - height_alpha * x0_height)
+        x0_arc = np.cos(slope) + np.where(np.sin(slope) == 0, 0.0, np.sin(slope) * x0_height)
+    s1 = np.where(np.isnan(lean), np.nan, 1.0)
+    return State(x - lean, q, root_f, s1, x0_slope, x0_arc)
+
+
+def of_kind(
+    tangential_contact: NDArray[np.bool_],
+    slope: Array,
+    x: Array,
+    y: Array,
+    friction_angle: Array,
+    q: Array | None = None,
+) -> State:
+    """`tangential` where the mask says so, else `tip` (with the q that are given and not NaN)."""
+    whole = State._make(np.full(len(slope), np.nan) for _ in State._fields)
+    for mask in (tangential_contact, ~tangential_contact):
+        if not mask.any():
+            continue
+        place = (slope[mask], x[mask], y[mask], friction_angle[mask])
+        part = tangential(*place) if mask is tangential_contact else tip(*place, None if q is None else q[mask])
+        for column, values in zip(whole, part, strict=True):
+            column[mask] = values
+    return whole
+
+
+def tip_ratios(bent: ShapeSlopes) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """``(x1 - x0)/s1`` and ``y1/s1`` of a rod, each followed by its derivatives in ``α`` and ``q``."""
+    shape = bent.shape
+    lean, height = shape.x / shape.length, shape.y / shape.length
+    return (
+        lean,
+        (bent.x_alpha - lean * bent.length_alpha) / shape.length,
+        (bent.x_q - lean * bent.length_q) / shape.length,
+        height,
+        (bent.y_alpha - height * bent.length_alpha) / shape.length,
+        (bent.y_q - height * bent.length_q) / shape.length,
+    )
+
+
+def _tip_root(alpha: Array, height: Array, q_most: Array) -> Array:
+    """Root q of ``y1/s1 = height`` in [0, q_most]: Newton in q², in which the height is nearly linear, kept in a bracket."""
+    top = unbowed_height(alpha)
+    shape = bend(alpha, q_most)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bottom = shape.y / shape.length
+        guess = q_most**2 * (top - height) / (top - bottom)
+    root = np.full(alpha.shape, np.nan)
+    touching = (alpha > 0) & (np.abs(height - 1.0) <= _HEIGHT_ROUNDING)
+    root[touching] = 0.0
+    at_transition = ~touching & (np.abs(height - bottom) <= _HEIGHT_ROUNDING)
+    root[at_transition] = q_most[at_transition]
+    rows = np.flatnonzero(~touching & ~at_transition & (height < top) & (height > bottom))
+    alpha, height, value = alpha[rows], height[rows], guess[rows]
+    low, high = np.zeros(len(rows)), q_most[rows] ** 2
+    for _ in range(100):
+        if not len(rows):
+            break
+        q = np.sqrt(value)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            _, _, _, reached, _, reached_q = tip_ratios(bend_with_slopes(alpha, q))
+            excess = reached - height
+            low, high = np.where(excess > 0, value, low), np.where(excess > 0, high, value)
+            following = value - excess * 2 * q / reached_q
+        following = np.where((following > low) & (following < high), following, (low + high) / 2)
+        root[rows] = q
+        going = (np.abs(excess) > _HEIGHT_ROUNDING) & (high - low > _HEIGHT_ROUNDING * high)
+        rows, alpha, height = rows[going], alpha[going], height[going]
+        low, high, value = low[going], high[going], following[going]
+    return root

@@ -1,0 +1,281 @@
+"""Step 1: quasi-static sweeps of the rod along a contour.
+
+The contact moves forward along the contour's path while the base moves.  Where the base position ``x0`` of the equilibria
+has a local minimum along the path (a fold), the equilibrium ends, and the rod snaps to the next one further along at the
+same ``x0``, or leaves the object.  So the state at a base position is the first one on the path whose ``x0`` has come down
+to it.  Marching in ``x0`` by Newton's method or shooting would fail at the folds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planar import segments
+from planar.contours import Array, Contour, Index, Mirrored, Path, Polygon, SmoothContour, polygon_paths
+from planar.segments import Segments
+
+# Friction that differs from sample to sample: a sample's place is bracketed by the sweeps at this many coefficients.
+_BRACKETING_SWEEPS = 3
+# Samples worked off at once, to bound the memory and stay in the processor's cache.
+_BLOCK = 8192
+
+
+class Phase(IntEnum):
+    """Kind of contact."""
+
+    NONE = 0
+    TIP = 1
+    TANGENTIAL = 2
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where nothing touches."""
+
+    x0: Array
+    """(n,) base positions."""
+    f0x: Array
+    """(n,) support reaction (8) across the undeformed rod, in EI/L²."""
+    f0y: Array
+    """(n,) support reaction along the undeformed rod, in EI/L²."""
+    m0z: Array
+    """(n,) clamping moment, in EI/L."""
+    s1: Array
+    """(n,) contact along the rod, in (0, 1]."""
+    point: Array
+    """(n, 2) contact point."""
+    slope: Array
+    """(n,) slope angle of the contour at the contact, in radians."""
+    phase: NDArray[np.int8]
+    """(n,) of `Phase`."""
+    friction: Array
+    """(n,) coefficient of friction that was set."""
+
+    def __len__(self) -> int:
+        return len(self.x0)
+
+
+def sweep(
+    contour: Contour,
+    friction: ArrayLike = 0.0,
+    *,
+    base: ArrayLike | None = None,
+    samples: int | None = None,
+    direction: int = -1,
+) -> Sweep:
+    """Sweep the rod along a contour, its base moving in -x, or in +x (the mirror image) with `direction` 1.
+
+    contour
+        convex, above the base line ``y = 0``, with its lowest point within the rod's reach ``y <= 1``.
+    friction
+        coefficient ``μ >= 0``, one number or one per sample.  A sample with a coefficient of its own is in the state that a
+        sweep with that coefficient has at its base position, as in the paper.
+    base, samples
+        the base positions (n,), falling (rising for +x), or how many to spread evenly from touch-down to the end of the
+        sweep (with several coefficients: the end for the lowest of them).
+
+    Raises ValueError for friction, base or samples out of their range and for a contour that can't be swept.
+    Source: the equilibria (3) with (5)-(7) of the paper, in closed form.
+    """
+    if direction not in (-1, 1):
+        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    if direction == 1:
+        base = None if base is None else -np.asarray(base, dtype=float)
+        return _mirrored(sweep(mirrored(contour), friction, base=base, samples=samples))
+    return sweep_all([contour], [friction], base=None if base is None else [base], samples=samples)[0]
+
+
+def mirrored(contour: Contour) -> Contour:
+    """The mirror image of a contour, x → -x."""
+    if isinstance(contour, Polygon):
+        return Polygon(contour.vertices * np.array([-1.0, 1.0]))
+    assert isinstance(contour, SmoothContour)
+    return Mirrored(contour)
+
+
+def _mirrored(swept: Sweep) -> Sweep:
+    return replace(
+        swept,
+        x0=-swept.x0,
+        f0x=-swept.f0x,
+        m0z=-swept.m0z,
+        point=swept.point * np.array([-1.0, 1.0]),
+        slope=-swept.slope,
+    )
+
+
+def sweep_all(
+    contours: Sequence[Contour],
+    friction: Sequence[ArrayLike],
+    *,
+    base: Sequence[ArrayLike] | None = None,
+    samples: int | None = None,
+) -> list[Sweep]:
+    """Many sweeps in one go: `sweep` for every contour with its friction and, unless `samples` is given, its base."""
+    if (base is None) == (samples is None):
+        raise ValueError("a sweep needs either its base positions (base=) or their number (samples=), and not both")
+    if samples is not None and (isinstance(samples, bool) or samples != int(samples) or samples < 1):
+        raise ValueError(f"samples must be a whole number of at least 1, got {samples}")
+    if len(friction) != len(contours) or (base is not None and len(base) != len(contours)):
+        raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
+    frictions = [_checked_friction(mu) for mu in friction]
+    bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
+
+    done: dict[int, Sweep] = {}
+    polygons = {i: contour for i, contour in enumerate(contours) if isinstance(contour, Polygon)}
+    groups = [(list(polygons), polygon_paths(list(polygons.values())))] if polygons else []
+    groups += [([i], contour.path()) for i, contour in enumerate(contours) if not isinstance(contour, Polygon)]
+    for group, path in groups:
+        swept = _sweep_path(path, [frictions[i] for i in group], [bases[i] for i in group], samples)
+        done.update(zip(group, swept, strict=True))
+    return [done[i] for i in range(len(contours))]
+
+
+def _checked_friction(friction: ArrayLike) -> Array:
+    mu = np.asarray(friction, dtype=float)
+    if mu.ndim > 1 or not (np.isfinite(mu).all() and (mu >= 0).all()):
+        raise ValueError(f"friction must be one number >= 0 or one for each base position, got {_shown(mu)}")
+    return mu
+
+
+def _checked_base(base: ArrayLike) -> Array:
+    x0 = np.asarray(base, dtype=float)
+    if x0.ndim != 1 or not np.isfinite(x0).all():
+        raise ValueError(f"base positions must be finite numbers of shape (n,), got {_shown(x0)}")
+    if (np.diff(x0) > 0).any():
+        raise ValueError("base positions must follow the sweep: fall from sample to sample in -x, rise in +x")
+    return x0
+
+
+def _shown(values: Array) -> str:
+    return np.array2string(values, threshold=6, precision=6)
+
+
+def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], samples: int | None) -> list[Sweep]:
+    # A table of every sweep at the coefficients that bracket its samples': a single one where friction is constant.
+    levels = [
+        np.unique(np.linspace(mu.min(), mu.max(), _BRACKETING_SWEEPS)) if mu.size else np.zeros(1) for mu in frictions
+    ]
+    owner = np.repeat(np.arange(len(levels)), [len(level) for level in levels])
+    table, bounds = _table(path, path.offsets[owner], path.offsets[owner + 1], np.arctan(np.concatenate(levels)))
+    parts = [slice(first, stop) for first, stop in zip(bounds[:-1], bounds[1:], strict=True)]
+    own = [[parts[k] for k in np.flatnonzero(owner == i)] for i in range(len(levels))]
+
+    x0 = [_spread(table, part[0], samples) if given is None else given for part, given in zip(own, bases, strict=True)]
+    for mu, base in zip(frictions, x0, strict=True):
+        if mu.ndim and mu.shape != base.shape:
+            raise ValueError(
+                f"friction must be one number or one for each of the {len(base)} base positions, got {mu.size}"
+            )
+    sweep_of = np.repeat(np.arange(len(x0)), [len(base) for base in x0])
+    samples_x0 = np.concatenate(x0)
+    samples_mu = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
+
+    swept = _empty(samples_x0, samples_mu)
+    rows = [np.stack([_first_row(table, part, base) for part in ours]) for ours, base in zip(own, x0, strict=True)]
+    touched = np.concatenate([row[0] >= 0 for row in rows])
+    alone = np.array([len(ours) == 1 for ours in own], dtype=bool)[sweep_of]
+    row = np.concatenate([r[0] for r in rows])
+    stop = np.array([ours[0].stop for ours in own])[sweep_of]
+    for block in _blocks(np.flatnonzero(touched & alone & (row < stop))):
+        _solve(path, table, row[block], block, swept)
+
+    # Friction of its own: each sample searches the stretch of path between its places at the neighbouring coefficients.
+    several = [i for i, ours in enumerate(own) if len(ours) > 1]
+    if several:
+        window = np.zeros((2, len(samples_x0)), dtype=np.intp)
+        for i in several:
+            pieces = np.stack(
+                [
+                    np.where(r < part.stop, table.piece[np.clip(r, 0, part.stop - 1)], path.offsets[i + 1] - 1)
+                    for r, part in zip(rows[i], own[i], strict=True)
+                ]
+            )
+            here = sweep_of == i
+            above = np.clip(np.searchsorted(levels[i], samples_mu[here]), 1, len(levels[i]) - 1)
+            both = np.take_along_axis(pieces, np.stack([above - 1, above]), axis=0)
+            window[0, here] = np.maximum(both.min(axis=0) - 1, path.offsets[i])
+            window[1, here] = np.minimum(both.max(axis=0) + 2, path.offsets[i + 1])
+        mine = np.flatnonzero(touched & ~alone)
+        whole = np.stack([path.offsets[sweep_of], path.offsets[sweep_of + 1]])
+        for stretch in (window, whole):
+            missed = [_search_each(path, block, stretch[:, block], swept) for block in _blocks(mine)]
+            mine = np.concatenate([*missed, np.empty(0, dtype=np.intp)])
+
+    ends = np.cumsum([len(base) for base in x0])
+    parts = [slice(end - len(base), end) for end, base in zip(ends, x0, strict=True)]
+    sweeps = [Sweep(**{name: column[part] for name, column in vars(swept).items()}) for part in parts]
+    for one in sweeps:
+        _end(one)
+    return sweeps
+
+
+def _blocks(samples: Index) -> list[Index]:
+    return np.array_split(samples, -(-len(samples) // _BLOCK)) if len(samples) else []
+
+
+def _empty(x0: Array, friction: Array) -> Sweep:
+    """Samples that touch nothing yet."""
+    nothing = {name: np.full(len(x0), np.nan) for name in ("f0x", "f0y", "m0z", "s1", "slope")}
+    phase = np.full(len(x0), Phase.NONE, dtype=np.int8)
+    return Sweep(x0=x0, point=np.full((len(x0), 2), np.nan), phase=phase, friction=friction, **nothing)
+
+
+def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep) -> None:
+    """Fill in the states of some samples that come to rest on the given rows."""
+    t, state = segments.solve(path, table, row, swept.x0[samples])
+    slope, x, y = path.at(table.piece[row], t)
+    alpha, f = slope + table.friction_angle[row], state.root_f**2
+    swept.f0x[samples], swept.f0y[samples] = -f * np.sin(alpha), f * np.cos(alpha)  # (8)
+    swept.m0z[samples] = 2 * state.q * state.root_f
+    swept.s1[samples], swept.slope[samples] = state.s1, slope
+    swept.point[samples] = np.stack([x, y], axis=1)
+    swept.phase[samples] = np.where(table.tangential[row], Phase.TANGENTIAL, Phase.TIP)
+
+
+def _end(swept: Sweep) -> None:
+    """Once the rod has left the object, it does not come back, whatever the friction of later samples."""
+    touching = swept.phase != Phase.NONE
+    begun = np.maximum.accumulate(touching)
+    left = begun & ~np.logical_and.accumulate(touching | ~begun)
+    for column in (swept.f0x, swept.f0y, swept.m0z, swept.s1, swept.slope, swept.point):
+        column[left] = np.nan
+    swept.phase[left] = Phase.NONE
+
+
+def _table(path: Path, first: Index, stop: Index, friction_angle: Array) -> tuple[Segments, Index]:
+    """Segments of owners that each have the pieces from `first` to `stop`, and where each owner's begin (owners + 1,)."""
+    count = stop - first
+    owner = np.repeat(np.arange(len(count)), count)
+    piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
+    table = segments.cut(path, owner, piece, friction_angle[owner])
+    return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
+
+
+def _spread(table: Segments, part: slice, samples: int | None) -> Array:
+    """Base positions from touch-down to the end of the sweep."""
+    assert samples is not None
+    return np.linspace(table.x0[part.start, 0], np.nanmin(table.x0[part]), samples)
+
+
+def _first_row(table: Segments, part: slice, x0: Array) -> Index:
+    """First row of the part on which the base position comes down to x0 (n,): -1 before touch-down, its stop after the end."""
+    reached = np.minimum.accumulate(np.nan_to_num(table.x0[part, 1], nan=np.inf))
+    row = part.start + np.searchsorted(-reached, -x0)
+    return np.where(x0 > table.x0[part.start, 0], -1, row)
+
+
+def _search_each(path: Path, samples: Index, stretch: Index, swept: Sweep) -> Index:
+    """Solve samples that are each swept on a stretch (2, n) of the path of their own; returns those not found there."""
+    x0 = swept.x0[samples]
+    table, bounds = _table(path, stretch[0], stretch[1], np.arctan(swept.friction[samples]))
+    rows = np.where(table.x0[:, 1] <= x0[table.owner], np.arange(len(table.owner)), len(table.owner))
+    row = np.minimum.reduceat(rows, bounds[:-1])
+    inside = (row < len(table.owner)) & (table.x0[bounds[:-1], 0] >= x0)
+    _solve(path, table, row[inside], samples[inside], swept)
+    return samples[~inside]

@@ -1,0 +1,144 @@
+"""The meshes to scan: exactly convex as read back, made by the script beside them, true to their smooth bodies."""
+
+import importlib.util
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+FOLDER = Path(__file__).parents[1] / "meshes"
+SCRIPT = FOLDER / "make_meshes.py"
+
+
+def load_script():
+    specification = importlib.util.spec_from_file_location(SCRIPT.stem, SCRIPT)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+make_meshes = load_script()
+
+FILES = [FOLDER / f"{name}{suffix}" for name, (suffix, _) in make_meshes.BODIES.items()]
+ROUNDING = np.sqrt(3) / 2 * make_meshes.GRID  # the farthest that a point moves to the grid, mm
+
+# The textbook's volumes in mm³: ellipsoids, cylinders, prisms, spherical caps, Steiner's formula for the rounded box.
+# The egg's taper is odd in z and cancels.
+VOLUMES = {
+    "sphere": 4 / 3 * np.pi * 25**3,
+    "ellipsoid": 4 / 3 * np.pi * 36 * 26 * 18,
+    "egg": 4 / 3 * np.pi * 21**2 * 28,
+    "lens": 2 * np.pi / 3 * 10**2 * (3 * 50 - 10),
+    "capsule": 4 / 3 * np.pi * 10**3 + np.pi * 10**2 * 40,
+    "rounded_box": 40 * 28 * 16
+    + 2 * 6 * (40 * 28 + 28 * 16 + 16 * 40)
+    + np.pi * 6**2 * (40 + 28 + 16)
+    + 4 / 3 * np.pi * 6**3,
+    "needle": 4 / 3 * np.pi * 40 * 2 * 2,
+    "disc": 4 / 3 * np.pi * 40 * 40 * 2,
+    "cylinder": np.pi * 20**2 * 50,
+    "cube": 40**3,
+    "hexagonal_prism": 3 / 2 * np.sqrt(3) * 20**2 * 60,
+}
+
+
+def test_the_script_makes_the_files_that_stand_beside_it(tmp_path):
+    run = subprocess.run([sys.executable, SCRIPT, tmp_path], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == [str(tmp_path / file.name) for file in FILES]
+    assert {file.name for file in tmp_path.iterdir()} == {file.name for file in FILES}
+    for file in FILES:
+        assert (tmp_path / file.name).read_bytes() == file.read_bytes(), file.name
+
+
+def test_all_five_formats_occur_and_the_files_stay_small():
+    assert {file.suffix for file in FILES} == {".glb", ".obj", ".off", ".ply", ".stl"}
+    sizes = [file.stat().st_size for file in FILES]
+    assert max(sizes) <= 1.5e6
+    assert sum(sizes) <= 6e6
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_the_file_reads_back_as_an_exactly_convex_body(file):
+    mesh = trimesh.load_mesh(file)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+    assert mesh.body_count == 1
+    assert np.all(mesh.area_faces > 0)
+    assert 20 <= mesh.extents.max() <= 80
+
+    lattice = np.rint(mesh.vertices / make_meshes.GRID)
+    assert np.array_equal(lattice * make_meshes.GRID, mesh.vertices)
+
+    # Across every edge, from both sides, the far corner of one triangle does not rise above the other's plane. Not even
+    # by rounding: in steps of the grid all the numbers are integers.
+    corners = lattice.astype(np.int64)
+    for here, there in ((0, 1), (1, 0)):
+        a, b, c = corners[mesh.faces[mesh.face_adjacency[:, here]]].swapaxes(0, 1)
+        far = corners[mesh.face_adjacency_unshared[:, there]]
+        assert np.max(np.sum(np.cross(b - a, c - a) * (far - a), axis=1)) <= 0
+
+
+@pytest.mark.parametrize("name", VOLUMES)
+def test_volume_against_the_textbook(name):
+    # Inscribed, but for the rounding; 1 % is what the coarsest one, the needle, needs.
+    mesh = make_meshes.make(name)
+    assert mesh.volume <= VOLUMES[name] + ROUNDING * mesh.area
+    assert mesh.volume == pytest.approx(VOLUMES[name], rel=0.01)
+
+
+@pytest.mark.parametrize("name", make_meshes.SMOOTH)
+def test_vertices_lie_on_the_smooth_body(name):
+    mesh = make_meshes.make(name)
+    assert 5_000 <= len(mesh.faces) <= 20_000
+    # To first order; 1 % covers the needle's ends, where the radius of curvature is 0.1 mm.
+    assert np.max(np.abs(make_meshes.distance(name, mesh.vertices))) <= 1.01 * ROUNDING
+
+
+@pytest.mark.parametrize("name", make_meshes.SMOOTH)
+def test_normals_support_the_smooth_body(name):
+    _, points_of = make_meshes.BODIES[name]
+    points = points_of(15)
+    normals = make_meshes.normal(name, points)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-12)
+    # A convex body lies behind each of its tangent planes, and no other plane has all of it behind.
+    heights = normals @ points.T - np.sum(normals * points, axis=1)[:, None]
+    assert np.max(heights) <= 1e-10
+    step = 1e-5  # mm: small against every radius of curvature, large against round-off
+    assert np.allclose(make_meshes.distance(name, points + step * normals), step, rtol=1e-3)
+
+
+def test_the_egg_is_round_about_z_and_blunter_above():
+    egg = make_meshes.make("egg")
+    widest = egg.vertices[np.argmax(np.linalg.norm(egg.vertices[:, :2], axis=1))]
+    assert widest[2] > 0.05 * egg.extents[2]
+    assert egg.moment_inertia[0, 0] == pytest.approx(egg.moment_inertia[1, 1], rel=1e-6)
+
+
+def test_the_pebble_has_no_symmetry():
+    pebble = make_meshes.make("pebble")
+    moments, axes = np.linalg.eigh(pebble.moment_inertia)
+    assert np.min(np.diff(moments)) > 0.1 * moments[-1]
+    # With three different moments, a symmetry can only turn principal axes round, and there are seven ways to do it.
+    corners = (pebble.vertices - pebble.center_mass) @ axes
+    directions = make_meshes.directions(8)
+    support = np.max(directions @ corners.T, axis=1)
+    for signs in itertools.product((1, -1), repeat=3):
+        mirrored = np.max(directions * signs @ corners.T, axis=1)
+        assert signs == (1, 1, 1) or np.max(np.abs(mirrored - support)) > 0.01 * pebble.scale, signs
+
+
+def test_finer_meshes_are_convex_too():
+    mesh = make_meshes.make("ellipsoid", subdivisions=100)
+    assert len(mesh.faces) == 80_000
+    assert mesh.is_watertight
+    assert mesh.is_convex
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"'banana'.*pebble"):
+        make_meshes.make("banana")
