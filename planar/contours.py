@@ -30,6 +30,8 @@ _WIDEST_PIECE = np.radians(4.0)
 _DIFFERENCE = 1e-5
 # Corners that stand out by less than this share of the polygon's size are rounding.
 _COLLINEAR = 1e-13
+# What the straight rod's tip would graze no deeper than this, in rod lengths, it passes: rounding hides the force.
+_GRAZE = 1e-13
 
 
 class Contour(ABC):
@@ -76,6 +78,10 @@ class SmoothContour(Contour):
             middle = (slope[:-1] + slope[1:]) / 2
             slope = np.sort(np.concatenate([slope, middle[long]]))[::-1]
         points = self.points(slope)
+        if above_tip(np.pi / 2) > 0:
+            points[0, 1] = (
+                1.0  # rounding here would weigh with its root: x0 leaves touch-down with the root of the height
+            )
         return Path(
             slope[:-1], np.diff(slope), points[:-1], np.diff(points, axis=0), np.array([0, len(slope) - 1]), self
         )
@@ -307,7 +313,7 @@ class Path:
         slope = self.slope[piece] + t * self.turn[piece]
         if self.smooth is not None:
             points = self.smooth.points(slope)
-            return slope, points[:, 0], points[:, 1]
+            return slope, points[:, 0], np.where(slope == self.slope[0], self.point[0, 1], points[:, 1])
         point, move = self.point[piece], self.move[piece]
         return slope, point[:, 0] + t * move[:, 0], point[:, 1] + t * move[:, 1]
 
@@ -354,7 +360,7 @@ def _polygon_pieces(vertices: Array) -> tuple[Array, Array, Array, Array]:
     slope, turn, point, move, ends = slope[inside], turn[inside], point[inside], move[inside], ends[inside]
     if point[0, 1] > 1.0:
         cut = (point[0, 1] - 1.0) / (point[0, 1] - ends[0, 1])
-        point[0] += cut * move[0]
+        point[0] = point[0, 0] + cut * move[0, 0], 1.0
         move[0] = ends[0] - point[0]
     if ends[-1, 1] > 1.0:
         move[-1] *= (1.0 - point[-1, 1]) / (ends[-1, 1] - point[-1, 1])
@@ -370,7 +376,7 @@ def _polygon_pieces(vertices: Array) -> tuple[Array, Array, Array, Array]:
 def _check_height(lowest: float) -> None:
     if lowest <= 0:
         raise ValueError(f"the object must lie above the base line y = 0, its lowest point is at y = {lowest:.6g}")
-    if lowest > 1:
+    if lowest > 1 - _GRAZE:
         raise ValueError(
             f"the object is out of the rod's reach: its lowest point is at y = {lowest:.6g} rod lengths, the tip at 1"
         )

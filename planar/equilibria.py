@@ -43,10 +43,12 @@ def lies_tangentially(slope: Array, y: Array, friction_angle: Array) -> NDArray[
 
 
 def overhang(slope: Array, y: Array, friction_angle: Array) -> Array:
-    """Continuous measure that is positive where tangential contact would need a rod longer than it is."""
+    """How much higher the place is than a rod reaches that touches it tangentially with its tip, in rod lengths."""
     shape = bend(slope + friction_angle, tangential_q(slope, friction_angle))
-    upright = slope > np.pi / 2 - _UPRIGHT
-    return np.where(upright, y - 1.0, np.where(shape.y > 0, shape.length * y - shape.y, np.inf))
+    with np.errstate(invalid="ignore"):
+        height = np.where(slope > np.pi / 2 - _UPRIGHT, 1.0, shape.y / shape.length)
+    # only the straight rod reaches y = 1, and only with its tip
+    return np.where(y >= 1.0, np.maximum(y - height, np.finfo(float).eps), y - height)
 
 
 def tangential(slope: Array, x: Array, y: Array, friction_angle: Array) -> State:

@@ -22,18 +22,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from planar.elastica import Array, bend, partial_shape, tangential_q
+from planar.elastica import Array, bend, bend_by_half_angle, partial_shape, tangential_q
 from planar.sweeping import Phase
 
 # Differences to the tip, and friction angles below zero, that are rounding: the closed form holds them to some 1e-13.
 TOLERANCE = 1e-9
 # Rows worked off at once: they and what is computed of them stay in the processor's cache.
-_BLOCK = 8192
+_BLOCK = 16384
 # Relative and absolute tolerance of the integration, and how far past the tip it looks for the event.
 _RTOL, _ATOL, _LONGEST = 1e-10, 1e-12, 2.0
 
@@ -209,10 +210,11 @@ def _fill(
         root_f = np.sqrt(f)
         alpha = np.arctan2(-fx, fy)  # (9), four-quadrant
         q = moment / (2 * root_f)
-        k, complement = np.hypot(np.sin(alpha / 2), q), np.cos(alpha / 2) ** 2 - q * q
-        beta = 2 * np.arctan2(k, np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2k² - 1
+        s, c = np.sin(alpha / 2), np.cos(alpha / 2)
+        m, complement = s * s + q * q, c * c - q * q
+        beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
         known = (complement >= 0) & (q > 0)
-        s1, x, y, undefined = _METHODS[method](alpha, np.where(known, q, np.nan), root_f)
+        s1, x, y, undefined = _METHODS[method](_Rods(alpha, s, c, np.where(known, q, np.nan), root_f))
 
         status = np.zeros(len(f), dtype=np.int8)
         lying = s1 < 1 - tolerance
@@ -236,30 +238,42 @@ def _fill(
         slope = np.where(by_friction, alpha - zeta, slope)
         source[by_friction] = NormalSource.FRICTION
 
-    whole.point[part, 0] = np.where(good, x0 + side * x, np.nan)
-    whole.point[part, 1] = np.where(good, y, np.nan)
-    whole.s1[part] = np.where(good, s1, np.nan)
-    whole.phase[part] = np.where(lying, Phase.TANGENTIAL, np.where(good, Phase.TIP, Phase.NONE))
+    whole.point[part, 0], whole.point[part, 1] = x0 + side * x, y
+    whole.s1[part] = s1
+    whole.phase[part] = np.where(lying, Phase.TANGENTIAL, Phase.TIP)
     whole.status[part] = status
-    whole.force[part] = np.where(good, f, np.nan)
-    whole.force_angle[part] = np.where(good, side * alpha, np.nan)
-    whole.friction_angle_bound[part] = np.where(good, beta, np.nan)
+    whole.force[part], whole.force_angle[part], whole.friction_angle_bound[part] = f, side * alpha, beta
     whole.slope[part] = side * slope
     whole.normal_source[part] = source
+    none = ~good
+    whole.phase[part][none] = Phase.NONE
+    for column in (whole.point, whole.s1, whole.force, whole.force_angle, whole.friction_angle_bound):
+        column[part][none] = np.nan
 
 
-_Method = Callable[[Array, Array, Array], tuple[Array, Array, Array, NDArray[np.bool_]]]
+class _Rods(NamedTuple):
+    """Rods (n,) as their reactions bend them."""
 
-# A method takes α, q and √f (n,), q NaN where no rod has the reactions, and returns s1, the contact relative to the clamp,
-# and where the method has no answer.
+    alpha: Array
+    half_sine: Array
+    """sin(α/2)"""
+    half_cosine: Array
+    q: Array
+    """NaN where no rod has the reactions."""
+    root_f: Array
 
 
-def _closed_form(alpha: Array, q: Array, root_f: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    shape = bend(alpha, q)
-    return shape.length / root_f, shape.x / root_f, shape.y / root_f, np.zeros(len(q), dtype=bool)
+# A method returns s1, the contact relative to the clamp, and where it has no answer.
+_Method = Callable[[_Rods], tuple[Array, Array, Array, NDArray[np.bool_]]]
 
 
-def _scholz_rahn(alpha: Array, q: Array, root_f: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _closed_form(rods: _Rods) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    shape, _, _ = bend_by_half_angle(rods.half_sine, rods.half_cosine, rods.q)
+    return shape.length / rods.root_f, shape.x / rods.root_f, shape.y / rods.root_f, np.zeros(len(rods.q), dtype=bool)
+
+
+def _scholz_rahn(rods: _Rods) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    alpha, q, root_f = rods.alpha, rods.q, rods.root_f
     found = np.full((3, len(q)), np.nan)
     for i in np.flatnonzero(np.isfinite(q) & (root_f > 0)):
         found[:, i] = _integrate(alpha[i], root_f[i] ** 2, 2 * q[i] * root_f[i])
@@ -283,7 +297,8 @@ def _integrate(alpha: float, f: float, moment: float) -> tuple[float, float, flo
     return run.t_events[0][0], run.y_events[0][0][0], run.y_events[0][0][1]
 
 
-def _will(alpha: Array, q: Array, root_f: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def _will(rods: _Rods) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    alpha, q, root_f = rods.alpha, rods.q, rods.root_f
     # ERRATUM: (10) as printed has α̃ in its integrand; it stands for α.  The integral is that of a frictionless rod.
     undefined = np.abs(alpha) > np.pi / 2
     frictionless = bend(alpha, np.where(undefined, np.nan, tangential_q(alpha, np.zeros(len(alpha)))))

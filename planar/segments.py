@@ -20,7 +20,8 @@ from planar.elastica import bend_with_slopes
 _EPS = float(np.finfo(float).eps)
 _TO_ROUNDING = dict(xatol=0.0, xrtol=4 * _EPS, fatol=0.0, frtol=0.0)
 _NEWTON_STEPS = 8
-_BISECTIONS = 60
+# Each parabola is eight times narrower than the last, and the overhang nearly one to begin with.
+_PARABOLAS = 4
 
 Mask = NDArray[np.bool_]
 
@@ -65,7 +66,8 @@ def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segmen
         ),
         np.stack([state.q[start], state.q[start + 1]], axis=1),
     )
-    segments = _cut_at_transitions(path, segments, tangential[start + 1])
+    segments, tangential_at_end = _cut_at_grazes(path, segments, tangential[start + 1])
+    segments = _cut_at_transitions(path, segments, tangential_at_end)
     return _cut_at_folds(path, segments)
 
 
@@ -88,6 +90,35 @@ def _cut_rows(segments: Segments, rows: Index, t: Array, x0: Array, rate: Array,
     return parts
 
 
+def _cut_at_grazes(path: Path, segments: Segments, tangential_at_end: Mask) -> tuple[Segments, Mask]:
+    """Cut tip contacts where the rod lies tangentially for less than a piece, as on small contours near the tip's height."""
+    if path.smooth is None:  # along edges and at vertices the contact changes its kind but once
+        return segments, tangential_at_end
+    rows = np.flatnonzero(~segments.tangential & ~tangential_at_end)
+    piece, zeta = segments.piece[rows], segments.friction_angle[rows]
+
+    def overhang(t: Array) -> Array:
+        slope, _, y = path.at(piece, t)
+        return equilibria.overhang(slope, y, zeta)
+
+    # the lowest point of the parabola through three points, then of narrower ones about it
+    t, width = np.full(len(rows), 0.5), 0.5
+    for _ in range(_PARABOLAS):
+        before, here, after = overhang(t - width), overhang(t), overhang(t + width)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = (before - after) / (before + after - 2 * here) / 2
+        t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / 8
+        t = np.clip(t, width, 1 - width)
+    lies = overhang(t) < 0
+    rows, t, piece, zeta = rows[lies], t[lies], piece[lies], zeta[lies]
+    slope, x, y = path.at(piece, t)
+    state = equilibria.tangential(slope, x, y, zeta)
+    rate = _rate(path, piece, slope, state.x0_slope, state.x0_arc)
+    parts = _cut_rows(segments, rows, t, state.x0, np.stack([rate, rate], axis=1), state.q)
+    parts.tangential[rows + np.arange(len(rows)) + 1] = True
+    return parts, np.insert(tangential_at_end, rows, True)
+
+
 def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask) -> Segments:
     """Cut where tip and tangential contact change into each other: ``s1 = 1`` with ``φ1 = α̃``."""
     rows = np.flatnonzero(segments.tangential != tangential_at_end)
@@ -97,11 +128,10 @@ def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask)
 
     def overhang(t: Array, piece: Index, zeta: Array) -> Array:
         slope, _, y = path.at(piece, t)
-        # unbounded where a tangential rod would not even rise; only the sign matters there
-        return np.minimum(equilibria.overhang(slope, y, zeta), 1.0)
+        return equilibria.overhang(slope, y, zeta)
 
-    ends = (np.zeros(len(rows)), np.ones(len(rows)))
-    t = elementwise.find_root(overhang, ends, args=(piece, zeta), tolerances=_TO_ROUNDING).x
+    low, high = segments.t[rows].T
+    t = elementwise.find_root(overhang, (low, high), args=(piece, zeta), tolerances=_TO_ROUNDING).x
     slope, x, y = path.at(piece, t)
     lying = equilibria.tangential(slope, x, y, zeta)
     standing = equilibria.tip(slope, x, y, zeta, lying.q)
@@ -120,27 +150,32 @@ def _cut_at_folds(path: Path, segments: Segments) -> Segments:
     if not len(rows):
         return segments
     piece, zeta, kind = segments.piece[rows], segments.friction_angle[rows], segments.tangential[rows]
-    low, high = segments.t[rows].T.copy()
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        slope, x, y = path.at(piece, middle)
+    low, high = segments.t[rows].T
+
+    def rate(t: Array, piece: Index, zeta: Array, kind: Mask, low: Array, high: Array) -> Array:
+        slope, x, y = path.at(piece, t)
         state = equilibria.of_kind(kind, slope, x, y, zeta)
-        falls = _rate(path, piece, slope, state.x0_slope, state.x0_arc) < 0
-        low, high = np.where(falls, middle, low), np.where(falls, high, middle)
-    state = equilibria.of_kind(kind, *path.at(piece, low), zeta)
-    return _cut_rows(segments, rows, low, state.x0, np.zeros((len(rows), 2)), state.q)
+        # infinite at touch-down, and no number past the end of the equilibria: only the sign matters there
+        value = np.clip(np.nan_to_num(_rate(path, piece, slope, state.x0_slope, state.x0_arc), nan=1.0), -1.0, 1.0)
+        # the signs at the ends are known, and must not get lost to rounding
+        return np.where(t == low, -1.0, np.where(t == high, 1.0, value))
+
+    found = elementwise.find_root(rate, (low, high), args=(piece, zeta, kind, low, high), tolerances=_TO_ROUNDING)
+    t = np.where(found.f_x > 0, found.bracket[0], found.x)  # never on the side on which x0 rises
+    state = equilibria.of_kind(kind, *path.at(piece, t), zeta)
+    return _cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
 
 
 def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Array, equilibria.State]:
     """Parameter t (n,) and state (n,) at which x0 has come down to `target` (n,) on the segments `row` (n,).
 
-    Newton's method in the place t, for tip contact together with the bend q, from inverse cubic interpolation; what does
-    not converge (next to folds) is solved by bracketing.
+    Newton's method in the place t, for tip contact together with the bend q, from interpolation; what does not
+    converge is solved by bracketing.
     """
     piece, zeta, kind = segments.piece[row], segments.friction_angle[row], segments.tangential[row]
     low, high = segments.t[row].T
     t, q = _interpolate(segments, row, target)
-    tolerance = 4 * _EPS * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
+    tolerance = 8 * _EPS * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
 
     going = np.arange(len(row))
     for _ in range(_NEWTON_STEPS):
@@ -153,7 +188,8 @@ def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Ar
         if not len(going):
             break
         t[going] = np.clip(t[going] + t_step, low[going], high[going])
-        q[going] = np.maximum(q[going] + q_step, q[going] / 4)
+        # the step is one in q², in which height and lean are nearly linear
+        q[going] = np.sqrt(np.maximum(q[going] * (q[going] + 2 * q_step), q[going] ** 2 / 16))
     if len(going):
         t[going] = _bracketed(path, piece[going], kind[going], zeta[going], low[going], high[going], target[going])
         q[going] = np.nan
@@ -194,7 +230,7 @@ def _newton_step(
 
 
 def _interpolate(segments: Segments, row: Index, target: Array) -> tuple[Array, Array]:
-    """Start values: t by a monotone inverse cubic in x0, q² linear in t (as it is near touch-down)."""
+    """Start values: t by a monotone inverse cubic in x0 and q² linear in t; at folds and touch-down their leading terms."""
     (t0, t1), (x0, x1) = segments.t[row].T, segments.x0[row].T
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.clip((target - x0) / (x1 - x0), 0.0, 1.0)
@@ -202,7 +238,10 @@ def _interpolate(segments: Segments, row: Index, target: Array) -> tuple[Array, 
     u, slopes = np.nan_to_num(u), np.nan_to_num(slopes, nan=1.0)
     share = u * u * (3 - 2 * u) + u * (1 - u) * (slopes[0] * (1 - u) - slopes[1] * u)
     q0, q1 = segments.q[row].T
-    q = np.sqrt(np.maximum(q0**2 + share * (q1**2 - q0**2), 0.0))
+    # x0 leaves touch-down with the root of t and with q², and comes to a fold with the square of t
+    touch_down, fold = np.isinf(segments.rate[row, 0]), segments.rate[row, 1] == 0
+    share = np.where(touch_down, u * u, np.where(fold, 1 - np.sqrt(1 - u), share))
+    q = np.sqrt(np.maximum(q0**2 + np.where(touch_down, u, share) * (q1**2 - q0**2), 0.0))
     return t0 + share * (t1 - t0), np.where(np.isfinite(q), q, q0)
 
 

@@ -115,12 +115,20 @@ def sweep_all(
     *,
     base: Sequence[ArrayLike] | None = None,
     samples: int | None = None,
+    shares: ArrayLike | None = None,
 ) -> list[Sweep]:
-    """Many sweeps in one go: `sweep` for every contour with its friction and, unless `samples` is given, its base."""
-    if (base is None) == (samples is None):
+    """Many sweeps in one go: `sweep` for every contour with its friction and, unless `samples` is given, its base.
+
+    `shares` (n,), rising from 0 to 1, spreads base positions over the way from touch-down to the sweep's end otherwise than
+    evenly, in the place of `samples`.
+    """
+    if (base is None) + (samples is None) + (shares is None) != 2:
         raise ValueError("a sweep needs either its base positions (base=) or their number (samples=), and not both")
     if samples is not None and (isinstance(samples, bool) or samples != int(samples) or samples < 1):
         raise ValueError(f"samples must be a whole number of at least 1, got {samples}")
+    spread = np.linspace(0.0, 1.0, samples or 1) if shares is None else np.asarray(shares, dtype=float)
+    if spread.ndim != 1 or not len(spread) or not (spread[0] >= 0 and spread[-1] <= 1 and (np.diff(spread) >= 0).all()):
+        raise ValueError("shares must be numbers of shape (n,) that rise from 0 to 1")
     if len(friction) != len(contours) or (base is not None and len(base) != len(contours)):
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
     frictions = [_checked_friction(mu) for mu in friction]
@@ -131,7 +139,7 @@ def sweep_all(
     groups = [(list(polygons), polygon_paths(list(polygons.values())))] if polygons else []
     groups += [([i], contour.path()) for i, contour in enumerate(contours) if not isinstance(contour, Polygon)]
     for group, path in groups:
-        swept = _sweep_path(path, [frictions[i] for i in group], [bases[i] for i in group], samples)
+        swept = _sweep_path(path, [frictions[i] for i in group], [bases[i] for i in group], spread)
         done.update(zip(group, swept, strict=True))
     return [done[i] for i in range(len(contours))]
 
@@ -156,7 +164,7 @@ def _shown(values: Array) -> str:
     return np.array2string(values, threshold=6, precision=6)
 
 
-def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], samples: int | None) -> list[Sweep]:
+def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array) -> list[Sweep]:
     # A table of every sweep at the coefficients that bracket its samples': a single one where friction is constant.
     levels = [
         np.unique(np.linspace(mu.min(), mu.max(), _BRACKETING_SWEEPS)) if mu.size else np.zeros(1) for mu in frictions
@@ -166,7 +174,7 @@ def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], s
     parts = [slice(first, stop) for first, stop in zip(bounds[:-1], bounds[1:], strict=True)]
     own = [[parts[k] for k in np.flatnonzero(owner == i)] for i in range(len(levels))]
 
-    x0 = [_spread(table, part[0], samples) if given is None else given for part, given in zip(own, bases, strict=True)]
+    x0 = [_spread(table, part[0], spread) if given is None else given for part, given in zip(own, bases, strict=True)]
     for mu, base in zip(frictions, x0, strict=True):
         if mu.ndim and mu.shape != base.shape:
             raise ValueError(
@@ -257,10 +265,10 @@ def _table(path: Path, first: Index, stop: Index, friction_angle: Array) -> tupl
     return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
 
 
-def _spread(table: Segments, part: slice, samples: int | None) -> Array:
-    """Base positions from touch-down to the end of the sweep."""
-    assert samples is not None
-    return np.linspace(table.x0[part.start, 0], np.nanmin(table.x0[part]), samples)
+def _spread(table: Segments, part: slice, shares: Array) -> Array:
+    """Base positions from touch-down (0) to the end of the sweep (1)."""
+    start, end = table.x0[part.start, 0], np.nanmin(table.x0[part])
+    return np.where(shares == 1, end, start + shares * (end - start))
 
 
 def _first_row(table: Segments, part: slice, x0: Array) -> Index:

@@ -1,0 +1,93 @@
+# %% [markdown]
+"""One sweep, there and back: a rod is drawn along a circle, and from the reactions at its clamp the circle is found again.
+
+Each `# %%` opens a cell for editors that run scripts cell by cell; run as a whole, the script prints the table at its end
+and saves the picture.  Lengths are in rod lengths L, forces in EI/L², moments in EI/L.
+
+    python examples/one_sweep.py [FILE]
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import planar
+
+# %% The object
+# A circle above the base line.  The rod is clamped at (x0, 0), points up, and its base moves to the left.
+contour = planar.Circle(radius=0.9, center=(0.0, 1.3))
+
+# %% Step 1: from the contour to the reactions
+# Without `base`, the sweep runs evenly from touch-down to the place where the rod snaps off.
+sweep = planar.sweep(contour, friction=0.3, samples=41)
+
+# Tip contact first, then the rod lies along the circle, and in the end the tip slides up on the other side.
+phases = [planar.Phase(phase).name.lower() for phase in sweep.phase]
+
+# %% What happens on the way
+# `events` finds these places exactly, independently of the samples.
+events = planar.events(contour, friction=0.3)
+reasons = [planar.EventKind(kind).reason for kind in events.kind]
+
+# %% Step 2: from the reactions to the contacts
+# Only base position and reactions go in.  The first sample is a touch without force, from which nothing can be found.
+contacts = planar.reconstruct(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z)
+found = contacts.status == planar.Status.OK
+largest_error = contour.distance(contacts.point[found]).max()
+
+# %% The friction, which nobody told us
+# In tangential contact (14) separates friction and slope; in tip contact only a lower bound of the friction is known.
+tangential = contacts.phase == planar.Phase.TANGENTIAL
+friction = float(np.median(contacts.friction[tangential]))
+
+# With the friction learned there, tip contacts have a normal as well.
+with_normals = planar.reconstruct(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z, friction=friction)
+largest_turn = np.abs(with_normals.slope - sweep.slope)[found].max()
+
+# %% The landmarks of sweeps with more and more friction
+frictions = (0.0, 0.2, 0.4, 0.6)
+landmarks = {mu: planar.events(contour, mu) for mu in frictions}
+
+
+def table() -> str:
+    """The landmarks in Markdown: base position, contact force and clamping moment at each."""
+    rows = [
+        "| μ | touch-down: x0 | tip to tangential: x0, f, m0z | tangential to tip: x0, f, m0z | snap-off: x0, f, m0z |",
+        "|---|---|---|---|---|",
+    ]
+    for mu, landmark in landmarks.items():
+        # force and moment just before the event
+        states = zip(landmark.x0, landmark.force[:, 0], landmark.m0z[:, 0], strict=True)
+        _, *others = (f"{x0:.6f}, {force:.6f}, {moment:.6f}" for x0, force, moment in states)
+        rows.append(f"| {mu:g} | {landmark.x0[0]:.6f} | {' | '.join(others)} |")
+    return "\n".join(rows)
+
+
+# %% The picture
+def draw() -> Figure:
+    """The rod in every state of the sweep, in the paper's colors; the contacts found, and their normals turned inwards."""
+    figure = Figure(figsize=(7.2, 4.0), layout="constrained")
+    axes = figure.subplots()
+    circle = contour.points(np.linspace(-np.pi / 2, np.pi / 2, 200))
+    axes.fill(*circle.T, color="0.9")
+    lines = planar.elastic_lines(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z)
+    for phase, curved, straight in zip(sweep.phase, *lines, strict=True):
+        axes.plot(*curved.T, color="red" if phase == planar.Phase.TANGENTIAL else "blue", linewidth=0.8)
+        axes.plot(*straight.T, color="black", linewidth=0.8)
+    inwards = contacts.point - 0.2 * with_normals.normal
+    axes.plot(*np.stack([contacts.point, inwards]).transpose(2, 0, 1), color="0.5", linewidth=0.8)
+    axes.plot(*contacts.point.T, "k.", markersize=5)
+    axes.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", xlim=(-1.4, 1.1), ylim=(0.0, 1.3), aspect="equal")
+    return figure
+
+
+# %%
+if __name__ == "__main__":
+    for x0, reason in zip(events.x0, reasons, strict=True):
+        print(f"x0 = {x0:+.4f}: {reason}")
+    print(f"{found.sum()} contacts within {largest_error:.1e} of the circle, slopes within {largest_turn:.1e} rad")
+    print(f"friction {friction:.12f} found, 0.3 set\n")
+    print(table())
+    draw().savefig(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).with_suffix(".png").name, dpi=150)

@@ -1,0 +1,117 @@
+"""Figure 3 of the paper: the rod sweeps along a circle, with and without friction.
+
+(a) elastic lines of a sweep without friction; (b)-(d) the support reactions for several coefficients of friction, one of
+them random from sample to sample.  Everything is to be read from right to left, the way the base moves.
+
+    python examples/paper_figure_3.py [FILE]
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import planar
+
+# The semi-circle (4) of Section III, in rod lengths.
+CONTOUR = planar.Circle(radius=0.9, center=(0.0, 1.3))
+SAMPLES = 100
+LINES = 32
+
+# Step 1: sweeps from touch-down to snap-off, the last one with a friction of its own in every sample.
+FRICTIONS = [0.0, 0.2, 0.4, 0.6]
+EVENTS = [planar.events(CONTOUR, mu) for mu in FRICTIONS]
+BASE = np.linspace(EVENTS[-1].x0[0], EVENTS[-1].x0[-1], SAMPLES)
+RANDOM = np.random.default_rng(3).uniform(0.0, 0.4, SAMPLES)
+
+
+def to_snap_off(end: float) -> np.ndarray:
+    """The base positions before the end of a sweep, and closely spaced ones there: the reactions run into it vertically."""
+    return np.union1d(BASE[end < BASE], end + np.linspace(0.0, 0.2, 8) ** 2)[::-1]
+
+
+SWEEPS = [
+    planar.sweep(CONTOUR, mu, base=to_snap_off(events.x0[-1])) for mu, events in zip(FRICTIONS, EVENTS, strict=True)
+]
+SWEEPS.append(planar.sweep(CONTOUR, RANDOM, base=BASE))
+LABELS = [*(rf"$\mu = {mu:g}$" for mu in FRICTIONS), r"random $\mu \in [0, 0.4]$"]
+COLORS = ["black", "tab:green", "orange", "red", "0.65"]
+
+# The states in which tip contact changes to tangential contact, and back.
+TRANSITIONS = [
+    planar.sweep(CONTOUR, mu, base=[*events.of(planar.EventKind.TO_TANGENTIAL), *events.of(planar.EventKind.TO_TIP)])
+    for mu, events in zip(FRICTIONS, EVENTS, strict=True)
+]
+
+# The shapes of the rod in panel (a).
+SWEEP = planar.sweep(CONTOUR, friction=0.0, samples=LINES)
+ELASTIC_LINES = planar.elastic_lines(SWEEP.x0, SWEEP.f0x, SWEEP.f0y, SWEEP.m0z)
+
+STYLE = {
+    "font.family": "serif",
+    "font.size": 9,
+    "mathtext.fontset": "cm",
+    "axes.labelsize": 11,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.5,
+}
+
+
+def draw() -> Figure:
+    """The figure, two columns of a page wide."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 5.6), layout="constrained")
+        shapes, *reactions = figure.subplots(2, 2).flat
+        draw_shapes(shapes)
+        draw_reaction(reactions[0], "f0x", "(b)", r"$f_{0x}\;/\;(EI_z/L^2)$")
+        draw_reaction(reactions[1], "f0y", "(c)", r"$f_{0y}\;/\;(EI_z/L^2)$")
+        draw_reaction(reactions[2], "m0z", "(d)", r"$m_{0z}\;/\;(EI_z/L)$")
+        reactions[0].legend(loc="upper right")
+    return figure
+
+
+def draw_shapes(axes: Axes) -> None:
+    """Elastic lines: tip contacts blue, tangential ones red up to the contact and black past it."""
+    contour = CONTOUR.points(np.linspace(-np.pi / 2, np.pi / 2, 200)).T
+    axes.fill(*contour, color="0.9")
+    axes.plot(*contour, color="0.5", linewidth=1.5)
+    for phase, curved, straight in zip(SWEEP.phase, *ELASTIC_LINES, strict=True):
+        if phase == planar.Phase.TANGENTIAL:
+            axes.plot(*curved.T, color="red", linewidth=0.8, label="tangential contact, $s < s_1$")
+            axes.plot(*straight.T, color="black", linewidth=0.8, label="tangential contact, $s > s_1$")
+        else:
+            axes.plot(*curved.T, color="blue", linewidth=0.8, label="tip contact")
+    axes.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", xlim=(-1.35, 1.05), ylim=(0.0, 1.4), aspect="equal")
+    axes.set_title("(a)", loc="left")
+    once = {str(line.get_label()): line for line in axes.lines[1:]}
+    axes.legend(once.values(), once.keys(), loc="center", bbox_to_anchor=(0.0, 1.05), bbox_transform=axes.transData)
+
+
+def draw_reaction(axes: Axes, column: str, panel: str, label: str) -> None:
+    """A support reaction over the base position, its phase transitions marked with circles."""
+    draw_curves(axes, [getattr(swept, column) for swept in SWEEPS])
+    mark_transitions(axes, [getattr(states, column) for states in TRANSITIONS])
+    axes.set(xlabel="$x_0\\;/\\;L$", ylabel=label)
+    axes.set_title(panel, loc="left")
+
+
+def draw_curves(axes: Axes, values: Sequence[np.ndarray]) -> None:
+    """Values of every sweep over the base position, the random one behind the others."""
+    for swept, value, color, label in zip(SWEEPS, values, COLORS, LABELS, strict=True):
+        axes.plot(swept.x0, value, color=color, label=label, zorder=1.9 if swept is SWEEPS[-1] else 2)
+
+
+def mark_transitions(axes: Axes, values: Sequence[np.ndarray]) -> None:
+    """Small circles at the phase transitions of the sweeps with constant friction."""
+    for states, value, color in zip(TRANSITIONS, values, COLORS[:-1], strict=True):
+        axes.plot(states.x0, value, "o", color=color, markerfacecolor="white")
+
+
+if __name__ == "__main__":
+    draw().savefig(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).with_suffix(".png").name, dpi=150)

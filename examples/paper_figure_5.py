@@ -1,0 +1,44 @@
+"""Figure 5 of the paper: the friction, from the reactions of Figure 3.
+
+(a) the angle ``β`` of (12) over the base position, its phase transitions marked with circles: between them it is the
+friction angle ``ζ``, outside it is smaller; (b) the coefficient of friction there, ``μ = tan ζ`` (14), and dots where it was
+set at random.
+
+    python examples/paper_figure_5.py [FILE]
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from paper_figure_3 import COLORS, LABELS, STYLE, SWEEPS, TRANSITIONS, draw_curves, mark_transitions
+
+import planar
+
+CONTACTS = [planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z) for swept in SWEEPS]
+AT_TRANSITIONS = [planar.reconstruct(states.x0, states.f0x, states.f0y, states.m0z) for states in TRANSITIONS]
+
+
+def draw() -> Figure:
+    """The figure, two columns of a page wide."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+        angle, coefficient = figure.subplots(1, 2, sharex=True)
+        draw_curves(angle, [np.degrees(contacts.friction_angle_bound) for contacts in CONTACTS])
+        mark_transitions(angle, [np.degrees(contacts.friction_angle_bound) for contacts in AT_TRANSITIONS])
+        draw_curves(coefficient, [contacts.friction for contacts in CONTACTS])
+        random = SWEEPS[-1]
+        lying = random.phase == planar.Phase.TANGENTIAL
+        coefficient.plot(random.x0[lying], random.friction[lying], ".", color=COLORS[-1], markersize=3.5)
+        angle.set(xlabel="$x_0\\;/\\;L$", ylabel=r"$\beta$ in degrees")
+        coefficient.set(xlabel="$x_0\\;/\\;L$", ylabel=r"$\mu = \tan\,\zeta$")
+        angle.set_title("(a)", loc="left")
+        coefficient.set_title("(b)", loc="left")
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=len(LABELS))
+    return figure
+
+
+if __name__ == "__main__":
+    draw().savefig(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).with_suffix(".png").name, dpi=150)

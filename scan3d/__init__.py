@@ -1,0 +1,72 @@
+"""From a mesh to a simulated tactile scan, and from any tactile scan to a closed surface with its error.
+
+The flow, in one direction::
+
+    mesh ─ slice ─ plan ─ simulate ─▶ recording ─▶ reconstruct ─▶ cloud ─▶ surface ─▶ compare
+                       (or a laboratory)
+
+World coordinates are the mesh's (`Plan.unit`, mm unless said); recordings are in SI units.  A clamp's frame has its y axis
+along the undeformed rod, its x axis along the line of the sweep (the base moves in -x) and its z axis normal to the slice.
+
+The model is quasi-static and planar: forces out of the slice's plane, which push a real rod sideways where the surface is
+inclined to the slice, are ignored.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from scan3d.bodies import load_mesh
+    from scan3d.cloud import Cloud
+    from scan3d.comparison import Comparison, compare
+    from scan3d.errors import InputError
+    from scan3d.planning import Plan
+    from scan3d.reconstruction import reconstruct
+    from scan3d.recording import Recording, read_recording, write_recording
+    from scan3d.rods import Rod
+    from scan3d.simulation import simulate
+    from scan3d.surfaces import surface
+
+# Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
+_HOME = {
+    "Cloud": "cloud",
+    "Comparison": "comparison",
+    "InputError": "errors",
+    "Plan": "planning",
+    "Recording": "recording",
+    "Rod": "rods",
+    "compare": "comparison",
+    "load_mesh": "bodies",
+    "read_recording": "recording",
+    "reconstruct": "reconstruction",
+    "simulate": "simulation",
+    "surface": "surfaces",
+    "write_recording": "recording",
+}
+
+__all__ = [
+    "Cloud",
+    "Comparison",
+    "InputError",
+    "Plan",
+    "Recording",
+    "Rod",
+    "compare",
+    "load_mesh",
+    "read_recording",
+    "reconstruct",
+    "simulate",
+    "surface",
+    "write_recording",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return version("scan3d")
+    if name in _HOME:
+        return getattr(import_module(f"scan3d.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'scan3d' has no attribute {name!r}")

@@ -1,0 +1,227 @@
+"""An inner and an outer body from touch alone, and the certified distance between them.
+
+The convex hull of the contacts lies inside the body.  Outside it: at a fixed normal angle θ a slice's support function is
+concave in the height z, so that beyond a contact it stays below the secant from the slice behind, extrapolated,
+
+    <n, p> <= h + σ (z - z_i),        σ = (h - h_before) / (z_i - z_before),
+
+with h exact at the contact and ``h_before`` at least the support of the contacts there.  Between two slices this holds from
+both sides; past the end slices from one, up to the next height at which a slice has found nothing.  These half-spaces cut
+each slab between slices to a polyhedron, and the body lies in their union.
+
+The distance to a convex set is convex, so over a polyhedron it is largest at a corner: the largest distance of the corners
+from the hull bounds the Hausdorff distance of the hull to the unknown body, whatever that is, as long as it is convex and
+the contacts are right.  Half-spaces that noisy contacts give are moved out by a margin first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+from scan3d.cloud import Cloud
+from scan3d.comparison import nearest
+from scan3d.layers import Layer, Layers, stacks
+from scan3d.surfaces import hull
+
+Array = NDArray[np.float64]
+
+# Corners this close to a slice's plane, relative to the slab's thickness, lie in it.
+_IN_PLANE = 1e-9
+
+# Corners farther than this many widths of the slices belong to half-spaces that do not close.
+_FAR = 1e6
+
+
+class Gap(IntEnum):
+    """What a part of the uncertainty comes from."""
+
+    SLICES = 0
+    """The body between two slices."""
+    CONTACTS = 1
+    """A slice's contour between two contacts."""
+    CAPS = 2
+    """The body past its end slices."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """Inner and outer body, in the cloud's unit."""
+
+    inner: Any
+    """Convex hull of the contacts, a `trimesh.Trimesh`."""
+    corners: Array
+    """(w, 3) corners of the outer body's slabs."""
+    gap: Array
+    """(w,) their distance from the inner body."""
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    bound: float
+    """The Hausdorff distance of the inner body to the true one is no larger; infinite if nothing bounds its height."""
+    margin: float
+    """Distance by which noisy contacts may be off, contained in `bound`."""
+    volume: tuple[float, float]
+    """Bounds of the true volume."""
+
+    def part(self, kind: Gap) -> float:
+        """The bound as far as it comes from one kind of gap."""
+        mine = self.gap[self.kind == kind]
+        return float(mine.max()) if len(mine) else 0.0
+
+
+class Slab(NamedTuple):
+    """The outer body between two heights."""
+
+    corners: Array
+    """(w, 3) in the world; one infinite corner if nothing bounds the slab."""
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    volume: float
+
+
+def bracket(cloud: Cloud, margin: float = 0.0) -> Bracket:
+    """The bracket of a cloud whose contacts and normals are off by no more than `margin`, in its unit."""
+    inner = hull(cloud.points)
+    found = stacks(cloud)
+    outer = [slabs(stack, margin) for stack in found]
+    if len(found) > 1:
+        # another stack may bound a stack's height where no empty slice does, or more tightly
+        found = [_lidded(k, found, outer) for k in range(len(found))]
+        outer = [slabs(stack, margin) for stack in found]
+    best: Bracket | None = None
+    for parts in outer:
+        corners = np.concatenate([slab.corners for slab in parts])
+        kind = np.concatenate([slab.kind for slab in parts])
+        gap = np.full(len(corners), np.inf)
+        bounded = np.isfinite(corners).all(axis=1)
+        gap[bounded] = outside(corners[bounded], inner)
+        volume = inner.volume, max(sum(slab.volume for slab in parts), inner.volume)
+        if best is None or gap.max() + margin < best.bound:
+            best = Bracket(inner, corners, gap, kind, float(gap.max()) + margin, margin, volume)
+    assert best is not None
+    return best
+
+
+def slabs(stack: Layers, margin: float = 0.0, known: dict[tuple[float, ...], Slab] | None = None) -> list[Slab]:
+    """The slabs of a stack from below; those that depend on the same slices are taken from `known`, and added to it."""
+    known = {} if known is None else known
+    heights = [-np.inf, stack.floor, *stack.heights, stack.ceiling, np.inf]
+    found = []
+    for i in range(len(stack.layers) + 1):
+        key = tuple(heights[i : i + 4])
+        if key not in known:
+            known[key] = _slab(stack, i, margin)
+        found.append(known[key])
+    return found
+
+
+def certificate(found: Bracket, surface: Any) -> tuple[float, Array]:
+    """Certified bound of a convex surface's Hausdorff distance to the true body, and the local bound at its vertices (v,)."""
+    local = outside(np.asarray(surface.vertices), found.inner)
+    distance, face = _outside_with_face(found.corners, surface)
+    np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
+    bound = float(max(local.max(), distance.max(initial=0.0))) if np.isfinite(found.bound) else np.inf
+    return bound + found.margin, local + found.margin
+
+
+def outside(points: Array, body: Any) -> Array:
+    """Distance (n,) of points (n, 3) to a convex body, 0 inside."""
+    return _outside_with_face(points, body)[0]
+
+
+def _outside_with_face(points: Array, body: Any) -> tuple[Array, NDArray[np.int64]]:
+    signed, face = nearest(points, body)
+    return np.maximum(signed, 0.0), face
+
+
+def _lidded(k: int, found: list[Layers], outer: list[list[Slab]]) -> Layers:
+    """A stack whose floor and ceiling are also bounded by the other stacks' outer bodies."""
+    stack = found[k]
+    low, high = stack.floor, stack.ceiling
+    for j, parts in enumerate(outer):
+        corners = np.concatenate([slab.corners for slab in parts])
+        if j != k and np.isfinite(corners).all():
+            heights = corners @ stack.frame[2]
+            low, high = max(low, float(heights.min())), min(high, float(heights.max()))
+    low, high = min(low, stack.layers[0].height), max(high, stack.layers[-1].height)
+    return Layers(stack.frame, stack.layers, low, high)
+
+
+def _slab(stack: Layers, i: int, margin: float) -> Slab:
+    """The slab below layer i."""
+    layers, count = stack.layers, len(stack.layers)
+    below, above = (layers[i - 1] if i else None), (layers[i] if i < count else None)
+    low = below.height if below else stack.floor
+    high = above.height if above else stack.ceiling
+    inner_kind = Gap.CAPS if below is None or above is None else Gap.SLICES
+    unbounded = Slab(np.full((1, 3), np.inf), np.array([inner_kind], dtype=np.int8), np.inf)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return unbounded
+    if high <= low:
+        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), 0.0)
+    rows = []
+    if below is not None and i >= 2:
+        rows.append(_half_spaces(below, layers[i - 2], margin))
+    if above is not None and i + 1 < count:
+        rows.append(_half_spaces(above, layers[i + 1], margin))
+    inside = _inner_point(below, above, low, high, rows)
+    if not rows or inside is None:
+        return unbounded
+    thickness = high - low
+    planes = np.concatenate([*rows, [[0.0, 0.0, 1.0, -high], [0.0, 0.0, -1.0, low]]])
+    # shifted to the inner point and stretched to unit size, the thin slabs are no trouble for Qhull
+    planes[:, 3] += planes[:, :3] @ inside
+    size = np.array([max(float(np.ptp(layer.points)) for layer in (below, above) if layer)] * 2 + [thickness])
+    planes[:, :3] *= size
+    planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    try:
+        corners = _qhull(HalfspaceIntersection, planes, np.zeros(3)).intersections
+        corners = corners[np.isfinite(corners).all(axis=1)]
+        volume = _qhull(ConvexHull, corners).volume * float(np.prod(size))
+    except (QhullError, ValueError):
+        return unbounded
+    if np.abs(corners[:, :2]).max() > _FAR:
+        return unbounded
+    corners = inside + corners * size
+    filled = [layer.height for layer in (below, above) if layer]
+    in_plane = np.abs(corners[:, 2:] - filled).min(axis=1) <= _IN_PLANE * thickness
+    return Slab(corners @ stack.frame, np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8), volume)
+
+
+def _qhull(build: Any, *inputs: Array) -> Any:
+    """Qhull, joggling the input by rounding where nearly equal planes or points confuse it."""
+    try:
+        return build(*inputs)
+    except QhullError:
+        return build(*inputs, qhull_options="QJ")
+
+
+def _half_spaces(layer: Layer, behind: Layer, margin: float) -> Array:
+    """Rows (k, 4) ``a·x + b <= 0``: the layer's supporting lines, leaned along the secants from the layer behind."""
+    normals = np.stack([np.cos(layer.angle), np.sin(layer.angle)], axis=1)
+    value = layer.value + margin
+    secant = (value - (behind.least(normals) - margin)) / (layer.height - behind.height)
+    return np.column_stack([normals, -secant, secant * layer.height - value])
+
+
+def _inner_point(below: Layer | None, above: Layer | None, low: float, high: float, rows: list[Array]) -> Array | None:
+    """A point well inside the slab's half-spaces, on the way between the middles of its slices."""
+    middles = [layer.outline.mean(axis=0) for layer in (below, above) if layer is not None and len(layer.outline)]
+    if not middles or not rows:
+        return None
+    planes = np.concatenate(rows)
+    shares = (0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-8)
+    for share in shares:
+        if below is not None and above is not None:
+            z = (low + high) / 2
+        else:
+            z = low + share * (high - low) if below is not None else high - share * (high - low)
+        point = np.array([*np.mean(middles, axis=0), z])
+        if (planes[:, :3] @ point + planes[:, 3] < 0).all():
+            return point
+    return None

@@ -1,0 +1,247 @@
+"""The `scan3d` command.  Results go to stdout, progress and sentences to stderr; exit 0, 1 (failed), 2 (usage), 130."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NoReturn
+
+from scan3d.errors import InputError
+from scan3d.units import UNITS_M
+
+_DESCRIPTION = """\
+Seeing by touch: sweep a flexible rod along a body, and rebuild the body from the reactions at its clamp.
+
+  scan3d scan meshes/egg.stl --out out                     the whole way, with pictures and a report
+  scan3d scan part.stl --out out --friction 0.0:0.4        every sample with a friction of its own
+  scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
+  scan3d reconstruct log.csv --out out --truth part.stl    only the way back
+  scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
+"""
+
+# name, placeholder, what it is; types and defaults are those of `Settings`
+_OPTIONS = (
+    ("slices", "N", "number of slices"),
+    ("spacing", "HOW", "heights of the slices: cosine (dense at the ends) or uniform"),
+    ("axis", "AXIS", "normal of the slices: x, y, z or a vector such as 1,1,0"),
+    ("sweeps", "N", "sweeps per slice, or auto: as many as its contour needs"),
+    ("samples", "N", "samples per sweep"),
+    ("friction", "MU", "coefficient of friction, or a range such as 0.0:0.4 to draw from for every sample"),
+    ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that suits the body"),
+    ("clearance", "X", "distance of the base line from the slice, in rod lengths"),
+    ("noise", "SIGMA", "standard deviation of force and moment, in EI/L² and EI/L"),
+    ("seed", "N", "seed of all that is random; the same seed gives the same files"),
+    ("unit", "UNIT", "what the mesh's numbers mean: mm, cm, m, um, in"),
+    ("method", "METHOD", "surface from the contacts: auto or hull"),
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line `argv` (default: the process's) and return its exit code."""
+    try:
+        arguments = _parser().parse_args(argv)
+        code = int(arguments.run(arguments))
+        sys.stdout.flush()
+        return code
+    except InputError as error:
+        print(f"scan3d: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        # on a terminal the cursor stands behind the progress, or behind ^C
+        newline = "\n" if sys.stderr.isatty() else ""
+        print(f"{newline}scan3d: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # the reader of a pipe has gone; keep Python from complaining about it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, and where to read on."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"scan3d: {message}; see '{self.prog} --help'\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="scan3d", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    scan = commands.add_parser("scan", help="simulate, reconstruct, surface, compare: everything")
+    scan.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
+    scan.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    _add_settings(scan)
+    scan.set_defaults(run=_scan)
+
+    simulate = commands.add_parser("simulate", help="step 1 alone: a recording of a simulated scan")
+    simulate.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
+    simulate.add_argument(
+        "--out", required=True, metavar="FILE", help="the recording, a .csv; a .toml is written beside it"
+    )
+    _add_settings(simulate)
+    simulate.set_defaults(run=_simulate)
+
+    reconstruct = commands.add_parser("reconstruct", help="step 2 from a recording, simulated or measured")
+    reconstruct.add_argument("recording", metavar="REC", help="a recording's .csv, its .toml beside it")
+    reconstruct.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    reconstruct.add_argument("--truth", metavar="MESH", help="the true body, to compare with")
+    reconstruct.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
+    reconstruct.add_argument(
+        "--method", metavar="METHOD", default="auto", help="surface from the contacts: auto or hull"
+    )
+    _add_output(reconstruct)
+    reconstruct.set_defaults(run=_reconstruct)
+
+    compare = commands.add_parser("compare", help="Hausdorff distance and companions of two meshes")
+    compare.add_argument("first", metavar="A", help="a mesh, such as a reconstructed surface")
+    compare.add_argument("second", metavar="B", help="the mesh to compare with, such as the truth")
+    compare.add_argument(
+        "--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="unit to print (default mm)"
+    )
+    _add_output(compare)
+    compare.set_defaults(run=_compare)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        print(version("scan3d"))
+        parser.exit()
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    from scan3d.settings import Settings
+
+    defaults = {field.name: field.default for field in fields(Settings)}
+    group = parser.add_argument_group("settings", "Command line over --config over defaults.")
+    for name, placeholder, text in _OPTIONS:
+        group.add_argument(
+            f"--{name}",
+            type=type(defaults[name]),
+            default=argparse.SUPPRESS,
+            metavar=placeholder,
+            help=f"{text} (default {defaults[name]})",
+        )
+    group.add_argument(
+        "--hull",
+        action="store_true",
+        default=argparse.SUPPRESS,
+        help="scan the convex hull of a body that isn't convex",
+    )
+    group.add_argument("--config", metavar="FILE", help="settings from a TOML file")
+    group.add_argument(
+        "--print-config", action="store_true", help="print the settings in force as such a file, and exit"
+    )
+    _add_output(parser)
+
+
+def _add_output(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--quiet", action="store_true", help="print no progress and no summary")
+
+
+def _settings(arguments: argparse.Namespace) -> Any:
+    from scan3d.settings import Settings, settings
+
+    names = {field.name for field in fields(Settings)}
+    given = {name: value for name, value in vars(arguments).items() if name in names}
+    return settings(given, arguments.config)
+
+
+def _scan(arguments: argparse.Namespace) -> int:
+    from scan3d import commands, reports
+
+    chosen = _settings(arguments)
+    if arguments.print_config:
+        return _print_config(chosen)
+    data = commands.scan(arguments.mesh, arguments.out, chosen, _say, _progress(arguments))
+    return _print(arguments, data, f"{reports.summary(data)}\nwritten to         {arguments.out}")
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from scan3d import commands
+
+    chosen = _settings(arguments)
+    if arguments.print_config:
+        return _print_config(chosen)
+    _keep_config(arguments)
+    data = commands.simulate_only(arguments.mesh, arguments.out, chosen, _progress(arguments))
+    return _print(
+        arguments, data, f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}"
+    )
+
+
+def _reconstruct(arguments: argparse.Namespace) -> int:
+    from scan3d import commands, reports
+    from scan3d.settings import settings
+
+    chosen = settings({"hull": arguments.hull, "method": arguments.method})
+    data = commands.reconstruct_only(arguments.recording, arguments.out, arguments.truth, chosen, _say)
+    return _print(arguments, data, f"{reports.summary(data)}\nwritten to         {arguments.out}")
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from scan3d import commands, reports
+
+    found = commands.compare_files(arguments.first, arguments.second)
+    return _print(arguments, asdict(found), reports.comparison_summary(found, arguments.unit))
+
+
+def _keep_config(arguments: argparse.Namespace) -> None:
+    """Raises InputError if the recording's own TOML file would overwrite that of the settings."""
+    from scan3d.recording import sidecar
+
+    beside = sidecar(arguments.out)
+    if arguments.config is not None and beside.resolve() == Path(arguments.config).resolve():
+        raise InputError(f"{beside.name} holds the settings, and the recording's rod goes there; choose another --out")
+
+
+def _print_config(chosen: Any) -> int:
+    from scan3d.files import to_toml
+    from scan3d.settings import as_dict
+
+    chosen.plan()  # what it prints runs
+    print(to_toml(as_dict(chosen)), end="")
+    return 0
+
+
+def _print(arguments: argparse.Namespace, data: Any, text: str) -> int:
+    from scan3d.files import to_json
+
+    if arguments.json:
+        print(to_json(data).decode(), end="")
+    elif not arguments.quiet:
+        print(text)
+    return 0
+
+
+def _say(sentence: str) -> None:
+    print(f"scan3d: {sentence}", file=sys.stderr)
+
+
+def _progress(arguments: argparse.Namespace) -> Any:
+    """A line on stderr that counts up and vanishes; nothing where stderr is no terminal."""
+    if arguments.quiet or not sys.stderr.isatty():
+        return lambda *_: None
+
+    def show(what: str, done: int, of: int) -> None:
+        end = f"\r{'':40}\r" if done >= of else ""
+        print(f"\r{what} {done}/{of} slices{end}", end="", file=sys.stderr, flush=True)
+
+    return show
+
+
+if __name__ == "__main__":
+    sys.exit(main())

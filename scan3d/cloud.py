@@ -1,0 +1,152 @@
+"""Step 2 over a recording: contacts in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+import planar
+from scan3d.errors import InputError
+from scan3d.recording import Recording
+from scan3d.units import UNITS_M
+
+Array = NDArray[np.float64]
+
+# Standard deviations of the noise within which a force is none, and a contact's distance to the tip is none.
+_FORCE_SIGMAS = 8.0
+_TIP_SIGMAS = 4.0
+# Standard deviation of a contact's place over that of force and moment, in rod lengths and observable units: for the middle
+# of the working range; contacts under small forces are worse.
+_NOISE_GAIN = 0.4
+# Slices whose heights differ by less, in rod lengths, are one.
+_SAME_HEIGHT = 1e-9
+
+
+class NormalSource(IntEnum):
+    """Where a contact's normal comes from."""
+
+    UNKNOWN = 0
+    SLICES = 1
+    """In the slice from (14), out of it from the slices above and below."""
+    FIT = 2
+    """The smooth body fitted to all contacts."""
+    FRICTION = 3
+    """As SLICES, at a tip contact, by the friction that the tangential contacts agree on."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Contacts (n,) in the world, in the recording's unit, and the slices (s,) they lie in."""
+
+    points: Array
+    """(n, 3)"""
+    normals: Array
+    """(n, 3) outward unit normals of the surface; NaN where unknown."""
+    normal_source: NDArray[np.int8]
+    """(n,) of `NormalSource`."""
+    in_plane_normals: Array
+    """(n, 3) outward unit normals of the slice's contour in its plane (14); NaN in tip contact."""
+    phase: NDArray[np.int8]
+    """(n,) of `planar.Phase`: TIP or TANGENTIAL."""
+    slice: NDArray[np.int32]
+    """(n,) number of the slice."""
+    sweep: NDArray[np.int32]
+    """(n,) number of the sweep."""
+    force_N: Array
+    """(n,) contact force."""
+    friction: Array
+    """(n,) coefficient of friction (14), NaN in tip contact."""
+    slice_axis: Array
+    """(s, 3) unit normal of every slice, those in which nothing was found included."""
+    slice_height: Array
+    """(s,) its height along that normal, in the recording's unit."""
+    unit: str
+    rod_length: float
+    """In the recording's unit."""
+    noise: float
+    """Standard deviation of a contact's place, in the recording's unit; 0 for exact data."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
+    """Contacts of a recording by `planar.reconstruct`, their normals in the planes of their slices only.
+
+    Rows without contact, and rows whose force is lost in the noise, give none.  Raises InputError if no row gives one.
+    """
+    rod = recording.rod
+    fx, fy = (recording.force_N / rod.force_unit_N).T
+    moment = recording.moment_Nm / rod.moment_unit_Nm
+    noise = max(recording.noise_force_N / rod.force_unit_N, recording.noise_moment_Nm / rod.moment_unit_Nm)
+    tolerance = max(planar.TOLERANCE, _TIP_SIGMAS * noise)
+    found = planar.reconstruct(np.zeros(len(moment)), fx, fy, moment, method=method, tolerance=tolerance)
+    touching = (found.phase != planar.Phase.NONE) & (np.hypot(fx, fy) > _FORCE_SIGMAS * noise)
+    rows = np.flatnonzero(touching)
+    if not len(rows):
+        raise InputError(
+            f"the recording has no contact: none of its {len(moment)} rows has reactions of a bent rod "
+            f"(fx and mz not zero, base moving in -x of the clamp's frame); check its axes, signs and units"
+        )
+
+    axes = recording.axes()
+    scale = UNITS_M[recording.unit]
+    points = recording.position_m[rows] + np.einsum("ni,nij->nj", found.point[rows] * rod.length_m, axes[rows, :2])
+    slice_of, first = _slices(recording, axes)
+    axis = axes[first, 2]
+    return Cloud(
+        points=points / scale,
+        normals=np.full((len(rows), 3), np.nan),
+        normal_source=np.full(len(rows), NormalSource.UNKNOWN, dtype=np.int8),
+        in_plane_normals=np.einsum("ni,nij->nj", found.normal[rows], axes[rows, :2]),
+        phase=found.phase[rows],
+        slice=slice_of[rows],
+        sweep=recording.sweep[rows].astype(np.int32),
+        force_N=found.force[rows] * rod.force_unit_N,
+        friction=found.friction[rows],
+        slice_axis=axis,
+        slice_height=(recording.position_m[first] * axis).sum(axis=1) / scale,
+        unit=recording.unit,
+        rod_length=rod.length_m / scale,
+        noise=noise * _NOISE_GAIN * rod.length_m / scale,
+    )
+
+
+def _slices(recording: Recording, axes: Array) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+    """(n,) number of each row's slice, by its normal and its height, in order of appearance; (s,) a row of each."""
+    normal = axes[:, 2]
+    height = (recording.position_m * normal).sum(axis=1) / recording.rod.length_m
+    # grouping by gaps in the sorted columns, so that no two equal values are torn apart by rounding
+    keys = []
+    for column in (*normal.T, height):
+        order = np.argsort(column, kind="stable")
+        key = np.empty(len(column), dtype=np.int64)
+        key[order] = np.cumsum(np.insert(np.diff(column[order]) > _SAME_HEIGHT, 0, False))
+        keys.append(key)
+    _, first, inverse = np.unique(np.stack(keys, axis=1), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(first), dtype=np.int32)
+    rank[order] = np.arange(len(first))
+    return rank[inverse.reshape(-1)], first[order]
+
+
+def table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
+    """Contacts as a structured array, as `files.ply` writes them; `quality` (n,) is their distance to the true mesh."""
+    columns: dict[str, NDArray[np.generic]] = {
+        **dict(zip("xyz", cloud.points.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), cloud.normals.astype(np.float32).T, strict=True)),
+        "quality": np.full(len(cloud), np.nan) if quality is None else quality,
+        "phase": cloud.phase.astype(np.uint8),
+        "slice": cloud.slice,
+        "sweep": cloud.sweep,
+        "force": cloud.force_N,
+        "friction": cloud.friction.astype(np.float32),
+        "normal_source": cloud.normal_source.astype(np.uint8),
+    }
+    rows = np.empty(len(cloud), dtype=[(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    return rows

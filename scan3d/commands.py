@@ -1,0 +1,168 @@
+"""What the commands do.  Each takes plain values, writes its files whole, and returns what goes to stdout."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan3d.files import folder, ply, to_json, whole, write_whole
+from scan3d.settings import Settings, as_dict
+
+Say = Callable[[str], None]
+Progress = Callable[[str, int, int], None]
+
+# What `scan` and `reconstruct` may write into a folder besides their recording.
+_RESULTS = ("cloud.ply", "surface.ply", "report.json", "cloud.png", "surface.png", "view.html")
+_RECORDING = ("recording.csv", "recording.toml")
+
+
+class _Clock:
+    """Seconds spent, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start
+
+
+def scan(mesh: str, out: str, settings: Settings, say: Say, progress: Progress) -> dict[str, Any]:
+    """Simulate, reconstruct, surface, compare: everything, into a folder.  Returns the report."""
+    from scan3d.bodies import load_mesh
+    from scan3d.simulation import simulate
+
+    plan = settings.plan()
+    clock = _Clock()
+    with clock("load"):
+        body = load_mesh(mesh, hull=settings.hull)
+    with folder(out) as place:
+        with clock("simulate"):
+            recording = simulate(body, plan, lambda done, of: progress("simulate", done, of))
+        recording = dataclasses.replace(recording, source={**recording.source, **_origin(body)})
+        return _results(recording, place, as_dict(settings), clock, say, body, simulated=True)
+
+
+def simulate_only(mesh: str, out: str, settings: Settings, progress: Progress) -> dict[str, Any]:
+    """Step 1 alone: a recording.  Returns its counts."""
+    from scan3d.bodies import load_mesh
+    from scan3d.recording import check_path, write_recording
+    from scan3d.simulation import simulate
+
+    check_path(out)
+    plan = settings.plan()
+    body = load_mesh(mesh, hull=settings.hull)
+    with folder(Path(out).parent):
+        recording = simulate(body, plan, lambda done, of: progress("simulate", done, of))
+        write_recording(dataclasses.replace(recording, source={**recording.source, **_origin(body)}), out)
+    return {"recording": str(out), "samples": len(recording), "sweeps": len(np.unique(recording.sweep))}
+
+
+def reconstruct_only(recording: str, out: str, truth: str | None, settings: Settings, say: Say) -> dict[str, Any]:
+    """Step 2 from a recording, with a comparison if the truth is given.  Returns the report."""
+    from scan3d.bodies import load_mesh
+    from scan3d.recording import read_recording
+
+    clock = _Clock()
+    with clock("load"):
+        log = read_recording(recording)
+        body = load_mesh(truth, hull=settings.hull) if truth else None
+    # the other settings are those of a simulation
+    used = {"method": settings.method, "hull": settings.hull}
+    with folder(out) as place:
+        return _results(log, place, used, clock, say, body, simulated=False)
+
+
+def compare_files(first: str, second: str) -> Any:
+    """Comparison of two mesh files, convex or not."""
+    from scan3d.bodies import read_mesh
+    from scan3d.comparison import compare
+
+    return compare(read_mesh(first), read_mesh(second))
+
+
+def _origin(body: Any) -> dict[str, Any]:
+    return {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
+
+
+def _results(
+    recording: Any,
+    place: Path,
+    settings: Mapping[str, Any],
+    clock: _Clock,
+    say: Say,
+    body: Any,
+    *,
+    simulated: bool,
+) -> dict[str, Any]:
+    """Cloud, surface, comparison, pictures and report of a recording, written into a folder, and the recording if simulated.
+
+    Nothing is written before all is computed.
+    """
+    from scan3d import cloud as clouds
+    from scan3d import reports, surfaces
+    from scan3d.comparison import compare, distances
+    from scan3d.reconstruction import reconstruct
+    from scan3d.recording import write_recording
+
+    with clock("reconstruct"):
+        cloud = reconstruct(recording)
+    with clock("surface"):
+        surface = surfaces.surface(cloud)
+    error, found = None, None
+    if body is not None:
+        with clock("compare"):
+            error, found = distances(cloud.points, body), compare(surface, body)
+
+    for stale in _RESULTS:
+        (place / stale).unlink(missing_ok=True)
+    files = ["cloud.ply", "surface.ply"]
+    comment = (f"unit {cloud.unit}",)
+    with clock("write"):
+        if simulated:
+            write_recording(recording, place / _RECORDING[0])
+            files = [*_RECORDING, *files]
+        write_whole(place / "cloud.ply", ply(clouds.table(cloud, error), comments=comment))
+        write_whole(place / "surface.ply", ply(surfaces.table(surface), surface.faces, comments=comment))
+    with clock("pictures"):
+        files += _pictures(place, cloud, surface, body, say)
+    data = reports.report(
+        settings=settings,
+        recording=recording,
+        cloud=cloud,
+        surface=surface,
+        method=("hull", "the convex hull of the contacts"),
+        timings_s=clock.seconds,
+        files=[*files, "report.json"],
+        mesh=body,
+        contact_error=error,
+        comparison=found,
+        friction_set=settings["friction"] if simulated else None,
+    )
+    write_whole(place / "report.json", to_json(data))
+    return data
+
+
+def _pictures(place: Path, cloud: Any, surface: Any, body: Any, say: Say) -> list[str]:
+    """Draw what can be drawn; returns the files."""
+    from scan3d import views
+    from scan3d.comparison import signed_distances
+
+    write_whole(place / "view.html", views.page(surface, cloud))
+    if not views.can_render():
+        say(views.NO_RENDERER)
+        return ["view.html"]
+    deviation = None if body is None else signed_distances(surface.triangles_center, body)
+    with whole(place / "cloud.png") as picture:
+        views.draw_cloud(cloud, picture)
+    with whole(place / "surface.png") as picture:
+        views.draw_surface(surface, deviation, cloud.unit, picture)
+    return ["view.html", "cloud.png", "surface.png"]

@@ -1,0 +1,151 @@
+"""Files written whole or not at all, and the small formats of our own: binary PLY, TOML, JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from types import NoneType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.errors import InputError
+
+_PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
+
+
+@contextmanager
+def whole(path: str | Path) -> Iterator[Path]:
+    """A temporary file beside the path, with its ending, to write to; in the end it takes the path's place.
+
+    If the writing fails, what stood there before stays.
+    """
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        try:
+            yield Path(name)
+            os.chmod(name, 0o666 & ~_umask())
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise InputError(f"can't write {path}: {error.strerror or error}; choose another place with --out") from None
+
+
+def write_whole(path: str | Path, data: bytes) -> None:
+    """Write a file so that no reader ever sees a part of it."""
+    write_together({path: data})
+
+
+def write_together(files: Mapping[str | Path, bytes]) -> None:
+    """Write files that belong together: none takes its place before all of them are on the disk."""
+    with ExitStack() as stack:
+        for path, data in files.items():
+            stack.enter_context(whole(path)).write_bytes(data)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+@contextmanager
+def folder(path: str | Path) -> Iterator[Path]:
+    """The folder, made if missing and proven writable.  Raises InputError if it can't be.
+
+    If the work in it fails before anything is written there, folders that were made for it go again.
+    """
+    path = Path(path)
+    made: list[Path] = []
+    try:
+        try:
+            made = [one for one in (path, *path.parents) if not one.exists()]
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path):
+                pass
+        except OSError as error:
+            raise InputError(
+                f"can't write into the folder {path}: {error.strerror}; choose another one with --out"
+            ) from None
+        yield path
+    except BaseException:
+        for one in made:
+            with suppress(OSError):  # not empty, or never made
+                one.rmdir()
+        raise
+
+
+def ply(vertices: NDArray[Any], faces: NDArray[np.integer] | None = None, comments: tuple[str, ...] = ()) -> bytes:
+    """Binary PLY of a structured array (n,), field by field in its own precision, and triangles (m, 3) if given."""
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
+    header.append(f"element vertex {len(vertices)}")
+    assert vertices.dtype.fields is not None
+    little = np.dtype([(name, vertices.dtype[name].newbyteorder("<")) for name in vertices.dtype.names or ()])
+    header += [f"property {_PLY_TYPES[little[name].str[1:]]} {name}" for name in little.names or ()]
+    body = vertices.astype(little).tobytes()
+    if faces is not None:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+        rows["count"], rows["corners"] = 3, faces
+        body += rows.tobytes()
+    return "\n".join([*header, "end_header", ""]).encode() + body
+
+
+def to_json(data: Mapping[str, Any]) -> bytes:
+    """JSON with NaN and infinities as null."""
+    return (json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode(errors="replace")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, (str, int, float, NoneType)) else str(value)
+
+
+def to_toml(data: Mapping[str, Any]) -> str:
+    """TOML of plain values and tables."""
+    lines = [
+        f"{_toml_key(key)} = {_toml_value(value)}" for key, value in data.items() if not isinstance(value, Mapping)
+    ]
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            lines += ["", f"[{_toml_key(key)}]"]
+            lines += [f"{_toml_key(name)} = {_toml_value(item)}" for name, item in value.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_toml_key(key)} = {_toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, str):
+        # JSON's strings are TOML's basic strings, but for one control character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    # repr gives a float in full, str a date as TOML has it
+    return repr(value) if isinstance(value, (int, float)) else str(value)

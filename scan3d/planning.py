@@ -1,0 +1,220 @@
+"""What is scanned, and how: heights of the slices, approach directions, clearance, friction, rod."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.errors import InputError
+from scan3d.rods import Rod
+from scan3d.units import UNITS_M
+
+Array = NDArray[np.float64]
+
+SPACINGS = ("cosine", "uniform", "adaptive")
+STANDOFFS = ("follow", "fixed")
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+# Adaptive spacing starts with so many slices inside the body, and one beyond either end by this share of its height.
+FIRST_SLICES = 8
+OVERSHOOT = 0.02
+# Smallest distance of the slices beyond the ends, as a share of the height.
+MARGIN = 1e-4
+# Slices closer to each other than this share of the height tell nothing new.
+CLOSEST = 1e-7
+# How much denser than evenly a sweep's samples are at its start, and sparser at its end.
+CROWDING = 0.45
+# Approach directions of a slice to start with; one sweep sees some 100° of its normals, of flat sides less.
+FIRST_SWEEPS = 6
+# Most approach directions of a slice.
+MOST_SWEEPS = 16
+# A slice is covered where contacts and their tangents leave less than this share of its width open between them.
+OPEN_SHARE = 5e-4
+# The slope at which a sweep aimed at a normal meets it: in the middle of what it sees tangentially.
+AIMED_SLOPE = math.radians(40)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Settings of a simulated scan.  Raises InputError for values out of their range."""
+
+    slices: int = 64
+    """Slices along each axis; with adaptive spacing the empty ones count."""
+    spacing: str = "cosine"
+    """Heights of the slices: 'cosine' (dense at the ends), 'uniform', or 'adaptive' (where the contacts so far leave most
+    room for the body)."""
+    tolerance: float = 0.0
+    """Adaptive spacing stops when the certified bound, relative to the contacts' bounding-box diagonal, is this small."""
+    axis: str | Sequence[float] = "z"
+    """Normal of the slices: 'x', 'y', 'z', several such as 'xyz', or a vector."""
+    sweeps: int | None = None
+    """Sweeps per slice, evenly around it; None: as many as its contour needs."""
+    samples: int = 64
+    """Samples per sweep, from touch-down to the sweep's end."""
+    friction: float | tuple[float, float] = 0.3
+    """Coefficient of friction, or the range from which every sample draws its own."""
+    clearance: float = 0.3
+    """Distance of the base line from the slice, in rod lengths."""
+    standoff: str = "follow"
+    """The base line follows every slice ('follow'), or keeps the distance it has from the widest body ('fixed')."""
+    rod: Rod | None = None
+    """None: a steel wire twice as long as the widest slice's radius."""
+    noise: float = 0.0
+    """Standard deviation of force and moment, in EI/L² and EI/L."""
+    seed: int = 0
+    unit: str = "mm"
+    """Unit of the mesh's coordinates."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("slices", 1), ("samples", 2), ("seed", 0)):
+            _check_whole(name, getattr(self, name), least)
+        if self.sweeps is not None:
+            _check_whole("sweeps", self.sweeps, 1)
+        if self.spacing not in SPACINGS:
+            raise InputError(f"spacing must be one of {', '.join(SPACINGS)}, got {self.spacing!r}")
+        if self.standoff not in STANDOFFS:
+            raise InputError(f"standoff must be one of {', '.join(STANDOFFS)}, got {self.standoff!r}")
+        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
+        if self.unit not in UNITS_M:
+            raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
+        low, high = self.friction_range
+        if not (math.isfinite(low) and math.isfinite(high) and 0 <= low <= high):
+            raise InputError(f"friction must be a number >= 0 or a rising range LOW:HIGH of such, got {self.friction}")
+        if not (math.isfinite(self.noise) and self.noise >= 0):
+            raise InputError(f"noise must be a number >= 0, got {self.noise}")
+        if not 0 < self.clearance < 1:
+            raise InputError(f"clearance must lie between 0 and 1 rod lengths, got {self.clearance}")
+        self.axes()
+
+    @property
+    def friction_range(self) -> tuple[float, float]:
+        if isinstance(self.friction, (int, float)):
+            return float(self.friction), float(self.friction)
+        if len(self.friction) != 2:
+            raise InputError(f"a range of friction has two ends, got {self.friction}")
+        return float(self.friction[0]), float(self.friction[1])
+
+    def axes(self) -> Array:
+        """Unit normals (k, 3) of the slices."""
+        given = [_AXES.get(letter, ()) for letter in self.axis] if isinstance(self.axis, str) else [self.axis]
+        vectors = [np.asarray(vector, dtype=float) for vector in given]
+        good = all(v.shape == (3,) and np.isfinite(v).all() and np.linalg.norm(v) > 0 for v in vectors)
+        if not vectors or not good or len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str):
+            raise InputError(
+                f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
+                f"got {self.axis!r}"
+            )
+        return np.array([vector / np.linalg.norm(vector) for vector in vectors])
+
+
+def _check_whole(name: str, value: object, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InputError(f"{name} must be a whole number of at least {least}, got {value!r}")
+
+
+def slice_frame(axis: Array) -> Array:
+    """Rows: x, y and z axes (3, 3) of the slices' frame, z along `axis` (3,); the identity for the z axis."""
+    z = axis / np.linalg.norm(axis)
+    helper = np.eye(3)[[2, 0, 1][int(np.argmax(np.abs(z)))]]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def heights(low: float, high: float, plan: Plan) -> Array:
+    """Heights (slices,) between the ends of the body; cosine spacing puts them at Chebyshev's nodes."""
+    share = (np.arange(plan.slices) + 0.5) / plan.slices
+    if plan.spacing == "cosine":
+        share = (1 - np.cos(np.pi * share)) / 2
+    return low + (high - low) * share
+
+
+def first_heights(low: float, high: float, plan: Plan) -> Array:
+    """Heights that are scanned before any contact is known: one on either side beyond the body is among them."""
+    if plan.spacing == "adaptive":
+        few = replace(plan, slices=max(2, min(FIRST_SLICES, plan.slices - 2)), spacing="cosine")
+        inside = heights(low, high, few)
+        beyond = OVERSHOOT * (high - low)
+    else:
+        inside = heights(low, high, plan)
+        beyond = max(float(inside[0]) - low, MARGIN * (high - low))
+    return np.concatenate([inside, [low - beyond, high + beyond]])
+
+
+def next_heights(known: Array, corners: Array, gaps: Array, count: int) -> Array:
+    """Up to `count` further heights, where the bracket is widest.
+
+    known (s,): heights scanned, rising, with the nearest empty ones at both ends.  corners (w,): heights of the outer
+    body's corners, gaps (w,): their distances from the inner body.  In one slab between known heights, one height: that of
+    its worst corner, which for a polyhedron is a vertex's own; a corner on an empty slice says only that the body ends
+    before it, and the height between is halved.
+    """
+    slab = np.searchsorted(known, corners) - 1
+    inside = (corners > known[np.maximum(slab, 0)]) & (slab >= 0) & (slab < len(known) - 1)
+    size = known[-1] - known[0]
+    for end, last in ((0, 0), (len(known) - 1, len(known) - 2)):
+        # corners on an empty slice belong to the cap before it
+        on_end = np.abs(corners - known[end]) <= 1e-12 * size
+        slab, inside = np.where(on_end, last, slab), inside | on_end
+    chosen = []
+    order = np.argsort(-np.where(inside, gaps, -1.0), kind="stable")
+    for i in order:
+        if len(chosen) == count or not inside[i] or gaps[i] <= 0:
+            break
+        if any(slab[i] == slab[j] for j, _ in chosen):
+            continue
+        low, high = known[slab[i]], known[slab[i] + 1]
+        cap = slab[i] in (0, len(known) - 2)
+        end, beyond = (high, low) if slab[i] == 0 else (low, high)
+        if cap:
+            share = (corners[i] - end) / (beyond - end)
+            z = end + (0.5 if share > 1 - 1e-9 else 0.7 * share) * (beyond - end)
+        else:
+            z = corners[i]
+        if min(z - low, high - z) > CLOSEST * size:
+            chosen.append((i, z))
+    return np.array([z for _, z in chosen])
+
+
+def base_shares(samples: int) -> Array:
+    """Where on the way from touch-down to the sweep's end the samples (n,) are taken.
+
+    Denser at the start, where the contour turns fastest under the rod: so the normals are met about evenly.
+    """
+    u = np.linspace(0.0, 1.0, samples)
+    return u - CROWDING / np.pi * np.sin(np.pi * u)
+
+
+def first_directions(plan: Plan) -> Array:
+    """Approach directions: angles (k,) of the undeformed rod in the slice, in radians."""
+    count = plan.sweeps or FIRST_SWEEPS
+    return 2 * np.pi * np.arange(count) / count
+
+
+def further_directions(points: Array, normals: Array, width: float) -> Array:
+    """Approach directions (k,) towards what tangential contacts leave open of a slice's contour.
+
+    points (n, 2) with outward normals (n, 2); two neighbours leave open the triangle between their chord and their
+    tangents.  None where there is no tangential contact to go by.
+    """
+    if not len(points):
+        return np.empty(0)
+    # contacts on one edge have one normal, up to rounding; there their order is that along the edge
+    angle = np.round(np.arctan2(normals[:, 1], normals[:, 0]), 9)
+    order = np.lexsort((points[:, 1] * np.cos(angle) - points[:, 0] * np.sin(angle), angle))
+    points, angle = points[order], angle[order]
+    chord = np.roll(points, -1, axis=0) - points
+    gap = np.diff(angle, append=angle[0] + 2 * np.pi)
+    ahead = angle + gap
+    before = np.maximum(-chord[:, 0] * np.cos(angle) - chord[:, 1] * np.sin(angle), 0.0)
+    after = np.maximum(chord[:, 0] * np.cos(ahead) + chord[:, 1] * np.sin(ahead), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.nan_to_num(before * after / (np.hypot(*chord.T) * np.sin(gap)))
+    open_height = np.where(gap >= np.pi, width, height)
+    middle = (angle + gap / 2)[open_height > OPEN_SHARE * width]
+    # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the rod, stands at the direction sought
+    return np.unique(np.round(middle + np.pi - AIMED_SLOPE, 3))

@@ -1,0 +1,66 @@
+"""Real rods: stiffness, and the units (1) that turn measured reactions into dimensionless ones."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from scan3d.errors import InputError
+
+# Young's moduli in Pa of what whisker sensors are made of.
+MODULI_PA = {"steel": 210e9, "nitinol": 75e9, "carbon": 120e9, "nylon": 3e9}
+# Diameter of a rod that is not chosen, over its length: a 0.3 mm wire of 50 mm.
+SLENDERNESS = 0.006
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A straight cylindrical rod: its length in m and its bending stiffness EI in N·m²."""
+
+    length_m: float
+    bending_stiffness_Nm2: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.length_m) and self.length_m > 0):
+            raise InputError(f"a rod needs a positive length in metres, got {self.length_m}")
+        if not (math.isfinite(self.bending_stiffness_Nm2) and self.bending_stiffness_Nm2 > 0):
+            raise InputError(f"a rod needs a positive bending stiffness in N·m², got {self.bending_stiffness_Nm2}")
+
+    @property
+    def force_unit_N(self) -> float:
+        """EI/L² (1)."""
+        return self.bending_stiffness_Nm2 / self.length_m**2
+
+    @property
+    def moment_unit_Nm(self) -> float:
+        """EI/L (1)."""
+        return self.bending_stiffness_Nm2 / self.length_m
+
+    @classmethod
+    def wire(cls, length_m: float, diameter_m: float, modulus_Pa: float) -> Rod:
+        """A round wire, ``I = π d⁴ / 64``."""
+        if not (diameter_m > 0 and modulus_Pa > 0):
+            raise InputError(f"a wire needs a positive diameter and modulus, got {diameter_m} m and {modulus_Pa} Pa")
+        return cls(length_m, modulus_Pa * math.pi * diameter_m**4 / 64)
+
+    @classmethod
+    def of_length(cls, length_m: float) -> Rod:
+        """The steel wire taken where only the length matters."""
+        return cls.wire(length_m, SLENDERNESS * length_m, MODULI_PA["steel"])
+
+
+def parse_rod(text: str) -> Rod | None:
+    """Rod from ``MATERIAL:DIAMETERxLENGTH`` in mm (``steel:0.3x50``), or None for ``auto``."""
+    if text == "auto":
+        return None
+    match = re.fullmatch(r"(\w+):([0-9.eE+-]+)x([0-9.eE+-]+)", text)
+    try:
+        if match and match[1] in MODULI_PA:
+            return Rod.wire(float(match[3]) / 1000, float(match[2]) / 1000, MODULI_PA[match[1]])
+    except ValueError as error:
+        raise InputError(f"rod {text!r}: {error}") from None
+    raise InputError(
+        f"a rod is 'auto' or MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, with a material of "
+        f"{', '.join(MODULI_PA)}; got {text!r}"
+    )

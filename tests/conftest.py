@@ -1,0 +1,89 @@
+"""What several tests share: the option --no-skip, the marks `rendering` and `open3d`, and a reader of PLY files.
+
+A test so marked needs an off-screen renderer or open3d; where there is none it is skipped, with the command that installs
+what is missing.
+"""
+
+import functools
+import subprocess
+import sys
+
+import hypothesis
+import numpy as np
+import pytest
+
+# A busy machine is no failure.
+hypothesis.settings.register_profile("scan3d", deadline=None)
+hypothesis.settings.load_profile("scan3d")
+
+_NEEDS = {
+    "rendering": "nothing here can render off screen: apt-get install libegl1 libgl1",
+    "open3d": "open3d can't be imported here: apt-get install libgl1 libgomp1",
+}
+
+
+def pytest_addoption(parser):
+    parser.addoption("--no-skip", action="store_true", help="fail if any test was skipped")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "rendering: needs an off-screen renderer")
+    config.addinivalue_line("markers", "open3d: needs open3d")
+
+
+@functools.cache
+def _has(what):
+    if what == "rendering":
+        from scan3d import views
+
+        return views.can_render()
+    # in a child process, for the libraries it lacks may be missed by more than an ImportError
+    return subprocess.run([sys.executable, "-c", "import open3d"], capture_output=True, check=False).returncode == 0
+
+
+def pytest_runtest_setup(item):
+    for what, sentence in _NEEDS.items():
+        if item.get_closest_marker(what) and not _has(what):
+            pytest.skip(sentence)
+
+
+def _skipped(config):
+    return config.pluginmanager.get_plugin("terminalreporter").stats.get("skipped", [])
+
+
+def pytest_sessionfinish(session):
+    if session.config.getoption("no_skip") and _skipped(session.config) and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if config.getoption("no_skip"):
+        for report in _skipped(config):
+            terminalreporter.write_line(f"--no-skip: {report.nodeid} was skipped: {report.longrepr[2]}", red=True)
+
+
+_PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "char": "i1", "uchar": "u1"}
+
+
+@pytest.fixture
+def read_ply():
+    """A reader of binary PLY of the tests' own: (vertices as a structured array, faces (m, 3) or None, comments)."""
+
+    def read(path):
+        head, _, body = path.read_bytes().partition(b"end_header\n")
+        lines = [line.split() for line in head.decode("ascii").splitlines()]
+        assert lines[:2] == [["ply"], ["format", "binary_little_endian", "1.0"]]
+        counts = {line[1]: int(line[2]) for line in lines if line[0] == "element"}
+        properties = [line for line in lines if line[0] == "property"]
+        row = np.dtype([(name, _PLY_TYPES[kind]) for _, kind, name in (p for p in properties if p[1] != "list")])
+        vertices = np.frombuffer(body, row, counts["vertex"])
+        rest, faces = body[vertices.nbytes :], None
+        if "face" in counts:
+            assert properties[-1] == ["property", "list", "uchar", "int", "vertex_indices"]
+            rows = np.frombuffer(rest, [("count", "u1"), ("corners", "<i4", 3)], counts["face"])
+            assert (rows["count"] == 3).all()
+            faces, rest = rows["corners"], rest[rows.nbytes :]
+        assert rest == b""
+        return vertices, faces, [" ".join(line[1:]) for line in lines if line[0] == "comment"]
+
+    return read

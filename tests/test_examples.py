@@ -1,0 +1,145 @@
+"""The scripts in examples/ run, draw, and show what they say.
+
+Every script there is imported and, if it defines `draw`, drawn.  What the figures of the paper claim (Section III) is
+checked against the arrays that they draw, and the transitions against the reference values below, which were derived twice
+and integrated numerically.
+"""
+
+import importlib
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import planar
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+# x0 of the changes from tip to tangential contact and back, and of the snap-off, for μ = 0, 0.2, 0.4, 0.6; seven decimals.
+REFERENCE = [
+    [0.5804765, -0.8616545, -1.2187178],
+    [0.5796126, -0.8528981, -1.2602951],
+    [0.5787763, -0.8453763, -1.2816569],
+    [0.5779661, -0.8387693, -1.2913050],
+]
+
+
+@pytest.fixture(autouse=True)
+def _as_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scripts import each other by name, as when they are run, and draw without a screen."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    matplotlib.use("Agg")
+
+
+def example(name: str) -> ModuleType:
+    return importlib.import_module(name)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_imports_and_draws(name: str) -> None:
+    script = example(name)
+    drawn = script.draw() if hasattr(script, "draw") else None
+    if isinstance(drawn, Figure):
+        drawn.canvas.draw()
+
+
+@pytest.mark.parametrize("name", ["one_sweep", "paper_figure_3", "paper_figure_4", "paper_figure_5"])
+def test_saves_its_picture_here(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = str(EXAMPLES / f"{name}.py")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [script])
+    runpy.run_path(script, run_name="__main__")
+    assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_saves_its_picture_where_told(tmp_path: Path) -> None:
+    command = [sys.executable, str(EXAMPLES / "paper_figure_5.py"), str(tmp_path / "friction.png")]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["friction.png"]
+
+
+def test_transitions_are_at_the_reference_values() -> None:
+    figure = example("paper_figure_3")
+    for states, events, expected in zip(figure.TRANSITIONS, figure.EVENTS, REFERENCE, strict=True):
+        np.testing.assert_allclose([*states.x0, events.x0[-1]], expected, rtol=0, atol=1e-7)
+
+
+def test_figure_3() -> None:
+    figure = example("paper_figure_3")
+    shapes, *reactions = figure.draw().axes
+    colors = [line.get_color() for line in shapes.lines]
+    assert colors.count("blue") == (figure.SWEEP.phase == planar.Phase.TIP).sum()
+    assert colors.count("red") == colors.count("black") == (figure.SWEEP.phase == planar.Phase.TANGENTIAL).sum()
+    assert colors.count("blue") + colors.count("red") == figure.LINES
+    for axes in reactions:
+        # a curve for every friction, two circles on every curve of constant friction
+        curves = [line for line in axes.lines if line.get_marker() == "None"]
+        circles = [line for line in axes.lines if line.get_marker() == "o"]
+        assert len(curves) == len(figure.SWEEPS)
+        assert [len(line.get_xdata()) for line in circles] == [2] * len(figure.FRICTIONS)
+
+    # the clamping moment grows with friction, and so does the length of the sweep
+    tangential = [figure.planar.sweep(figure.CONTOUR, mu, base=[0.4, 0.0, -0.4, -0.8]).m0z for mu in figure.FRICTIONS]
+    assert (np.diff(tangential, axis=0) > 0).all()
+    assert (np.diff([events.x0[-1] for events in figure.EVENTS]) < 0).all()
+    # friction has little impact on the transitions
+    assert np.ptp([states.x0 for states in figure.TRANSITIONS], axis=0).max() < 0.03
+
+
+def test_figure_4() -> None:
+    figure = example("paper_figure_4")
+    panels = figure.draw().axes
+    assert len(panels) == 6
+    assert [len(panel.child_axes) for panel in panels] == [1, 0, 1, 0, 0, 0]
+
+    # friction invariant: within the tolerance of the integration, and within rounding in closed form, random μ included
+    for errors in figure.ERRORS["scholz-rahn"]:
+        assert np.nanmax(errors) < 1e-9
+    for errors in figure.ERRORS["closed-form"]:
+        assert np.nanmax(errors) < 1e-13
+    # (10) without friction is as good, but for the end of the sweep, where it takes tip contact for tangential contact
+    will, swept = figure.CONTACTS["will"], figure.SWEEPS
+    before = swept[0].x0 > -1.15
+    assert np.nanmax(figure.ERRORS["will"][0][before]) < 1e-12
+    assert np.nanmax(figure.ERRORS["will"][0][~before]) > 1e-2
+    assert (will[0].s1[swept[0].x0 < -1.16] < 1).all()
+    # with friction it errs the more the more there is
+    tangential = [one.phase == planar.Phase.TANGENTIAL for one in swept]
+    medians = [np.nanmedian(errors[lies]) for errors, lies in zip(figure.ERRORS["will"], tangential, strict=True)]
+    assert (np.diff(medians[:4]) > 1e-3).all()
+    # and is undefined at the beginning where the force is steeper than the clamp
+    undefined = [(one.status == planar.Status.UNDEFINED).any() for one in will[:4]]
+    assert undefined == [False, False, True, True]
+
+
+def test_figure_5() -> None:
+    figure = example("paper_figure_5")
+    angle, coefficient = figure.draw().axes
+    assert len([line for line in angle.lines if line.get_marker() == "o"]) == 4
+    assert len(coefficient.lines) == 6
+    for swept, contacts in zip(figure.SWEEPS, figure.CONTACTS, strict=True):
+        touching = contacts.status == planar.Status.OK
+        lies = swept.phase == planar.Phase.TANGENTIAL
+        np.testing.assert_array_equal(contacts.phase[touching], swept.phase[touching])
+        # the friction found is the friction set, sample by sample
+        np.testing.assert_allclose(contacts.friction[lies], swept.friction[lies], rtol=0, atol=1e-12)
+        tip = touching & ~lies
+        assert (contacts.friction_angle_bound[tip] < np.arctan(swept.friction[tip])).all()
+
+
+def test_one_sweep() -> None:
+    script = example("one_sweep")
+    assert script.largest_error < 1e-13
+    assert script.largest_turn < 1e-12
+    assert script.friction == pytest.approx(0.3, abs=1e-12)
+    header, _, *rows = script.table().splitlines()
+    assert header.count("|") == 6
+    for row, expected in zip(rows, REFERENCE, strict=True):
+        assert [float(cell.split(",")[0]) for cell in row.split("|")[3:6]] == pytest.approx(expected, abs=1e-6)

@@ -1,0 +1,151 @@
+"""Plans: heights, directions and frames of the slices, and settings that make no plan."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scan3d import InputError, Plan
+from scan3d.planning import AIMED_SLOPE, OPEN_SHARE, first_directions, further_directions, heights, slice_frame
+
+
+def test_cosine_heights_are_chebyshevs_nodes():
+    # the textbook's: the roots of the polynomial, which is cos(n arccos x)
+    found = heights(-1.0, 1.0, Plan(slices=9))
+    assert np.all(np.diff(found) > 0)
+    roots = np.sort(np.polynomial.chebyshev.chebroots([0] * 9 + [1]))
+    assert found == pytest.approx(roots, abs=1e-12)
+
+
+def test_uniform_heights_are_the_middles_of_equal_layers():
+    assert heights(10.0, 20.0, Plan(slices=5, spacing="uniform")) == pytest.approx([11, 13, 15, 17, 19], rel=1e-15)
+
+
+@pytest.mark.parametrize("spacing", ["cosine", "uniform"])
+@pytest.mark.parametrize("slices", [1, 2, 64])
+def test_heights_lie_inside_the_body_and_symmetric(spacing, slices):
+    found = heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
+    assert len(found) == slices
+    assert np.all((found > -3) & (found < 7))
+    assert found + found[::-1] == pytest.approx(np.full(slices, 4.0), abs=1e-12)
+
+
+def test_cosine_heights_are_dense_at_the_ends():
+    gaps = np.diff(heights(0.0, 1.0, Plan(slices=64)))
+    assert gaps[0] < gaps[31] / 10
+
+
+directions = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 1e-3)
+
+
+@given(directions)
+def test_frames_are_orthonormal_right_handed_with_z_along_the_axis(axis):
+    frame = slice_frame(axis)
+    assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-14)
+    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
+    assert frame[2] == pytest.approx(axis / np.linalg.norm(axis), abs=1e-14)
+
+
+def test_the_frame_of_the_z_axis_is_the_worlds():
+    assert np.array_equal(slice_frame(Plan().axis_vector()), np.eye(3))
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_the_named_axes(axis):
+    assert np.array_equal(Plan(axis=axis).axis_vector(), np.eye(3)["xyz".index(axis)])
+
+
+def test_the_axis_has_unit_length():
+    assert Plan(axis=(1, 1, 0)).axis_vector() == pytest.approx([math.sqrt(0.5), math.sqrt(0.5), 0], abs=1e-15)
+
+
+@pytest.mark.parametrize("sweeps", [1, 4, 7])
+def test_directions_go_evenly_round(sweeps):
+    found = first_directions(Plan(sweeps=sweeps))
+    assert found == pytest.approx(np.arange(sweeps) * 2 * np.pi / sweeps, abs=1e-15)
+
+
+def circle(angles):
+    normals = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return normals, normals
+
+
+def test_nothing_more_to_see_of_a_circle_touched_all_round():
+    # the triangle between a chord and its tangents is (gap/2)²/2 high: 720 contacts leave 1e-5
+    points, normals = circle(2 * np.pi * np.arange(720) / 720)
+    assert len(further_directions(points, normals, 2.0)) == 0
+
+
+def test_a_gap_is_aimed_at_in_its_middle():
+    angles = np.deg2rad(np.arange(0, 300.5, 0.5))  # nothing between 300° and 360°
+    (found,) = further_directions(*circle(angles), width=2.0)
+    # the rod, pointing along the direction, meets the normal n = (sin α̃, -cos α̃) of its own frame at the slope aimed at
+    y = np.array([np.cos(found), np.sin(found)])
+    x = np.array([y[1], -y[0]])
+    met = np.sin(AIMED_SLOPE) * x - np.cos(AIMED_SLOPE) * y
+    assert met == pytest.approx([np.cos(np.deg2rad(330)), np.sin(np.deg2rad(330))], abs=2e-3)  # rounded to 0.001 rad
+
+
+def test_half_a_circle_unseen_is_a_gap_however_narrow_the_slice():
+    assert len(further_directions(*circle(np.deg2rad(np.arange(0, 170.5, 0.5))), width=2.0)) == 1
+
+
+def square(reach):
+    """Contacts on the sides of the square from -1 to 1, as far as `reach` from their middles."""
+    along, one = np.linspace(-reach, reach, 11), np.ones(11)
+    sides = [(one, along), (-along, one), (-one, -along), (along, -one)]
+    normals = np.repeat([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]], 11, axis=0)
+    return np.concatenate([np.stack(side, axis=1) for side in sides]), normals
+
+
+def test_a_corner_between_two_sides_that_were_seen_whole_leaves_nothing_open():
+    # the tangents of the last contacts are the sides themselves
+    assert len(further_directions(*square(1.0), width=2.0)) == 0
+
+
+def test_a_corner_that_was_not_reached_is_open():
+    # its triangle is (1 - reach) / sqrt(2) high
+    closed, open_ = (1 - share * OPEN_SHARE * 2.0 * math.sqrt(2) for share in (0.9, 1.1))
+    assert len(further_directions(*square(closed), width=2.0)) == 0
+    assert len(further_directions(*square(open_), width=2.0)) == 4
+
+
+def test_without_a_tangential_contact_there_is_nothing_to_go_by():
+    assert further_directions(np.empty((0, 2)), np.empty((0, 2)), 1.0).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        (dict(slices=0), "slices must be a whole number of at least 1, got 0"),
+        (dict(slices=-3), "slices must be a whole number of at least 1, got -3"),
+        (dict(slices=2.5), "slices must be a whole number of at least 1, got 2.5"),
+        (dict(slices=True), "slices must be a whole number of at least 1, got True"),
+        (dict(samples=0), "samples must be a whole number of at least 2, got 0"),
+        (dict(samples=1), "samples must be a whole number of at least 2, got 1"),
+        (dict(seed=-1), "seed must be a whole number of at least 0, got -1"),
+        (dict(sweeps=0), "sweeps must be a whole number of at least 1, got 0"),
+        (dict(spacing="random"), "spacing must be one of cosine, uniform, got 'random'"),
+        (dict(unit="furlong"), "unit must be one of m, cm, mm, um, in, got 'furlong'"),
+        (dict(friction=-0.1), "friction must be a number >= 0 or a rising range LOW:HIGH of such, got -0.1"),
+        (dict(friction=math.nan), "friction must be .*, got nan"),
+        (dict(friction=(0.4, 0.0)), r"friction must be .*, got \(0.4, 0.0\)"),
+        (dict(friction=(0.0, math.inf)), r"friction must be .*, got \(0.0, inf\)"),
+        (dict(friction=(0.0, 0.2, 0.4)), r"a range of friction has two ends, got \(0.0, 0.2, 0.4\)"),
+        (dict(noise=-0.1), "noise must be a number >= 0, got -0.1"),
+        (dict(noise=math.nan), "noise must be a number >= 0, got nan"),
+        (dict(clearance=0.0), "clearance must lie between 0 and 1 rod lengths, got 0.0"),
+        (dict(clearance=1.0), "clearance must lie between 0 and 1 rod lengths, got 1.0"),
+        (dict(clearance=math.nan), "clearance must lie between 0 and 1 rod lengths, got nan"),
+        (dict(axis="w"), "axis must be x, y, z or a vector of three numbers that is not zero, got 'w'"),
+        (dict(axis=(0, 0, 0)), r"axis must be .*, got \(0, 0, 0\)"),
+        (dict(axis=(1, 0)), r"axis must be .*, got \(1, 0\)"),
+        (dict(axis=(1, 0, math.nan)), r"axis must be .*, got \(1, 0, nan\)"),
+    ],
+    ids=str,
+)
+def test_settings_that_make_no_plan(setting, sentence):
+    with pytest.raises(InputError, match=f"^{sentence}$"):
+        Plan(**setting)

@@ -1,0 +1,320 @@
+"""Recordings: written and read bit for bit, every mistake in one answered, and those from a laboratory rebuilt right."""
+
+import dataclasses
+import math
+import tomllib
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import planar
+from scan3d import InputError, Recording, Rod, read_recording, reconstruct, write_recording
+from scan3d.recording import COLUMNS
+
+HEADER = "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm"
+ROW = "0,0.1,0.2,0.3,1,0,0,0,-0.01,0.02,0.0005"
+TOML = "[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 8.35e-5\n"
+
+
+def some(n=5, **changed):
+    rng = np.random.default_rng(3)
+    columns = dict(
+        sweep=np.arange(n) // 2,
+        position_m=rng.standard_normal((n, 3)),
+        quaternion=Rotation.random(n, rng).as_quat(scalar_first=True),
+        force_N=rng.standard_normal((n, 2)) / 3,
+        moment_Nm=rng.standard_normal(n) * 1e-7,
+        rod=Rod(1 / 3, 1e-4 / 3),
+    )
+    return Recording(**columns | changed)
+
+
+def write(folder, table=f"{HEADER}\n{ROW}\n", meta=TOML):
+    path = folder / "log.csv"
+    path.write_bytes(table if isinstance(table, bytes) else table.encode())
+    if meta is not None:
+        (folder / "log.toml").write_bytes(meta if isinstance(meta, bytes) else meta.encode())
+    return path
+
+
+def same(a, b):
+    return all(
+        x.dtype == y.dtype and x.tobytes() == y.tobytes() if isinstance(x, np.ndarray) else x == y
+        for x, y in ((getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(Recording))
+    )
+
+
+# --- round trip ---
+
+
+def test_what_was_written_is_read_bit_for_bit(tmp_path):
+    recording = some(
+        noise_force_N=0.1 / 3,
+        noise_moment_Nm=1e-9 / 3,
+        unit="um",
+        source={"rig": 'No. 3 "old"', "seed": 4, "µ": [0.1, 0.2]},
+    )
+    write_recording(recording, tmp_path / "log.csv")
+    assert same(read_recording(tmp_path / "log.csv"), recording)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.toml"]
+
+
+def test_awkward_numbers_survive(tmp_path):
+    force = np.array([[5e-324, -0.0], [1.7976931348623157e308, 0.1 + 0.2]])
+    recording = some(2, force_N=force)
+    write_recording(recording, tmp_path / "log.csv")
+    assert read_recording(tmp_path / "log.csv").force_N.tobytes() == force.tobytes()
+
+
+def test_the_files_are_the_ones_promised(tmp_path):
+    write_recording(some(3), tmp_path / "log.csv")
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    assert lines[0] == HEADER == ",".join(COLUMNS)
+    assert len(lines) == 4
+    meta = tomllib.loads((tmp_path / "log.toml").read_text())
+    assert meta["rod"] == {"length_m": 1 / 3, "bending_stiffness_Nm2": 1e-4 / 3}
+    assert meta["unit"] == "mm"
+
+
+def test_rows_without_contact_stay(tmp_path):
+    recording = some(4, force_N=np.zeros((4, 2)), moment_Nm=np.zeros(4))
+    write_recording(recording, tmp_path / "log.csv")
+    assert len(read_recording(tmp_path / "log.csv")) == 4
+
+
+def test_a_recording_is_a_csv(tmp_path):
+    with pytest.raises(InputError, match=r"a recording is written as \.csv, got 'log\.txt'"):
+        write_recording(some(), tmp_path / "log.txt")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_new_rod_beside_an_old_table(tmp_path):
+    # a table read with another table's rod would give wrong forces without a murmur
+    write_recording(some(), tmp_path / "log.csv")
+    before = (tmp_path / "log.toml").read_bytes()
+    (tmp_path / "log.csv").unlink()
+    (tmp_path / "log.csv").mkdir()  # can't be replaced by a file
+    with pytest.raises(InputError, match=r"can't write .*log\.csv"):
+        write_recording(some(rod=Rod(1.0, 1.0)), tmp_path / "log.csv")
+    assert (tmp_path / "log.toml").read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.toml"]
+
+
+# --- what others write ---
+
+
+def test_a_recording_by_hand(tmp_path):
+    recording = read_recording(write(tmp_path))
+    assert recording.sweep.tolist() == [0]
+    assert recording.position_m.tolist() == [[0.1, 0.2, 0.3]]
+    assert recording.quaternion.tolist() == [[1, 0, 0, 0]]
+    assert recording.force_N.tolist() == [[-0.01, 0.02]]
+    assert recording.moment_Nm.tolist() == [0.0005]
+    assert recording.rod == Rod(0.05, 8.35e-5)
+    assert (recording.unit, recording.noise_force_N, recording.noise_moment_Nm) == ("mm", 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        f"{HEADER}\r\n{ROW}\r\n",
+        " , ".join(COLUMNS) + "\n" + ROW.replace(",", " , ") + "\n",
+        f"\ufeff{HEADER}\n{ROW}",
+        f"{HEADER}\n\n{ROW}\n\n",
+        f"t_s,{HEADER},fz_N,mx_Nm,my_Nm\n0.5,{ROW},1,2,3\n",
+        f"{HEADER},time,fz_N\n{ROW},2024-05-01T10:00:00,\n",
+        "mz_Nm,fy_N,fx_N,qz,qy,qx,qw,z_m,y_m,x_m,sweep\n" + ",".join(reversed(ROW.split(","))),
+        HEADER + "\n" + ROW.replace("0.1", "1.0E-1").replace("0,0.1", "0.0,0.1"),
+        HEADER.replace("sweep", '"sweep"') + "\n" + ROW.replace("0.1", '"0.1"') + "\n",
+    ],
+    ids=["windows", "spaces", "spreadsheet", "empty lines", "more", "more, not numbers", "order", "notation", "quotes"],
+)
+def test_other_programs_tables(tmp_path, table):
+    plain, other = tmp_path / "plain", tmp_path / "other"
+    plain.mkdir()
+    other.mkdir()
+    assert same(read_recording(write(other, table)), read_recording(write(plain)))
+
+
+def test_a_windows_toml(tmp_path):
+    assert read_recording(write(tmp_path, meta="\ufeff" + TOML.replace("\n", "\r\n"))).rod == Rod(0.05, 8.35e-5)
+
+
+def test_a_rod_by_diameter_and_modulus(tmp_path):
+    recording = read_recording(
+        write(tmp_path, meta="[rod]\nlength_m = 0.05\ndiameter_m = 0.3e-3\nmodulus_Pa = 210e9\n")
+    )
+    assert recording.rod == Rod.wire(0.05, 0.3e-3, 210e9)
+
+
+def test_noise_unit_and_source(tmp_path):
+    meta = 'unit = "in"\n' + TOML + "[noise]\nforce_N = 1e-3\nmoment_Nm = 2\n[source]\nrig = 'UR5'\n"
+    recording = read_recording(write(tmp_path, meta=meta))
+    assert (recording.unit, recording.noise_force_N, recording.noise_moment_Nm) == ("in", 1e-3, 2.0)
+    assert recording.source == {"rig": "UR5"}
+
+
+# --- mistakes ---
+
+
+def changed(column, value):
+    values = ROW.split(",")
+    values[COLUMNS.index(column)] = value
+    return f"{HEADER}\n{ROW}\n{','.join(values)}\n"
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("", "log.csv is not a recording: its header lacks sweep, .*mz_Nm; expected sweep,x_m"),
+        (b"\x00\xff\xfe binary", r"can't read the recording .*log\.csv: .*utf-8"),
+        (f"{HEADER}\n", "log.csv: the recording has no samples: expected at least one row"),
+        ("mz_Nm\n1\n", "its header lacks sweep, x_m, y_m, z_m, qw, qx, qy, qz, fx_N, fy_N; expected"),
+        (HEADER.replace("mz_Nm", "mz_Nmm") + f"\n{ROW}\n", "its header lacks mz_Nm; expected"),
+        (HEADER.replace(",", ";") + f"\n{ROW.replace(',', ';')}\n", "is not a recording: its header lacks"),
+        (f"{HEADER},fx_N\n{ROW},3\n", "its header has fx_N more than once; keep one column of each name"),
+        (f"{HEADER}\n{ROW}\n0,0.1,0.2", r"log\.csv: line 3 has 3 values, expected 11; is it cut off\?"),
+        (f"{HEADER}\n\n{ROW},7\n", r"log\.csv: line 3 has 12 values, expected 11"),
+        (changed("fy_N", "abc"), r"log\.csv: line 3 has 'abc' for fy_N, where a number is expected"),
+        (changed("fy_N", ""), r"log\.csv: line 3 has '' for fy_N, where a number is expected"),
+        (changed("x_m", "nan"), r"log\.csv: recording: position_m is not a number in 1 of 2 rows, first in row 2"),
+        (changed("mz_Nm", "inf"), r"log\.csv: recording: moment_Nm is not a number in 1 of 2 rows, first in row 2"),
+        (changed("fx_N", "NaN"), r"recording: force_N is not a number in 1 of 2 rows"),
+        (changed("qw", "nan"), r"recording: quaternion is not a number in 1 of 2 rows"),
+        (changed("qw", "0.7"), r"orientations must be unit quaternions .*; that of row 2 has the length 0\.7$"),
+        (changed("qx", "1"), r"that of row 2 has the length 1\.414$"),
+        (changed("sweep", "0.5"), r"log\.csv: the column sweep must hold whole numbers, got 0\.5"),
+        (changed("sweep", "nan"), "the column sweep must hold whole numbers, got nan"),
+        (changed("sweep", "1e300"), r"the column sweep must hold whole numbers, got 1e\+300"),
+    ],
+)
+def test_a_table_that_is_none(tmp_path, table, sentence):
+    with pytest.raises(InputError, match=sentence) as error:
+        read_recording(write(tmp_path, table))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("meta", "sentence"),
+    [
+        (None, r"log\.csv needs log\.toml beside it, with the rod's length_m and bending_stiffness_Nm2"),
+        ("", r"log\.csv: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa"),
+        ("[rod]\nlength_m = 0.05\n", r"\[rod\] needs"),
+        ("[rod\n", r"can't read .*log\.toml: Expected"),
+        (b"\xff", r"can't read .*log\.toml: .*utf-8"),
+        ("rod = 3\n", r"log\.toml: rod must be a section \[rod\], got 3"),
+        ("noise = 0.5\n" + TOML, r"log\.toml: noise must be a section \[noise\], got 0\.5"),
+        ("[rod]\nlength_m = '5 cm'\nbending_stiffness_Nm2 = 1\n", r"log\.csv: length_m must be a number, got '5 cm'"),
+        ("[rod]\nlength_m = true\nbending_stiffness_Nm2 = 1\n", "length_m must be a number, got True"),
+        ("[rod]\nlength_m = -0.05\nbending_stiffness_Nm2 = 1\n", r"log\.csv: a rod needs a positive length in metres"),
+        ("[rod]\nlength_m = 1\ndiameter_m = 0\nmodulus_Pa = 1\n", "a wire needs a positive diameter and modulus"),
+        ("unit = 'furlong'\n" + TOML, r"log\.csv: recording: unit must be one of m, cm, mm, um, in, got 'furlong'"),
+        ("unit = ['mm']\n" + TOML, r"log\.toml: unit must be one of m, cm, mm, um, in, got \['mm'\]"),
+        (TOML + "[noise]\nforce_N = -1\n", "recording: standard deviations of the noise must be numbers >= 0"),
+        (TOML + "[noise]\nmoment_Nm = nan\n", "recording: standard deviations of the noise must be numbers >= 0"),
+        (TOML + "[noise]\nmoment_Nm = inf\n", "recording: standard deviations of the noise must be numbers >= 0"),
+        (TOML + "[noise]\nmoment_Nm = 'small'\n", "moment_Nm must be a number, got 'small'"),
+    ],
+)
+def test_a_toml_that_describes_no_rig(tmp_path, meta, sentence):
+    with pytest.raises(InputError, match=sentence) as error:
+        read_recording(write(tmp_path, meta=meta))
+    assert "\n" not in str(error.value)
+
+
+def test_no_file_and_no_folder_is_a_recording(tmp_path):
+    with pytest.raises(InputError, match=r"can't read the recording .*log\.csv: No such file or directory"):
+        read_recording(tmp_path / "log.csv")
+    with pytest.raises(InputError, match=r"can't read the recording .*: Is a directory"):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "shape"),
+    [
+        ("position_m", np.zeros((5, 2)), r"\(5, 3\), got \(5, 2\)"),
+        ("quaternion", np.zeros((4, 4)), r"\(5, 4\), got \(4, 4\)"),
+        ("force_N", np.zeros(5), r"\(5, 2\), got \(5,\)"),
+        ("moment_Nm", np.zeros((5, 1)), r"\(5,\), got \(5, 1\)"),
+    ],
+)
+def test_columns_that_do_not_belong_together(column, value, shape):
+    with pytest.raises(InputError, match=f"recording: {column} must have the shape {shape}"):
+        some(5, **{column: value})
+
+
+def test_a_rounded_quaternion_is_a_unit_quaternion():
+    exact = some()
+    rounded = some(quaternion=np.round(exact.quaternion, 4))
+    axes = rounded.axes()
+    assert axes @ np.swapaxes(axes, 1, 2) == pytest.approx(np.broadcast_to(np.eye(3), (5, 3, 3)), abs=1e-14)
+    assert axes == pytest.approx(exact.axes(), abs=3e-4)
+
+
+def test_axes_against_scipy():
+    recording = some(50)
+    # scipy's matrices have the axes as columns
+    expected = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix().swapaxes(1, 2)
+    assert recording.axes() == pytest.approx(expected, abs=1e-15)
+
+
+# --- a laboratory's recording: made with planar alone, in a world that knows nothing of slices or meshes ---
+
+
+LABORATORY_ROD = Rod(0.05, 8.35e-5)  # the one in TOML
+
+
+def laboratory(turn, shift, radius, rod=LABORATORY_ROD):
+    """Poses and wrenches of a rod that feels a ball of some radius, in two of its planes from four sides each.
+
+    The ball's centre lies at `shift` in the world, and the rig stands turned by `turn` about it.  Returns the table's rows.
+    """
+    rows = []
+    for level, height in enumerate((-0.5 * radius, 0.3 * radius)):
+        inside = math.sqrt(radius**2 - height**2)
+        for side in range(4):
+            # the clamp's axes in the rig: the rod, y, points to the ball's axis; z is the rig's
+            angle = side * np.pi / 2
+            y = np.array([np.cos(angle), np.sin(angle), 0.0])
+            z = np.array([0.0, 0.0, 1.0])
+            axes = turn.apply(np.stack([np.cross(y, z), y, z]))
+            far = 1.2 * inside + 0.2 * rod.length_m  # of the base line from the ball's axis
+            swept = planar.sweep(
+                planar.Circle(inside / rod.length_m, (0.0, far / rod.length_m)), friction=0.25, samples=9
+            )
+            origin = shift + turn.apply([0.0, 0.0, height]) - far * axes[1]
+            quaternion = Rotation.from_matrix(axes.T).as_quat(scalar_first=True)
+            if side % 2:
+                quaternion = -quaternion  # the same orientation
+            for i in range(9):
+                force = np.nan_to_num([swept.f0x[i], swept.f0y[i]]) * rod.bending_stiffness_Nm2 / rod.length_m**2
+                moment = np.nan_to_num(swept.m0z[i]) * rod.bending_stiffness_Nm2 / rod.length_m
+                position = origin + swept.x0[i] * rod.length_m * axes[0]
+                rows.append([4 * level + side, *position, *quaternion, *force, moment])
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_laboratorys_recording_in_an_arbitrary_world(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    turn, shift, radius = Rotation.random(rng=rng), rng.uniform(-1, 1, 3), 0.02
+    rows = laboratory(turn, shift, radius)
+    table = "\n".join([HEADER, *(",".join(map(repr, map(float, row))) for row in rows)])
+    recording = read_recording(write(tmp_path, table, 'unit = "cm"\n' + TOML))
+    cloud = reconstruct(recording)
+
+    assert cloud.unit == "cm"
+    assert cloud.rod_length == pytest.approx(5.0)
+    # the first sample of a sweep only touches, and the rest are contacts with the ball
+    assert len(cloud) == len(rows) - 8
+    away = cloud.points - 100 * shift
+    # 1e-12 of the metre that the positions are large
+    assert np.linalg.norm(away, axis=1) == pytest.approx(np.full(len(cloud), 100 * radius), abs=1e-9)
+    assert away @ turn.apply([0, 0, 1]) == pytest.approx(np.repeat([-1.0, 0.6], len(cloud) // 2), abs=1e-9)
+    lying = cloud.phase == planar.Phase.TANGENTIAL
+    assert 0 < lying.sum() < len(cloud)
+    assert cloud.friction[lying] == pytest.approx(np.full(lying.sum(), 0.25), abs=1e-9)
+    assert np.isnan(cloud.friction[~lying]).all()
+    assert len(np.unique(cloud.slice)) == 2
+    assert len(np.unique(cloud.sweep)) == 8

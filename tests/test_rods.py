@@ -1,0 +1,88 @@
+"""Rods: the scales of real ones, and what isn't one."""
+
+import math
+
+import pytest
+
+from scan3d import InputError, Rod
+from scan3d.rods import MODULI_PA, SLENDERNESS, parse_rod
+
+# EI/L² and EI/L of real wires, worked out by hand from I = π d⁴ / 64.  Steels differ by some 3 % in their modulus (these two
+# are for 205 GPa), and two digits are given.
+SCALES = [
+    ("steel:0.3x50", 33e-3, 1.6e-3),
+    ("steel:0.5x100", 63e-3, 6.3e-3),
+    ("nitinol:0.25x75", 2.6e-3, 0.19e-3),
+]
+
+
+@pytest.mark.parametrize(("text", "force_N", "moment_Nm"), SCALES)
+def test_scales_of_real_rods(text, force_N, moment_Nm):
+    rod = parse_rod(text)
+    assert rod.force_unit_N == pytest.approx(force_N, rel=0.05)
+    assert rod.moment_unit_Nm == pytest.approx(moment_Nm, rel=0.05)
+
+
+def test_against_the_formula_of_a_round_bar():
+    rod = parse_rod("steel:0.3x50")
+    assert rod.length_m == pytest.approx(0.05, rel=1e-15)
+    assert rod.bending_stiffness_Nm2 == pytest.approx(210e9 * math.pi * (0.15e-3) ** 4 / 4, rel=1e-12)
+    assert rod.moment_unit_Nm == pytest.approx(rod.force_unit_N * rod.length_m, rel=1e-12)
+
+
+def test_twice_the_size_is_four_times_the_force():
+    one, two = parse_rod("nylon:1x100"), parse_rod("nylon:2x200")
+    assert two.force_unit_N == pytest.approx(4 * one.force_unit_N, rel=1e-12)
+    assert two.moment_unit_Nm == pytest.approx(8 * one.moment_unit_Nm, rel=1e-12)
+
+
+@pytest.mark.parametrize("material", MODULI_PA)
+def test_every_material_can_be_named(material):
+    assert parse_rod(f"{material}:0.5x80") == Rod.wire(0.08, 0.5e-3, MODULI_PA[material])
+
+
+def test_a_rod_by_its_length_is_the_slender_steel_wire():
+    assert Rod.of_length(0.05) == Rod.wire(0.05, 0.05 * SLENDERNESS, 210e9)
+    assert Rod.of_length(0.05).bending_stiffness_Nm2 == pytest.approx(
+        parse_rod("steel:0.3x50").bending_stiffness_Nm2, rel=1e-12
+    )
+
+
+def test_auto_leaves_the_rod_to_the_body():
+    assert parse_rod("auto") is None
+
+
+@pytest.mark.parametrize("length", [0.0, -0.05, math.nan, math.inf])
+def test_a_rod_needs_a_length(length):
+    with pytest.raises(InputError, match="positive length"):
+        Rod(length, 1e-4)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, -1e-4, math.nan, math.inf])
+def test_a_rod_needs_a_stiffness(stiffness):
+    with pytest.raises(InputError, match="positive bending stiffness"):
+        Rod(0.05, stiffness)
+
+
+@pytest.mark.parametrize(
+    ("diameter", "modulus"), [(0.0, 2e11), (-1e-3, 2e11), (math.nan, 2e11), (1e-3, 0.0), (1e-3, -1)]
+)
+def test_a_wire_needs_a_diameter_and_a_modulus(diameter, modulus):
+    with pytest.raises(InputError, match="positive diameter and modulus"):
+        Rod.wire(0.05, diameter, modulus)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "steel", "steel:0.3", "0.3x50", "gold:0.3x50", "steel:x50", "steel:0.3x", "steel:0.3 x 50", "steel:0.3x50 mm"],
+)
+def test_text_that_is_no_rod_is_answered_with_an_example(text):
+    with pytest.raises(InputError, match=r"steel:0\.3x50.*nitinol") as error:
+        parse_rod(text)
+    assert repr(text) in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["steel:0x50", "steel:0.3x0", "steel:0.3x-50", "steel:1ex50", "steel:--1x50"])
+def test_numbers_that_make_no_rod_name_the_rod(text):
+    with pytest.raises(InputError, match=rf"rod '{text}'"):
+        parse_rod(text)

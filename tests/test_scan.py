@@ -1,0 +1,478 @@
+"""The way from a body to its recording and back: exact to rounding, whatever the friction, the place and the unit."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import planar
+import scan3d
+from scan3d import simulation
+from scan3d.cloud import contacts
+from scan3d.planning import slice_frame
+from scan3d.rods import parse_rod
+from scan3d.surfaces import hull
+
+FOLDER = Path(__file__).parents[1] / "meshes"
+MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
+EGG, CUBE = FOLDER / "egg.stl", FOLDER / "cube.stl"
+# The headline: contacts are found to a billionth of the rod's length, which leaves rounding six digits.
+EXACT = 1e-9
+TIP, TANGENTIAL = planar.Phase.TIP, planar.Phase.TANGENTIAL
+
+
+# --- the truth, by other means than the product's: the file as trimesh reads it, every triangle cut by the plane ---
+
+
+def outline(vertices, faces, normal, height):
+    """Segments (k, 2, 3) in which the plane <normal, p> = height cuts the triangles."""
+    above = vertices @ normal - height
+    segments = []
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # corner a alone on its side
+        corners = faces[:, [a, b, c]]
+        side = above[corners] >= 0
+        corners = corners[(side[:, 0] != side[:, 1]) & (side[:, 1] == side[:, 2])]
+        ends = []
+        for other in (1, 2):
+            p, q = corners[:, 0], corners[:, other]
+            share = (above[p] / (above[p] - above[q]))[:, None]
+            ends.append(vertices[p] + share * (vertices[q] - vertices[p]))
+        segments.append(np.stack(ends, axis=1))
+    return np.concatenate(segments)
+
+
+def segment_distances(points, segments):
+    """(n,) from each point to the nearest of the segments, all against all."""
+    a, ab = segments[:, 0], segments[:, 1] - segments[:, 0]
+    ap = points[:, None] - a
+    length = np.maximum((ab * ab).sum(axis=1), np.finfo(float).tiny)
+    along = np.clip((ap * ab).sum(axis=2) / length, 0, 1)
+    return np.linalg.norm(ap - along[:, :, None] * ab, axis=2).min(axis=1)
+
+
+def rows_of(cloud, recording):
+    """(n,) row of the recording behind each contact: the one of its sweep with its force."""
+    force = np.hypot(*recording.force_N.T)
+    rows, row = np.empty(len(cloud), dtype=int), 0
+    for i, (number, found) in enumerate(zip(cloud.sweep, cloud.force_N, strict=True)):
+        while recording.sweep[row] != number or abs(force[row] - found) > 1e-12 * found:
+            row += 1  # in the recording's order, and each row once
+        rows[i], row = row, row + 1
+    return rows
+
+
+def contour_errors(cloud, recording, vertices, faces):
+    """(n,) distance of each contact to the contour in which its rod's plane cuts the body, in rod lengths."""
+    scale = {"mm": 1e-3, "m": 1.0}[recording.unit]
+    rows = rows_of(cloud, recording)
+    # the clamp's z axis in the world
+    normal = Rotation.from_quat(recording.quaternion[rows], scalar_first=True).apply([0.0, 0.0, 1.0])
+    height = (recording.position_m[rows] / scale * normal).sum(axis=1)
+    errors = np.full(len(cloud), np.nan)
+    for number in np.unique(cloud.slice):
+        here = cloud.slice == number
+        assert np.ptp(height[here]) < 1e-12 * cloud.rod_length
+        errors[here] = segment_distances(cloud.points[here], outline(vertices, faces, normal[here][0], height[here][0]))
+    return errors / cloud.rod_length
+
+
+def as_in_the_file(path):
+    mesh = trimesh.load_mesh(path)
+    return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
+
+
+def drawn_friction(recording, sweeps):
+    """(n,) coefficients drawn for the recording's samples, found by the forces that `sweeps` had with them."""
+    unit = recording.rod.force_unit_N
+    of = {
+        np.array([x * unit, y * unit]).tobytes(): mu
+        for s in sweeps
+        for x, y, mu in zip(s.f0x, s.f0y, s.friction, strict=True)
+    }
+    return np.array([of[row.tobytes()] for row in np.ascontiguousarray(recording.force_N)])
+
+
+def places(mesh, **plan):
+    """Recording and contacts of a scan, without the surface's normals: those take longer, and have tests of their own."""
+    recording = scan3d.simulate(mesh, scan3d.Plan(**plan))
+    return recording, contacts(recording)
+
+
+@pytest.fixture
+def watched_sweeps(monkeypatch):
+    """All sweeps that planar makes for a simulation."""
+    sweeps, original = [], planar.sweep_all
+
+    def sweep_all(*args, **kwargs):
+        made = original(*args, **kwargs)
+        sweeps.extend(made)
+        return made
+
+    monkeypatch.setattr(simulation.planar, "sweep_all", sweep_all)
+    return sweeps
+
+
+# --- the headline ---
+
+
+@pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
+def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(path, watched_sweeps):
+    recording, cloud = places(scan3d.load_mesh(path), slices=12, friction=(0.0, 0.4), seed=7)
+
+    assert contour_errors(cloud, recording, *as_in_the_file(path)).max() <= EXACT
+    # every sample but each sweep's first, which only touches
+    assert len(cloud) >= len(recording) - 2 * len(watched_sweeps)
+    assert len(np.unique(cloud.slice)) == 12
+    assert set(cloud.phase) == {TIP, TANGENTIAL}
+
+    lying = cloud.phase == TANGENTIAL
+    drawn = drawn_friction(recording, watched_sweeps)[rows_of(cloud, recording)]
+    assert cloud.friction[lying] == pytest.approx(drawn[lying], abs=1e-9)
+    assert cloud.friction[lying].min() < 0.01
+    assert cloud.friction[lying].max() > 0.39
+    assert np.isnan(cloud.friction[~lying]).all()
+
+
+@pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
+def test_constant_friction_is_found_in_every_tangential_contact(path):
+    _, cloud = places(scan3d.load_mesh(path), slices=4, friction=0.3)
+    lying = cloud.phase == TANGENTIAL
+    assert lying.sum() > 100
+    assert cloud.friction[lying] == pytest.approx(np.full(lying.sum(), 0.3), abs=1e-9)
+
+
+def test_the_same_contacts_from_other_reactions():
+    # the paper's point: reactions depend on friction, and the contour found from them does not
+    mesh = scan3d.load_mesh(CUBE)
+    (_, smooth), (_, rough) = (places(mesh, slices=3, sweeps=4, friction=mu) for mu in (0.0, 0.6))
+    assert abs(smooth.force_N.max() / rough.force_N.max() - 1) > 0.05
+    extents = [np.ptp(cloud.points, axis=0) for cloud in (smooth, rough)]
+    assert extents[0] == pytest.approx(extents[1], abs=1e-9 * smooth.rod_length)
+
+
+def test_the_egg_by_default():
+    mesh = scan3d.load_mesh(EGG)
+    recording = scan3d.simulate(mesh)
+    cloud = scan3d.reconstruct(recording)
+    assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
+    surface = scan3d.surface(cloud)
+    assert surface.is_watertight
+    result = scan3d.compare(surface, mesh)
+    assert 0 < result.relative <= 1e-3
+
+
+# --- edges and corners ---
+
+
+def corners_of(cloud, recording, vertices, faces):
+    """(n,) whether a contact is a corner of its slice's contour, and (n,) of which: its number, or -1."""
+    scale = {"mm": 1e-3, "m": 1.0}[recording.unit]
+    normal = Rotation.from_quat(recording.quaternion[0], scalar_first=True).apply([0.0, 0.0, 1.0])
+    number, rows = np.full(len(cloud), -1), rows_of(cloud, recording)
+    for one in np.unique(cloud.slice):
+        here = np.flatnonzero(cloud.slice == one)
+        height = recording.position_m[rows[here[0]]] / scale @ normal
+        ends = outline(vertices, faces, normal, height).reshape(-1, 3)
+        # corners of the polygon: ends where the contour turns, which are those on an edge of the cube
+        away = np.linalg.norm(cloud.points[here][:, None] - ends, axis=2)
+        number[here] = np.where(away.min(axis=1) < EXACT * cloud.rod_length, away.argmin(axis=1), -1)
+    return number
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_cube_turned_any_way_is_scanned_as_exactly(seed):
+    cube = scan3d.load_mesh(CUBE)
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    vertices, faces = cube.vertices @ turn.T + [30.0, -20.0, 10.0], np.asarray(cube.faces)
+    body = trimesh.Trimesh(vertices, faces, process=False)
+    recording, cloud = places(body, slices=12, friction=(0.0, 0.4))
+    assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
+
+    # on edges of the contour, and at its corners
+    corner = corners_of(cloud, recording, vertices, faces)
+    assert 0 < (corner >= 0).sum() < len(cloud)
+    # at a corner the contact stays where it is while the rod turns about it ...
+    step = np.linalg.norm(np.diff(cloud.points, axis=0), axis=1) / cloud.rod_length
+    together = (np.diff(cloud.sweep) == 0) & (np.diff(rows_of(cloud, recording)) == 1)
+    stays = together & (step < EXACT)
+    assert stays.any()
+    assert (corner[:-1][stays] >= 0).all()
+    # ... and from there it jumps along the next edge, further than it ever slides in a step
+    jumps = together & (step > 5 * np.median(step[together & ~stays]))
+    assert jumps.any()
+
+
+# --- the way through files ---
+
+
+def run(*arguments, **environment):
+    """The installed command in a process of its own."""
+    command = Path(sys.executable).with_name("scan3d")
+    return subprocess.run(
+        [command, *map(str, arguments)], env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+
+
+# Too few contacts for the fit of a smooth body, which takes longer than all the rest.
+FEW = ("--slices", "6", "--sweeps", "6", "--samples", "16")
+ROUGH = ("--friction", "0.0:0.4", "--noise", "1e-4")
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    """A folder that the installed command has scanned the egg into, with friction and noise."""
+    folder = tmp_path_factory.mktemp("scan") / "out"
+    done = run("scan", EGG, "--out", folder, *FEW, *ROUGH, "--seed", "5", PYTHONHASHSEED="3", OMP_NUM_THREADS="1")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def scan(folder, *arguments):
+    from scan3d.cli import main
+
+    assert main(["scan", str(EGG), "--out", str(folder), *FEW, *arguments, "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Pictures take longer than all the rest, and are tested elsewhere."""
+    monkeypatch.setattr("scan3d.views.can_render", lambda: False)
+
+
+def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
+    from scan3d.cli import main
+
+    whole = scan(tmp_path / "whole", "--friction", "0.0:0.4")
+    assert (
+        main(["simulate", str(EGG), "--out", str(tmp_path / "log.csv"), *FEW, "--friction", "0.0:0.4", "--quiet"]) == 0
+    )
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("log.csv", "log.toml"):
+        assert (tmp_path / name).read_bytes() == (whole / name.replace("log", "recording")).read_bytes()
+        (tmp_path / name).rename(elsewhere / name)
+    assert main(["reconstruct", str(elsewhere / "log.csv"), "--out", str(elsewhere / "out"), "--quiet"]) == 0
+
+    there, here = (read_ply(folder / "cloud.ply")[0] for folder in (whole, elsewhere / "out"))
+    assert there.dtype == here.dtype
+    for name in there.dtype.names:
+        # `quality` is the distance to the true mesh, and unknown without it
+        assert name == "quality" or there[name].tobytes() == here[name].tobytes()
+    assert np.isnan(here["quality"]).all()
+    assert there["quality"].max() < 1e-6
+    assert (whole / "surface.ply").read_bytes() == (elsewhere / "out" / "surface.ply").read_bytes()
+
+
+def without(report, *keys):
+    data = json.loads(report)
+    return {key: data[key] for key in data.keys() - set(keys)}
+
+
+def test_the_same_seed_gives_the_same_files(scanned, tmp_path, no_pictures):
+    # there by a process with other hashes and one thread, here by this one
+    again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
+    files = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json"}
+    for folder in (scanned, again):
+        # trimesh names the page's camera at random
+        assert files | {"view.html"} == {p.name for p in folder.iterdir()} - {"cloud.png", "surface.png"}
+    for name in files:
+        one, other = ((folder / name).read_bytes() for folder in (scanned, again))
+        if name == "report.json":
+            one, other = (without(text, "timings_s", "files") for text in (one, other))
+        assert one == other, name
+
+
+def test_another_seed_gives_other_friction_and_noise(scanned, tmp_path, no_pictures):
+    other = scan(tmp_path / "out", *ROUGH, "--seed", "6")
+    for name in ("recording.csv", "cloud.ply", "surface.ply"):
+        assert (scanned / name).read_bytes() != (other / name).read_bytes()
+
+
+def test_the_clouds_file_is_the_cloud(scanned, read_ply):
+    cloud = scan3d.reconstruct(scan3d.read_recording(scanned / "recording.csv"))
+    vertices, faces, comments = read_ply(scanned / "cloud.ply")
+    assert faces is None
+    assert comments == ["unit mm"]
+    assert vertices.dtype.names[:7] == ("x", "y", "z", "nx", "ny", "nz", "quality")
+    assert np.array_equal(np.stack([vertices[name] for name in "xyz"], axis=1), cloud.points)
+    normals = np.stack([vertices[name] for name in ("nx", "ny", "nz")], axis=1)
+    assert np.array_equal(normals, cloud.normals.astype(np.float32), equal_nan=True)
+    assert np.array_equal(vertices["phase"], cloud.phase)
+    assert np.array_equal(vertices["slice"], cloud.slice)
+
+
+def test_the_surfaces_file_is_closed_and_outward(scanned):
+    mesh = trimesh.load_mesh(scanned / "surface.ply", process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+
+
+# --- invariances ---
+
+
+def test_metres_and_millimetres_give_the_same_shape():
+    mesh = scan3d.load_mesh(EGG)
+    small = trimesh.Trimesh(mesh.vertices * 1e-3, mesh.faces, process=False)
+    plan = dict(slices=8, friction=(0.0, 0.4))
+    (_, in_mm), (_, in_m) = places(mesh, **plan), places(small, **plan, unit="m")
+    assert len(in_m) == len(in_mm)
+    assert np.array_equal(in_m.phase, in_mm.phase)
+    assert np.abs(in_m.points * 1e3 - in_mm.points).max() <= 1e-12 * mesh.scale
+    assert in_m.force_N == pytest.approx(in_mm.force_N, rel=1e-9)
+    assert in_m.rod_length == pytest.approx(1e-3 * in_mm.rod_length, rel=1e-12)
+
+
+def write_off(path, vertices, faces):
+    """An OFF file with its numbers in full."""
+    lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
+    lines += [" ".join(map(repr, map(float, p))) for p in vertices]
+    lines += [f"3 {a} {b} {c}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_body_of_a_millimetre_in_metres(tmp_path, no_pictures):
+    from scan3d.cli import main
+
+    vertices, faces = as_in_the_file(FOLDER / "sphere.ply")
+    vertices = vertices / 50 * 1e-3  # 1 mm across
+    path = write_off(tmp_path / "speck.off", vertices, faces)
+    out = tmp_path / "out"
+    assert main(["scan", str(path), "--out", str(out), "--unit", "m", *FEW, "--quiet"]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["mesh"]["unit"] == "m"
+    assert report["contact_error"]["max"] <= EXACT * report["rod"]["length"]
+    # 6 slices of a sphere leave caps; none of its points is lost
+    assert report["hausdorff"]["relative"] <= 0.05
+    assert report["counts"]["slices"] == 6
+    recording = scan3d.read_recording(out / "recording.csv")
+    assert contour_errors(scan3d.reconstruct(recording), recording, vertices, faces).max() <= EXACT
+
+
+@pytest.mark.parametrize("axis", ["x", (1, 1, 0), (0.3, -0.8, 0.5)], ids=str)
+def test_slicing_along_an_axis_is_turning_the_body(axis):
+    mesh = scan3d.load_mesh(FOLDER / "gem.glb")
+    plan = dict(slices=6, friction=(0.0, 0.4))
+    turn = slice_frame(scan3d.Plan(axis=axis).axes()[0])
+    recording, cloud = places(mesh, **plan, axis=axis)
+    _, turned = places(trimesh.Trimesh(mesh.vertices @ turn.T, mesh.faces, process=False), **plan)
+    assert contour_errors(cloud, recording, np.asarray(mesh.vertices), np.asarray(mesh.faces)).max() <= EXACT
+    assert len(cloud) == len(turned)
+    # contacts at a fold of x0, where a rod is about to snap, are known to the root of rounding only
+    apart = np.linalg.norm(cloud.points - turned.points @ turn, axis=1) / cloud.rod_length
+    assert np.quantile(apart, 0.99) <= EXACT
+    assert apart.max() <= 1e-6
+
+
+# --- noise, sweeps, rods ---
+
+
+def test_noise_gives_errors_of_its_size():
+    mesh = scan3d.load_mesh(EGG)
+    (exact, truth), (noisy, cloud) = (places(mesh, slices=8, friction=0.3, noise=noise) for noise in (0.0, 0.005))
+    # of an observable unit
+    assert np.std((noisy.force_N - exact.force_N) / exact.rod.force_unit_N) == pytest.approx(0.005, rel=0.05)
+    assert np.std((noisy.moment_Nm - exact.moment_Nm) / exact.rod.moment_unit_Nm) == pytest.approx(0.005, rel=0.05)
+    assert noisy.noise_force_N == pytest.approx(0.005 * exact.rod.force_unit_N)
+    assert noisy.noise_moment_Nm == pytest.approx(0.005 * exact.rod.moment_unit_Nm)
+
+    errors = contour_errors(cloud, noisy, *as_in_the_file(EGG))
+    # 0.1 to 0.2 % of the rod's length across the contour
+    assert 0.0005 < np.sqrt(np.mean(errors**2)) < 0.004
+    assert np.median(errors) < 0.002
+    rows = rows_of(cloud, noisy), rows_of(truth, exact)
+    both = np.intersect1d(*rows)
+    assert len(both) > 0.97 * len(truth)  # the weakest forces are lost
+    mine, its = (np.searchsorted(row, both) for row in rows)
+    lying = (cloud.phase[mine] == TANGENTIAL) & (truth.phase[its] == TANGENTIAL)
+    # 0.2° to 0.4° in the friction angle
+    angle = np.degrees(np.arctan(cloud.friction[mine][lying])) - np.degrees(np.arctan(0.3))
+    assert 0.1 < np.std(angle) < 0.8
+    assert abs(np.median(angle)) < 0.1
+
+    # near the tip: a tip contact isn't taken for a tangential one, and its place errs no more than others' do
+    tip = truth.phase[its] == TIP
+    assert (cloud.phase[mine][tip] == TANGENTIAL).mean() < 0.01
+    assert np.sqrt(np.mean(errors[mine][tip] ** 2)) < 0.004
+    assert errors.max() < 0.03
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.1])
+def test_much_noise_still_gives_a_body(noise):
+    cloud = scan3d.reconstruct(
+        scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8, sweeps=6, samples=16, noise=noise))
+    )
+    assert np.isfinite(cloud.points).all()
+    assert scan3d.surface(cloud).is_watertight
+
+
+def test_a_fixed_number_of_sweeps_goes_evenly_round():
+    recording = scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=4, samples=10))
+    assert np.array_equal(recording.sweep, np.repeat(np.arange(12), 10))
+    rods = recording.axes()[::10, 1].reshape(3, 4, 3)
+    assert rods == pytest.approx(np.broadcast_to([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], (3, 4, 3)), abs=1e-12)
+    assert np.array_equal(recording.axes()[:, 2], np.broadcast_to([0.0, 0, 1], (120, 3)))
+
+
+def test_a_rod_that_fits():
+    rod = parse_rod("steel:0.3x50")
+    recording, cloud = places(scan3d.load_mesh(EGG), slices=6, rod=rod)
+    assert recording.rod == rod
+    assert cloud.rod_length == pytest.approx(50.0)
+    assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
+    # a 0.3 mm steel wire feels tens of millinewtons, up to some units of EI/L²
+    assert 1 < cloud.force_N.max() / rod.force_unit_N < 20
+
+
+@pytest.mark.parametrize("rod", ["steel:0.06x10", "steel:0.003x0.5", "steel:6x1000"])
+@pytest.mark.parametrize("path", [EGG, CUBE], ids=lambda path: path.stem)
+def test_a_rod_far_too_short_or_long_sees_less_but_nothing_wrong(rod, path):
+    mesh = scan3d.load_mesh(path)
+    recording, cloud = places(mesh, slices=4, samples=24, rod=parse_rod(rod))
+    vertices, faces = as_in_the_file(path)
+    # rounding counts in the body's size where that is the larger one
+    bound = EXACT * max(1.0, mesh.scale / cloud.rod_length)
+    assert contour_errors(cloud, recording, vertices, faces).max() <= bound
+    # what it sees lies in the body
+    assert 0 < hull(cloud.points).volume <= mesh.volume * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("clearance", [1e-6, 0.05, 0.9, 0.999])
+def test_any_clearance(clearance):
+    # with much of it nothing is felt but by the tip, and no normal says where to look next
+    recording, cloud = places(scan3d.load_mesh(EGG), slices=4, samples=24, clearance=clearance)
+    assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
+
+
+def test_a_body_that_no_slice_meets(monkeypatch):
+    monkeypatch.setattr(simulation, "slice_polygons", lambda mesh, frame, levels: [np.empty((0, 2))] * len(levels))
+    with pytest.raises(scan3d.InputError, match="no slice meets the body; take more slices"):
+        scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=2))
+
+
+def test_slices_that_miss_the_body_are_left_out(monkeypatch):
+    original = simulation.slice_polygons
+
+    def all_but_the_first(mesh, frame, levels):
+        return [np.empty((0, 2)), *original(mesh, frame, levels)[1:]]
+
+    monkeypatch.setattr(simulation, "slice_polygons", all_but_the_first)
+    recording = scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=4, samples=10))
+    assert len(np.unique(recording.sweep)) == 8
+
+
+def test_progress_counts_the_slices():
+    seen = []
+    scan3d.simulate(
+        scan3d.load_mesh(CUBE), scan3d.Plan(slices=40, sweeps=1, samples=2), lambda *done: seen.append(done)
+    )
+    assert seen[-1] == (40, 40)
+    assert [done for done, _ in seen] == sorted({done for done, _ in seen})
