@@ -39,7 +39,7 @@ DENT_PRECISION = 1e-3
 """A dent is known to this share of itself; one below `NEGLIGIBLE_DENT` is only known to be below it."""
 NEGLIGIBLE_DENT = 0.01 * DENT_TOLERANCE
 FLAT = 1e-6
-"""Least thickness of a body: rounding to float32 leaves an oblique flat sheet about 1e-7 thick."""
+"""Least thickness of a body: rounding to float32 leaves an oblique flat sheet 1e-8 to 1e-7 thick."""
 OPEN_TOLERANCE = 1e-3
 """Share of the hull's area that may lack a surface: more than rounding, less than any face that matters."""
 
@@ -394,11 +394,8 @@ def _convex_polygon(points: Floats, rounding: float) -> Floats:
     while len(polygon) >= 3:
         before, after = polygon - np.roll(polygon, 1, axis=0), np.roll(polygon, -1, axis=0) - polygon
         turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-        straight = turn <= rounding * np.linalg.norm(before + after, axis=1)  # distance from the neighbours' chord
-        if not straight.any():
+        bulge = turn / np.linalg.norm(before + after, axis=1)  # distance from the neighbours' chord
+        if bulge.min() > rounding:
             return polygon
-        drop = straight & ~np.roll(straight, 1)  # of two that coincide one stays
-        if not drop.any():
-            return nothing
-        polygon = polygon[~drop]
+        polygon = np.delete(polygon, bulge.argmin(), axis=0)  # one by one: of two that coincide one stays
     return nothing

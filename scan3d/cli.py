@@ -26,17 +26,19 @@ Seeing by touch: sweep a flexible rod along a body, and rebuild the body from th
 # name, placeholder, what it is; types and defaults are those of `Settings`
 _OPTIONS = (
     ("slices", "N", "number of slices"),
-    ("spacing", "HOW", "heights of the slices: cosine (dense at the ends) or uniform"),
-    ("axis", "AXIS", "normal of the slices: x, y, z or a vector such as 1,1,0"),
+    ("spacing", "HOW", "heights of the slices: cosine (dense at the ends), uniform, or adaptive"),
+    ("axis", "AXIS", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0"),
     ("sweeps", "N", "sweeps per slice, or auto: as many as its contour needs"),
     ("samples", "N", "samples per sweep"),
     ("friction", "MU", "coefficient of friction, or a range such as 0.0:0.4 to draw from for every sample"),
     ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that suits the body"),
     ("clearance", "X", "distance of the base line from the slice, in rod lengths"),
+    ("standoff", "HOW", "follow: the base line follows every slice; fixed: it keeps clear of the widest"),
+    ("tolerance", "X", "adaptive spacing stops at this certified bound, relative to the diagonal"),
     ("noise", "SIGMA", "standard deviation of force and moment, in EI/L² and EI/L"),
     ("seed", "N", "seed of all that is random; the same seed gives the same files"),
     ("unit", "UNIT", "what the mesh's numbers mean: mm, cm, m, um, in"),
-    ("method", "METHOD", "surface from the contacts: auto or hull"),
+    ("method", "METHOD", "surface from the contacts: auto, hull or support"),
 )
 
 
@@ -93,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     reconstruct.add_argument("--truth", metavar="MESH", help="the true body, to compare with")
     reconstruct.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
     reconstruct.add_argument(
-        "--method", metavar="METHOD", default="auto", help="surface from the contacts: auto or hull"
+        "--method", metavar="METHOD", default="auto", help="surface from the contacts: auto, hull or support"
     )
     _add_output(reconstruct)
     reconstruct.set_defaults(run=_reconstruct)

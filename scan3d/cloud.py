@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import planar
 from scan3d.errors import InputError
 from scan3d.recording import Recording
+from scan3d.support import SupportFit
 from scan3d.units import UNITS_M
 
 Array = NDArray[np.float64]
@@ -68,6 +69,10 @@ class Cloud:
     """In the recording's unit."""
     noise: float
     """Standard deviation of a contact's place, in the recording's unit; 0 for exact data."""
+    fit: SupportFit | None = None
+    """The support function fitted to the contacts, if the body proved smooth."""
+    fit_error: float = np.inf
+    """95 % of contacts left out of the fit lie closer to it than this, in the recording's unit."""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -17,6 +17,8 @@ from scan3d.settings import Settings, as_dict
 Say = Callable[[str], None]
 Progress = Callable[[str, int, int], None]
 
+# Standard deviations by which noisy contacts may be off in the certificate.
+_NOISE_SIGMAS = 4.0
 # What `scan` and `reconstruct` may write into a folder besides their recording.
 _RESULTS = ("cloud.ply", "surface.ply", "report.json", "cloud.png", "surface.png", "view.html")
 _RECORDING = ("recording.csv", "recording.toml")
@@ -109,6 +111,7 @@ def _results(
     """
     from scan3d import cloud as clouds
     from scan3d import reports, surfaces
+    from scan3d.bracket import bracket, certificate
     from scan3d.comparison import compare, distances
     from scan3d.reconstruction import reconstruct
     from scan3d.recording import write_recording
@@ -116,7 +119,10 @@ def _results(
     with clock("reconstruct"):
         cloud = reconstruct(recording)
     with clock("surface"):
-        surface = surfaces.surface(cloud)
+        surface = surfaces.surface(cloud, settings["method"])
+    with clock("certificate"):
+        inside = bracket(cloud, _NOISE_SIGMAS * cloud.noise)
+        certified = certificate(inside, surface)
     error, found = None, None
     if body is not None:
         with clock("compare"):
@@ -131,7 +137,7 @@ def _results(
             write_recording(recording, place / _RECORDING[0])
             files = [*_RECORDING, *files]
         write_whole(place / "cloud.ply", ply(clouds.table(cloud, error), comments=comment))
-        write_whole(place / "surface.ply", ply(surfaces.table(surface), surface.faces, comments=comment))
+        write_whole(place / "surface.ply", ply(surfaces.table(surface, certified[1]), surface.faces, comments=comment))
     with clock("pictures"):
         files += _pictures(place, cloud, surface, body, say)
     data = reports.report(
@@ -139,7 +145,8 @@ def _results(
         recording=recording,
         cloud=cloud,
         surface=surface,
-        method=("hull", "the convex hull of the contacts"),
+        certificate=certified[0],
+        bracket=inside,
         timings_s=clock.seconds,
         files=[*files, "report.json"],
         mesh=body,

@@ -45,8 +45,7 @@ RELATIVE_GAP = 1e-3  # of the distance: certified bounds this close are close en
 ABSOLUTE_GAP = 1e-9  # of the diagonal: likewise
 MAX_SPLITS = 40_000  # per direction, a fraction of a second; beyond it the bounds stay honest, only wider
 BATCH = 4096
-SAMPLES = 10_000  # per direction, for the averages
-PIECES = 20_000  # at most, that long faces are cut into for searching
+SAMPLES = 20_000  # per direction, for the averages
 AVERAGE_GAP = 0.05  # of the distance: certain for each point of an average; in fact it is about its square
 F_SCORE_RADIUS = 0.01  # of the mesh's diagonal
 
@@ -105,7 +104,7 @@ class _Body:
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     """Compare a reconstructed surface with the true mesh.
 
-    Either may be open, non-convex or in several parts.  Averages are taken over at most 10 000 points a side, spread by
+    Either may be open, non-convex or in several parts.  Averages are taken over at most 20 000 points a side, spread by
     area and without chance: the same meshes give the same figures.  Normals point where the faces' winding says.
     Raises InputError if either has no faces, coordinates that aren't finite, or no extent.
     Method: see the module's docstring.
@@ -160,11 +159,11 @@ def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index]:
     centre, scale = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
     vertices, faces = _welded(mesh, centre, scale)
     points = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre) / scale
-    distance, face = _Search(vertices[faces], len(faces) + min(len(points), PIECES)).nearest(points)
-    planes = _planes(vertices)
-    for some in np.array_split(np.arange(len(points)), 1 + len(points) * len(planes) // 4_000_000):
-        inside = (points[some] @ planes[:, :3].T <= planes[:, 3]).all(axis=1) & (len(planes) > 0)
-        distance[some] *= np.where(inside, -1, 1)
+    corners = vertices[faces]
+    face, foot = _locator(corners)(points)
+    # a point lies on the far side of its foot from the middle exactly if it is outside
+    outside = _dot(points - foot, vertices.mean(axis=0) - foot) < 0
+    distance = np.where(outside, 1.0, -1.0) * _distance(points, corners[face])
     return distance * scale, face
 
 
@@ -225,13 +224,19 @@ def _prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> _Body:
     volume = abs(float(_dot(corners[:, 0], cross).sum())) / 6 if closed else np.nan
     planes, slack = _against_hull(vertices, corners, normals, closed)
 
-    search = _Search(corners, len(corners) + PIECES)
-    return _Body(vertices, faces, corners, normals, volume, planes, slack, *_spread(corners), search)
+    return _Body(vertices, faces, corners, normals, volume, planes, slack, *_spread(corners), _Search(corners))
 
 
 def _spread(corners: Array) -> tuple[Array, Index, Array]:
     """Points (q, 3) all over triangles (m, 3, 3), which triangle each is on, and its share of the area."""
-    pieces, owner = _pieces(corners, SAMPLES)
+    pieces, owner = corners, np.arange(len(corners))
+    while True:  # cut the long ones
+        length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
+        long = length > length.max() / 2
+        if len(pieces) + np.count_nonzero(long) > SAMPLES:
+            break
+        pieces = np.concatenate([pieces[~long], _halve(pieces[long])[0]])
+        owner = np.concatenate([owner[~long], owner[long], owner[long]])
     area = _areas(pieces)
     share = np.cumsum(area if area.any() else np.ones(len(pieces)))
     share /= share[-1]
@@ -428,39 +433,24 @@ def _halve(corners: Array) -> tuple[Array, Index]:
     return np.take_along_axis(halves, turn[:, :, None], axis=1), turn
 
 
-def _pieces(corners: Array, most: int) -> tuple[Array, Index]:
-    """Triangles cut until none is much longer than the rest, or there are so many, and which each is a piece of."""
-    pieces, owner = corners, np.arange(len(corners))
-    while True:
-        length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
-        long = length > length.max() / 2
-        if len(pieces) + np.count_nonzero(long) > most:
-            return pieces, owner
-        pieces = np.concatenate([pieces[~long], _halve(pieces[long])[0]])
-        owner = np.concatenate([owner[~long], owner[long], owner[long]])
-
-
 class _Search:
     """Nearest of triangles (m, 3, 3), longest edge first."""
 
-    def __init__(self, corners: Array, most: int) -> None:
-        """Searches for pieces, `most` of them, because long triangles slow it."""
+    def __init__(self, corners: Array) -> None:
+        middles = corners.mean(axis=1)
         self._corners = corners
-        pieces, self._owner = _pieces(corners, most)
-        middles = pieces.mean(axis=1)
-        self._radius = float(np.linalg.norm(pieces - middles[:, None], axis=2).max())
+        self._radius = float(np.linalg.norm(corners - middles[:, None], axis=2).max())
         self._tree = cKDTree(middles, balanced_tree=False)  # balancing is slow where many share a coordinate
-        self._locate = _locator(pieces)
+        self._locate = _locator(corners)
 
     def near(self, points: Array) -> tuple[Array, Index, Array]:
         """Distance (p,) of points (p, 3) to a triangle near by, which, and a lower bound of that to the nearest."""
-        to_middle, piece = self._tree.query(points, k=[1, 2, 3, 4][: self._tree.n], workers=-1)
-        face = self._owner[piece]
+        to_middle, face = self._tree.query(points, k=[1, 2, 3, 4][: self._tree.n], workers=-1)
         return *_least(_distance(points[:, None], self._corners[face]), face), to_middle[:, 0] - self._radius
 
     def nearest(self, points: Array) -> tuple[Array, Index]:
         """Distance (p,) of points (p, 3) to the nearest triangle, to rounding, and which; slower."""
-        face = self._owner[self._locate(points)]
+        face, _ = self._locate(points)
         return _distance(points, self._corners[face]), face
 
 
@@ -487,8 +477,8 @@ def _distance(points: Array, corners: Array) -> Array:
     return np.minimum(np.minimum(to_plane, to_edge(r, e)), np.minimum(to_edge(r, f), to_edge(points - b, c - b)))
 
 
-def _locator(triangles: Array) -> Callable[[Array], Index]:
-    """A function from points (p, 3) to the nearest of some triangles, longest edge first."""
+def _locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
+    """A function from points (p, 3) to the nearest of some triangles, longest edge first, and the nearest points (p, 3)."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import reference, vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkGenericCell, vtkPolyData, vtkStaticCellLocator
@@ -512,15 +502,15 @@ def _locator(triangles: Array) -> Callable[[Array], Index]:
     locator.SetDataSet(data)
     locator.BuildLocator()
 
-    def nearest(queries: Array) -> Index:
-        found = np.empty(len(queries), dtype=np.int64)
+    def nearest(queries: Array) -> tuple[Index, Array]:
+        found, feet = np.empty(len(queries), dtype=np.int64), np.empty((len(queries), 3))
         closest, cell = [0.0] * 3, vtkGenericCell()
         at: Any = reference(0)
         part: Any = reference(0)
         squared: Any = reference(0.0)
         for i, query in enumerate(queries.tolist()):
             locator.FindClosestPoint(query, closest, cell, at, part, squared)
-            found[i] = at
-        return order[found]
+            found[i], feet[i] = at, closest
+        return order[found], feet
 
     return nearest

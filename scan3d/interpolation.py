@@ -82,13 +82,22 @@ def _between(
         center = _hermite(t, step, centers[i], centers[i + 1], center_slopes[i], center_slopes[i + 1])
         value = normals @ center + np.sqrt(np.maximum(squared, 0.0))
         least = h[0] + t * step * secant
-        most = np.minimum(h[0] + t * step * np.maximum(before, secant), h[1] - (1 - t) * step * np.minimum(after, secant))
+        most = np.minimum(
+            h[0] + t * step * np.maximum(before, secant), h[1] - (1 - t) * step * np.minimum(after, secant)
+        )
         found.append(_outline(normals, np.clip(value, least, most), center, z[i] + t * step))
     return found
 
 
 def _past(
-    layers: list[Layer], lean: list[_Lean], z: Array, centers: Array, center_slopes: Array, end: int, behind: int, limit: float
+    layers: list[Layer],
+    lean: list[_Lean],
+    z: Array,
+    centers: Array,
+    center_slopes: Array,
+    end: int,
+    behind: int,
+    limit: float,
 ) -> list[Array]:
     """Slices on the way from an end slice to the pole; none if the body does not close before the limit."""
     angle, normals = _normals(layers[end])

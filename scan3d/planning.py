@@ -103,7 +103,7 @@ class Plan:
         given = [_AXES.get(letter, ()) for letter in self.axis] if isinstance(self.axis, str) else [self.axis]
         vectors = [np.asarray(vector, dtype=float) for vector in given]
         good = all(v.shape == (3,) and np.isfinite(v).all() and np.linalg.norm(v) > 0 for v in vectors)
-        if not vectors or not good or len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str):
+        if not vectors or not good or (len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str)):
             raise InputError(
                 f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
                 f"got {self.axis!r}"
@@ -160,7 +160,7 @@ def next_heights(known: Array, corners: Array, gaps: Array, count: int) -> Array
         # corners on an empty slice belong to the cap before it
         on_end = np.abs(corners - known[end]) <= 1e-12 * size
         slab, inside = np.where(on_end, last, slab), inside | on_end
-    chosen = []
+    chosen: list[tuple[int, float]] = []
     order = np.argsort(-np.where(inside, gaps, -1.0), kind="stable")
     for i in order:
         if len(chosen) == count or not inside[i] or gaps[i] <= 0:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from scan3d.cloud import Cloud, NormalSource, contacts
 from scan3d.layers import height_slopes, stacks
@@ -15,7 +16,7 @@ from scan3d.support import SupportFit, fit_support
 Array = NDArray[np.float64]
 
 # Degrees of the harmonic series that are tried, until contacts left out are met no better.
-DEGREES = (8, 12, 16, 20)
+DEGREES = (8, 12, 16)
 # One contact in so many is left out of a trial.
 _HELD_OUT = 10
 # A further degree must lower the error at least so much to be worth it.
@@ -33,8 +34,8 @@ def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
     Raises InputError if the recording has no contact.
     """
     cloud = _with_slice_normals(contacts(recording, method))
-    fitted = smooth_fit(cloud)
-    return cloud if fitted is None else _with_fitted_normals(cloud, fitted[0])
+    found = smooth_fit(cloud)
+    return cloud if found is None else _with_fit(cloud, *found)
 
 
 def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
@@ -82,11 +83,10 @@ def _with_slice_normals(cloud: Cloud) -> Cloud:
     return replace(cloud, normals=normals, normal_source=source)
 
 
-def _with_fitted_normals(cloud: Cloud, fitted: SupportFit) -> Cloud:
+def _with_fit(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
     """Normals of the fitted body, at tip contacts as well: from those of the contacts nearest to them."""
-    from scipy.spatial import cKDTree
-
     known = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
     near = known[cKDTree(cloud.points[known]).query(cloud.points)[1]]
     normals = fitted.normals(cloud.points, cloud.normals[near])
-    return replace(cloud, normals=normals, normal_source=np.full(len(cloud), NormalSource.FIT, dtype=np.int8))
+    source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
+    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * _mean_radius(fitted))

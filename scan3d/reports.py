@@ -8,13 +8,17 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 import planar
+from scan3d.bracket import Bracket, Gap
 from scan3d.cloud import Array, Cloud
 from scan3d.comparison import Comparison
 from scan3d.recording import Recording
 
 SCHEMA = 1
+# Directions, spread evenly over the sphere, at which the coverage of normals is looked up.
+_DIRECTIONS = 5000
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
@@ -24,7 +28,8 @@ def report(
     recording: Recording,
     cloud: Cloud,
     surface: Any,
-    method: tuple[str, str],
+    certificate: float,
+    bracket: Bracket,
     timings_s: Mapping[str, float],
     files: list[str],
     mesh: Any = None,
@@ -62,9 +67,11 @@ def report(
             "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
         },
         "hausdorff": _hausdorff(comparison, unit),
+        "certificate": _certificate(certificate, bracket, cloud),
+        "coverage": _coverage(cloud),
         "surface": {
-            "method": method[0],
-            "reason": method[1],
+            "method": surface.metadata["method"],
+            "reason": surface.metadata["reason"],
             "watertight": bool(surface.is_watertight),
             "faces": len(surface.faces),
             "volume": float(surface.volume),
@@ -93,6 +100,30 @@ def _contact_error(errors: Array | None, rod_length: float, unit: str) -> dict[s
         return None
     most, rms = float(errors.max()), float(np.sqrt(np.mean(errors**2)))
     return {"max": most, "rms": rms, "unit": unit, "max_rod_lengths": most / rod_length}
+
+
+def _certificate(bound: float, bracket: Bracket, cloud: Cloud) -> dict[str, Any]:
+    """What touch alone guarantees, relative to the diagonal of the contacts' bounding box."""
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    return {
+        "bound": bound,
+        "relative": bound / diagonal,
+        "unit": cloud.unit,
+        "hull_bound": bracket.bound,
+        "parts": {gap.name.lower(): bracket.part(gap) for gap in Gap} | {"noise": bracket.margin},
+        "volume": list(bracket.volume),
+    }
+
+
+def _coverage(cloud: Cloud) -> dict[str, Any]:
+    """Share of the sphere of normals within 5° of a contact's, by as many directions spread evenly over it."""
+    known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
+    if not len(known):
+        return {"normals": 0.0}
+    turn = np.arange(_DIRECTIONS) + 0.5
+    z, angle = 1 - 2 * turn / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * turn
+    sphere = np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
+    return {"normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(2.5))))}
 
 
 def _hausdorff(found: Comparison | None, unit: str) -> dict[str, Any] | None:
@@ -136,6 +167,10 @@ def summary(data: Mapping[str, Any]) -> str:
         lines.append(
             f"Hausdorff distance {hausdorff['two_sided']:.4g} {hausdorff['unit']} ({hausdorff['relative']:.1e} of the diagonal)"
         )
+    certified = data["certificate"]
+    if certified["bound"] is not None and np.isfinite(certified["bound"]):
+        bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
+        lines.append(f"certified          within {bound}, from touch alone")
     return "\n".join(lines)
 
 

@@ -30,6 +30,8 @@ class Settings:
     friction: str = "0.3"
     rod: str = "auto"
     clearance: float = 0.3
+    standoff: str = "follow"
+    tolerance: float = 0.0
     noise: float = 0.0
     seed: int = 0
     unit: str = "mm"
@@ -53,6 +55,8 @@ class Settings:
             samples=self.samples,
             friction=_friction(self.friction),
             clearance=self.clearance,
+            standoff=self.standoff,
+            tolerance=self.tolerance,
             rod=parse_rod(self.rod),
             noise=self.noise,
             seed=self.seed,

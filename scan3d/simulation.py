@@ -115,10 +115,8 @@ class _Axis:
     def _approach(self, slice_: int, number: int, angle: float, polygon: Array) -> _Approach:
         y = np.array([np.cos(angle), np.sin(angle)])
         x = np.array([y[1], -y[0]])
-        if self.plan.standoff == "fixed":
-            outline = self.mesh.vertices.view(np.ndarray) @ self.frame[:2].T
-        else:
-            outline = polygon
+        fixed = self.plan.standoff == "fixed"
+        outline = self.mesh.vertices.view(np.ndarray) @ self.frame[:2].T if fixed else polygon
         # the base line's origin lies below the middle of the outline's box, which keeps the coordinates small
         middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
         depth = ((outline - middle) @ y).min() - self.plan.clearance * self.length

@@ -15,7 +15,9 @@ harmonics and of their gradients are the standard ones, in Cartesian coordinates
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +27,15 @@ from scipy.spatial import ConvexHull
 Array = NDArray[np.float64]
 
 # Contacts used for a fit: far more than coefficients, spread over all slices.
-_MOST_CONTACTS = 8000
+_MOST_CONTACTS = 6000
 # Rounds in which the normals follow the fit; they converge by a factor of ten or more in each.
-_ROUNDS = 4
+_ROUNDS = 3
+# Steps in which directions follow the fit, damped: where the body is flatter than the ball a full step would overshoot.
+_TURNS, _DAMPING = 3, 0.8
 # Weight of a contact's place along the surface against its distance from it: at first the normals are rough.
 _PLACE_WEIGHT = (0.1, 0.02)
 # Points that are evaluated at once, to bound the memory.
-_BLOCK = 2000
+_BLOCK = 1000
 # Keeps coefficients that the contacts hardly determine from growing; far below rounding of anything they do determine.
 _RIDGE = 1e-11
 
@@ -61,7 +65,7 @@ class SupportFit:
 
     def _gradient(self, directions: Array) -> Array:
         parts = np.array_split(directions, max(1, len(directions) // _BLOCK))
-        return np.concatenate([np.einsum("nkc,c->nk", harmonics(part, self.degree)[1], self.coefficients) for part in parts])
+        return np.concatenate([np.tensordot(self.coefficients, harmonics(part, self.degree)[1], 1).T for part in parts])
 
 
 def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
@@ -78,10 +82,11 @@ def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
             part = slice(first, first + _BLOCK)
             value, gradient = harmonics(directions[part], degree)
             across = _tangents(directions[part])
-            rows = np.concatenate([value, *(weight * np.einsum("nk,nkc->nc", t, gradient) for t in across)])
-            aims = [(mapped[part] * directions[part]).sum(axis=1), *(weight * (mapped[part] * t).sum(axis=1) for t in across)]
-            normal_matrix += rows.T @ rows
-            right += rows.T @ np.concatenate(aims)
+            rows = np.hstack([value, *(weight * (gradient * t.T).sum(axis=1) for t in across)])
+            here = mapped[part]
+            aims = [(here * directions[part]).sum(axis=1), *(weight * (here * t).sum(axis=1) for t in across)]
+            normal_matrix += rows @ rows.T
+            right += rows @ np.concatenate(aims)
         normal_matrix.flat[:: len(right) + 1] += _RIDGE * np.trace(normal_matrix) / len(right)
         coefficients = cho_solve(cho_factor(normal_matrix), right)
         fitted = SupportFit(degree, center, shape, coefficients, 0.0)
@@ -91,7 +96,7 @@ def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
 
 
 def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
-    """Values (n, c) and gradients (n, 3, c) at unit vectors u (n, 3) of the functions ``|u|^(1-l) R_lm``, l <= degree."""
+    """Values (c, n) and gradients (c, 3, n) at unit vectors u (n, 3) of the functions ``|u|^(1-l) R_lm``, l <= degree."""
     x, y, z = u.T
     xy = x + 1j * y
     level = {(0, 0): np.ones(len(u), dtype=complex)}
@@ -103,34 +108,29 @@ def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
             above = (2 * n - 1) * z * level[n - 1, m] - np.sqrt((n - 1) ** 2 - m * m) * level[n - 2, m]
             level[n, m] = above / np.sqrt(n * n - m * m)
     count = (degree + 1) ** 2
-    value, gradient = np.empty((len(u), count)), np.empty((len(u), 3, count))
+    value, gradient = np.empty((count, len(u))), np.empty((count, 3, len(u)))
     zero = np.zeros(len(u), dtype=complex)
-    column = 0
+    row = 0
     for n in range(degree + 1):
         for m in range(n + 1):
             here = level[n, m]
             plus = -np.sqrt((n - m) * (n - m - 1)) * level.get((n - 1, m + 1), zero)  # (∂x + i∂y) R
-            if m:
-                minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1]  # (∂x - i∂y) R
-            else:
-                minus = np.conj(plus)
+            minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else np.conj(plus)  # (∂x - i∂y) R
             slopes = ((plus + minus) / 2, (plus - minus) / 2j, np.sqrt(n * n - m * m) * level.get((n - 1, m), zero))
             for part in ("real", "imag") if m else ("real",):
-                value[:, column] = getattr(here, part)
+                value[row] = getattr(here, part)
                 for axis, slope in enumerate(slopes):
-                    gradient[:, axis, column] = getattr(slope, part) + (1 - n) * value[:, column] * u[:, axis]
-                column += 1
+                    gradient[row, axis] = getattr(slope, part) + (1 - n) * value[row] * u[:, axis]
+                row += 1
     return value, gradient
 
 
-def _follow(gradient: object, points: Array, directions: Array) -> Array:
+def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) -> Array:
     """Directions whose points on the fitted body lie closest below the given ones: near a ball the offset is the turn."""
-    assert callable(gradient)
-    for _ in range(4):
+    for _ in range(_TURNS):
         offset = points - gradient(directions)
         offset -= (offset * directions).sum(axis=1, keepdims=True) * directions
-        # damped: where the body is flatter than the ball, the full step would overshoot
-        directions = _unit(directions + 0.7 * offset)
+        directions = _unit(directions + _DAMPING * offset)
     return directions
 
 
@@ -154,5 +154,5 @@ def _tangents(u: Array) -> tuple[Array, Array]:
     return first, np.cross(u, first)
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Any) -> Array:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

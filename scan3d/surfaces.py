@@ -10,10 +10,41 @@ from scipy.spatial import ConvexHull, QhullError
 from scan3d.cloud import Array, Cloud
 from scan3d.errors import InputError
 
+METHODS = ("auto", "hull", "support")
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.
+_SUBDIVISIONS = 6
 
-def surface(cloud: Cloud) -> Any:
-    """Closed surface of a convex body from its contacts: a `trimesh.Trimesh`, outward, in the cloud's unit."""
-    return hull(cloud.points)
+
+def surface(cloud: Cloud, method: str = "auto") -> Any:
+    """Closed surface of a convex body from its contacts: a `trimesh.Trimesh`, outward, in the cloud's unit.
+
+    method
+        'hull': the convex hull of the contacts, never outside the body; 'support': the body of the support function fitted
+        to them, for smooth bodies; 'auto': 'support' for a smooth body whose fit meets contacts left out of it, else 'hull'.
+
+    `metadata` says which `method` it was, and for what `reason`.  Raises InputError for an unknown method, for contacts that
+    span no body, and for 'support' where the body is not smooth.
+    """
+    if method not in METHODS:
+        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if method == "support" and cloud.fit is None:
+        raise InputError(
+            "the body is not smooth enough for the method support, or has too few contacts; use auto or hull"
+        )
+    if method == "hull" or cloud.fit is None:
+        chosen = "as asked for" if method == "hull" else "the body is not smooth, or has too few contacts for a fit"
+        found = hull(cloud.points)
+        found.metadata.update(method="hull", reason=f"convex hull of the contacts: {chosen}")
+        return found
+    from trimesh.creation import icosphere
+
+    found = hull(cloud.fit.points(icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)))
+    found.metadata.update(
+        method="support",
+        reason=f"support function of degree {cloud.fit.degree}: the body is smooth, 95 % of the contacts left out of the fit "
+        f"lie within {cloud.fit_error:.2g} {cloud.unit} of it",
+    )
+    return found
 
 
 def hull(points: Array) -> Any:
@@ -38,12 +69,15 @@ def hull(points: Array) -> Any:
     return trimesh.Trimesh(points[kept], faces.reshape(-1, 3), process=False)
 
 
-def table(surface: Any) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Vertices with their normals as a structured array, as `files.ply` writes them."""
-    rows = np.empty(
-        len(surface.vertices), dtype=[(name, "f8") for name in "xyz"] + [(f"n{name}", "f4") for name in "xyz"]
-    )
-    for columns, values in (("x y z", surface.vertices), ("nx ny nz", surface.vertex_normals)):
+def table(surface: Any, bound: Array) -> np.ndarray[Any, np.dtype[np.void]]:
+    """Vertices with their normals and the certified local bound (v,) as a structured array, as `files.ply` writes them."""
+    names = [(name, "f8") for name in "xyz"] + [(f"n{name}", "f4") for name in "xyz"] + [("bound", "f4")]
+    rows = np.empty(len(surface.vertices), dtype=names)
+    for columns, values in (
+        ("x y z", surface.vertices),
+        ("nx ny nz", surface.vertex_normals),
+        ("bound", bound[:, None]),
+    ):
         for column, value in zip(columns.split(), np.asarray(values).T, strict=True):
             rows[column] = value
     return rows

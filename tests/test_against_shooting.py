@@ -83,9 +83,7 @@ def test_collocation():
     previous = None
     for i, state in enumerate(march(CIRCLE, 0.3, swept)):
         start = previous if previous and previous.state.phase == state.phase else state
-        previous = shooting.solve_by_collocation(
-            shooting.along(CIRCLE), 0.3, swept.x0[i], state.phase, start, tol=1e-8
-        )
+        previous = shooting.solve_by_collocation(shooting.along(CIRCLE), 0.3, swept.x0[i], state.phase, start, tol=1e-8)
         assert previous.values.shape == (4, len(previous.mesh))
         assert_agree(previous.state, swept, i, tolerance=1e-7)
 

@@ -49,16 +49,16 @@ def test_frames_are_orthonormal_right_handed_with_z_along_the_axis(axis):
 
 
 def test_the_frame_of_the_z_axis_is_the_worlds():
-    assert np.array_equal(slice_frame(Plan().axis_vector()), np.eye(3))
+    assert np.array_equal(slice_frame(Plan().axes()[0]), np.eye(3))
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_the_named_axes(axis):
-    assert np.array_equal(Plan(axis=axis).axis_vector(), np.eye(3)["xyz".index(axis)])
+    assert np.array_equal(Plan(axis=axis).axes()[0], np.eye(3)["xyz".index(axis)])
 
 
 def test_the_axis_has_unit_length():
-    assert Plan(axis=(1, 1, 0)).axis_vector() == pytest.approx([math.sqrt(0.5), math.sqrt(0.5), 0], abs=1e-15)
+    assert Plan(axis=(1, 1, 0)).axes() == pytest.approx(np.array([[math.sqrt(0.5), math.sqrt(0.5), 0]]), abs=1e-15)
 
 
 @pytest.mark.parametrize("sweeps", [1, 4, 7])
@@ -127,7 +127,7 @@ def test_without_a_tangential_contact_there_is_nothing_to_go_by():
         (dict(samples=1), "samples must be a whole number of at least 2, got 1"),
         (dict(seed=-1), "seed must be a whole number of at least 0, got -1"),
         (dict(sweeps=0), "sweeps must be a whole number of at least 1, got 0"),
-        (dict(spacing="random"), "spacing must be one of cosine, uniform, got 'random'"),
+        (dict(spacing="random"), "spacing must be one of cosine, uniform, adaptive, got 'random'"),
         (dict(unit="furlong"), "unit must be one of m, cm, mm, um, in, got 'furlong'"),
         (dict(friction=-0.1), "friction must be a number >= 0 or a rising range LOW:HIGH of such, got -0.1"),
         (dict(friction=math.nan), "friction must be .*, got nan"),
@@ -139,7 +139,12 @@ def test_without_a_tangential_contact_there_is_nothing_to_go_by():
         (dict(clearance=0.0), "clearance must lie between 0 and 1 rod lengths, got 0.0"),
         (dict(clearance=1.0), "clearance must lie between 0 and 1 rod lengths, got 1.0"),
         (dict(clearance=math.nan), "clearance must lie between 0 and 1 rod lengths, got nan"),
-        (dict(axis="w"), "axis must be x, y, z or a vector of three numbers that is not zero, got 'w'"),
+        (dict(standoff="near"), "standoff must be one of follow, fixed, got 'near'"),
+        (dict(tolerance=-1e-3), "tolerance must be a number >= 0, got -0.001"),
+        (dict(tolerance=math.nan), "tolerance must be a number >= 0, got nan"),
+        (dict(axis="w"), "axis must be x, y, z, several .*, or a vector of three numbers that is not zero, got 'w'"),
+        (dict(axis=""), "axis must be .*, got ''"),
+        (dict(axis="xyx"), "axis must be .*, got 'xyx'"),
         (dict(axis=(0, 0, 0)), r"axis must be .*, got \(0, 0, 0\)"),
         (dict(axis=(1, 0)), r"axis must be .*, got \(1, 0\)"),
         (dict(axis=(1, 0, math.nan)), r"axis must be .*, got \(1, 0, nan\)"),

@@ -87,15 +87,15 @@ def as_in_the_file(path):
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
 
 
-def drawn_friction(recording, sweeps):
-    """(n,) coefficients drawn for the recording's samples, found by the forces that `sweeps` had with them."""
+def drawn_friction(recording, rows, sweeps):
+    """(n,) coefficients drawn for rows of the recording, found by the forces that `sweeps` had with them."""
     unit = recording.rod.force_unit_N
     of = {
         np.array([x * unit, y * unit]).tobytes(): mu
         for s in sweeps
         for x, y, mu in zip(s.f0x, s.f0y, s.friction, strict=True)
     }
-    return np.array([of[row.tobytes()] for row in np.ascontiguousarray(recording.force_N)])
+    return np.array([of[row.tobytes()] for row in recording.force_N[rows]])
 
 
 def places(mesh, **plan):
@@ -126,13 +126,14 @@ def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(pat
     recording, cloud = places(scan3d.load_mesh(path), slices=12, friction=(0.0, 0.4), seed=7)
 
     assert contour_errors(cloud, recording, *as_in_the_file(path)).max() <= EXACT
-    # every sample but each sweep's first, which only touches
-    assert len(cloud) >= len(recording) - 2 * len(watched_sweeps)
+    # every row with a force gives its contact: all but each sweep's first, which only touches, and some that have left
+    assert len(cloud) == np.any(recording.force_N != 0, axis=1).sum()
+    assert len(cloud) > 0.95 * sum(len(sweep) - 1 for sweep in watched_sweeps)
     assert len(np.unique(cloud.slice)) == 12
     assert set(cloud.phase) == {TIP, TANGENTIAL}
 
     lying = cloud.phase == TANGENTIAL
-    drawn = drawn_friction(recording, watched_sweeps)[rows_of(cloud, recording)]
+    drawn = drawn_friction(recording, rows_of(cloud, recording), watched_sweeps)
     assert cloud.friction[lying] == pytest.approx(drawn[lying], abs=1e-9)
     assert cloud.friction[lying].min() < 0.01
     assert cloud.friction[lying].max() > 0.39
@@ -194,18 +195,32 @@ def test_a_cube_turned_any_way_is_scanned_as_exactly(seed):
     recording, cloud = places(body, slices=12, friction=(0.0, 0.4))
     assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
 
-    # on edges of the contour, and at its corners
+    # on edges of the contour, and at its corners, where the contact stays while the rod turns about it
     corner = corners_of(cloud, recording, vertices, faces)
     assert 0 < (corner >= 0).sum() < len(cloud)
-    # at a corner the contact stays where it is while the rod turns about it ...
-    step = np.linalg.norm(np.diff(cloud.points, axis=0), axis=1) / cloud.rod_length
-    together = (np.diff(cloud.sweep) == 0) & (np.diff(rows_of(cloud, recording)) == 1)
-    stays = together & (step < EXACT)
+    stays = (np.diff(cloud.sweep) == 0) & (
+        np.linalg.norm(np.diff(cloud.points, axis=0), axis=1) < EXACT * cloud.rod_length
+    )
     assert stays.any()
     assert (corner[:-1][stays] >= 0).all()
-    # ... and from there it jumps along the next edge, further than it ever slides in a step
-    jumps = together & (step > 5 * np.median(step[together & ~stays]))
-    assert jumps.any()
+
+
+def test_the_rod_snaps_off_a_corner():
+    cube = scan3d.load_mesh(CUBE)
+    turn = Rotation.random(rng=np.random.default_rng(4)).as_matrix()
+    vertices, faces = cube.vertices @ turn.T, np.asarray(cube.faces)
+    largest = []
+    for samples in (500, 2000):
+        body = trimesh.Trimesh(vertices, faces, process=False)
+        recording, cloud = places(body, slices=6, sweeps=6, friction=0.0, samples=samples)
+        assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
+        step = np.where(np.diff(cloud.sweep) == 0, np.linalg.norm(np.diff(cloud.points, axis=0), axis=1), 0.0)
+        snaps = (corners_of(cloud, recording, vertices, faces)[:-1] >= 0) & (cloud.phase[:-1] == TANGENTIAL)
+        snaps &= cloud.phase[1:] == TIP
+        largest.append(step[snaps].max() / cloud.rod_length)
+    # four times the samples, and the jump is as far
+    assert largest[0] > 0.1
+    assert largest[1] == pytest.approx(largest[0], rel=0.1)
 
 
 # --- the way through files ---
@@ -402,7 +417,7 @@ def test_noise_gives_errors_of_its_size():
     tip = truth.phase[its] == TIP
     assert (cloud.phase[mine][tip] == TANGENTIAL).mean() < 0.01
     assert np.sqrt(np.mean(errors[mine][tip] ** 2)) < 0.004
-    assert errors.max() < 0.03
+    assert errors.max() < 0.05
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1])
@@ -416,10 +431,11 @@ def test_much_noise_still_gives_a_body(noise):
 
 def test_a_fixed_number_of_sweeps_goes_evenly_round():
     recording = scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=4, samples=10))
-    assert np.array_equal(recording.sweep, np.repeat(np.arange(12), 10))
-    rods = recording.axes()[::10, 1].reshape(3, 4, 3)
-    assert rods == pytest.approx(np.broadcast_to([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], (3, 4, 3)), abs=1e-12)
-    assert np.array_equal(recording.axes()[:, 2], np.broadcast_to([0.0, 0, 1], (120, 3)))
+    # three slices, and one that finds nothing beyond either end
+    assert np.array_equal(recording.sweep, np.repeat(np.arange(20), 10))
+    rods = recording.axes()[::10, 1].reshape(5, 4, 3)
+    assert rods == pytest.approx(np.broadcast_to([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], (5, 4, 3)), abs=1e-12)
+    assert recording.axes()[:, 2] == pytest.approx(np.broadcast_to([0.0, 0, 1], (200, 3)), abs=1e-15)
 
 
 def test_a_rod_that_fits():
@@ -454,19 +470,23 @@ def test_any_clearance(clearance):
 
 def test_a_body_that_no_slice_meets(monkeypatch):
     monkeypatch.setattr(simulation, "slice_polygons", lambda mesh, frame, levels: [np.empty((0, 2))] * len(levels))
-    with pytest.raises(scan3d.InputError, match="no slice meets the body; take more slices"):
+    with pytest.raises(
+        scan3d.InputError, match="the body is too thin to be sliced along this axis; choose another one"
+    ):
         scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=2))
 
 
-def test_slices_that_miss_the_body_are_left_out(monkeypatch):
-    original = simulation.slice_polygons
-
-    def all_but_the_first(mesh, frame, levels):
-        return [np.empty((0, 2)), *original(mesh, frame, levels)[1:]]
-
-    monkeypatch.setattr(simulation, "slice_polygons", all_but_the_first)
-    recording = scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=4, samples=10))
-    assert len(np.unique(recording.sweep)) == 8
+def test_sweeps_that_find_nothing_are_data():
+    mesh = scan3d.load_mesh(CUBE)  # 40 mm, about the origin
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=3, sweeps=4, samples=10))
+    height = recording.position_m[:, 2] * 1e3
+    beyond = np.abs(height) > 20
+    assert (recording.force_N[beyond] == 0).all()
+    assert (recording.moment_Nm[beyond] == 0).all()
+    for side in (height > 20, height < -20):
+        assert side.sum() == 4 * 10
+    # the first sample of a sweep only touches
+    assert (np.any(recording.force_N != 0, axis=1)[~beyond].reshape(-1, 10)[:, 1:]).all()
 
 
 def test_progress_counts_the_slices():

@@ -160,7 +160,7 @@ def forward(contacts: int) -> list[Line]:
         ("closed form, friction per sample", len(part), (np.nan, unsettled(varied))),
         ("shooting, rtol=1e-13", len(few), (distance(shot), unsettled(solved_states(shot)))),
         (
-            f"solve_bvp, tol={BVP_TOLERANCE:g}",
+            f"solve_bvp, tol={BVP_TOLERANCE:g} ({sum(state.success for state in collocated)} solved)",
             len(many),
             (distance(collocated), unsettled(solved_states(collocated))),
         ),
