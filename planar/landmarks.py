@@ -67,7 +67,7 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     In tip contact on a polygon the rod snaps around every corner; these snaps are small where the polygon is fine.
     Raises ValueError as `planar.sweep` does.
     """
-    if not (np.isfinite(friction) and friction >= 0):
+    if np.ndim(friction) or not (np.isfinite(friction) and friction >= 0):
         raise ValueError(f"friction must be one number >= 0, got {friction}")
     if direction not in (-1, 1):
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")

@@ -57,7 +57,7 @@ class Status(IntEnum):
 
 _SENTENCES = {
     Status.OK: "a contact",
-    Status.NO_FORCE: "nothing touches: there is no force, or a value is missing",
+    Status.NO_FORCE: "nothing touches: there is no force, or a value is missing or infinite",
     Status.WRONG_SIDE: "the clamping moment is that of a rod bent against the sweep; check its sign or the direction",
     Status.NO_ROD: "no rod has these reactions: the moment is more than the force can hold",
     Status.INFLECTION: "the rod would have to be pulled along the contour (a friction angle below 0), or it has an "
@@ -225,7 +225,7 @@ def _fill(
             (s1 > 1 + tolerance, Status.BEYOND_TIP),
             (complement < 0, Status.NO_ROD),
             (q <= 0, Status.WRONG_SIDE),
-            (~(f > 0) | np.isnan(moment) | np.isnan(x0), Status.NO_FORCE),
+            (~(f > 0) | ~np.isfinite(x0 + f + moment), Status.NO_FORCE),
         ):
             status[mask] = code
     good = status == Status.OK

@@ -94,7 +94,8 @@ def mirrored(contour: Contour) -> Contour:
     """The mirror image of a contour, x → -x."""
     if isinstance(contour, Polygon):
         return Polygon(contour.vertices * np.array([-1.0, 1.0]))
-    assert isinstance(contour, SmoothContour)
+    if not isinstance(contour, SmoothContour):
+        raise TypeError(f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}")
     return Mirrored(contour)
 
 
@@ -124,13 +125,19 @@ def sweep_all(
     """
     if (base is None) + (samples is None) + (shares is None) != 2:
         raise ValueError("a sweep needs either its base positions (base=) or their number (samples=), and not both")
-    if samples is not None and (isinstance(samples, bool) or samples != int(samples) or samples < 1):
-        raise ValueError(f"samples must be a whole number of at least 1, got {samples}")
+    whole = isinstance(samples, int | np.integer) and not isinstance(samples, bool)
+    if samples is not None and not (whole and samples >= 1):
+        raise ValueError(f"samples must be a whole number of at least 1, got {samples!r}")
     spread = np.linspace(0.0, 1.0, samples or 1) if shares is None else np.asarray(shares, dtype=float)
     if spread.ndim != 1 or not len(spread) or not (spread[0] >= 0 and spread[-1] <= 1 and (np.diff(spread) >= 0).all()):
         raise ValueError("shares must be numbers of shape (n,) that rise from 0 to 1")
     if len(friction) != len(contours) or (base is not None and len(base) != len(contours)):
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
+    for contour in contours:
+        if not isinstance(contour, Contour):
+            raise TypeError(
+                f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}"
+            )
     frictions = [_checked_friction(mu) for mu in friction]
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
@@ -44,10 +46,14 @@ _OPTIONS = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without µ is no failure
     try:
         arguments = _parser().parse_args(argv)
         code = int(arguments.run(arguments))
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed, as by >&-
+            sys.stdout.flush()
         return code
     except InputError as error:
         print(f"scan3d: {error}", file=sys.stderr)
@@ -57,9 +63,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         newline = "\n" if sys.stderr.isatty() else ""
         print(f"{newline}scan3d: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # the reader of a pipe has gone; keep Python from complaining about it at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        if not isinstance(error, BrokenPipeError):  # the reader of a pipe has gone: nobody to tell
+            where = "" if error.filename is None else f" ({error.filename})"
+            print(f"scan3d: {error.strerror or error}{where}", file=sys.stderr)
+        with suppress(OSError):  # what is left for stdout would make Python complain at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
 

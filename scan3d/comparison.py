@@ -71,7 +71,7 @@ class Comparison:
     p95: float  # 95 % of the area, weighted likewise, is no farther than this
     chamfer: float  # sum of the two directions' means
     f_score: float  # 0..1: harmonic mean of the shares of area within 1 % of the diagonal of the other
-    normal_median_deg: float  # angle between the normals at nearest points, over the area as above
+    normal_median_deg: float  # angle between the faces' normals at nearest points, over the area as above
     normal_p95_deg: float
     volume_error: float  # (surface - mesh) / mesh; NaN unless both are closed
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -38,12 +39,23 @@ NO_RENDERER = (
     "no pictures: nothing here can render off screen; on Debian or Ubuntu install it with "
     "'apt-get install libegl1 libgl1', then run again"
 )
-_SIZE = (1600, 1200)
+_WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+_SIZE = (1400, 1050)
 
 
 @functools.cache
 def can_render() -> bool:
     """Whether VTK can draw off screen on this machine, tried out in a child process."""
+    if sys.platform == "linux" and not os.environ.get("DISPLAY") and _WINDOW not in os.environ:
+        # without a display VTK tries X first, and complains
+        os.environ[_WINDOW] = "vtkEGLRenderWindow"
+        if _renders():
+            return True
+        del os.environ[_WINDOW]
+    return _renders()
+
+
+def _renders() -> bool:
     try:
         tried = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False)
     except (OSError, subprocess.TimeoutExpired):
@@ -81,12 +93,31 @@ def draw_surface(surface: Any, deviation: Array | None, unit: str, path: str | P
         title = f"signed deviation in {unit}"
         shape.cell_data[title] = deviation
         most = float(np.abs(deviation).max()) or 1.0
-        plotter.add_mesh(shape, scalars=title, cmap="RdBu_r", clim=(-most, most), scalar_bar_args=_bar(title))
+        plotter.add_mesh(
+            shape,
+            scalars=title,
+            cmap="RdBu_r",
+            clim=(-most, most),
+            ambient=0.4,
+            diffuse=0.7,
+            scalar_bar_args=_bar(title),
+        )
     _shoot(plotter, path, unit)
 
 
 def _bar(title: str) -> dict[str, Any]:
-    return dict(title=title, vertical=False, position_x=0.25, position_y=0.03, width=0.5, color="black", fmt="%.2g")
+    return dict(
+        title=title,
+        vertical=True,
+        position_x=0.86,
+        position_y=0.2,
+        width=0.06,
+        height=0.6,
+        color="black",
+        fmt="%.2g",
+        title_font_size=24,
+        label_font_size=22,
+    )
 
 
 def _plotter() -> Any:
@@ -98,20 +129,22 @@ def _plotter() -> Any:
 
 
 def _shoot(plotter: Any, path: str | Path, unit: str) -> None:
+    """A view from above the front, with the body's size at its axes."""
     plotter.show_bounds(
         color="black",
         xtitle=f"x in {unit}",
         ytitle=f"y in {unit}",
         ztitle=f"z in {unit}",
-        n_xlabels=3,
-        n_ylabels=3,
-        n_zlabels=3,
+        n_xlabels=2,
+        n_ylabels=2,
+        n_zlabels=2,
+        fmt="%.3g",
         font_size=20,
         location="outer",
     )
     plotter.enable_parallel_projection()
     plotter.view_vector((1.0, -1.3, 0.8))
-    plotter.camera.zoom(0.85)
+    plotter.camera.zoom(0.9)
     plotter.screenshot(str(path))
     plotter.close()
 

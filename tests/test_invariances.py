@@ -12,7 +12,8 @@ import planar
 from planar import Phase, equilibria
 
 AGREES = 1e-9
-few = settings(max_examples=30, deadline=None)
+few = settings(max_examples=20, deadline=None)
+fewer = settings(max_examples=8, deadline=None)
 
 frictions = st.one_of(st.just(0.0), st.floats(0.01, 2.0))
 angles = st.floats(-np.pi, np.pi)
@@ -114,7 +115,7 @@ def test_events_of_the_mirror_image(contour, friction):
     np.testing.assert_allclose(back.m0z, -there.m0z, rtol=1e-5, atol=1e-6)
 
 
-@few
+@fewer
 @given(contours, frictions, st.floats(-5.0, 5.0))
 def test_shift(contour, friction, shift):
     base = inner_base(contour, friction)
@@ -156,7 +157,7 @@ def test_contacts_scale_with_the_reactions(contour, friction, scale):
     np.testing.assert_allclose(part.friction_angle_bound, whole.friction_angle_bound, atol=1e-11)
 
 
-@few
+@fewer
 @given(ellipses(), frictions)
 def test_an_ellipse_by_other_parameters(ellipse, friction):
     (a, b), base = ellipse.semi_axes, inner_base(ellipse, friction)
@@ -167,7 +168,7 @@ def test_an_ellipse_by_other_parameters(ellipse, friction):
         assert_same(planar.sweep(other, friction, base=base), swept)
 
 
-@few
+@fewer
 @given(st.floats(0.02, 3.0), st.floats(0.05, 0.9), frictions)
 def test_a_circle_by_other_names(radius, gap, friction):
     center = (0.1, gap + radius)
@@ -209,8 +210,9 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
     )
     sagitta, edge = radius * (1 - np.cos(np.pi / count)), 2 * np.pi / count
     assert circle.distance(faceted.point).max() <= sagitta * (1 + 1e-9)
-    # a tip rests anywhere on the two edges next to its place, or snaps past them
-    assert np.abs(faceted.slope - smooth.slope).max() < 4 * edge
+    # the slope is that of the edge next to it, and a tip rests where on the edge it can
+    assert np.abs(faceted.slope - smooth.slope).max() < edge
+    assert np.linalg.norm(faceted.point - smooth.point, axis=1).max() < radius * edge
     same = faceted.phase == smooth.phase
     assert same.mean() > 0.9
     assert np.abs(faceted.m0z - smooth.m0z)[same].max() < 0.02
@@ -246,7 +248,7 @@ def test_the_same_friction_for_every_sample(contour, friction):
     assert_same(planar.sweep(contour, np.full(len(base), friction), base=base), swept)
 
 
-@few
+@fewer
 @given(contours, st.integers(0, 2**32 - 1))
 def test_friction_of_its_own_puts_a_sample_where_a_sweep_with_it_is(contour, seed):
     rng = np.random.default_rng(seed)
@@ -261,7 +263,7 @@ def test_friction_of_its_own_puts_a_sample_where_a_sweep_with_it_is(contour, see
         np.testing.assert_allclose(swept.m0z[i], alone.m0z[0], rtol=AGREES, atol=AGREES)
 
 
-@few
+@fewer
 @given(st.lists(contours, min_size=1, max_size=4), frictions)
 def test_sweeping_together_is_sweeping_alone(several, friction):
     bases = [inner_base(contour, friction, count=8) for contour in several]

@@ -1,0 +1,644 @@
+"""The command: what it prints and where, what it says to mistakes, and that it writes all or nothing."""
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan3d import InputError, commands, files, read_recording, views
+from scan3d.cli import main
+from scan3d.settings import METHODS, Settings, settings
+
+MESHES = Path(__file__).parents[1] / "meshes"
+CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
+COMMAND = Path(sys.executable).with_name("scan3d")
+# A scan of a moment.
+FEW = ("--slices", "3", "--sweeps", "4", "--samples", "8")
+RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
+PICTURES = {"cloud.png", "surface.png"}
+
+
+@pytest.fixture
+def call(capsys):
+    """Run the command in this process: (exit code, stdout, stderr)."""
+
+    def run(*arguments):
+        try:
+            code = main([str(argument) for argument in arguments])
+        except SystemExit as leaving:
+            code = leaving.code
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Pictures take longer than all the rest."""
+    monkeypatch.setattr(views, "can_render", lambda: False)
+
+
+def tree(folder):
+    """All that is in a folder, with contents."""
+    return {p.relative_to(folder): p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
+
+
+def assert_sentence(said, sentence):
+    """One line that says this, and nothing else."""
+    assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", said), said
+
+
+# --- mistakes ---
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory):
+    """A folder of files that can't be scanned."""
+    folder = tmp_path_factory.mktemp("bad")
+    (folder / "empty.stl").write_bytes(b"")
+    (folder / "letter.stl").write_text("Dear Sir or Madam,\n")
+    (folder / "letter.txt").write_text("Dear Sir or Madam,\n")
+    (folder / "binary.glb").write_bytes(bytes(range(256)))
+    trimesh.creation.torus(3.0, 1.0).export(folder / "torus.stl")
+    (folder / "flat.off").write_text("OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n")
+    (folder / "nan.off").write_text("OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 nan\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 2 0 3\n")
+    (folder / "open.off").write_text("OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 1 2 3\n")
+    for name, text in {
+        "unknown": "slises = 3\n",
+        "type": 'slices = "many"\n',
+        "whole": "slices = 3.5\n",
+        "flag": "hull = 1\n",
+        "text": "rod = true\n",
+        "broken": "slices = \n",
+        "value": "friction = -1\n",
+    }.items():
+        (folder / f"{name}.toml").write_text(text)
+    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    return folder
+
+
+@pytest.mark.parametrize("command", ["scan", "simulate"])
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("missing.stl", r"there is no mesh file missing\.stl in .*"),
+        ("empty.stl", r"empty\.stl is empty"),
+        ("letter.stl", r"letter\.stl (has no triangles|can't be read)"),
+        ("letter.txt", r"letter\.txt isn't a mesh file"),
+        ("binary.glb", r"binary\.glb can't be read as GLB"),
+        ("torus.stl", r"torus\.stl isn't convex: .*--hull"),
+        ("flat.off", r"flat\.off is flat"),
+        ("nan.off", r"nan\.off has vertices that are NaN or infinite"),
+        ("open.off", r"open\.off is open: .*--hull"),
+        ("", "is a folder, where a mesh file is expected"),
+    ],
+)
+def test_a_file_that_is_no_convex_body(call, bad, tmp_path, command, name, sentence):
+    out = tmp_path / "new" / ("out" if command == "scan" else "log.csv")
+    code, said, complained = call(command, bad / name, "--out", out, *FEW)
+    assert (code, said) == (1, "")
+    assert_sentence(complained, sentence)
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize("command", ["scan", "simulate"])
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--friction", "-0.1"], r"friction must be a number >= 0 or a rising range LOW:HIGH of such, got -0\.1"),
+        (["--friction", "0.4:0.0"], r"friction must be .* rising range .*, got \(0\.4, 0\.0\)"),
+        (["--friction", "0:0.2:0.4"], r"friction must be a number, such as 0\.3, or a range .*; got '0:0\.2:0\.4'"),
+        (["--friction", "ice"], "friction must be a number, .*; got 'ice'"),
+        (["--friction", "nan"], "friction must be .*, got nan"),
+        (["--slices", "0"], "slices must be a whole number of at least 1, got 0"),
+        (["--slices", "-2"], "slices must be a whole number of at least 1, got -2"),
+        (["--samples", "0"], "samples must be a whole number of at least 2, got 0"),
+        (["--sweeps", "0"], "sweeps must be a whole number of at least 1, got 0"),
+        (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
+        (["--sweeps", "2.5"], r"sweeps must be 'auto' or a whole number, got '2\.5'"),
+        (["--spacing", "random"], "spacing must be one of cosine, uniform.*, got 'random'"),
+        (["--unit", "furlong"], "unit must be one of m, cm, mm, um, in, got 'furlong'"),
+        (["--axis", "w"], "axis must be .*, got 'w'"),
+        (["--axis", "0,0,0"], r"axis must be .*, got \(0\.0, 0\.0, 0\.0\)"),
+        (["--axis", "1,1"], r"axis must be .*, got \(1\.0, 1\.0\)"),
+        (["--axis", "1,,0"], "axis must be x, y, z or three numbers, such as 1,1,0; got '1,,0'"),
+        (["--rod", "gold:1x100"], "a rod is 'auto' or MATERIAL:DIAMETERxLENGTH .*; got 'gold:1x100'"),
+        (["--rod", "steel:0x100"], "rod 'steel:0x100': a wire needs a positive diameter"),
+        (["--clearance", "1.5"], r"clearance must lie between 0 and 1 rod lengths, got 1\.5"),
+        (["--noise", "-1"], r"noise must be a number >= 0, got -1\.0"),
+        (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),
+        (["--method", "magic"], "method must be one of auto, hull.*, got 'magic'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_settings_that_make_no_plan(call, tmp_path, command, arguments, sentence):
+    out = tmp_path / "new" / ("out" if command == "scan" else "log.csv")
+    # an argument that begins with a minus needs the equals sign
+    given = [f"{arguments[0]}={arguments[1]}"]
+    for asked in ([], ["--print-config"]):
+        code, said, complained = call(command, CUBE, "--out", out, *given, *asked)
+        assert (code, said) == (1, "")
+        assert_sentence(complained, sentence)
+        assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("missing", r"can't read the settings .*missing\.toml: No such file or directory"),
+        ("unknown", r"unknown\.toml: unknown setting slises; known are slices, spacing"),
+        ("type", r"type\.toml: slices must be a whole number, got 'many'"),
+        ("whole", r"whole\.toml: slices must be a whole number, got 3\.5"),
+        ("flag", r"flag\.toml: hull must be true or false, got 1"),
+        ("text", r"text\.toml: rod must be text, got True"),
+        ("broken", r"broken\.toml is not a TOML file of settings: .*line 1"),
+        ("binary", r"binary\.toml is not a TOML file of settings: .*utf-8"),
+        ("value", r"friction must be a number >= 0"),
+    ],
+)
+def test_a_file_of_settings_that_is_none(call, bad, tmp_path, name, sentence):
+    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", "--config", bad / f"{name}.toml")
+    assert (code, said) == (1, "")
+    assert_sentence(complained, sentence)
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize("out", ["/proc/nowhere", "file/out", "file/out/deeper", "file"])
+def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
+    (tmp_path / "file").write_bytes(b"mine")
+    before = tree(tmp_path)
+    for arguments in (["scan", CUBE, *FEW], ["simulate", CUBE, *FEW]):
+        place = tmp_path / out / "log.csv" if arguments[0] == "simulate" else tmp_path / out
+        code, said, complained = call(*arguments, "--out", place)
+        assert (code, said) == (1, "")
+        assert_sentence(complained, "can't write into the folder .*; choose another one with --out")
+        assert tree(tmp_path) == before
+
+
+def test_a_recording_has_its_ending_checked_before_the_work(call, tmp_path, monkeypatch):
+    monkeypatch.setattr("scan3d.simulation.simulate", pytest.fail)
+    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.txt")
+    assert (code, said) == (1, "")
+    assert_sentence(complained, r"a recording is written as \.csv, got 'log\.txt'")
+    assert tree(tmp_path) == {}
+
+
+def test_a_recording_in_the_place_of_a_folder(call, tmp_path):
+    (tmp_path / "log.csv").mkdir()
+    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)
+    assert (code, said) == (1, "")
+    assert_sentence(complained, r"can't write .*log\.csv")
+    assert tree(tmp_path) == {Path("log.csv"): None}
+
+
+def test_a_recording_does_not_overwrite_the_settings_it_was_made_with(call, tmp_path):
+    (tmp_path / "part.toml").write_text("slices = 3\n")
+    before = tree(tmp_path)
+    code, said, complained = call("simulate", CUBE, "--config", tmp_path / "part.toml", "--out", tmp_path / "part.csv")
+    assert (code, said) == (1, "")
+    assert_sentence(complained, r"part\.toml holds the settings, .*; choose another --out")
+    assert tree(tmp_path) == before
+
+
+def test_a_scan_that_finds_no_body_writes_nothing(call, tmp_path, no_pictures):
+    # a single slice: known only when all has been simulated
+    code, said, complained = call("scan", CUBE, "--out", tmp_path / "a" / "b", "--slices", "1")
+    assert (code, said) == (1, "")
+    assert_sentence(complained, "span no body: a surface needs contacts in at least two slices")
+    assert tree(tmp_path) == {}
+
+
+def test_a_failed_run_leaves_the_results_of_the_one_before(call, tmp_path, no_pictures):
+    assert call("scan", CUBE, "--out", tmp_path, *FEW)[0] == 0
+    before = tree(tmp_path)
+    assert call("scan", CUBE, "--out", tmp_path, "--slices", "1")[0] == 1
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "the following arguments are required: COMMAND; see 'scan3d --help'"),
+        (["peel"], "invalid choice: 'peel'.*; see 'scan3d --help'"),
+        (["scan"], "the following arguments are required: MESH, --out; see 'scan3d scan --help'"),
+        (["scan", CUBE], "the following arguments are required: --out; see 'scan3d scan --help'"),
+        (["scan", CUBE, "--out", "out", "--colour"], "unrecognized arguments: --colour; see 'scan3d --help'"),
+        (["scan", CUBE, "--out", "out", "--slices", "few"], "argument --slices: invalid int value: 'few'; see"),
+        (["scan", CUBE, "--out", "out", "--slices"], "argument --slices: expected one argument; see"),
+        (["reconstruct", "log.csv"], "the following arguments are required: --out; see"),
+        (["compare", CUBE], "the following arguments are required: B; see"),
+        (["compare", CUBE, CUBE, "--unit", "furlong"], "argument --unit: invalid choice: 'furlong'"),
+    ],
+)
+def test_wrong_usage(call, tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    code, said, complained = call(*arguments)
+    assert (code, said) == (2, "")
+    assert_sentence(complained, sentence)
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        (None, r"can't read the recording .*log\.csv: No such file or directory"),
+        ("", r"log\.csv is not a recording: its header lacks"),
+        ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm\n0,0,0,0,1,0,0,0,0,0,0\n", "the recording has no contact"),
+    ],
+)
+def test_a_recording_that_is_none(call, tmp_path, table, sentence):
+    if table is not None:
+        (tmp_path / "log.csv").write_text(table)
+        (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
+    before = tree(tmp_path)
+    code, said, complained = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
+    assert (code, said) == (1, "")
+    assert_sentence(complained, sentence)
+    assert tree(tmp_path) == before
+
+
+def test_a_truth_that_is_none(call, bad, tmp_path):
+    assert call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)[0] == 0
+    before = tree(tmp_path)
+    for name, sentence in (("missing.stl", "there is no mesh file"), ("torus.stl", "isn't convex")):
+        code, said, complained = call(
+            "reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out", "--truth", bad / name
+        )
+        assert (code, said) == (1, "")
+        assert_sentence(complained, sentence)
+        assert tree(tmp_path) == before
+
+
+def test_meshes_that_can_not_be_compared(call, bad):
+    for pair in ((CUBE, bad / "missing.stl"), (bad / "nan.off", CUBE)):
+        code, said, complained = call("compare", *pair)
+        assert (code, said) == (1, "")
+        assert_sentence(complained, "")
+
+
+# --- interruptions ---
+
+
+def test_ctrl_c_while_it_simulates(tmp_path):
+    # SIGINT may have been switched off for this process, and a child would inherit that
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code += "; from scan3d.cli import main; sys.exit(main())"
+    out = tmp_path / "out"
+    arguments = [sys.executable, "-c", code, "scan", str(EGG), "--out", str(out), "--slices", "20000"]
+    child = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 60
+        while not out.exists():  # it is made just before the simulation begins
+            assert child.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        time.sleep(0.3)
+        child.send_signal(signal.SIGINT)
+        said, complained = child.communicate(timeout=60)
+    finally:
+        child.kill()
+    assert (child.returncode, said, complained) == (130, "", "scan3d: interrupted\n")
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize("nth", [0, 1, 3, 5])
+def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
+    # files one by one: those written are whole, and nothing else is left
+    replaced, original = [], os.replace
+
+    def replace(*arguments):
+        if len(replaced) == nth:
+            raise KeyboardInterrupt
+        replaced.append(arguments)
+        original(*arguments)
+
+    monkeypatch.setattr(files.os, "replace", replace)
+    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
+    monkeypatch.undo()
+    assert (code, said, complained) == (130, "", "scan3d: interrupted\n")
+    whole = tmp_path / "whole"
+    assert main(["scan", str(CUBE), "--out", str(whole), *FEW, "--quiet"]) == 0
+    left = tree(tmp_path / "out") if nth else {}
+    assert len(left) == nth
+    for name, content in left.items():
+        assert content == (whole / name).read_bytes() or name == Path("view.html")
+    assert nth > 0 or not (tmp_path / "out").exists()
+
+
+def test_a_disk_that_is_full(call, tmp_path, monkeypatch, no_pictures):
+    def write(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
+    assert (code, said) == (1, "")
+    assert_sentence(complained, "can't write .*: No space left on device; choose another place with --out")
+    monkeypatch.undo()
+    assert tree(tmp_path) == {}
+
+
+def test_output_that_nobody_takes(tmp_path):
+    asked = [COMMAND, "scan", CUBE, "--out", tmp_path / "out", "--print-config"]
+    # the reader has gone, as after `| true`
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(asked, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_output_to_a_full_disk(call, tmp_path, monkeypatch):
+    class Full(io.StringIO):
+        def flush(self):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sys, "stdout", Full())
+    code, _, complained = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
+    assert (code, complained) == (1, "scan3d: No space left on device\n")
+
+
+def test_no_output_at_all(call, tmp_path, monkeypatch):
+    # as with >&-
+    monkeypatch.setattr(sys, "stdout", None)
+    code, _, complained = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
+    assert (code, complained) == (0, "")
+
+
+# --- what it prints ---
+
+
+def test_help_and_version(call):
+    for arguments in (["--help"], ["-h"], ["scan", "--help"], ["reconstruct", "--help"]):
+        code, said, complained = call(*arguments)
+        assert (code, complained) == (0, "")
+        assert said.startswith("usage: scan3d")
+    assert call("--version") == (0, version("scan3d") + "\n", "")
+
+
+def test_every_setting_is_an_option_and_says_its_default(call):
+    said = " ".join(call("scan", "--help")[1].split())
+    for name, default in vars(Settings()).items():
+        assert f"--{name}" in said
+        assert name == "hull" or f"(default {default})" in said
+
+
+def test_the_installed_command():
+    done = subprocess.run([COMMAND, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, version("scan3d") + "\n", "")
+    done = subprocess.run([COMMAND], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert_sentence(done.stderr, "the following arguments are required")
+
+
+def test_a_terminal_that_knows_ascii_only():
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([COMMAND, "scan", "--help"], env=environment, capture_output=True, check=False)
+    assert done.returncode == 0
+    assert b"EI/L?" in done.stdout
+
+
+@pytest.mark.rendering
+def test_a_scan_prints_its_results_on_stdout_only(tmp_path):
+    arguments = [COMMAND, "scan", CUBE, "--out", tmp_path / "out", *FEW]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Hausdorff distance" in done.stdout
+    assert str(tmp_path / "out") in done.stdout
+    assert {p.name for p in (tmp_path / "out").iterdir()} == RESULTS | PICTURES
+    for name in PICTURES:
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_a_renderer_all_but_pictures_is_written(call, tmp_path, no_pictures):
+    (tmp_path / "cloud.png").write_bytes(b"of another run")
+    (tmp_path / "notes.txt").write_bytes(b"mine")
+    code, said, complained = call("scan", CUBE, "--out", tmp_path, *FEW)
+    assert code == 0
+    assert "Hausdorff distance" in said
+    assert_sentence(complained, "no pictures: .*'apt-get install libegl1 libgl1'")
+    assert {p.name for p in tmp_path.iterdir()} == RESULTS | {"notes.txt"}
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert set(report["files"]) == RESULTS
+
+
+def test_json_is_the_report(call, tmp_path, no_pictures):
+    code, said, _ = call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")
+    assert code == 0
+    assert said == (tmp_path / "scan" / "report.json").read_text()
+    code, said, _ = call("reconstruct", tmp_path / "scan" / "recording.csv", "--out", tmp_path / "again", "--json")
+    assert code == 0
+    assert said == (tmp_path / "again" / "report.json").read_text()
+
+
+def test_the_report_has_what_it_promises(call, tmp_path, no_pictures):
+    report = json.loads(call("scan", EGG, "--out", tmp_path, *FEW, "--json", "--friction", "0.2")[1])
+    assert report["schema"] == 1
+    assert report["mesh"]["file"] == "egg.stl"
+    assert report["mesh"]["faces"] == len(trimesh.load_mesh(EGG).faces)
+    assert report["mesh"]["extents"] == pytest.approx(trimesh.load_mesh(EGG).extents.tolist())
+    assert re.fullmatch("[0-9a-f]{64}", report["mesh"]["sha256"])
+    assert report["mesh"]["unit"] == "mm"
+    assert report["settings"] == vars(Settings(slices=3, sweeps="4", samples=8, friction="0.2"))
+    counts = report["counts"]
+    assert counts["slices"] == 3
+    assert counts["contacts"] == counts["tangential"] + counts["tip"] <= counts["samples"]
+    assert counts["samples"] == 8 * counts["sweeps"] == len(read_recording(tmp_path / "recording.csv"))
+    assert 0 <= report["contact_error"]["rms"] <= report["contact_error"]["max"] <= 1e-9 * report["rod"]["length"]
+    assert report["friction"]["set"] == "0.2"
+    assert report["friction"]["estimated_median"] == pytest.approx(0.2, abs=1e-9)
+    hausdorff = report["hausdorff"]
+    assert hausdorff["two_sided"] == max(hausdorff["surface_to_mesh"], hausdorff["mesh_to_surface"])
+    diagonal = np.linalg.norm(report["mesh"]["extents"])
+    assert hausdorff["relative"] == pytest.approx(hausdorff["two_sided"] / diagonal)
+    assert report["surface"]["watertight"] is True
+    assert report["surface"]["faces"] > 50
+    assert 0 <= report["normals"]["median_deg"] <= report["normals"]["p95_deg"]
+    assert report["timings_s"]["simulate"] >= 0
+    assert set(report["files"]) == {p.name for p in tmp_path.iterdir()}
+
+
+def test_the_report_without_the_truth(call, tmp_path, no_pictures):
+    assert call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)[0] == 0
+    code, said, _ = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
+    assert code == 0
+    assert "Hausdorff" not in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["mesh"] is report["hausdorff"] is report["contact_error"] is report["friction"]["set"] is None
+    assert report["source"]["mesh"] == "cube.stl"
+    # settings of the simulation were not in force here
+    assert report["settings"] == {"method": "auto", "hull": False}
+    assert set(report["files"]) == RESULTS - {"recording.csv", "recording.toml"}
+    assert set(report["files"]) == {p.name for p in (tmp_path / "out").iterdir()}
+
+
+def test_the_report_with_the_truth_is_that_of_the_scan(call, tmp_path, no_pictures):
+    scanned = json.loads(call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")[1])
+    recording = tmp_path / "scan" / "recording.csv"
+    code, said, _ = call("reconstruct", recording, "--out", tmp_path / "out", "--truth", CUBE, "--json")
+    assert code == 0
+    again = json.loads(said)
+    for key in ("mesh", "counts", "contact_error", "hausdorff", "surface", "normals", "rod"):
+        assert again[key] == scanned[key]
+
+
+def test_simulate_prints_its_counts(call, tmp_path):
+    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW)
+    assert (code, complained) == (0, "")
+    recording = read_recording(tmp_path / "new" / "log.csv")
+    assert said.startswith(f"{len(recording)} samples in {len(np.unique(recording.sweep))} sweeps, written to ")
+    assert {p.name for p in (tmp_path / "new").iterdir()} == {"log.csv", "log.toml"}
+    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW, "--json")
+    assert json.loads(said)["samples"] == len(recording)
+
+
+def test_compare_prints_the_distance(call, tmp_path):
+    moved = trimesh.load_mesh(CUBE)
+    moved.apply_translation([0.5, 0, 0])
+    moved.export(tmp_path / "moved.ply")
+    code, said, complained = call("compare", tmp_path / "moved.ply", CUBE)
+    assert (code, complained) == (0, "")
+    assert said.startswith("Hausdorff distance 0.5 mm")
+    code, said, _ = call("compare", tmp_path / "moved.ply", CUBE, "--json")
+    assert json.loads(said)["hausdorff"] == pytest.approx(0.5, rel=1e-6)
+    assert "0.5 cm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
+
+
+def test_quiet_prints_nothing(call, tmp_path, monkeypatch, no_pictures):
+    monkeypatch.setattr(views, "NO_RENDERER", "nothing to see")
+    code, said, complained = call("scan", CUBE, "--out", tmp_path, *FEW, "--quiet")
+    assert (code, said) == (0, "")
+    assert complained in ("", "scan3d: nothing to see\n")
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_on_a_terminal(monkeypatch, tmp_path):
+    shown = {}
+    for quiet in ([], ["--quiet"]):
+        terminal = Terminal()
+        monkeypatch.setattr(sys, "stderr", terminal)
+        assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv"), *FEW, *quiet]) == 0
+        shown[bool(quiet)] = terminal.getvalue()
+    assert shown[True] == ""
+    assert "\rsimulate 3/3 slices" in shown[False]
+    # it vanishes: overwritten by blanks, and the cursor back at the start
+    assert re.search(r"\r +\r$", shown[False])
+    assert "\n" not in shown[False]
+
+
+def test_ctrl_c_on_a_terminal_begins_a_line(monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "simulate_only", interrupted)
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv")]) == 130
+    assert terminal.getvalue() == "\nscan3d: interrupted\n"
+
+
+def test_hull_scans_what_is_not_convex(call, bad, tmp_path, no_pictures):
+    code, said, _ = call(
+        "scan", bad / "torus.stl", "--out", tmp_path / "out", "--hull", *FEW, "--slices", "6", "--json"
+    )
+    assert code == 0
+    report = json.loads(said)
+    assert report["mesh"]["hull"] is True
+    assert report["mesh"]["dent"] > 1
+    # radius 4 and height 2: the hull's volume, which lacks the caps beyond the last slices
+    hull = trimesh.load_mesh(bad / "torus.stl").convex_hull
+    assert 0.7 * hull.volume < report["surface"]["volume"] < 1.01 * hull.volume
+
+
+# --- settings ---
+
+
+def test_the_command_line_beats_the_file_and_the_file_the_defaults(call, tmp_path):
+    (tmp_path / "a.toml").write_text('slices = 5\nsamples = 11\nspacing = "uniform"\n')
+    code, said, complained = call(
+        "scan", CUBE, "--out", tmp_path / "out", "--config", tmp_path / "a.toml", "--slices", "7", "--print-config"
+    )
+    assert (code, complained) == (0, "")
+    assert tomllib.loads(said) == vars(Settings(slices=7, samples=11, spacing="uniform"))
+    assert not (tmp_path / "out").exists()
+
+
+ALL = Settings(
+    slices=4,
+    spacing="uniform",
+    axis="1,1,0",
+    sweeps="5",
+    samples=9,
+    friction="0.1:0.2",
+    rod="steel:0.5x100",
+    clearance=0.2,
+    noise=1e-05,
+    seed=3,
+    unit="mm",
+    method="hull",
+    hull=True,
+)
+
+
+def test_printed_settings_give_the_same_run(call, tmp_path, no_pictures):
+    given = [f"--{name}={value}" for name, value in vars(ALL).items() if name != "hull"]
+    code, printed, _ = call("scan", CUBE, "--out", tmp_path / "one", *given, "--hull", "--print-config")
+    assert code == 0
+    assert tomllib.loads(printed) == vars(ALL)
+    (tmp_path / "printed.toml").write_text(printed)
+    config = ("--config", tmp_path / "printed.toml")
+    assert call("scan", CUBE, "--out", tmp_path / "one", *config, "--print-config") == (0, printed, "")
+
+    assert call("scan", CUBE, "--out", tmp_path / "one", *given, "--hull")[0] == 0
+    assert call("scan", CUBE, "--out", tmp_path / "two", *config)[0] == 0
+    for name in ("recording.csv", "cloud.ply", "surface.ply"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    assert json.loads((tmp_path / "two" / "report.json").read_text())["settings"] == vars(ALL)
+
+
+def test_a_file_may_say_it_in_tomls_own_types(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("friction = [0.1, 0.2]\naxis = [1, 1, 0]\nsweeps = 5\nnoise = 0\nclearance = 0.2\nhull = true\n")
+    found = settings({}, path)
+    assert (found.friction, found.axis, found.sweeps) == ("0.1:0.2", "1,1,0", "5")
+    assert (found.noise, found.clearance, found.hull) == (0.0, 0.2, True)
+    plan = found.plan()
+    assert plan.friction == (0.1, 0.2)
+    assert plan.sweeps == 5
+    assert np.allclose(plan.axis, [1, 1, 0])
+    path.write_text("friction = 0.25\n")
+    assert settings({}, path).plan().friction == 0.25
+
+
+def test_a_file_from_windows(tmp_path):
+    (tmp_path / "a.toml").write_bytes("\ufeffslices = 5\r\n".encode())
+    assert settings({}, tmp_path / "a.toml") == Settings(slices=5)
+
+
+def test_settings_given_in_python():
+    assert settings({}) == Settings()
+    assert settings({"slices": 3}) == Settings(slices=3)
+    with pytest.raises(InputError, match="the command line: unknown setting slises; known are slices"):
+        settings({"slises": 3})
+    with pytest.raises(InputError, match="the command line: slices must be a whole number, got True"):
+        settings({"slices": True})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_works(call, tmp_path, no_pictures, method):
+    assert call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", method)[0] == 0
