@@ -373,6 +373,12 @@ def _polygon_pieces(vertices: Array) -> tuple[Array, Array, Array, Array]:
     return slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move
 
 
+def check_contour(contour: object) -> None:
+    """Raise TypeError for what is no contour, such as bare vertices."""
+    if not isinstance(contour, Contour):
+        raise TypeError(f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}")
+
+
 def _check_height(lowest: float) -> None:
     if lowest <= 0:
         raise ValueError(f"the object must lie above the base line y = 0, its lowest point is at y = {lowest:.6g}")

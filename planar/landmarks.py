@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planar import segments
-from planar.contours import Array, Contour, Polygon, polygon_paths
+from planar.contours import Array, Contour, Polygon, check_contour, polygon_paths
 from planar.sweeping import mirrored
 
 
@@ -71,6 +71,7 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
         raise ValueError(f"friction must be one number >= 0, got {friction}")
     if direction not in (-1, 1):
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    check_contour(contour)
     side = -direction
     contour = contour if side == 1 else mirrored(contour)
     path = polygon_paths([contour]) if isinstance(contour, Polygon) else contour.path()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import segments
-from planar.contours import Array, Contour, Index, Mirrored, Path, Polygon, SmoothContour, polygon_paths
+from planar.contours import Array, Contour, Index, Mirrored, Path, Polygon, SmoothContour, check_contour, polygon_paths
 from planar.segments import Segments
 
 # Friction that differs from sample to sample: a sample's place is bracketed by the sweeps at this many coefficients.
@@ -94,8 +94,8 @@ def mirrored(contour: Contour) -> Contour:
     """The mirror image of a contour, x → -x."""
     if isinstance(contour, Polygon):
         return Polygon(contour.vertices * np.array([-1.0, 1.0]))
-    if not isinstance(contour, SmoothContour):
-        raise TypeError(f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}")
+    check_contour(contour)
+    assert isinstance(contour, SmoothContour)
     return Mirrored(contour)
 
 
@@ -134,10 +134,7 @@ def sweep_all(
     if len(friction) != len(contours) or (base is not None and len(base) != len(contours)):
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
     for contour in contours:
-        if not isinstance(contour, Contour):
-            raise TypeError(
-                f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}"
-            )
+        check_contour(contour)
     frictions = [_checked_friction(mu) for mu in friction]
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
 

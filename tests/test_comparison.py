@@ -288,6 +288,8 @@ def test_units_do_not_matter(pair, scale):
             assert after == pytest.approx(before, abs=5.0)
         elif field.name in ("relative", "f_score", "volume_error"):
             assert after == pytest.approx(before, rel=1e-6, abs=1e-9)
+        elif field.name in ("mean", "rms", "p95", "chamfer"):  # rounding decides which of two equal edges is cut
+            assert after == pytest.approx(scale * before, rel=1e-4)
         else:
             assert after == pytest.approx(scale * before, rel=1e-6)
 
@@ -417,7 +419,7 @@ def test_bounds_of_tori_bracket_dense_points(shift):
     assert far(result.worst_point[None], target)[0] == pytest.approx(result.lower, rel=1e-12)
 
 
-def test_open_and_flat_surfaces():
+def test_open_and_flat_surfaces(all_samples):
     square = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3)], process=False)
     result = certified(compare(moved(square, (0.0, 0.0, 0.25)), square))
     assert not result.exact

@@ -120,7 +120,7 @@ def test_events_of_the_mirror_image(contour, friction):
 def test_shift(contour, friction, shift):
     base = inner_base(contour, friction)
     if isinstance(contour, planar.Polygon):
-        shifted = planar.Polygon(contour.vertices + [shift, 0])
+        shifted = planar.Polygon(contour.vertices + np.array([shift, 0]))
     else:
         shifted = planar.Ellipse(contour.semi_axes, (contour.center[0] + shift, contour.center[1]), contour.angle)
     here, there = planar.sweep(contour, friction, base=base), planar.sweep(shifted, friction, base=base + shift)

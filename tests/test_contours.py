@@ -1,0 +1,301 @@
+"""Contours: points by slope, distances, paths; tidied polygons; and what is refused, with the reason."""
+
+import time
+
+import numpy as np
+import pytest
+
+import planar
+from planar.contours import Mirrored, polygon_paths
+
+SLOPES = np.linspace(-np.pi / 2, np.pi / 2, 181)
+SQUARE = np.array([[0.0, 0.5], [0.4, 0.5], [0.4, 0.9], [0.0, 0.9]])
+
+
+def egg_support(slope):
+    return 0.5 + 0.05 * np.cos(3 * slope) + 0.1 * np.sin(slope) - 0.8 * np.cos(slope)
+
+
+def egg_derivative(slope):
+    return -0.15 * np.sin(3 * slope) + 0.1 * np.cos(slope) + 0.8 * np.sin(slope)
+
+
+def egg_second_derivative(slope):
+    return -0.45 * np.cos(3 * slope) - 0.1 * np.sin(slope) + 0.8 * np.cos(slope)
+
+
+SMOOTH = {
+    "circle": planar.Circle(0.9, (0.1, 1.3)),
+    "ellipse": planar.Ellipse((0.7, 0.4), (0.2, 0.9), 0.35),
+    "needle": planar.Ellipse((0.6, 0.03), (0.0, 0.7), 1.0),
+    "egg": planar.Curve.from_support(egg_support, egg_derivative, egg_second_derivative),
+    "egg, differenced": planar.Curve.from_support(egg_support, egg_derivative),
+    "mirrored egg": Mirrored(planar.Curve.from_support(egg_support, egg_derivative, egg_second_derivative)),
+}
+
+
+# Smooth contours
+
+
+@pytest.mark.parametrize("contour", SMOOTH.values(), ids=SMOOTH)
+def test_points_have_the_slope_they_are_asked_for(contour):
+    # the tangent by central differences, whose error is that of third derivatives times the step squared
+    inner, step = SLOPES[1:-1], 1e-5
+    chords = contour.points(inner + step) - contour.points(inner - step)
+    tangents = np.stack([np.cos(inner), np.sin(inner)], axis=1)
+    along = (chords * tangents).sum(axis=1)
+    across = chords[:, 1] * tangents[:, 0] - chords[:, 0] * tangents[:, 1]
+    assert (along > 0).all()
+    assert np.abs(across / along).max() < 1e-6
+    np.testing.assert_allclose(contour.radius_of_curvature(inner), along / (2 * step), rtol=1e-4)
+
+
+@pytest.mark.parametrize("contour", SMOOTH.values(), ids=SMOOTH)
+def test_all_of_a_contour_lies_behind_each_of_its_tangents(contour):
+    points = contour.points(SLOPES)
+    normals = np.stack([np.sin(SLOPES), -np.cos(SLOPES)], axis=1)
+    heights = normals @ points.T
+    assert (heights - np.diag(heights)[:, None]).max() < 1e-14
+
+
+@pytest.mark.parametrize("contour", SMOOTH.values(), ids=SMOOTH)
+def test_distance(contour):
+    normals = np.stack([np.sin(SLOPES), -np.cos(SLOPES)], axis=1)
+    points = contour.points(SLOPES)
+    assert contour.distance(points).max() < 1e-14
+    for gap in (1e-9, 0.05):
+        assert np.abs(contour.distance(points + gap * normals) - gap).max() < 1e-14
+    # inside too, as far as the centre of curvature is farther
+    inside = min(1e-3, 0.5 * contour.radius_of_curvature(SLOPES).min())
+    assert np.abs(contour.distance(points - inside * normals) - inside).max() < 1e-14
+
+
+def test_distance_to_an_ellipse_from_everywhere():
+    # against the nearest of many points
+    ellipse = planar.Ellipse((0.6, 0.2), (0.1, 0.7), 0.5)
+    rng = np.random.default_rng(70)
+    points = ellipse.center + rng.normal(size=(50, 2))
+    around = np.linspace(0, 2 * np.pi, 20_001)
+    c, s = np.cos(0.5), np.sin(0.5)
+    curve = ellipse.center + np.stack([0.6 * np.cos(around), 0.2 * np.sin(around)], axis=1) @ [[c, s], [-s, c]]
+    nearest = np.array([np.linalg.norm(curve - point, axis=1).min() for point in points])
+    assert np.abs(ellipse.distance(points) - nearest).max() < 1e-6
+    assert ellipse.distance(np.array([ellipse.center]))[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("contour", SMOOTH.values(), ids=SMOOTH)
+def test_path_begins_where_the_tip_of_the_straight_rod_touches(contour):
+    path = contour.path()
+    slope, x, y = path.at(np.array([0]), np.array([0.0]))
+    if contour.points(np.array([np.pi / 2]))[0, 1] > 1:
+        assert y[0] == 1.0
+        assert contour.distance(np.array([[x[0], y[0]]]))[0] < 1e-14
+    else:
+        assert slope[0] == np.pi / 2
+    assert (path.turn < 0).all()
+    np.testing.assert_allclose((path.slope + path.turn)[:-1], path.slope[1:], atol=1e-15)
+
+
+def test_contours_keep_their_precision_when_they_are_large():
+    # y = 1 is reached by differences of numbers a hundred times as large
+    for radius in (10.0, 100.0):
+        contour = planar.Circle(radius, (3.0, radius + 0.4))
+        x0 = planar.events(contour, 0.3).x0[0]
+        assert abs(x0 - (3.0 + np.sqrt(radius**2 - (radius - 0.6) ** 2))) < 1e-12
+
+
+# Polygons
+
+
+def test_polygons_run_counter_clockwise_whichever_way_they_are_given():
+    for vertices in (SQUARE, SQUARE[::-1], np.roll(SQUARE, 2, axis=0)):
+        tidied = planar.Polygon(vertices).vertices
+        x, y = tidied.T
+        assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0
+        assert sorted(map(tuple, tidied)) == sorted(map(tuple, SQUARE))
+
+
+def test_order_and_start_do_not_matter():
+    base = np.linspace(0.5, -0.2, 30)
+    first = planar.sweep(planar.Polygon(SQUARE), 0.3, base=base)
+    for vertices in (SQUARE[::-1], np.roll(SQUARE, 1, axis=0)):
+        again = planar.sweep(planar.Polygon(vertices), 0.3, base=base)
+        np.testing.assert_array_equal(again.m0z, first.m0z)
+
+
+def test_duplicate_and_collinear_vertices_are_dropped():
+    tilted = SQUARE @ [[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]
+    for square in (SQUARE, tilted):
+        following = np.roll(square, -1, axis=0)
+        shares = np.linspace(0, 1, 38)
+        many = np.concatenate(
+            [a + shares[:, None] * (b - a) for a, b in zip(square, following, strict=True)]  # corners come twice
+        )
+        tidied = planar.Polygon(many).vertices
+        assert len(tidied) == 4
+        np.testing.assert_allclose(sorted(map(tuple, tidied)), sorted(map(tuple, square)), atol=1e-15)
+    closed = np.concatenate([SQUARE, SQUARE[:1]])
+    assert len(planar.Polygon(closed).vertices) == 4
+
+
+def test_nearly_parallel_edges_are_kept_above_rounding():
+    bent = np.array([[0.0, 0.5], [0.2, 0.5 - 1e-9], [0.4, 0.5], [0.2, 0.9]])
+    assert len(planar.Polygon(bent).vertices) == 4
+    straight = np.array([[0.0, 0.5], [0.2, 0.5 - 1e-15], [0.4, 0.5], [0.2, 0.9]])
+    assert len(planar.Polygon(straight).vertices) == 3
+
+
+def test_polygons_can_not_be_changed_behind_their_back():
+    given = SQUARE.copy()
+    polygon = planar.Polygon(given)
+    given[0] = 7
+    assert (polygon.vertices < 1).all()
+    with pytest.raises(ValueError, match="read-only"):
+        polygon.vertices[0] = 7
+
+
+def test_distance_to_a_polygon():
+    square = planar.Polygon(SQUARE)
+    points = np.array([[0.2, 0.4], [0.5, 0.7], [0.2, 0.7], [0.5, 0.4], [0.4, 0.9], [0.1, 0.5]])
+    np.testing.assert_allclose(square.distance(points), [0.1, 0.1, 0.2, np.sqrt(0.02), 0, 0], atol=1e-15)
+    # in blocks, where points times edges would be too many
+    many = planar.Polygon(circle_of(30_000))
+    np.testing.assert_allclose(many.distance(np.array([[0.0, 0.0]] * 200)), 0.5, rtol=1e-7)
+
+
+def circle_of(count):
+    around = 2 * np.pi * np.arange(count) / count
+    return np.array([0.0, 1.0]) + 0.5 * np.stack([np.cos(around), np.sin(around)], axis=1)
+
+
+def test_a_path_alternates_between_vertices_and_edges():
+    path = planar.Polygon(SQUARE).path()
+    ends = path.point + path.move
+    np.testing.assert_allclose(ends[:-1], path.point[1:], atol=1e-15)
+    np.testing.assert_allclose((path.slope + path.turn)[:-1], path.slope[1:], atol=1e-15)
+    assert ((path.turn == 0) | (np.abs(path.move).max(axis=1) == 0)).all()
+    # from the lower right corner, where the slope turns from the wall's, along the bottom, and around the lower left one
+    assert path.slope[0] == np.pi / 2
+    np.testing.assert_allclose(path.point[0], [0.4, 0.5])
+    np.testing.assert_allclose(ends[-1], [0.0, 0.5])
+    assert path.slope[-1] + path.turn[-1] == pytest.approx(-np.pi / 2)
+
+
+def test_a_path_leaves_out_what_the_tip_can_not_reach():
+    triangle = planar.Polygon(np.array([[0.0, 0.5], [1.0, 1.5], [-1.0, 1.5]]))
+    path = triangle.path()
+    np.testing.assert_allclose(path.point[0], [0.5, 1.0], atol=1e-15)
+    assert path.point[0, 1] == 1.0
+    np.testing.assert_allclose((path.point + path.move)[-1], [-0.5, 1.0], atol=1e-15)
+
+
+def test_paths_of_many_polygons_are_one():
+    square, triangle = planar.Polygon(SQUARE), planar.Polygon(SQUARE[:3])
+    together = polygon_paths([square, triangle])
+    assert together.offsets.tolist() == [0, len(square.path().slope), len(together.slope)]
+    np.testing.assert_array_equal(together.slope[together.offsets[1] :], triangle.path().slope)
+
+
+@pytest.mark.parametrize("count", [3, 4, 7, 1000, 100_000])
+def test_polygons_from_3_to_100_000_vertices(count):
+    started = time.perf_counter()
+    polygon = planar.Polygon(circle_of(count))
+    assert len(polygon.vertices) == count
+    swept = planar.sweep(polygon, 0.3, samples=50)
+    # under a second on an idle machine; ten times that is a different algorithm
+    assert time.perf_counter() - started < 15
+    assert (swept.phase != planar.Phase.NONE).all()
+    assert polygon.distance(swept.point).max() < 1e-12
+
+
+# Refusals
+
+
+CONCAVE = np.array([[0, 0.5], [1, 0.5], [0.3, 0.6], [0, 1.5]])
+BOW = np.array([[0.0, 0.5], [1.0, 1.0], [1.0, 0.5], [0.0, 1.0]])
+PENTAGRAM = np.array([[np.sin(4 * np.pi * k / 5), 0.9 + 0.5 * np.cos(4 * np.pi * k / 5)] for k in range(5)])
+
+
+@pytest.mark.parametrize(
+    ("vertices", "message"),
+    [
+        (CONCAVE, r"must be convex: at \(0\.3, 0\.6\) it turns inwards by .*ConvexHull"),
+        (CONCAVE[::-1], r"must be convex: at \(0\.3, 0\.6\)"),
+        (PENTAGRAM, "must not cross itself: it turns 2 times"),
+        (SQUARE[:2], r"vertices of shape \(n >= 3, 2\), got \(2, 2\)"),
+        (np.zeros((4, 3)), r"vertices of shape \(n >= 3, 2\), got \(4, 3\)"),
+        (np.array([[0, 0.5], [np.nan, 0.5], [0, np.inf], [1, 1]]), "finite vertices, got 2 that are not"),
+        (np.array([[0, 0.5], [1, 0.5], [1, 0.5], [0, 0.5]]), "at least three distinct vertices, got 2"),
+        (np.array([[0.5, 0.5]] * 5), "at least three distinct vertices, got 0"),
+        (np.array([[0, 0.5], [1, 0.6], [2, 0.7], [1.5, 0.65]]), "needs an area"),
+    ],
+)
+def test_a_polygon_that_is_none_is_refused(vertices, message):
+    with pytest.raises(ValueError, match=message):
+        planar.Polygon(vertices)
+
+
+def test_a_bow_tie_is_refused():
+    # its two halves cancel, or it turns inwards, depending on their sizes
+    for top in (1.0, 1.2):
+        with pytest.raises(ValueError, match="area|convex|cross itself"):
+            planar.Polygon(BOW * [1, top])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: planar.Circle(0.0, (0, 1)), "positive radius"),
+        (lambda: planar.Circle(-1.0, (0, 1)), "positive radius"),
+        (lambda: planar.Circle(np.nan, (0, 1)), "positive radius"),
+        (lambda: planar.Circle(1.0, (0, np.inf)), "finite center"),
+        (lambda: planar.Ellipse((1.0, 0.0), (0, 1)), "positive semi-axes"),
+        (lambda: planar.Ellipse((1.0, np.inf), (0, 1)), "finite numbers"),
+        (lambda: planar.Ellipse((1.0, 0.5), (0, 1), np.nan), "finite numbers"),
+        (lambda: planar.Curve(lambda slope: np.zeros(len(slope))), r"finite points \(n, 2\).*shape \(257,\)"),
+        (lambda: planar.Curve(lambda slope: np.full((len(slope), 2), np.nan)), "finite points"),
+        (
+            lambda: planar.Curve.from_support(
+                lambda slope: 0.5 + 0.2 * np.cos(3 * slope), lambda slope: -0.6 * np.sin(3 * slope)
+            ),
+            "strictly convex: at the slope .* radius of curvature is -",
+        ),
+        (
+            lambda: planar.Curve(
+                lambda t: np.stack([0.5 * np.sin(2 * t), 1 - 0.5 * np.cos(2 * t)], axis=1), lambda t: np.ones_like(t)
+            ),
+            "given by their slope angle",
+        ),
+    ],
+)
+def test_a_smooth_contour_that_is_none_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("lowest", [0.0, -0.1, -1e-12])
+def test_objects_on_or_below_the_base_line_are_refused(lowest):
+    below = [planar.Circle(0.5, (0, 0.5 + lowest)), planar.Polygon(SQUARE - [0, 0.5 - lowest])]
+    for contour in below:
+        with pytest.raises(ValueError, match=r"above the base line y = 0, its lowest point is at y = -?[01]"):
+            planar.sweep(contour, samples=3)
+
+
+@pytest.mark.parametrize("lowest", [1.0, 1 - 1e-14, 1.2])
+def test_objects_out_of_the_rods_reach_are_refused(lowest):
+    for contour in (planar.Circle(0.5, (0, 0.5 + lowest)), planar.Polygon(SQUARE + [0, lowest - 0.5])):
+        for call in (lambda c=contour: planar.sweep(c, samples=3), lambda c=contour: planar.events(c)):
+            with pytest.raises(ValueError, match="out of the rod's reach: its lowest point is at y = 1"):
+                call()
+
+
+@pytest.mark.parametrize("what", [SQUARE, [[0, 1]], "circle", None])
+def test_what_is_no_contour_is_refused(what):
+    calls = [
+        lambda: planar.sweep(what, samples=3),
+        lambda: planar.sweep(what, samples=3, direction=1),
+        lambda: planar.events(what),
+    ]
+    for call in calls:
+        with pytest.raises(TypeError, match=f"Circle, Ellipse, Curve or Polygon, got {type(what).__name__}"):
+            call()
