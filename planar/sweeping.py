@@ -245,7 +245,7 @@ def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep
     alpha, f = slope + table.friction_angle[row], state.root_f**2
     swept.f0x[samples], swept.f0y[samples] = -f * np.sin(alpha), f * np.cos(alpha)  # (8)
     swept.m0z[samples] = 2 * state.q * state.root_f
-    swept.s1[samples], swept.slope[samples] = state.s1, slope
+    swept.s1[samples], swept.slope[samples] = np.minimum(state.s1, 1.0), slope  # at transitions up to rounding
     swept.point[samples] = np.stack([x, y], axis=1)
     swept.phase[samples] = np.where(table.tangential[row], Phase.TANGENTIAL, Phase.TIP)
 

@@ -16,9 +16,11 @@ from scan3d.support import SupportFit, fit_support
 Array = NDArray[np.float64]
 
 # Degrees of the harmonic series that are tried, until contacts left out are met no better.
-DEGREES = (8, 12, 16)
-# One contact in so many is left out of a trial.
+DEGREES = (8, 16)
+# One contact in so many, or fewer, is left out of a trial.
 _HELD_OUT = 10
+# Contacts left out at most.
+_MOST_HELD_OUT = 1000
 # A further degree must lower the error at least so much to be worth it.
 _WORTH = 0.8
 # The body is smooth if the fit meets 95 % of the contacts left out this closely, in mean radii: a cube, a cylinder or a lens
@@ -43,7 +45,7 @@ def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
     rows = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
     if len(rows) < 10 * (DEGREES[0] + 1) ** 2:
         return None
-    held = rows[::_HELD_OUT]
+    held = rows[:: max(_HELD_OUT, len(rows) // _MOST_HELD_OUT)]
     used = np.setdiff1d(rows, held)
     best: tuple[SupportFit, float] | None = None
     for degree in DEGREES:

@@ -27,7 +27,7 @@ from scipy.spatial import ConvexHull
 Array = NDArray[np.float64]
 
 # Contacts used for a fit: far more than coefficients, spread over all slices.
-_MOST_CONTACTS = 6000
+_MOST_CONTACTS = 4000
 # Rounds in which the normals follow the fit; they converge by a factor of ten or more in each.
 _ROUNDS = 3
 # Steps in which directions follow the fit, damped: where the body is flatter than the ball a full step would overshoot.

@@ -57,7 +57,10 @@ def can_render() -> bool:
 
 def _renders() -> bool:
     try:
-        tried = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False)
+        # in a session of its own: an interrupt from the terminal is no answer
+        tried = subprocess.run(
+            [sys.executable, "-c", _PROBE], capture_output=True, timeout=120, check=False, start_new_session=True
+        )
     except (OSError, subprocess.TimeoutExpired):
         return False
     return tried.returncode == 0

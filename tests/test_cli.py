@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan3d import InputError, commands, files, read_recording, views
+from scan3d import InputError, commands, files, read_recording, surfaces, views
 from scan3d.cli import main
 from scan3d.settings import METHODS, Settings, settings
 
@@ -136,6 +136,8 @@ def test_a_file_that_is_no_convex_body(call, bad, tmp_path, command, name, sente
         (["--axis", "1,,0"], "axis must be x, y, z or three numbers, such as 1,1,0; got '1,,0'"),
         (["--rod", "gold:1x100"], "a rod is 'auto' or MATERIAL:DIAMETERxLENGTH .*; got 'gold:1x100'"),
         (["--rod", "steel:0x100"], "rod 'steel:0x100': a wire needs a positive diameter"),
+        (["--standoff", "near"], "standoff must be one of follow, fixed, got 'near'"),
+        (["--tolerance", "-1"], r"tolerance must be a number >= 0, got -1\.0"),
         (["--clearance", "1.5"], r"clearance must lie between 0 and 1 rod lengths, got 1\.5"),
         (["--noise", "-1"], r"noise must be a number >= 0, got -1\.0"),
         (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),
@@ -327,7 +329,9 @@ def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
     monkeypatch.setattr(files.os, "replace", replace)
     code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
     monkeypatch.undo()
-    assert (code, said, complained) == (130, "", "scan3d: interrupted\n")
+    assert (code, said) == (130, "")
+    # after the page comes the sentence about pictures
+    assert complained == (f"scan3d: {views.NO_RENDERER}\n" if nth == 5 else "") + "scan3d: interrupted\n"
     whole = tmp_path / "whole"
     assert main(["scan", str(CUBE), "--out", str(whole), *FEW, "--quiet"]) == 0
     left = tree(tmp_path / "out") if nth else {}
@@ -587,6 +591,8 @@ ALL = Settings(
     friction="0.1:0.2",
     rod="steel:0.5x100",
     clearance=0.2,
+    standoff="fixed",
+    tolerance=0.001,
     noise=1e-05,
     seed=3,
     unit="mm",
@@ -639,6 +645,19 @@ def test_settings_given_in_python():
         settings({"slices": True})
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method_works(call, tmp_path, no_pictures, method):
-    assert call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", method)[0] == 0
+def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
+    assert METHODS == surfaces.METHODS
+    for method in METHODS:
+        # enough contacts for a fit
+        code, said, _ = call(
+            "scan", EGG, "--out", tmp_path / method, "--slices", "6", "--samples", "24", "--method", method, "--json"
+        )
+        assert code == 0
+        assert json.loads(said)["surface"]["method"] == ("hull" if method == "hull" else "support")
+
+
+def test_a_method_that_the_body_does_not_allow(call, tmp_path, no_pictures):
+    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", "support")
+    assert (code, said) == (1, "")
+    assert_sentence(complained, "not smooth enough for the method support, .*; use auto or hull")
+    assert tree(tmp_path) == {}

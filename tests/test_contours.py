@@ -238,7 +238,7 @@ def test_a_polygon_that_is_none_is_refused(vertices, message):
 def test_a_bow_tie_is_refused():
     # its two halves cancel, or it turns inwards, depending on their sizes
     for top in (1.0, 1.2):
-        with pytest.raises(ValueError, match="area|convex|cross itself"):
+        with pytest.raises(ValueError, match=r"area|convex|cross itself"):
             planar.Polygon(BOW * [1, top])
 
 
@@ -275,15 +275,15 @@ def test_a_smooth_contour_that_is_none_is_refused(make, message):
 
 @pytest.mark.parametrize("lowest", [0.0, -0.1, -1e-12])
 def test_objects_on_or_below_the_base_line_are_refused(lowest):
-    below = [planar.Circle(0.5, (0, 0.5 + lowest)), planar.Polygon(SQUARE - [0, 0.5 - lowest])]
+    below = [planar.Circle(0.5, (0, 0.5 + lowest)), planar.Polygon(SQUARE - np.array([0, 0.5 - lowest]))]
     for contour in below:
-        with pytest.raises(ValueError, match=r"above the base line y = 0, its lowest point is at y = -?[01]"):
+        with pytest.raises(ValueError, match=r"above the base line y = 0, its lowest point is at y = -?\d"):
             planar.sweep(contour, samples=3)
 
 
 @pytest.mark.parametrize("lowest", [1.0, 1 - 1e-14, 1.2])
 def test_objects_out_of_the_rods_reach_are_refused(lowest):
-    for contour in (planar.Circle(0.5, (0, 0.5 + lowest)), planar.Polygon(SQUARE + [0, lowest - 0.5])):
+    for contour in (planar.Circle(0.5, (0, 0.5 + lowest)), planar.Polygon(SQUARE - np.array([0, 0.5 - lowest]))):
         for call in (lambda c=contour: planar.sweep(c, samples=3), lambda c=contour: planar.events(c)):
             with pytest.raises(ValueError, match="out of the rod's reach: its lowest point is at y = 1"):
                 call()

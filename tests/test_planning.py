@@ -8,7 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scan3d import InputError, Plan
-from scan3d.planning import AIMED_SLOPE, OPEN_SHARE, first_directions, further_directions, heights, slice_frame
+from scan3d.planning import (
+    AIMED_SLOPE,
+    FIRST_SLICES,
+    OPEN_SHARE,
+    base_shares,
+    first_directions,
+    first_heights,
+    further_directions,
+    heights,
+    next_heights,
+    slice_frame,
+)
 
 
 def test_cosine_heights_are_chebyshevs_nodes():
@@ -35,6 +46,44 @@ def test_heights_lie_inside_the_body_and_symmetric(spacing, slices):
 def test_cosine_heights_are_dense_at_the_ends():
     gaps = np.diff(heights(0.0, 1.0, Plan(slices=64)))
     assert gaps[0] < gaps[31] / 10
+
+
+@pytest.mark.parametrize("spacing", ["cosine", "uniform", "adaptive"])
+@pytest.mark.parametrize("slices", [1, 4, 64])
+def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
+    found = first_heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
+    beyond = (found < -3) | (found > 7)
+    assert beyond.sum() == 2
+    assert found[beyond].sum() == pytest.approx(4.0)
+    assert np.all((found[~beyond] > -3) & (found[~beyond] < 7))
+    expected = min(FIRST_SLICES, max(2, slices - 2)) if spacing == "adaptive" else slices
+    assert (~beyond).sum() == expected
+
+
+def test_the_next_heights_are_those_of_the_worst_corners():
+    known = np.array([-0.1, 0.2, 0.5, 0.8, 1.1])
+    corners = np.array([0.3, 0.4, 0.6, 0.7])
+    gaps = np.array([1.0, 3.0, 2.0, 0.5])
+    # one a slab, the widest first
+    assert next_heights(known, corners, gaps, 4).tolist() == [0.4, 0.6]
+    assert next_heights(known, corners, gaps, 1).tolist() == [0.4]
+    assert len(next_heights(known, corners, np.zeros(4), 4)) == 0
+    # not where a slice is already
+    assert len(next_heights(known, known[1:2] + 1e-9, np.ones(1), 4)) == 0
+
+
+def test_an_end_that_is_not_known_is_halved():
+    known = np.array([0.0, 1.0, 2.0, 3.0])
+    for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
+        assert next_heights(known, np.array([corner]), np.ones(1), 4) == pytest.approx([middle])
+
+
+@pytest.mark.parametrize("samples", [2, 3, 64])
+def test_samples_go_from_touch_down_to_the_end_denser_at_the_start(samples):
+    shares = base_shares(samples)
+    assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
+    assert np.all(np.diff(shares) > 0)
+    assert np.all(np.diff(shares, 2) > 0)
 
 
 directions = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 1e-3)

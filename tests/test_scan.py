@@ -468,6 +468,66 @@ def test_any_clearance(clearance):
     assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
 
 
+def test_adaptive_slices_go_where_the_body_has_edges():
+    # six faces of the turned cube meet in eight corners: their heights are where slices say most
+    cube = scan3d.load_mesh(CUBE)
+    turn = Rotation.random(rng=np.random.default_rng(1)).as_matrix()
+    vertices, faces = cube.vertices @ turn.T, np.asarray(cube.faces)
+    body = trimesh.Trimesh(vertices, faces, process=False)
+    recording, cloud = places(body, slices=40, spacing="adaptive", samples=24)
+    assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
+    assert len(cloud.slice_height) <= 40
+    # at most; some lie beyond the ends and find nothing
+    inside = np.unique(cloud.slice)
+    assert len(inside) <= 40 - 2
+    height = cloud.slice_height[inside]
+    away = np.abs(vertices[:, 2][:, None] - height).min(axis=1)
+    assert away.max() < 1e-3 * np.ptp(vertices[:, 2])
+    evenly, found = places(body, slices=40, samples=24)
+    assert scan3d.compare(hull(cloud.points), body).relative < 0.1 * scan3d.compare(hull(found.points), body).relative
+
+
+def test_adaptive_slices_stop_at_their_tolerance():
+    mesh = scan3d.load_mesh(FOLDER / "gem.glb")
+    number = [
+        len(places(mesh, slices=32, spacing="adaptive", samples=24, tolerance=tolerance)[1].slice_height)
+        for tolerance in (0.0, 0.02)
+    ]
+    assert number[0] == 32
+    assert 10 <= number[1] < 20
+
+
+def test_the_same_seed_gives_the_same_adaptive_scan():
+    mesh = scan3d.load_mesh(FOLDER / "gem.glb")
+    plan = dict(slices=16, spacing="adaptive", samples=16, friction=(0.0, 0.4), noise=1e-4)
+    (one, _), (other, _), (third, _) = (places(mesh, **plan, seed=seed) for seed in (1, 1, 2))
+    assert one.force_N.tobytes() == other.force_N.tobytes()
+    assert one.position_m.tobytes() == other.position_m.tobytes()
+    assert one.force_N.shape != third.force_N.shape or not np.array_equal(one.force_N, third.force_N)
+
+
+def test_slices_along_several_axes():
+    path = FOLDER / "gem.glb"
+    recording, cloud = places(scan3d.load_mesh(path), slices=4, axis="xyz", samples=16, friction=(0.0, 0.4))
+    assert contour_errors(cloud, recording, *as_in_the_file(path)).max() <= EXACT
+    axes = cloud.slice_axis[np.unique(cloud.slice)]
+    assert np.array_equal(np.unique(np.round(axes, 9), axis=0), np.eye(3)[::-1])
+    assert len(axes) == 12
+
+
+def test_a_fixed_standoff_keeps_clear_of_the_widest_slice():
+    lengths = {}
+    for standoff in ("follow", "fixed"):
+        recording, cloud = places(scan3d.load_mesh(EGG), slices=5, sweeps=4, samples=16, standoff=standoff)
+        assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
+        # along the rods of a direction, how far the base lines lie apart
+        axes = recording.axes()
+        first = np.abs(axes[:, 1] - axes[0, 1]).max(axis=1) < 1e-9
+        lengths[standoff] = np.ptp(recording.position_m[first] @ axes[0, 1]) / recording.rod.length_m
+    assert lengths["fixed"] < 1e-12
+    assert lengths["follow"] > 0.05
+
+
 def test_a_body_that_no_slice_meets(monkeypatch):
     monkeypatch.setattr(simulation, "slice_polygons", lambda mesh, frame, levels: [np.empty((0, 2))] * len(levels))
     with pytest.raises(

@@ -1,0 +1,407 @@
+"""Step 1: states of a sweep, its events, its extremes; and what is refused, with the reason."""
+
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+
+import planar
+from planar import EventKind, Phase, Status, equilibria, shooting
+
+CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
+SQUARE = planar.Polygon(
+    np.array([0.0, 0.9]) + 0.5 * np.stack([f(0.3 + np.arange(4) * np.pi / 2) for f in (np.cos, np.sin)], axis=1)
+)
+CONTOURS = {
+    "circle": CIRCLE,
+    "low circle": planar.Circle(0.4, (0.2, 0.5)),
+    "ellipse": planar.Ellipse((0.7, 0.4), (0.1, 1.0), np.radians(20)),
+    "needle": planar.Ellipse((0.6, 0.03), (0.0, 0.8), np.radians(50)),
+    "curve": planar.Curve.from_support(
+        lambda t: 0.5 + 0.05 * np.cos(3 * t) - 0.8 * np.cos(t), lambda t: -0.15 * np.sin(3 * t) + 0.8 * np.sin(t)
+    ),
+    "square": SQUARE,
+    "triangle pointing down": planar.Polygon(np.array([[0.1, 0.4], [0.5, 1.4], [-0.6, 1.2]])),
+    "rectangle": planar.Polygon(np.array([[0.0, 0.6], [0.5, 0.6], [0.5, 0.8], [0.0, 0.8]])),
+    "heptagon": planar.Polygon(
+        np.array([0.1, 0.95])
+        + 0.55 * np.stack([f(0.2 + np.arange(7) * 2 * np.pi / 7) for f in (np.cos, np.sin)], axis=1)
+    ),
+}
+STATE = ("f0x", "f0y", "m0z", "s1", "slope", "point")
+
+every_contour = pytest.mark.parametrize("contour", CONTOURS.values(), ids=CONTOURS)
+
+
+def residual(swept):
+    """Largest miss of (5)-(7) by the states of a sweep, with (3) integrated from the clamp."""
+    some = swept.m0z > 0
+    f, alpha = np.hypot(swept.f0x, swept.f0y)[some], np.arctan2(-swept.f0x, swept.f0y)[some]
+    x, y, phi, kappa = shooting.integrate(swept.x0[some], f, alpha, -swept.m0z[some], swept.s1[some])[:, :, 0]
+    lies = swept.phase[some] == Phase.TANGENTIAL
+    assert (swept.s1[some][~lies] == 1).all()
+    assert (swept.s1[some][lies] <= 1).all()
+    assert ((phi - swept.slope[some])[~lies] > -1e-9).all()
+    misses = [x - swept.point[some, 0], y - swept.point[some, 1], kappa, (phi - swept.slope[some])[lies]]
+    return max(np.abs(miss).max() for miss in misses if len(miss))
+
+
+# States
+
+
+@every_contour
+@pytest.mark.parametrize("friction", [0.0, 0.4, 2.0, 5.0])
+def test_states_are_equilibria(contour, friction):
+    swept = planar.sweep(contour, friction, samples=60)
+    assert (swept.phase != Phase.NONE).all()
+    assert contour.distance(swept.point).max() < 1e-12
+    # forces go up to some 10, and next to a fold a state is as good as the root of the rounding of x0
+    assert residual(swept) < 1e-10
+    # the contact force has the friction angle to the normal (2)
+    alpha = np.arctan2(-swept.f0x, swept.f0y)
+    loaded = swept.m0z > 0
+    assert np.abs(alpha - swept.slope - np.arctan(friction))[loaded].max() < 1e-9
+
+
+@every_contour
+def test_states_with_random_friction_are_equilibria(contour):
+    rng = np.random.default_rng(80)
+    base = planar.sweep(contour, 0.0, samples=60).x0
+    friction = rng.uniform(0, 0.6, len(base))
+    swept = planar.sweep(contour, friction, base=base)
+    np.testing.assert_array_equal(swept.friction, friction)
+    touching = swept.phase != Phase.NONE
+    assert touching[:-1].mean() > 0.9
+    assert contour.distance(swept.point[touching]).max() < 1e-12
+    assert residual(swept) < 1e-10
+    loaded = swept.m0z > 0
+    alpha = np.arctan2(-swept.f0x, swept.f0y)
+    assert np.abs(alpha - swept.slope - np.arctan(friction))[loaded].max() < 1e-9
+
+
+@every_contour
+@pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
+def test_contacts_never_go_back(contour, friction):
+    swept = planar.sweep(contour, friction, samples=400)
+    # forward is to the left: along the lower side both fall
+    assert np.diff(swept.slope).max() < 1e-9
+    assert np.diff(swept.point[:, 0]).max() < 1e-9
+
+
+@every_contour
+@pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
+def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(contour, friction):
+    # against equilibria at many places, which know nothing of folds, transitions and rows
+    swept = planar.sweep(contour, friction, samples=50)
+    path = contour.path()
+    count = path.offsets[-1]
+    piece, t = np.repeat(np.arange(count), 30), np.tile(np.linspace(0, 1, 30), count)
+    slope, x, y = path.at(piece, t)
+    zeta = np.full(len(slope), np.arctan(friction))
+    x0 = equilibria.of_kind(equilibria.lies_tangentially(slope, y, zeta), slope, x, y, zeta).x0
+    # no place before comes down so far, and when all are passed none is left
+    for i in range(len(swept)):
+        before = (slope > swept.slope[i] + 1e-9) | ((slope > swept.slope[i] - 1e-9) & (x > swept.point[i, 0] + 1e-9))
+        assert np.nanmin(x0[before], initial=np.inf) > swept.x0[i] - 1e-9
+    assert np.nanmin(x0) > swept.x0[-1] - 1e-9
+
+
+def test_nothing_touches_before_touch_down_and_after_the_end():
+    events = planar.events(CIRCLE, 0.2)
+    start, end = events.x0[0], events.x0[-1]
+    base = np.array([5.0, start + 1e-9, start, start - 1e-9, end + 1e-9, end, end - 1e-9, -5.0])
+    swept = planar.sweep(CIRCLE, 0.2, base=base)
+    none = np.array([True, True, False, False, False, False, True, True])
+    np.testing.assert_array_equal(swept.phase == Phase.NONE, none)
+    for name in STATE:
+        column = getattr(swept, name)
+        assert np.isnan(column[none]).all(), name
+        assert np.isfinite(column[~none]).all(), name
+    np.testing.assert_array_equal(swept.x0, base)
+
+
+def test_what_lies_beside_the_base_is_not_touched():
+    for base in ([2.0, 1.0], [-2.0, -3.0]):
+        assert (planar.sweep(CIRCLE, 0.1, base=base).phase == Phase.NONE).all()
+
+
+def test_once_off_the_rod_does_not_come_back():
+    # much friction holds on where little has let go: but only who is still there
+    ends = [planar.events(CIRCLE, mu).x0[-1] for mu in (0.0, 0.6)]
+    middle = sum(ends) / 2
+    swept = planar.sweep(CIRCLE, [0.6, 0.6, 0.0, 0.6], base=[middle + 0.002, middle + 0.001, middle, middle - 0.001])
+    assert swept.phase.tolist() == [Phase.TIP, Phase.TIP, Phase.NONE, Phase.NONE]
+
+
+def test_samples_run_from_touch_down_to_the_end():
+    for contour in CONTOURS.values():
+        events = planar.events(contour, 0.3)
+        swept = planar.sweep(contour, 0.3, samples=9)
+        assert swept.x0[0] == events.x0[0]
+        assert swept.x0[-1] == events.x0[-1]
+        np.testing.assert_allclose(np.diff(swept.x0), (swept.x0[-1] - swept.x0[0]) / 8, rtol=1e-9)
+        assert swept.m0z[0] == 0
+        assert np.hypot(swept.f0x, swept.f0y)[-1] > 0
+        assert len(swept) == 9
+
+
+def test_samples_with_several_frictions_end_with_the_lowest():
+    swept = planar.sweep(CIRCLE, [0.6, 0.0, 0.3], samples=3)
+    assert swept.x0[-1] == planar.events(CIRCLE, 0.0).x0[-1]
+    assert (swept.phase != Phase.NONE).all()
+
+
+def test_one_sample_and_none():
+    one = planar.sweep(CIRCLE, 0.2, samples=1)
+    assert len(one) == 1
+    assert one.x0[0] == planar.events(CIRCLE, 0.2).x0[0]
+    for contour in (CIRCLE, SQUARE):
+        for friction in (0.2, []):
+            none = planar.sweep(contour, friction, base=[])
+            assert len(none) == 0
+            assert none.point.shape == (0, 2)
+    assert planar.sweep_all([], [], samples=3) == []
+
+
+def test_shares_spread_the_samples():
+    shares = np.array([0.0, 0.1, 0.5, 1.0])
+    swept, even = planar.sweep_all([CIRCLE], [0.2], shares=shares)[0], planar.sweep(CIRCLE, 0.2, samples=11)
+    np.testing.assert_allclose(swept.x0, even.x0[[0, 1, 5, 10]], atol=1e-15)
+    assert swept.x0[-1] == even.x0[-1]
+
+
+def test_repeated_base_positions_give_repeated_states():
+    swept = planar.sweep(CIRCLE, 0.2, base=[0.3, 0.3, 0.3])
+    for name in STATE:
+        assert (getattr(swept, name) == getattr(swept, name)[0]).all()
+
+
+def test_sweeps_are_values():
+    swept = planar.sweep(CIRCLE, samples=3)
+    with pytest.raises(FrozenInstanceError):
+        swept.x0 = swept.m0z
+
+
+# Hard corners
+
+
+@pytest.mark.parametrize("radius", [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0])
+@pytest.mark.parametrize("lowest", [1e-6, 1e-3, 0.5, 0.99, 1 - 1e-6, 1 - 1e-9])
+@pytest.mark.parametrize("friction", [0.0, 5.0])
+def test_circles_of_all_sizes_at_all_heights(radius, lowest, friction):
+    circle = planar.Circle(radius, (0.3, lowest + radius))
+    swept = planar.sweep(circle, friction, samples=30)
+    assert (swept.phase != Phase.NONE).all()
+    assert circle.distance(swept.point).max() < 1e-12
+    contacts = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    assert (contacts.status[1:] == Status.OK).all()
+    assert np.linalg.norm(contacts.point - swept.point, axis=1)[1:].max() < 1e-9
+    assert planar.events(circle, friction).kind[-1] == EventKind.SNAP_OFF
+
+
+def test_a_contour_that_the_tip_hardly_grazes():
+    # to 1e-12: the height of the contact is known to 1e-16, and the base position to the root of it
+    for contour in (planar.Circle(0.5, (0, 1.5 - 1e-12)), planar.Polygon(SQUARE.vertices * [1, 0.01] + [0, 1 - 1e-12])):
+        lowered = contour
+        if isinstance(contour, planar.Polygon):
+            lowered = planar.Polygon(contour.vertices - [0, contour.vertices[:, 1].min() - 1 + 1e-12])
+        for friction in (0.0, 0.5):
+            swept = planar.sweep(lowered, friction, samples=20)
+            contacts = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+            good = contacts.status == Status.OK
+            assert good.mean() > 0.5
+            assert np.linalg.norm(contacts.point - swept.point, axis=1)[good].max() < 1e-7
+
+
+@pytest.mark.parametrize("degrees", range(0, 180, 15))
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_needles_at_all_angles(degrees, friction):
+    angle = np.radians(degrees)
+    height = np.hypot(np.sin(angle), np.cos(angle) / 20)
+    for lowest in (0.05, 0.6, 0.97):
+        needle = planar.Ellipse((1.0, 0.05), (0.0, height + lowest), angle)
+        swept = planar.sweep(needle, friction, samples=30)
+        assert (swept.phase != Phase.NONE).all()
+        assert needle.distance(swept.point).max() < 1e-12
+        contacts = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+        assert np.linalg.norm(contacts.point - swept.point, axis=1)[1:].max() < 1e-9
+
+
+def test_a_large_contour_far_away_touches_the_tip_exactly():
+    # rounding of its first point, 1e-15, would leave no equilibrium there, nor at any sample before a fold
+    ellipse = planar.Ellipse((1.26211552264503, 14.908575396065405), (-1.13, 14.59812993542465), 0.34532702262609466)
+    swept = planar.sweep(ellipse, 0.0, samples=50)
+    assert (swept.phase != Phase.NONE).all()
+    assert residual(swept) < 1e-10
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("radius", [0.002, 0.01, 0.03, 0.3])
+def test_a_contour_whose_rightmost_point_is_at_the_tips_height(radius, friction):
+    # tip, tangential, tip within a few degrees of slope: between two places at which the rod stands on its tip
+    for above in (-1e-9, 0.0, 1e-9, 1e-6, 1e-3):
+        circle = planar.Circle(radius, (0.0, 1.0 + above * radius))
+        swept = planar.sweep(circle, friction, samples=60)
+        assert residual(swept) < 1e-10
+        kinds = planar.events(circle, friction).kind.tolist()
+        begins = [EventKind.TO_TANGENTIAL, EventKind.TO_TIP] if above >= 0 else [EventKind.TO_TIP]
+        assert kinds == [EventKind.TOUCH_DOWN, *begins, EventKind.SNAP_OFF]
+
+
+def test_a_corner_at_the_tips_height():
+    for vertices in ([[0, 0.5], [1, 1], [0, 1.5], [-1, 1]], [[0, 0.5], [0.2, 0.5], [0.2, 1], [0, 1]]):
+        polygon = planar.Polygon(np.array(vertices))
+        for friction in (0.0, 0.3, 5.0):
+            swept = planar.sweep(polygon, friction, samples=60)
+            assert swept.x0[0] == polygon.vertices[:, 0].max()
+            assert (swept.phase != Phase.NONE).all()
+            assert residual(swept) < 1e-10
+
+
+def test_touch_down_in_tangential_contact():
+    # The object's rightmost point is below the tip: the straight rod leans on it, s1 its height.
+    for contour, height in ((planar.Circle(0.3, (0.0, 0.6)), 0.6), (CONTOURS["rectangle"], 0.6)):
+        swept = planar.sweep(contour, 0.3, samples=2000)
+        assert swept.phase[0] == Phase.TANGENTIAL
+        assert swept.s1[0] == pytest.approx(height)
+        assert swept.slope[0] == np.pi / 2
+        assert swept.m0z[0] == 0
+        # from the first contact on the friction angle is there to be read, at the smallest of forces
+        contacts = planar.reconstruct(swept.x0[1:20], swept.f0x[1:20], swept.f0y[1:20], swept.m0z[1:20])
+        assert np.abs(contacts.friction - 0.3).max() < 1e-9
+
+
+def test_the_force_is_in_tension_where_contact_is_steep_and_rough():
+    swept = planar.sweep(CIRCLE, 0.6, samples=400)
+    assert (swept.f0y[1:20] < 0).all()
+    assert (planar.sweep(CIRCLE, 0.3, samples=400).f0y[1:20] > 0).all()
+
+
+def test_a_flat_bottom():
+    for height, phase in ((0.3, Phase.TANGENTIAL), (0.6, Phase.TIP)):
+        flat = planar.Polygon(np.array([[0.0, height], [1.5, height], [1.5, 0.8], [0.0, 0.8]]))
+        swept = planar.sweep(flat, 0.3, samples=200)
+        bottom = (np.abs(swept.slope) < 1e-12) & (swept.point[:, 0] > 0) & (swept.point[:, 0] < 1.5)
+        assert bottom.sum() > 20
+        assert (swept.phase[bottom] == phase).all()
+        assert (swept.point[bottom, 1] == height).all()
+        # the same rod all along the edge, carried with its base
+        assert np.ptp(swept.m0z[bottom]) < 1e-12
+        np.testing.assert_allclose(np.diff(swept.x0[bottom]), np.diff(swept.point[bottom, 0]), atol=1e-12)
+
+
+# Events
+
+
+def test_events_on_a_square():
+    # the rod leaves a right side for the tip's height, lies around the lower corner, and snaps from it to the left side
+    for friction in (0.0, 0.3):
+        events = planar.events(SQUARE, friction)
+        assert events.kind[0] == EventKind.TOUCH_DOWN
+        assert events.kind[-1] == EventKind.SNAP_OFF
+        snaps = events.kind == EventKind.SNAP
+        assert snaps.sum() >= 1
+        assert (np.diff(events.x0) <= 0).all()
+        # a snap leaves one place and comes to another further along, in another state
+        before, after = events.slope[snaps].T
+        assert (after < before).all()
+        assert (np.linalg.norm(np.diff(events.point[snaps], axis=1), axis=2) > 1e-3).all()
+        assert (np.abs(np.diff(events.m0z[snaps], axis=1)) > 0.01).all()
+        assert SQUARE.distance(events.point[snaps].reshape(-1, 2)).max() < 1e-12
+        # the sweep does the same
+        x0 = events.x0[snaps][0]
+        swept = planar.sweep(SQUARE, friction, base=[x0 + 1e-9, x0 - 1e-9])
+        np.testing.assert_allclose(swept.point, events.point[snaps][0], atol=1e-3)
+        np.testing.assert_allclose(swept.m0z, events.m0z[snaps][0], atol=1e-2)
+
+
+@every_contour
+def test_events_agree_with_the_sweep(contour):
+    events = planar.events(contour, 0.4)
+    x0 = events.x0[1:-1]
+    swept = planar.sweep(contour, 0.4, base=np.sort(np.concatenate([x0 + 1e-10, x0 - 1e-10]))[::-1])
+    phases = swept.phase.reshape(-1, 2)
+    for kind, (before, after) in zip(events.kind[1:-1], phases, strict=True):
+        if kind == EventKind.TO_TANGENTIAL:
+            assert (before, after) == (Phase.TIP, Phase.TANGENTIAL)
+        if kind == EventKind.TO_TIP:
+            assert (before, after) == (Phase.TANGENTIAL, Phase.TIP)
+
+
+def test_events_say_what_they_are():
+    events = planar.events(CIRCLE, 0.2)
+    assert len(events) == 4
+    assert events.of(EventKind.TO_TIP).shape == (1,)
+    assert events.of(EventKind.SNAP).shape == (0,)
+    assert np.isnan(events.slope[0, 0])
+    assert np.isnan(events.point[0, 0]).all()
+    assert np.isnan(events.slope[-1, 1])
+    assert events.force[0].tolist() == events.m0z[0].tolist() == [0, 0]
+    assert events.m0z[-1, 1] == 0
+    sentences = {kind.reason for kind in EventKind}
+    assert len(sentences) == len(EventKind)
+    assert all(" " in sentence for sentence in sentences)
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(), "either its base positions .* or their number"),
+        (dict(samples=3, base=[0.5]), "either its base positions .* and not both"),
+        (dict(samples=0), "whole number of at least 1, got 0"),
+        (dict(samples=-3), "whole number of at least 1, got -3"),
+        (dict(samples=2.5), "whole number of at least 1, got 2.5"),
+        (dict(samples=True), "whole number of at least 1, got True"),
+        (dict(samples="many"), "whole number of at least 1, got 'many'"),
+        (dict(base=0.5), r"finite numbers of shape \(n,\), got 0.5"),
+        (dict(base=[[0.5], [0.4]]), r"finite numbers of shape \(n,\)"),
+        (dict(base=[0.5, np.nan]), "finite numbers .* nan"),
+        (dict(base=[0.4, 0.5]), "must follow the sweep: fall"),
+        (dict(base=[0.5, 0.4], direction=1), "must follow the sweep: .* rise in .x"),
+        (dict(samples=3, direction=0), "direction must be -1 or 1.*got 0"),
+        (dict(samples=3, direction="left"), "direction must be -1 or 1.*got 'left'"),
+        (dict(samples=3, friction=-0.1), "friction must be one number >= 0 .* got -0.1"),
+        (dict(samples=3, friction=np.nan), "friction .* got nan"),
+        (dict(samples=3, friction=np.inf), "friction .* got inf"),
+        (dict(samples=3, friction=[[0.1]]), "friction must be one number"),
+        (dict(samples=3, friction=[0.1, 0.2]), "one for each of the 3 base positions, got 2"),
+        (dict(base=[0.5], friction=[0.1, 0.2]), "one for each of the 1 base positions, got 2"),
+    ],
+)
+def test_a_sweep_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        planar.sweep(CIRCLE, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(friction=[0.1, 0.2], samples=3), "2 contours need as many|1 contours need as many"),
+        (dict(friction=[0.1], base=[[0.5], [0.4]]), "1 contours need as many frictions and base positions"),
+        (dict(friction=[0.1], shares=[0.5, 0.2]), "shares .* rise from 0 to 1"),
+        (dict(friction=[0.1], shares=[-0.1, 1.0]), "shares .* rise from 0 to 1"),
+        (dict(friction=[0.1], shares=[0.0, 1.1]), "shares .* rise from 0 to 1"),
+        (dict(friction=[0.1], shares=[]), "shares .* rise from 0 to 1"),
+        (dict(friction=[0.1], shares=[0.0, 1.0], samples=2), "and not both"),
+    ],
+)
+def test_many_sweeps_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        planar.sweep_all([CIRCLE], **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(friction=-1), "friction must be one number >= 0, got -1"),
+        (dict(friction=np.nan), "friction must be one number >= 0, got nan"),
+        (dict(friction=[0.1, 0.2]), r"friction must be one number >= 0, got \[0.1, 0.2\]"),
+        (dict(direction=0), "direction must be -1 or 1"),
+    ],
+)
+def test_events_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        planar.events(CIRCLE, **options)
