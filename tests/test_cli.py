@@ -647,13 +647,11 @@ def test_settings_given_in_python():
 
 def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
     assert METHODS == surfaces.METHODS
-    for method in METHODS:
-        # enough contacts for a fit
-        code, said, _ = call(
-            "scan", EGG, "--out", tmp_path / method, "--slices", "6", "--samples", "24", "--method", method, "--json"
-        )
+    # enough contacts for a fit, or not
+    for method, size in (("auto", FEW), ("hull", FEW), ("support", ("--slices", "6", "--samples", "24"))):
+        code, said, _ = call("scan", EGG, "--out", tmp_path / method, *size, "--method", method, "--json")
         assert code == 0
-        assert json.loads(said)["surface"]["method"] == ("hull" if method == "hull" else "support")
+        assert json.loads(said)["surface"]["method"] == ("hull" if size is FEW else "support")
 
 
 def test_a_method_that_the_body_does_not_allow(call, tmp_path, no_pictures):

@@ -310,6 +310,14 @@ def test_another_seed_gives_other_friction_and_noise(scanned, tmp_path, no_pictu
         assert (scanned / name).read_bytes() != (other / name).read_bytes()
 
 
+@pytest.mark.parametrize("random", [dict(friction=(0.0, 0.4)), dict(noise=1e-3)], ids=str)
+def test_friction_and_noise_each_follow_the_seed(random):
+    mesh = scan3d.load_mesh(CUBE)
+    one, other, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
+    assert np.array_equal(one.force_N, other.force_N)
+    assert not np.allclose(one.force_N, third.force_N)
+
+
 def test_the_clouds_file_is_the_cloud(scanned, read_ply):
     cloud = scan3d.reconstruct(scan3d.read_recording(scanned / "recording.csv"))
     vertices, faces, comments = read_ply(scanned / "cloud.ply")

@@ -1,0 +1,269 @@
+"""Step 2: contacts from reactions, row by row; what a row without a contact says; and what is refused, with the reason."""
+
+from dataclasses import FrozenInstanceError, fields
+
+import numpy as np
+import pytest
+
+import planar
+from planar import NormalSource, Phase, Status
+
+CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
+METHODS = ("closed-form", "scholz-rahn", "will")
+SWEPT = planar.sweep(CIRCLE, 0.2, samples=25)
+# one tangential contact, as x0, f0x, f0y, m0z
+ROW = (SWEPT.x0[10], SWEPT.f0x[10], SWEPT.f0y[10], SWEPT.m0z[10])
+
+every_method = pytest.mark.parametrize("method", METHODS)
+
+
+def row(**changes):
+    """`ROW` with some of its columns replaced, as arrays (1,)."""
+    columns = dict(zip(("x0", "f0x", "f0y", "m0z"), ROW, strict=True)) | changes
+    return [np.array([float(value)]) for value in columns.values()]
+
+
+def assert_no_contact(contacts, status):
+    assert contacts.status.tolist() == [status]
+    assert contacts.phase.tolist() == [Phase.NONE]
+    assert contacts.normal_source.tolist() == [NormalSource.NONE]
+    for name in ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope"):
+        assert np.isnan(getattr(contacts, name)).all(), name
+    for name in ("friction_angle", "friction", "normal", "normal_force", "tangential_force"):
+        assert np.isnan(getattr(contacts, name)).all(), name
+
+
+# Rows without a contact
+
+
+@every_method
+@pytest.mark.parametrize("column", ["x0", "f0x", "f0y", "m0z"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_missing_value(method, column, value):
+    assert_no_contact(planar.reconstruct(*row(**{column: value}), method), Status.NO_FORCE)
+
+
+@every_method
+def test_no_force(method):
+    for moment in (0.0, 1.0, -1.0):
+        assert_no_contact(planar.reconstruct(*row(f0x=0, f0y=0, m0z=moment), method), Status.NO_FORCE)
+
+
+@every_method
+def test_a_moment_of_the_wrong_sign(method):
+    for moment in (-ROW[3], 0.0):
+        assert_no_contact(planar.reconstruct(*row(m0z=moment), method), Status.WRONG_SIDE)
+
+
+@every_method
+def test_too_much_moment(method):
+    # k² = sin²(α/2) + m0z²/(4f) reaches 1
+    f, alpha = np.hypot(ROW[1], ROW[2]), np.arctan2(-ROW[1], ROW[2])
+    most = 2 * np.sqrt(f) * np.cos(alpha / 2)
+    assert_no_contact(planar.reconstruct(*row(m0z=most * (1 + 1e-9)), method), Status.NO_ROD)
+    just = planar.reconstruct(*row(m0z=most * (1 - 1e-9)), "closed-form")
+    assert just.status[0] != Status.NO_ROD
+
+
+@pytest.mark.parametrize("method", METHODS[:2])
+def test_a_contact_past_the_tip(method):
+    # the same rod enlarged
+    scale = 1 / SWEPT.s1[10] + 0.01
+    longer = [value * scale**power for value, power in zip(ROW, (1, -2, -2, -1), strict=True)]
+    contacts = planar.reconstruct(*([value] for value in longer), method)
+    assert_no_contact(contacts, Status.BEYOND_TIP)
+
+
+@pytest.mark.parametrize("method", METHODS[:2])
+def test_a_negative_friction_angle(method):
+    tip = SWEPT.phase == Phase.TIP
+    # a tip contact, β < 0, of a rod that is not long enough to be one
+    i = np.flatnonzero(tip & (planar.reconstruct(*columns()).friction_angle_bound < -0.1))[0]
+    scale = 0.9
+    shorter = [column[i] * scale**power for column, power in zip(columns(), (1, -2, -2, -1), strict=True)]
+    contacts = planar.reconstruct(*([value] for value in shorter), method)
+    assert_no_contact(contacts, Status.INFLECTION)
+
+
+def columns():
+    return SWEPT.x0, SWEPT.f0x, SWEPT.f0y, SWEPT.m0z
+
+
+def test_equation_10_where_the_force_is_steeper_than_the_clamp():
+    # α > π/2: the rod is in tension, and the integral of (10) runs over a negative root
+    swept = planar.sweep(CIRCLE, 0.6, base=[0.84])
+    reactions = (swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    assert_no_contact(planar.reconstruct(*reactions, "will"), Status.UNDEFINED)
+    assert planar.reconstruct(*reactions).status[0] == Status.OK
+
+
+def test_a_batch_masks_its_bad_rows_and_keeps_the_others():
+    bad = [dict(f0x=0, f0y=0), dict(m0z=-1), dict(m0z=100), dict(x0=np.nan), dict()]
+    rows = np.array([row(**changes) for changes in bad])[:, :, 0].T
+    contacts = planar.reconstruct(*rows)
+    assert contacts.status.tolist() == [Status.NO_FORCE, Status.WRONG_SIDE, Status.NO_ROD, Status.NO_FORCE, Status.OK]
+    alone = planar.reconstruct(*row())
+    for column in fields(contacts):
+        np.testing.assert_array_equal(getattr(contacts, column.name)[4:], getattr(alone, column.name))
+
+
+def test_every_status_says_a_sentence_of_its_own():
+    sentences = {status.sentence for status in Status}
+    assert len(sentences) == len(Status)
+    assert all(" " in sentence for sentence in sentences)
+
+
+# Rows with a contact
+
+
+def test_more_rows_than_are_worked_off_at_once():
+    repeat = 20_000 // len(SWEPT) + 1
+    many = [np.tile(column, repeat) for column in columns()]
+    friction = np.full(len(many[0]), 0.2)
+    contacts = planar.reconstruct(*many, friction=friction)
+    once = planar.reconstruct(*columns(), friction=0.2)
+    assert len(contacts) == len(many[0])
+    for name in ("status", "phase", "normal_source"):
+        np.testing.assert_array_equal(getattr(contacts, name), np.tile(getattr(once, name), repeat))
+    for name in ("s1", "slope"):
+        np.testing.assert_allclose(getattr(contacts, name), np.tile(getattr(once, name), repeat), rtol=1e-13)
+
+
+def test_no_rows_and_single_numbers():
+    none = planar.reconstruct([], [], [], [])
+    assert len(none) == 0
+    assert none.point.shape == none.normal.shape == (0, 2)
+    single = planar.reconstruct(*ROW)
+    np.testing.assert_array_equal(single.point, planar.reconstruct(*row()).point)
+
+
+def test_methods_agree():
+    exact, numerical = planar.reconstruct(*columns()), planar.reconstruct(*columns(), "scholz-rahn")
+    np.testing.assert_array_equal(exact.status, numerical.status)
+    np.testing.assert_allclose(numerical.point, exact.point, atol=1e-9)  # it integrates at 1e-10
+    frictionless = planar.sweep(CIRCLE, 0.0, samples=25)
+    lies = frictionless.phase == Phase.TANGENTIAL
+    reactions = [getattr(frictionless, name)[lies] for name in ("x0", "f0x", "f0y", "m0z")]
+    np.testing.assert_allclose(
+        planar.reconstruct(*reactions, "will").point, planar.reconstruct(*reactions).point, atol=1e-12
+    )
+
+
+def test_tolerance_decides_between_tip_and_tangential():
+    contacts = planar.reconstruct(*columns())
+    nearly = (contacts.s1 > 0.95) & (contacts.phase == Phase.TANGENTIAL)
+    assert nearly.any()
+    tolerant = planar.reconstruct(*columns(), tolerance=0.05)
+    assert (tolerant.phase[nearly] == Phase.TIP).all()
+    assert np.isnan(tolerant.friction_angle[nearly]).all()
+    # and what lies beyond the tip by less passes
+    longer = [value * (1.01 / SWEPT.s1[10]) ** power for value, power in zip(ROW, (1, -2, -2, -1), strict=True)]
+    passed = planar.reconstruct(*([value] for value in longer), tolerance=0.05)
+    assert passed.phase.tolist() == [Phase.TIP]
+    assert passed.s1[0] == pytest.approx(1.01)
+    # friction angles of 0 come out on both sides of it
+    frictionless = planar.sweep(CIRCLE, 0.0, samples=200)
+    reactions = (frictionless.x0, frictionless.f0x, frictionless.f0y, frictionless.m0z)
+    assert (planar.reconstruct(*reactions).status[1:] == Status.OK).all()
+
+
+def test_known_friction_fills_in_tip_contacts_only():
+    lies = SWEPT.phase == Phase.TANGENTIAL
+    without = planar.reconstruct(*columns())
+    # a wrong one: what the rod itself says goes first
+    given = planar.reconstruct(*columns(), friction=np.full(len(SWEPT), 0.9))
+    np.testing.assert_array_equal(given.slope[lies], without.slope[lies])
+    tip = given.phase == Phase.TIP
+    np.testing.assert_allclose(given.slope[tip], (given.force_angle - np.arctan(0.9))[tip])
+    assert (given.normal_source[tip] == NormalSource.FRICTION).all()
+    assert np.isnan(given.friction_angle[tip]).all()  # it was told, not measured
+
+
+def test_equation_10_is_clipped_to_the_tip():
+    contacts = planar.reconstruct(*columns(), "will")
+    assert np.nanmax(contacts.s1) == 1
+    tip = (SWEPT.phase == Phase.TIP) & (contacts.status == Status.OK) & (SWEPT.x0 > -1.1)
+    assert tip.any()
+
+
+def test_equation_10_is_its_integral():
+    # s1 = (1/√(2f)) ∫_α^{π/2} dt/√sin(t - α), by quadrature: t = α + w² takes the root out
+    from scipy.integrate import quad
+
+    contacts = planar.reconstruct(*columns(), "will")
+    for i in np.flatnonzero(contacts.s1 < 1):
+        f, alpha = np.hypot(SWEPT.f0x, SWEPT.f0y)[i], np.arctan2(-SWEPT.f0x, SWEPT.f0y)[i]
+        integral = quad(lambda w: 2 / np.sqrt(np.sinc(w * w / np.pi)), 0, np.sqrt(np.pi / 2 - alpha), epsabs=1e-12)[0]
+        assert contacts.s1[i] == pytest.approx(integral / np.sqrt(2 * f), abs=1e-10)
+
+
+def test_contacts_are_values():
+    contacts = planar.reconstruct(*ROW)
+    with pytest.raises(FrozenInstanceError):
+        contacts.s1 = contacts.force
+
+
+# Elastic lines
+
+
+def test_elastic_lines_run_from_the_clamp_to_the_contact_and_on_to_the_tip():
+    lines = planar.elastic_lines(*columns(), points=400)
+    np.testing.assert_allclose(lines.curved[:, 0], np.stack([SWEPT.x0, np.zeros(25)], axis=1), atol=1e-14)
+    np.testing.assert_allclose(lines.curved[:, -1], SWEPT.point, atol=1e-13)
+    np.testing.assert_array_equal(lines.straight[:, 0], lines.curved[:, -1])
+    # evenly in arc length, and one rod length in all; a polyline of 400 points is shorter by less than 1e-5
+    steps = np.linalg.norm(np.diff(lines.curved, axis=1), axis=2)
+    np.testing.assert_allclose(steps, SWEPT.s1[:, None] / 399 * np.ones(399), rtol=1e-4)
+    straight = np.linalg.norm(np.diff(lines.straight, axis=1)[:, 0], axis=1)
+    np.testing.assert_allclose(straight, 1 - SWEPT.s1, atol=1e-13)
+    # past a tangential contact it lies along the contour
+    lies = SWEPT.s1 < 1
+    direction = np.diff(lines.straight[lies], axis=1)[:, 0] / straight[lies, None]
+    np.testing.assert_allclose(direction, np.stack([np.cos(SWEPT.slope), np.sin(SWEPT.slope)], axis=1)[lies], atol=1e-9)
+
+
+def test_elastic_lines_never_enter_the_object():
+    lines = planar.elastic_lines(*columns(), points=200)
+    for points in (lines.curved, lines.straight):
+        assert np.linalg.norm(points - CIRCLE.center, axis=2).min() > CIRCLE.radius - 1e-12
+
+
+def test_elastic_lines_of_rods_that_are_straight_or_are_none():
+    lines = planar.elastic_lines([0.3, 0.3], [0.0, -1.0], [0.0, 1.0], [0.0, 50.0], points=3)
+    np.testing.assert_array_equal(lines.curved[0], [[0.3, 0], [0.3, 0.5], [0.3, 1]])
+    np.testing.assert_array_equal(lines.straight[0], [[0.3, 1], [0.3, 1]])
+    assert np.isnan(lines.curved[1]).all()
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (dict(method="newton"), "closed-form, scholz-rahn, will, got 'newton'"),
+        (dict(direction=0), "direction must be -1 or 1.*got 0"),
+        (dict(tolerance=1.0), "tolerance must lie between 0 and 1, got 1.0"),
+        (dict(tolerance=-1e-9), "tolerance must lie between 0 and 1, got -1e-09"),
+        (dict(tolerance=np.nan), "tolerance must lie between 0 and 1, got nan"),
+        (dict(friction=-0.1), "friction must be one number >= 0"),
+        (dict(friction=np.nan), "friction must be one number >= 0"),
+        (dict(friction=[0.1, 0.2]), "friction must be one number >= 0 or one for each"),
+    ],
+)
+def test_a_reconstruction_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        planar.reconstruct(*row(), **options)
+
+
+@pytest.mark.parametrize("call", [planar.reconstruct, planar.elastic_lines])
+def test_columns_of_different_lengths_are_refused(call):
+    with pytest.raises(ValueError, match=r"one shape \(n,\), got \(2,\), \(1,\), \(1,\), \(1,\)"):
+        call([0.1, 0.2], [0.1], [0.1], [0.1])
+    with pytest.raises(ValueError, match=r"one shape \(n,\), got \(1, 1\)"):
+        call([[0.1]], [[0.1]], [[0.1]], [[0.1]])
+
+
+def test_a_line_of_one_point_is_refused():
+    with pytest.raises(ValueError, match="at least 2 points, got 1"):
+        planar.elastic_lines(*row(), points=1)
