@@ -37,6 +37,9 @@ _IN_PLANE = 1e-9
 # Corners farther than this many widths of the slices belong to half-spaces that do not close.
 _FAR = 1e6
 
+# Offset of a dual facet that is zero to rounding: its corner lies at infinity.
+_ON_THE_EDGE = 1e-12
+
 
 class Gap(IntEnum):
     """What a part of the uncertainty comes from."""
@@ -180,8 +183,12 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
     planes[:, :3] *= size
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     try:
-        corners = _qhull(HalfspaceIntersection, planes, np.zeros(3)).intersections
-        corners = corners[np.isfinite(corners).all(axis=1)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cut = _qhull(HalfspaceIntersection, planes, np.zeros(3))
+        # the half-spaces close only where their dual points have the inner point among them
+        if not (cut.dual_equations[:, 3] < -_ON_THE_EDGE).all():
+            return unbounded
+        corners = cut.intersections
         volume = _qhull(ConvexHull, corners).volume * float(np.prod(size))
     except (QhullError, ValueError):
         return unbounded

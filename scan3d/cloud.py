@@ -22,6 +22,8 @@ _TIP_SIGMAS = 4.0
 # Standard deviation of a contact's place over that of force and moment, in rod lengths and observable units: for the middle
 # of the working range; contacts under small forces are worse.
 _NOISE_GAIN = 0.4
+# However much noise, a contact this far from the tip, in rod lengths, is none of the tip's.
+_MOST_TOLERANCE = 0.5
 # Slices whose heights differ by less, in rod lengths, are one.
 _SAME_HEIGHT = 1e-9
 
@@ -87,7 +89,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     fx, fy = (recording.force_N / rod.force_unit_N).T
     moment = recording.moment_Nm / rod.moment_unit_Nm
     noise = max(recording.noise_force_N / rod.force_unit_N, recording.noise_moment_Nm / rod.moment_unit_Nm)
-    tolerance = max(planar.TOLERANCE, _TIP_SIGMAS * noise)
+    tolerance = min(max(planar.TOLERANCE, _TIP_SIGMAS * noise), _MOST_TOLERANCE)
     found = planar.reconstruct(np.zeros(len(moment)), fx, fy, moment, method=method, tolerance=tolerance)
     touching = (found.phase != planar.Phase.NONE) & (np.hypot(fx, fy) > _FORCE_SIGMAS * noise)
     rows = np.flatnonzero(touching)

@@ -155,10 +155,13 @@ def _shoot(plotter: Any, path: str | Path, unit: str) -> None:
 def page(surface: Any, cloud: Cloud) -> bytes:
     """A page that shows the surface and the contacts and needs no network."""
     import trimesh
+    from trimesh.scene.cameras import Camera
     from trimesh.viewer.notebook import scene_to_html
 
     body = surface.copy()
     body.visual = trimesh.visual.ColorVisuals(body, face_colors=[176, 196, 222, 255])
     colors = np.where((cloud.phase == planar.Phase.TIP)[:, None], [33, 102, 172, 255], [178, 24, 43, 255])
     contacts = trimesh.PointCloud(cloud.points, colors=colors.astype(np.uint8))
-    return scene_to_html(trimesh.Scene([body, contacts])).encode()
+    # names of its own, where trimesh would draw them at random
+    scene = trimesh.Scene({"surface": body, "contacts": contacts}, camera=Camera(name="camera", fov=(60, 45)))
+    return scene_to_html(scene).encode()

@@ -101,3 +101,17 @@ def test_several_axes_bound_each_others_ends():
 def test_a_margin_for_noise_widens_the_bracket():
     cloud = contacts(scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=8, samples=32)))
     assert bracket(cloud, margin=0.1).bound >= bracket(cloud).bound + 0.1
+
+
+def test_contours_that_are_seen_from_one_side_only_are_not_bounded():
+    """Half-spaces that do not close have corners at infinity, which must not get lost."""
+    mesh = trimesh.creation.icosphere(3, 20.0)
+    assert np.isinf(bracket(contacts(scan3d.simulate(mesh, scan3d.Plan(slices=8, sweeps=1)))).bound)
+    assert np.isfinite(bracket(contacts(scan3d.simulate(mesh, scan3d.Plan(slices=8, sweeps=4)))).bound)
+
+
+@pytest.mark.parametrize("noise", [0.3, 0.6])
+def test_noise_beyond_reason_is_no_traceback(noise):
+    plan = scan3d.Plan(slices=4, samples=16, noise=noise)
+    recording = scan3d.simulate(trimesh.creation.box((20, 30, 40)), plan)
+    assert np.isfinite(contacts(recording).points).all()
