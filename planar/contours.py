@@ -79,9 +79,8 @@ class SmoothContour(Contour):
             slope = np.sort(np.concatenate([slope, middle[long]]))[::-1]
         points = self.points(slope)
         if above_tip(np.pi / 2) > 0:
-            points[0, 1] = (
-                1.0  # rounding here would weigh with its root: x0 leaves touch-down with the root of the height
-            )
+            # x0 leaves touch-down with the root of the height, and rounding would leave with it
+            points[0, 1] = 1.0
         return Path(
             slope[:-1], np.diff(slope), points[:-1], np.diff(points, axis=0), np.array([0, len(slope) - 1]), self
         )

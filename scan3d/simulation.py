@@ -84,7 +84,9 @@ class _Axis:
                 for k, angle in enumerate(angles)
             ]
             for approach, sweep in zip(approaches, self._sweep(approaches), strict=True):
-                done[approach.slice].append((approach, sweep))
+                # what is out of the rod's reach is not swept: it must not pass for empty
+                if sweep is not None:
+                    done[approach.slice].append((approach, sweep))
             if self.plan.sweeps is not None or round_ == _ROUNDS:
                 break
             todo = {i: self._open(done[i], self.polygons[i])[: planning.MOST_SWEEPS - len(done[i])] for i in todo}
@@ -122,7 +124,8 @@ class _Axis:
         depth = ((outline - middle) @ y).min() - self.plan.clearance * self.length
         return _Approach(slice_, number, np.stack([x, y]), middle + depth * y)
 
-    def _sweep(self, approaches: list[_Approach]) -> list[planar.Sweep]:
+    def _sweep(self, approaches: list[_Approach]) -> list[planar.Sweep | None]:
+        """The sweeps, None where the slice is out of the rod's reach."""
         outlines = [(self.polygons[a.slice] - a.origin) @ a.axes.T / self.length for a in approaches]
         within = [k for k, outline in enumerate(outlines) if outline[:, 1].min() <= 1]
         low, high = self.plan.friction_range
@@ -135,7 +138,7 @@ class _Axis:
         shares = planning.base_shares(self.plan.samples)
         swept = planar.sweep_all(contours, [friction[k] for k in within], shares=shares) if within else []
         found = dict(zip(within, swept, strict=True))
-        return [found[k] if k in found else self._nothing(outlines[k][:, 0]) for k in range(len(approaches))]
+        return [found.get(k) for k in range(len(approaches))]
 
     def _open(self, done: list[tuple[_Approach, planar.Sweep]], polygon: Array) -> Array:
         """Approach directions for what the sweeps have left open of a slice."""

@@ -185,8 +185,8 @@ def test_sweeps_are_values():
 # Hard corners
 
 
-@pytest.mark.parametrize("radius", [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0])
-@pytest.mark.parametrize("lowest", [1e-6, 1e-3, 0.5, 0.99, 1 - 1e-6, 1 - 1e-9])
+@pytest.mark.parametrize("radius", [1e-3, 0.1, 1.0, 100.0])
+@pytest.mark.parametrize("lowest", [1e-6, 0.5, 0.99, 1 - 1e-9])
 @pytest.mark.parametrize("friction", [0.0, 5.0])
 def test_circles_of_all_sizes_at_all_heights(radius, lowest, friction):
     circle = planar.Circle(radius, (0.3, lowest + radius))
@@ -234,13 +234,13 @@ def test_a_large_contour_far_away_touches_the_tip_exactly():
     assert residual(swept) < 1e-10
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3, 5.0])
+@pytest.mark.parametrize("friction", [0.0, 5.0])
 @pytest.mark.parametrize("radius", [0.002, 0.01, 0.03, 0.3])
 def test_a_contour_whose_rightmost_point_is_at_the_tips_height(radius, friction):
     # tip, tangential, tip within a few degrees of slope: between two places at which the rod stands on its tip
-    for above in (-1e-9, 0.0, 1e-9, 1e-6, 1e-3):
+    for above in (-1e-9, 0.0, 1e-9, 1e-3):
         circle = planar.Circle(radius, (0.0, 1.0 + above * radius))
-        swept = planar.sweep(circle, friction, samples=60)
+        swept = planar.sweep(circle, friction, samples=30)
         assert residual(swept) < 1e-10
         kinds = planar.events(circle, friction).kind.tolist()
         begins = [EventKind.TO_TANGENTIAL, EventKind.TO_TIP] if above >= 0 else [EventKind.TO_TIP]
