@@ -314,6 +314,27 @@ def test_events_on_a_square():
         np.testing.assert_allclose(swept.m0z, events.m0z[snaps][0], atol=1e-2)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("sides", [4, 7, 24, 60, 200])
+def test_a_tip_snaps_around_every_corner(sides, friction):
+    around = 2 * np.pi * (np.arange(sides) + 0.3) / sides
+    polygon = planar.Polygon(CIRCLE.center + 0.9 * np.stack([np.cos(around), np.sin(around)], axis=1))
+    events = planar.events(polygon, friction)
+    snaps = np.flatnonzero(events.kind == EventKind.SNAP)
+    for i in snaps:
+        # 1e-12 before a fold the contact is its root away from it, times the bend of x0 there
+        swept = planar.sweep(polygon, friction, base=[events.x0[i] + 1e-12, events.x0[i] - 1e-12])
+        np.testing.assert_allclose(swept.point, events.point[i], atol=1e-4)
+        np.testing.assert_allclose(swept.slope, events.slope[i], atol=1e-4)
+    # on its last stretch the tip visits edge after edge, and comes to each by a snap, if not by ceasing to lie on it
+    swept = planar.sweep(polygon, friction, samples=4000)
+    begin = np.flatnonzero(swept.phase == Phase.TANGENTIAL)[-1] + 1
+    edges = len(np.unique(np.round(swept.slope[begin:], 9)))
+    last = events.x0 <= swept.x0[begin - 1]
+    comes = np.isin(events.kind[last], (EventKind.SNAP, EventKind.TO_TIP)).sum()
+    assert comes == edges
+
+
 @every_contour
 def test_events_agree_with_the_sweep(contour):
     events = planar.events(contour, 0.4)
