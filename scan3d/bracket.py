@@ -138,7 +138,7 @@ def outside(points: Array, body: Any) -> Array:
 
 
 def _outside_with_face(points: Array, body: Any) -> tuple[Array, NDArray[np.int64]]:
-    signed, face = nearest(points, body)
+    signed, face, _ = nearest(points, body)
     return np.maximum(signed, 0.0), face
 
 

@@ -150,8 +150,8 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     )
 
 
-def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index]:
-    """Distance (p,) of points (p, 3) to a convex mesh, negative inside, and the face (p,) it is taken to.
+def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
+    """Distance (p,) of points (p, 3) to a convex mesh, negative inside, the face (p,) and the point (p, 3) nearest to them.
 
     Raises InputError as `compare`.
     """
@@ -163,8 +163,9 @@ def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index]:
     face, foot = _locator(corners)(points)
     # a point lies on the far side of its foot from the middle exactly if it is outside
     outside = _dot(points - foot, vertices.mean(axis=0) - foot) < 0
-    distance = np.where(outside, 1.0, -1.0) * _distance(points, corners[face])
-    return distance * scale, face
+    offset = _offset(points, corners[face])
+    distance = np.where(outside, 1.0, -1.0) * np.linalg.norm(offset, axis=1)
+    return distance * scale, face, (points - offset) * scale + centre
 
 
 def distances(points: Array, mesh: trimesh.Trimesh) -> Array:
@@ -455,7 +456,12 @@ class _Search:
 
 
 def _distance(points: Array, corners: Array) -> Array:
-    """Distance of points (..., 3) to triangles (..., 3, 3), longest edge first, down to slivers and single points.
+    """Distance of points (..., 3) to triangles (..., 3, 3), longest edge first, down to slivers and single points."""
+    return np.linalg.norm(_offset(points, corners), axis=-1)
+
+
+def _offset(points: Array, corners: Array) -> Array:
+    """Vectors to points (..., 3) from the nearest ones of triangles (..., 3, 3), longest edge first.
 
     Coordinates along the longest edge and across it: a sliver's normal would lose all digits.
     """
@@ -467,14 +473,19 @@ def _distance(points: Array, corners: Array) -> Array:
         return _dot(x, y) / np.maximum(_dot(y, y), np.finfo(np.float64).tiny)
 
     def to_edge(x: Array, y: Array) -> Array:
-        return np.linalg.norm(x - np.clip(ratio(x, y), 0, 1)[..., None] * y, axis=-1)
+        return x - np.clip(ratio(x, y), 0, 1)[..., None] * y
 
     along, shear = ratio(r, e), ratio(f, e)
     v = ratio(r - along[..., None] * e, f - shear[..., None] * e)
     u = along - v * shear
-    to_plane = np.linalg.norm(r - u[..., None] * e - v[..., None] * f, axis=-1)
-    to_plane[(u < 0) | (v < 0) | (u + v > 1)] = np.inf
-    return np.minimum(np.minimum(to_plane, to_edge(r, e)), np.minimum(to_edge(r, f), to_edge(points - b, c - b)))
+    nearest = r - u[..., None] * e - v[..., None] * f
+    distance = np.linalg.norm(nearest, axis=-1)
+    distance[(u < 0) | (v < 0) | (u + v > 1)] = np.inf
+    for offset in (to_edge(r, e), to_edge(r, f), to_edge(points - b, c - b)):
+        nearer = np.linalg.norm(offset, axis=-1) < distance
+        nearest[nearer] = offset[nearer]
+        distance[nearer] = np.linalg.norm(offset[nearer], axis=-1)
+    return nearest
 
 
 def _locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:

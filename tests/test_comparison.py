@@ -501,7 +501,7 @@ def test_distances_of_points_to_a_body():
     points = np.random.default_rng(1).standard_normal((500, 3)) * 2
     hull = ConvexHull(body.vertices)
     above = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
-    signed, face = nearest(points, body)
+    signed, face, foot = nearest(points, body)
     assert np.array_equal(signed < 0, above < 0)
     assert signed[above < 0] == pytest.approx(above[above < 0], rel=1e-12)
     assert np.abs(signed) == pytest.approx(far(points, body), rel=1e-12)
@@ -510,6 +510,8 @@ def test_distances_of_points_to_a_body():
         for p, f in zip(points, face, strict=True)
     ]
     assert np.abs(signed) == pytest.approx(one_face, rel=1e-12)
+    assert np.linalg.norm(points - foot, axis=1) == pytest.approx(np.abs(signed), rel=1e-12)
+    assert np.abs(signed_distances(foot, body)).max() < 1e-12
     assert np.array_equal(signed_distances(points, body), signed)
     assert np.array_equal(distances(points, body), np.abs(signed))
     square = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3)], process=False)
