@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,12 @@ _IN_PLANE = 1e-9
 
 # Corners farther than this many widths of the slices belong to half-spaces that do not close.
 _FAR = 1e6
+
+# Slopes behind a slab are equal if they differ by less than this share of their difference to the slab's.
+_FLAT = 0.03
+
+# Rounding of a support function, relative to it.
+_ROUNDING = 1e-13
 
 # Offset of a dual facet that is zero to rounding: its corner lies at infinity.
 _ON_THE_EDGE = 1e-12
@@ -64,6 +71,10 @@ class Bracket:
     """(w,) their distance from the inner body."""
     kind: NDArray[np.int8]
     """(w,) of `Gap`."""
+    flat: NDArray[np.bool_]
+    """(w, 2) whether the body goes on straight below and above the corner's slab."""
+    stack: Layers
+    """The slices whose slabs these are."""
     bound: float
     """The Hausdorff distance of the inner body to the true one is no larger; infinite if nothing bounds its height."""
     margin: float
@@ -84,6 +95,8 @@ class Slab(NamedTuple):
     """(w, 3) in the world; one infinite corner if nothing bounds the slab."""
     kind: NDArray[np.int8]
     """(w,) of `Gap`."""
+    flat: NDArray[np.bool_]
+    """(w, 2) whether all half-spaces of the corner that come from below, and from above, go on straight beyond the slab."""
     volume: float
 
 
@@ -97,15 +110,14 @@ def bracket(cloud: Cloud, margin: float = 0.0) -> Bracket:
         found = [_lidded(k, found, outer) for k in range(len(found))]
         outer = [slabs(stack, margin) for stack in found]
     best: Bracket | None = None
-    for parts in outer:
-        corners = np.concatenate([slab.corners for slab in parts])
-        kind = np.concatenate([slab.kind for slab in parts])
+    for stack, parts in zip(found, outer, strict=True):
+        corners, kind, flat = (np.concatenate([slab[i] for slab in parts]) for i in range(3))
         gap = np.full(len(corners), np.inf)
         bounded = np.isfinite(corners).all(axis=1)
         gap[bounded] = outside(corners[bounded], inner)
         volume = inner.volume, max(sum(slab.volume for slab in parts), inner.volume)
         if best is None or gap.max() + margin < best.bound:
-            best = Bracket(inner, corners, gap, kind, float(gap.max()) + margin, margin, volume)
+            best = Bracket(inner, corners, gap, kind, flat, stack, float(gap.max()) + margin, margin, volume)
     assert best is not None
     return best
 
@@ -113,10 +125,10 @@ def bracket(cloud: Cloud, margin: float = 0.0) -> Bracket:
 def slabs(stack: Layers, margin: float = 0.0, known: dict[tuple[float, ...], Slab] | None = None) -> list[Slab]:
     """The slabs of a stack from below; those that depend on the same slices are taken from `known`, and added to it."""
     known = {} if known is None else known
-    heights = [-np.inf, stack.floor, *stack.heights, stack.ceiling, np.inf]
+    heights = [-np.inf, -np.inf, stack.floor, *stack.heights, stack.ceiling, np.inf, np.inf]
     found = []
     for i in range(len(stack.layers) + 1):
-        key = tuple(heights[i : i + 4])
+        key = tuple(heights[i : i + 6])
         if key not in known:
             known[key] = _slab(stack, i, margin)
         found.append(known[key])
@@ -162,11 +174,13 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
     low = below.height if below else stack.floor
     high = above.height if above else stack.ceiling
     inner_kind = Gap.CAPS if below is None or above is None else Gap.SLICES
-    unbounded = Slab(np.full((1, 3), np.inf), np.array([inner_kind], dtype=np.int8), np.inf)
+    unbounded = Slab(
+        np.full((1, 3), np.inf), np.array([inner_kind], dtype=np.int8), np.zeros((1, 2), dtype=bool), np.inf
+    )
     if not (np.isfinite(low) and np.isfinite(high)):
         return unbounded
     if high <= low:
-        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), 0.0)
+        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), np.empty((0, 2), dtype=bool), 0.0)
     rows = []
     if below is not None and i >= 2:
         rows.append(_half_spaces(below, layers[i - 2], margin))
@@ -177,6 +191,13 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
         return unbounded
     thickness = high - low
     planes = np.concatenate([*rows, [[0.0, 0.0, 1.0, -high], [0.0, 0.0, -1.0, low]]])
+    straight = np.ones((len(planes), 2), dtype=bool)
+    if below is not None and above is not None:
+        if i >= 2:
+            straight[: len(rows[0]), 0] = _straight(layers[:i][::-1], above)
+        if i + 1 < count:
+            straight[-2 - len(rows[-1]) : -2, 1] = _straight(layers[i:], below)
+    sides = np.array([below is not None and above is not None and i >= 2, below is not None and i + 1 < count])
     # shifted to the inner point and stretched to unit size, the thin slabs are no trouble for Qhull
     planes[:, 3] += planes[:, :3] @ inside
     size = np.array([max(float(np.ptp(layer.points)) for layer in (below, above) if layer)] * 2 + [thickness])
@@ -197,7 +218,9 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
     corners = inside + corners * size
     filled = [layer.height for layer in (below, above) if layer]
     in_plane = np.abs(corners[:, 2:] - filled).min(axis=1) <= _IN_PLANE * thickness
-    return Slab(corners @ stack.frame, np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8), volume)
+    kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
+    flat = np.array([straight[of].all(axis=0) for of in cut.dual_facets]) & sides
+    return Slab(corners @ stack.frame, kind, flat, volume)
 
 
 def _qhull(build: Any, *inputs: Array) -> Any:
@@ -214,6 +237,22 @@ def _half_spaces(layer: Layer, behind: Layer, margin: float) -> Array:
     value = layer.value + margin
     secant = (value - (behind.least(normals) - margin)) / (layer.height - behind.height)
     return np.column_stack([normals, -secant, secant * layer.height - value])
+
+
+def _straight(behind: tuple[Layer, ...], beyond: Layer) -> NDArray[np.bool_]:
+    """Whether the body goes on straight behind a slab's layer at the layer's normals (k,): it has a flat side there.
+
+    `behind` are the layer and those farther and farther from the slab, `beyond` is the one on the slab's other side.
+    """
+    if len(behind) < 3:
+        return np.zeros(len(behind[0].angle), dtype=bool)
+    normals = np.stack([np.cos(behind[0].angle), np.sin(behind[0].angle)], axis=1)
+    near, far, turned = (
+        (b.least(normals) - a.least(normals)) / (b.height - a.height)
+        for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond))
+    )
+    size = np.abs(behind[0].value).max() / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
+    return np.abs(near - far) <= _FLAT * np.abs(near - turned) + _ROUNDING * size
 
 
 def _inner_point(below: Layer | None, above: Layer | None, low: float, high: float, rows: list[Array]) -> Array | None:

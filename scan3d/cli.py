@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from scan3d.errors import InputError
+from scan3d.settings import METHODS
+from scan3d.terminal import is_terminal, table
 from scan3d.units import UNITS_M
 
 _DESCRIPTION = """\
@@ -23,7 +25,58 @@ Seeing by touch: sweep a flexible rod along a body, and rebuild the body from th
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
   scan3d reconstruct log.csv --out out --truth part.stl    only the way back
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
+  scan3d show out                                          a window to turn it in; --html and --screenshot for files
+  scan3d export out --to part.glb                          the surface for other programs
+  scan3d doctor                                            what works here, and how to mend the rest
+
+'scan3d COMMAND --help' says more about each.
 """
+
+# What stands under a command's help.
+_EXAMPLES = {
+    "scan": """\
+  scan3d scan meshes/egg.stl --out out
+  scan3d scan part.stl --out out --unit in --slices 128 --axis xyz
+  scan3d scan part.stl --out out --friction 0.0:0.4 --noise 1e-4 --seed 7
+  scan3d scan part.stl --out out --config settings.toml --json""",
+    "simulate": """\
+  scan3d simulate part.stl --out log.csv
+  scan3d simulate part.stl --out log.csv --rod steel:0.3x50 --sweeps 24""",
+    "reconstruct": """\
+  scan3d reconstruct log.csv --out out
+  scan3d reconstruct log.csv --out out --truth part.stl --method hull""",
+    "compare": """\
+  scan3d compare out/surface.ply part.stl
+  scan3d compare a.stl b.stl --unit in --json""",
+    "show": """\
+  scan3d show out
+  scan3d show out --screenshot egg.png --view compare
+  scan3d show out/cloud.ply --screenshot friction.pdf --color friction
+  scan3d show log.csv --html log.html --truth part.stl
+  scan3d show out --movie sweep.gif""",
+    "export": """\
+  scan3d export out --to egg.glb
+  scan3d export out --to egg.vtp --what cloud
+  scan3d export out/cloud.ply --to egg.pcd""",
+    "doctor": """\
+  scan3d doctor
+  scan3d doctor --json""",
+    "completion": """\
+  eval "$(scan3d completion bash)"
+  eval "$(scan3d completion zsh)"
+  scan3d completion fish > ~/.config/fish/completions/scan3d.fish""",
+}
+# As `views.VIEWS` and `scenes.COLORS`, without what those import.
+_VIEWS = ("cloud", "surface", "bound", "compare", "explain")
+_COLORS = ("phase", "force", "friction", "error")
+# What the shell offers for options whose values are judged later.
+_VALUES = {
+    "spacing": ("cosine", "uniform", "adaptive"),
+    "standoff": ("follow", "fixed"),
+    "unit": tuple(UNITS_M),
+    "method": METHODS,
+    "axis": ("x", "y", "z", "xyz"),
+}
 
 # name, placeholder, what it is; types and defaults are those of `Settings`
 _OPTIONS = (
@@ -117,6 +170,60 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_output(compare)
     compare.set_defaults(run=_compare)
+
+    show = commands.add_parser("show", help="look at a scan: in a window, or in a picture, a page or a movie")
+    show.add_argument(
+        "path", metavar="DIR|FILE", help="a scan's folder, a recording (.csv), a cloud or surface (.ply), a mesh"
+    )
+    show.add_argument("--screenshot", metavar="FILE", help="a picture, .png or .pdf, instead of a window")
+    show.add_argument("--html", metavar="FILE", help="a page that turns in any browser, without network")
+    show.add_argument("--movie", metavar="FILE", help="a .gif, or an .mp4 (needs imageio-ffmpeg)")
+    show.add_argument("--view", choices=_VIEWS, metavar="VIEW", help=f"what the picture shows: {', '.join(_VIEWS)}")
+    show.add_argument(
+        "--color",
+        choices=_COLORS,
+        default="force",
+        metavar="WHAT",
+        help=f"colour of the contacts: {', '.join(_COLORS)}",
+    )
+    show.add_argument(
+        "--movie-of", choices=("sweep", "growth"), default="sweep", metavar="WHAT", help="sweep (default) or growth"
+    )
+    show.add_argument(
+        "--truth", metavar="MESH", help="the true body; by default the one that the report names, if found"
+    )
+    show.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
+    show.add_argument("--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="of a mesh (default mm)")
+    _add_output(show)
+    show.set_defaults(run=_show)
+
+    export = commands.add_parser(
+        "export",
+        help="cloud or surface in another format, by file ending",
+        description="Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn and .csv, surfaces to .stl, .ply, .obj, .vtp\n"
+        "and .glb (in metres). Unit, frame, normals and scalars stay wherever a format can hold them.",
+    )
+    export.add_argument("source", metavar="DIR", help="folder of a scan, or one of its PLY files")
+    export.add_argument("--to", required=True, metavar="FILE", help="the file to write; its ending says the format")
+    export.add_argument(
+        "--what",
+        choices=("surface", "cloud"),
+        help="for .ply and .vtp, which hold either (default surface, unless DIR is a file with a cloud)",
+    )
+    _add_output(export)
+    export.set_defaults(run=_export)
+
+    doctor = commands.add_parser("doctor", help="what works here, what is missing and the command that installs it")
+    _add_output(doctor)
+    doctor.set_defaults(run=_doctor)
+
+    completion = commands.add_parser("completion", help="a script that makes the shell complete this command")
+    completion.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
+    completion.set_defaults(run=_completion)
+
+    for name, text in _EXAMPLES.items():
+        commands.choices[name].epilog = f"examples:\n{text}"
+        commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter
     return parser
 
 
@@ -176,7 +283,7 @@ def _scan(arguments: argparse.Namespace) -> int:
     if arguments.print_config:
         return _print_config(chosen)
     data = commands.scan(arguments.mesh, arguments.out, chosen, _say, _progress(arguments))
-    return _print(arguments, data, f"{reports.summary(data)}\nwritten to         {arguments.out}")
+    return _print(arguments, data, _table(f"{reports.summary(data)}\nwritten to         {arguments.out}"))
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
@@ -198,7 +305,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
 
     chosen = settings({"hull": arguments.hull, "method": arguments.method})
     data = commands.reconstruct_only(arguments.recording, arguments.out, arguments.truth, chosen, _say)
-    return _print(arguments, data, f"{reports.summary(data)}\nwritten to         {arguments.out}")
+    return _print(arguments, data, _table(f"{reports.summary(data)}\nwritten to         {arguments.out}"))
 
 
 def _compare(arguments: argparse.Namespace) -> int:
@@ -207,7 +314,46 @@ def _compare(arguments: argparse.Namespace) -> int:
     from scan3d import commands, reports
 
     found = commands.compare_files(arguments.first, arguments.second)
-    return _print(arguments, asdict(found), reports.comparison_summary(found, arguments.unit))
+    return _print(arguments, asdict(found), _table(reports.comparison_summary(found, arguments.unit)))
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    from scan3d import commands
+
+    names = ("truth", "hull", "unit", "view", "color", "movie_of", "screenshot", "html", "movie")
+    chosen = {name: getattr(arguments, name) for name in names}
+    done = commands.show(arguments.path, print, **chosen)
+    return _print(arguments, done, "\n".join(f"written to {file}" for file in done["files"])) if done["files"] else 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from scan3d.exports import export
+
+    done = export(arguments.source, arguments.to, arguments.what)
+    cloud, surface = f"{done['points']} contacts", f"a surface of {done['points']} vertices and {done['faces']} faces"
+    shape = cloud if done["what"] == "cloud" else surface
+    return _print(arguments, done, f"{shape} in {done['unit']}, written to {done['file']}")
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    import json
+
+    from scan3d import doctor
+
+    found = doctor.examine()
+    # without `files`, which needs numpy: that may be what is missing
+    if arguments.json:
+        print(json.dumps(found, indent=2))
+    elif not arguments.quiet:
+        print(_table(doctor.summary(found)))
+    return 0 if found["ok"] else 1
+
+
+def _completion(arguments: argparse.Namespace) -> int:
+    from scan3d.completion import script
+
+    print(script(_parser(), arguments.shell, _VALUES), end="")
+    return 0
 
 
 def _keep_config(arguments: argparse.Namespace) -> None:
@@ -238,13 +384,17 @@ def _print(arguments: argparse.Namespace, data: Any, text: str) -> int:
     return 0
 
 
+def _table(text: str) -> str:
+    return table(text, sys.stdout)
+
+
 def _say(sentence: str) -> None:
     print(f"scan3d: {sentence}", file=sys.stderr)
 
 
 def _progress(arguments: argparse.Namespace) -> Any:
     """A line on stderr that counts up and vanishes; nothing where stderr is no terminal."""
-    if arguments.quiet or not sys.stderr.isatty():
+    if arguments.quiet or not is_terminal(sys.stderr):
         return lambda *_: None
 
     def show(what: str, done: int, of: int) -> None:

@@ -6,11 +6,13 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from scan3d.errors import InputError
 from scan3d.files import folder, ply, to_json, whole, write_whole
 from scan3d.settings import Settings, as_dict
 
@@ -91,6 +93,92 @@ def compare_files(first: str, second: str) -> Any:
     return compare(read_mesh(first), read_mesh(second))
 
 
+def show(
+    path: str,
+    tell: Say,
+    *,
+    truth: str | None = None,
+    hull: bool = False,
+    unit: str = "mm",
+    view: str | None = None,
+    color: str = "force",
+    movie_of: str = "sweep",
+    screenshot: str | None = None,
+    html: str | None = None,
+    movie: str | None = None,
+) -> dict[str, Any]:
+    """Show a scan's folder, a recording, a cloud or a mesh: in the files that are named, or else in a window.
+
+    `tell` gets what was felt at a contact that is clicked in the window.  Returns the files.
+    """
+    from scan3d import movies, pages, views, windows
+
+    if not (screenshot or html or movie) and not windows.can_open():
+        raise InputError(windows.NO_DISPLAY)
+    # before the work
+    if screenshot:
+        views.check_path(screenshot)
+    if movie:
+        movies.check_path(movie)
+    scene = _scene(Path(path), truth, hull, unit)
+    files = []
+    if html:
+        write_whole(html, pages.page(scene))
+        files.append(html)
+    if movie:
+        with whole(movie) as file:
+            movies.movie(scene, file, movie_of)
+        files.append(movie)
+    if screenshot:
+        with whole(screenshot) as file:
+            views.picture(scene, file, view or ("cloud" if scene.surface is None else "surface"), color)
+        files.append(screenshot)
+    if not files:
+        windows.open_window(scene, tell, color)
+    return {"shown": scene.name, "files": files}
+
+
+def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
+    """What a path shows, with the true body if it is named or found."""
+    from scan3d import scenes
+    from scan3d.bodies import load_mesh, read_mesh
+
+    if not path.exists():
+        raise InputError(
+            f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
+        )
+    if path.is_dir():
+        report = scenes.read_report(path)
+        scene = scenes.of_folder(path, report, unit)
+        truth = truth or scenes.find_truth(path, report)
+        hull = hull or bool((report.get("settings") or {}).get("hull"))
+    elif path.suffix.lower() == ".csv":
+        scene = _shown_recording(path)
+    else:
+        found = scenes.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
+        scene = found or scenes.Scene(path.stem, unit, surface=read_mesh(path))
+    return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull)) if truth else scene
+
+
+def _shown_recording(path: Path) -> Any:
+    from scan3d import scenes, surfaces
+    from scan3d.bracket import bracket, certificate
+    from scan3d.reconstruction import reconstruct
+    from scan3d.recording import read_recording
+
+    recording = read_recording(path)
+    cloud = reconstruct(recording)
+    scene = scenes.of_cloud(cloud, name=path.stem, recording=recording)
+    try:
+        surface = surfaces.surface(cloud)
+        bound = certificate(bracket(cloud, _NOISE_SIGMAS * cloud.noise), surface)[1]
+    except InputError:  # contacts in one plane span no body, and are still worth a look
+        return scene
+    return dataclasses.replace(
+        scene, surface=surface, bound=bound.astype(np.float32) if np.isfinite(bound).any() else None
+    )
+
+
 def _origin(body: Any) -> dict[str, Any]:
     return {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
 
@@ -110,7 +198,7 @@ def _results(
     Nothing is written before all is computed.
     """
     from scan3d import cloud as clouds
-    from scan3d import reports, surfaces
+    from scan3d import reports, scenes, surfaces
     from scan3d.bracket import bracket, certificate
     from scan3d.comparison import compare, distances
     from scan3d.reconstruction import reconstruct
@@ -138,38 +226,52 @@ def _results(
             files = [*_RECORDING, *files]
         write_whole(place / "cloud.ply", ply(clouds.table(cloud, error), comments=comment))
         write_whole(place / "surface.ply", ply(surfaces.table(surface, certified[1]), surface.faces, comments=comment))
-    with clock("pictures"):
-        files += _pictures(place, cloud, surface, body, say)
-    data = reports.report(
+    report = partial(
+        reports.report,
         settings=settings,
         recording=recording,
         cloud=cloud,
         surface=surface,
         certificate=certified[0],
         bracket=inside,
-        timings_s=clock.seconds,
-        files=[*files, "report.json"],
         mesh=body,
         contact_error=error,
         comparison=found,
         friction_set=settings["friction"] if simulated else None,
     )
+    scene = scenes.of_cloud(
+        cloud,
+        error,
+        name=_name(body, recording),
+        surface=surface,
+        bound=certified[1].astype(np.float32) if np.isfinite(certified[1]).any() else None,
+        truth=body,
+        recording=recording,
+        figures=scenes.figures(report(timings_s={}, files=[])),
+    )
+    with clock("pictures"):
+        files += _pictures(place, scene, say)
+    data = report(timings_s=clock.seconds, files=[*files, "report.json"])
     write_whole(place / "report.json", to_json(data))
     return data
 
 
-def _pictures(place: Path, cloud: Any, surface: Any, body: Any, say: Say) -> list[str]:
-    """Draw what can be drawn; returns the files."""
-    from scan3d import views
-    from scan3d.comparison import signed_distances
+def _name(body: Any, recording: Any) -> str:
+    """What a picture calls the body: by its file, or that of the recording's source."""
+    file = recording.source.get("mesh") if body is None else body.metadata.get("file")
+    return Path(str(file)).stem if file else "body"
 
-    write_whole(place / "view.html", views.page(surface, cloud))
+
+def _pictures(place: Path, scene: Any, say: Say) -> list[str]:
+    """Draw what can be drawn; returns the files."""
+    from scan3d import pages, views
+
+    write_whole(place / "view.html", pages.page(scene))
     if not views.can_render():
         say(views.NO_RENDERER)
         return ["view.html"]
-    deviation = None if body is None else signed_distances(surface.triangles_center, body)
     with whole(place / "cloud.png") as picture:
-        views.draw_cloud(cloud, picture)
+        views.picture(scene, picture, "cloud")
     with whole(place / "surface.png") as picture:
-        views.draw_surface(surface, deviation, cloud.unit, picture)
+        views.picture(scene, picture, "surface")
     return ["view.html", "cloud.png", "surface.png"]

@@ -23,6 +23,8 @@ FIRST_SLICES = 8
 OVERSHOOT = 0.02
 # Smallest distance of the slices beyond the ends, as a share of the height.
 MARGIN = 1e-4
+# Gap in a cap over that in another slab of the same weight: how a body closes past its end slice is least known.
+_CAP_WEIGHT = 1.5
 # Slices closer to each other than this share of the height tell nothing new.
 CLOSEST = 1e-7
 # How much denser than evenly a sweep's samples are at its start, and sparser at its end.
@@ -145,39 +147,51 @@ def first_heights(low: float, high: float, plan: Plan) -> Array:
     return np.concatenate([inside, [low - beyond, high + beyond]])
 
 
-def next_heights(known: Array, corners: Array, gaps: Array, count: int) -> Array:
-    """Up to `count` further heights, where the bracket is widest.
+def next_heights(known: Array, corners: Array, gaps: Array, kinks: Array, count: int, left: int) -> Array:
+    """About `count` further heights, no more than `left`, where the bracket is widest.
 
     known (s,): heights scanned, rising, with the nearest empty ones at both ends.  corners (w,): heights of the outer
-    body's corners, gaps (w,): their distances from the inner body.  In one slab between known heights, one height: that of
-    its worst corner, which for a polyhedron is a vertex's own; a corner on an empty slice says only that the body ends
-    before it, and the height between is halved.
+    body's corners, gaps (w,): their distances from the inner body, kinks (w,): whether the body goes on straight on both
+    sides.  A slab between known heights gets the height of its worst corner, which for a polyhedron is a vertex's own.
+    Where the body bends all along, its gap falls with the square of the slab's parts: a slab that will need three of them,
+    with what is left, gets two heights at once.  A corner on an empty slice says only that the body ends before it, and the
+    height between is halved.
     """
-    slab = np.searchsorted(known, corners) - 1
-    inside = (corners > known[np.maximum(slab, 0)]) & (slab >= 0) & (slab < len(known) - 1)
     size = known[-1] - known[0]
-    for end, last in ((0, 0), (len(known) - 1, len(known) - 2)):
-        # corners on an empty slice belong to the cap before it
-        on_end = np.abs(corners - known[end]) <= 1e-12 * size
-        slab, inside = np.where(on_end, last, slab), inside | on_end
-    chosen: list[tuple[int, float]] = []
-    order = np.argsort(-np.where(inside, gaps, -1.0), kind="stable")
-    for i in order:
-        if len(chosen) == count or not inside[i] or gaps[i] <= 0:
+    slab = np.searchsorted(known, corners) - 1
+    slab[np.abs(corners - known[0]) <= 1e-12 * size] = 0
+    slab[np.abs(corners - known[-1]) <= 1e-12 * size] = len(known) - 2  # to the caps before them
+    inside = (slab >= 0) & (slab < len(known) - 1) & (gaps > 0)
+    worst = np.flatnonzero(inside)[np.lexsort((-gaps[inside], slab[inside]))]
+    worst = worst[np.unique(slab[worst], return_index=True)[1]]
+    slab, corner, kink = slab[worst], corners[worst], kinks[worst]
+    low, high = known[slab], known[slab + 1]
+    first, last = slab == 0, slab == len(known) - 2
+    weight = np.sqrt(np.where(first | last, _CAP_WEIGHT, 1.0) * gaps[worst])
+
+    end, beyond = np.where(first, high, low), np.where(first, low, high)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (corner - end) / (beyond - end)
+    in_cap = end + np.where(share > 1 - 1e-9, 0.5, 0.7 * share) * (beyond - end)
+    single = np.where(first | last, in_cap, corner)
+    useful = np.minimum(single - low, high - single) > CLOSEST * size
+    thirds = ~(first | last | kink) & (_parts(weight, left) == 3)
+
+    chosen: list[float] = []
+    for i in np.argsort(-weight, kind="stable"):
+        new = [low[i] + (high[i] - low[i]) * k / 3 for k in (1, 2)] if thirds[i] else [single[i]]
+        if len(chosen) >= count or not useful[i]:
             break
-        if any(slab[i] == slab[j] for j, _ in chosen):
-            continue
-        low, high = known[slab[i]], known[slab[i] + 1]
-        cap = slab[i] in (0, len(known) - 2)
-        end, beyond = (high, low) if slab[i] == 0 else (low, high)
-        if cap:
-            share = (corners[i] - end) / (beyond - end)
-            z = end + (0.5 if share > 1 - 1e-9 else 0.7 * share) * (beyond - end)
-        else:
-            z = corners[i]
-        if min(z - low, high - z) > CLOSEST * size:
-            chosen.append((i, z))
-    return np.array([z for _, z in chosen])
+        chosen += new[: left - len(chosen)]
+    return np.array(chosen)
+
+
+def _parts(weight: Array, left: int) -> NDArray[np.int64]:
+    """Parts (n,) into which slabs come if `left` cuts make the largest ``weight / parts`` as small as they can."""
+    parts = np.ones(len(weight), dtype=np.int64)
+    for _ in range(left if len(weight) else 0):
+        parts[np.argmax(weight / parts)] += 1
+    return parts
 
 
 def base_shares(samples: int) -> Array:

@@ -192,15 +192,17 @@ def _adapt(scan: _Axis, rod: Rod, report: Callable[[int], None]) -> None:
         for slab in parts:
             if id(slab) not in gaps:
                 gaps[id(slab)] = outside(slab.corners, inner) if np.isfinite(slab.corners).all() else np.full(1, np.inf)
-        corners = np.concatenate([slab.corners for slab in parts])
+        corners, kind, flat = (np.concatenate([slab[i] for slab in parts]) for i in range(3))
         gap = np.concatenate([gaps[id(slab)] for slab in parts])
         diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
         if gap.max() <= scan.plan.tolerance * diagonal:
             break
         levels = np.array([stack.floor, *stack.heights, stack.ceiling])
-        room = min(max(1, round(_GROWTH * len(scan.heights))), scan.plan.slices - len(scan.heights))
-        between = np.isfinite(gap) & (np.concatenate([slab.kind for slab in parts]) != Gap.CONTACTS)
-        new = planning.next_heights(levels, corners[between] @ stack.frame[2], gap[between], room)
+        left = scan.plan.slices - len(scan.heights)
+        room = max(1, min(round(_GROWTH * len(scan.heights)), left // 3))
+        between = np.isfinite(gap) & (kind != Gap.CONTACTS)
+        heights, kinks = corners[between] @ stack.frame[2], flat[between].all(axis=1)
+        new = planning.next_heights(levels, heights, gap[between], kinks, room, left)
         if not len(new):
             break
         scan.scan(new)

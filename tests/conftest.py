@@ -1,10 +1,11 @@
-"""What several tests share: the option --no-skip, the marks `rendering` and `open3d`, and a reader of PLY files.
+"""What several tests share: the option --no-skip, the marks `rendering`, `browser` and `open3d`, and a reader of PLY files.
 
-A test so marked needs an off-screen renderer or open3d; where there is none it is skipped, with the command that installs
-what is missing.
+A test so marked needs an off-screen renderer, Chromium or open3d; where there is none it is skipped, with the command that
+installs what is missing.
 """
 
 import functools
+import shutil
 import subprocess
 import sys
 
@@ -18,6 +19,7 @@ hypothesis.settings.load_profile("scan3d")
 
 _NEEDS = {
     "rendering": "nothing here can render off screen: apt-get install libegl1 libgl1",
+    "browser": "there is no Chromium here: apt-get install chromium",
     "open3d": "open3d can't be imported here: apt-get install libgl1 libgomp1",
 }
 
@@ -28,7 +30,13 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "rendering: needs an off-screen renderer")
+    config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")
+
+
+def chromium():
+    """The path of a Chromium, or None."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 @functools.cache
@@ -37,6 +45,8 @@ def _has(what):
         from scan3d import views
 
         return views.can_render()
+    if what == "browser":
+        return chromium() is not None
     # in a child process, for the libraries it lacks may be missed by more than an ImportError
     return subprocess.run([sys.executable, "-c", "import open3d"], capture_output=True, check=False).returncode == 0
 
@@ -63,6 +73,12 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 _PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "char": "i1", "uchar": "u1"}
+
+
+@pytest.fixture(scope="session")
+def browser_path():
+    """The path of a Chromium."""
+    return chromium()
 
 
 @pytest.fixture

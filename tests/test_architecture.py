@@ -15,7 +15,7 @@ MODULES = {
 }
 # What knows the truth, and what may know it: the commands, which compare with it.
 TRUTH = {"scan3d.bodies", "scan3d.planning", "scan3d.simulation"}
-COMMANDS = {f"scan3d.{name}" for name in ("cli", "commands", "settings", "batch", "doctor")}
+COMMANDS = {f"scan3d.{name}" for name in ("cli", "commands", "settings", "batch", "doctor", "__main__")}
 STEP_2 = {name for name in MODULES if name.startswith("scan3d.")} - TRUTH - COMMANDS
 
 

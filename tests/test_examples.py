@@ -143,3 +143,46 @@ def test_one_sweep() -> None:
     assert header.count("|") == 6
     for row, expected in zip(rows, REFERENCE, strict=True):
         assert [float(cell.split(",")[0]) for cell in row.split("|")[3:6]] == pytest.approx(expected, abs=1e-6)
+
+
+def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
+    meshes = EXAMPLES.parent / "meshes"
+    example("methods_by_meshes").main([str(meshes / "cube.stl"), "--slices", "8", "--spacing", "cosine"])
+    header, rule, cube = capsys.readouterr().out.splitlines()
+    named = dict(zip(header.split(" | "), cube.split(" | "), strict=True))
+    assert rule == "|---" * (header.count("|") - 1) + "|"
+    assert named["| body"] == "| cube"
+    # a hull meets what was touched; a cube is not smooth enough for a support function
+    assert float(named["hull"].split(",")[0]) < 0.01
+    assert named["support"] == "–"
+
+
+@pytest.mark.open3d
+def test_error_by_slices(tmp_path: Path) -> None:
+    script = example("error_by_slices")
+    # coarse: what is compared are slices, not facets
+    errors = script.measure((8, 16), 24)
+    for found in errors.values():
+        assert (found.bound > found.hausdorff["hull"]).all()
+        for method in ("hull", "poisson", "ball-pivoting"):
+            assert (np.diff(found.hausdorff[method]) < 0).all()
+        assert np.isfinite(found.hausdorff["support"]).any()
+    # the poles, left out by even spacing, decide: half the error for twice the slices, a quarter of it at Chebyshev's nodes
+    few, many = (errors["uniform"].hausdorff["hull"][i] for i in (0, 1))
+    assert few / many == pytest.approx(2, rel=0.02)
+    few, many = (errors["cosine"].hausdorff["hull"][i] for i in (0, 1))
+    assert few / many == pytest.approx(4, rel=0.1)
+    # the legend names every curve, and the panels share their axes
+    figure = script.figure(errors)
+    assert len(figure.legends[0].get_texts()) == len(script.METHODS) + 1
+    assert [len(axes.lines) for axes in figure.axes] == [len(script.METHODS) + 2] * 2
+    figure.savefig(tmp_path / "errors.png")
+
+
+@pytest.mark.open3d
+def test_error_by_slices_saves_its_picture_where_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = example("error_by_slices")
+    monkeypatch.setattr(script, "QUICK_SLICES", (8, 12))
+    monkeypatch.setattr(script, "QUICK_SUBDIVISIONS", 8)
+    script.main(["--quick", "--out", str(tmp_path / "errors.png")])
+    assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,199 @@
+"""What other programs make of exported files.
+
+`python tests/other_programs.py` prints the table of docs/formats.md.  The programs run in child processes: some of them
+don't bear each other's libraries.
+"""
+
+import subprocess
+import sys
+import tempfile
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from scan3d.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files import ply
+
+FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS] + [("surface", ending) for ending in SURFACE_ENDINGS]
+# What passes for the same number: float32, and six digits of text.
+SAME = 2e-6
+
+
+def example(folder):
+    """Write the cloud and the surface of an ellipsoid, whose normals no program could guess."""
+    random = np.random.default_rng(0)
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    turn = trimesh.transformations.rotation_matrix(0.5, [1, 2, 3])[:3, :3]
+    scalars = [("quality", "f8"), ("phase", "u1"), ("slice", "i4"), ("sweep", "i4"), ("force", "f8")]
+    scalars += [("friction", "f4"), ("normal_source", "u1")]
+    for name, columns in (("cloud", scalars), ("surface", [("bound", "f4")])):
+        spatial = [(c, "f8") for c in "xyz"] + [(f"n{c}", "f4") for c in "xyz"]
+        rows = np.zeros(len(ball.vertices), [*spatial, *columns])
+        for k, c in enumerate("xyz"):
+            rows[c] = ball.vertices[:, k] * (30.1, 20.2, 10.3)[k] + 1 / 3
+            rows[f"n{c}"] = (ball.vertices @ turn)[:, k]
+        for column, kind in columns:
+            rows[column] = random.random(len(rows)) if kind[0] == "f" else random.integers(1, 100, len(rows))
+        (folder / f"{name}.ply").write_bytes(ply(rows, ball.faces if name == "surface" else None, ("unit mm",)))
+
+
+# --- readers: the file's points (n, 3), normals (n, 3) or None, faces (m, 3) or None, and scalars by name ---
+
+
+def _numpy(file, _):
+    if file.suffix not in (".csv", ".xyz", ".xyzn"):
+        raise OSError("numpy reads tables of text")
+    if file.suffix == ".csv":
+        rows = np.genfromtxt(file, delimiter=",", names=True)
+        names = rows.dtype.names
+        table = np.stack([rows[name] for name in names], axis=1)
+        scalars = {name.removesuffix("_mm").removesuffix("_N"): rows[name] for name in names[6:]}
+    else:
+        table, scalars = np.loadtxt(file), {}
+    return table[:, :3], table[:, 3:6] if table.shape[1] > 3 else None, None, scalars
+
+
+def _open3d(file, what):
+    import open3d
+
+    if what == "cloud":
+        read = open3d.t.io.read_point_cloud(str(file))
+        found, faces = {name: tensor.numpy() for name, tensor in read.point.items()}, None
+    else:
+        read = open3d.t.io.read_triangle_mesh(str(file))
+        found, faces = {name: tensor.numpy() for name, tensor in read.vertex.items()}, read.triangle.indices.numpy()
+    scalars = {name: column.reshape(-1) for name, column in found.items() if name not in ("positions", "normals")}
+    return found["positions"], found.get("normals"), faces, scalars
+
+
+def _trimesh(file, what):
+    read = trimesh.load(file, process=False)
+    if isinstance(read, trimesh.Scene):
+        (read,) = read.geometry.values()
+    if what == "cloud":
+        return read.vertices, None, None, {}
+    return read.vertices, read.vertex_normals, read.faces, dict(read.vertex_attributes)
+
+
+def _pyvista(file, what):
+    import pyvista
+
+    read = pyvista.read(file)
+    while isinstance(read, pyvista.MultiBlock):
+        (read,) = read
+    data = read.point_data
+    normals = next((np.asarray(data[name]) for name in ("Normals", "NORMAL") if name in data), None)
+    faces = read.regular_faces if what == "surface" else None
+    return read.points, normals, faces, {name: np.asarray(data[name]) for name in data if data[name].ndim == 1}
+
+
+def _pymeshlab(file, what):
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(file))
+    read = meshes.current_mesh()
+    scalars = {"quality": read.vertex_scalar_array()} if read.has_vertex_scalar() else {}
+    faces = read.face_matrix() if what == "surface" else None
+    return read.vertex_matrix(), read.vertex_normal_matrix(), faces, scalars
+
+
+PROGRAMS = {"Open3D": _open3d, "trimesh": _trimesh, "pyvista": _pyvista, "pymeshlab": _pymeshlab, "numpy": _numpy}
+HERE = [name for name in PROGRAMS if find_spec(name.lower())]
+
+
+def read_all(program, folder):
+    """In a child process: what the program reads goes to a .npz beside every file it can read."""
+    import_module(program.lower())  # if that fails it is no matter of files
+    for what, ending in FORMATS:
+        file = folder / f"{what}{ending}"
+        try:
+            points, normals, faces, scalars = PROGRAMS[program](file, what)
+        except Exception as error:  # every program has errors of its own
+            sys.stderr.write(f"{program} can't read {file.name}: {error}\n")
+            continue
+        given = {"points": points, "normals": normals, "faces": faces}
+        given |= {f"scalar {name}": column for name, column in scalars.items()}
+        kept = {name: np.asarray(column) for name, column in given.items() if column is not None}
+        np.savez(file.with_name(f"{file.name}.{program}.npz"), **kept)
+
+
+# --- the comparison ---
+
+
+def understood(program, folder):
+    """What of each exported file the program has read right: {(what, ending): names}, in a folder of `example`."""
+    for what, ending in FORMATS:
+        export(folder, folder / "exported" / f"{what}{ending}", what)
+    call = [sys.executable, __file__, program, str(folder / "exported")]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = {(what, ending): _right(program, folder, what, ending) for what, ending in FORMATS}
+    assert any(found.values()), f"{program} reads nothing (pymeshlab needs 'apt-get install libopengl0'): {done.stderr}"
+    return found
+
+
+def _right(program, folder, what, ending):
+    from scan3d.exports import read_shape
+
+    found = folder / "exported" / f"{what}{ending}.{program}.npz"
+    if not found.exists():
+        return ()
+    read, true = np.load(found), read_shape(folder / f"{what}.ply")
+    scale = 1e-3 if ending == ".glb" else 1.0
+    # programs order the vertices as they like, and STL has every corner of its own
+    distance, index = cKDTree(true.points * scale).query(read["points"])
+    size = np.abs(true.points).max() * scale
+    if distance.max(initial=0) > SAME * size or set(index) != set(range(len(true.points))):
+        return ()
+    right = ["points"]
+    if "normals" in read and np.allclose(read["normals"], true.normals[index], rtol=0, atol=SAME):
+        right.append("normals")
+    if "faces" in read and np.array_equal(_turned(index[read["faces"]]), _turned(true.faces)):
+        right.append("faces")
+    for name, column in true.scalars.items():
+        unit = scale if name == "bound" else 1.0
+        for key in (f"scalar {name}", f"scalar _{name.upper()}"):
+            if key in read and np.allclose(read[key].ravel(), column[index] * unit, rtol=SAME, atol=0):
+                right.append(name)
+    return tuple(right)
+
+
+def _turned(faces):
+    """Triangles in an order of their own, each beginning at its smallest corner; the sense of rotation stays."""
+    first = np.argmin(faces, axis=1)[:, None]
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T)]
+
+
+def cell(what, right):
+    """What stands in the table."""
+    if not right:
+        return "–"
+    spatial = [name for name in right if name in ("points", "normals", "faces")]
+    scalars = [name for name in right if name not in spatial]
+    everything = {"cloud": 7, "surface": 1}[what]
+    return ", ".join(spatial + (["all scalars"] if len(scalars) == everything else [f"`{name}`" for name in scalars]))
+
+
+def table():
+    """The table of docs/formats.md, as lines; of the programs that are installed."""
+    with tempfile.TemporaryDirectory() as folder:
+        example(Path(folder))
+        columns = [understood(program, Path(folder)) for program in HERE]
+    head = ["", *HERE]
+    rows = [
+        [f"{what} in {ending}", *(cell(what, column[what, ending]) for column in columns)] for what, ending in FORMATS
+    ]
+    return [f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows]]
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        read_all(sys.argv[1], Path(sys.argv[2]))
+    else:
+        sys.stdout.write("\n".join(table()) + "\n")

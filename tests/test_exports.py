@@ -1,0 +1,431 @@
+"""Exported files: what they hold, bit by bit where it matters, what other programs read from them, and mistakes."""
+
+import functools
+import json
+import re
+import struct
+from pathlib import Path
+
+import numpy as np
+import other_programs
+import pytest
+import trimesh
+from other_programs import FORMATS, HERE, PROGRAMS
+
+from scan3d import InputError, commands
+from scan3d.cli import main
+from scan3d.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export, read_shape
+from scan3d.files import ply, read_ply
+from scan3d.settings import Settings
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A cloud and a surface in mm."""
+    place = tmp_path_factory.mktemp("scan")
+    other_programs.example(place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def cloud(folder):
+    return read_shape(folder / "cloud.ply")
+
+
+@pytest.fixture(scope="module")
+def surface(folder):
+    return read_shape(folder / "surface.ply")
+
+
+def written(folder, to, what=None):
+    export(folder, to, what)
+    return to.read_bytes()
+
+
+def with_rows(shape, path, unit="mm", **columns):
+    """The shape's PLY with some columns replaced."""
+    rows = shape.rows.copy()
+    for name, values in columns.items():
+        rows[name] = values
+    path.write_bytes(ply(rows, shape.faces, (f"unit {unit}",)))
+    return path
+
+
+# --- what other programs read ---
+
+
+@functools.cache
+def documented():
+    """{(program, what, ending): cell} of docs/formats.md."""
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    lines = text.partition("## Which program reads what")[2].splitlines()
+    head, _, *rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
+    found = {}
+    for name, *cells in rows:
+        what, _, ending = name.split()
+        found |= {(program, what, ending): cell for program, cell in zip(head[1:], cells, strict=True)}
+    return found
+
+
+@functools.cache
+def understood(program, folder):
+    return other_programs.understood(program, folder)
+
+
+# pymeshlab is one of the development tools, the others come with the package itself
+MARKED = [pytest.param(program, marks=pytest.mark.open3d if program == "Open3D" else ()) for program in HERE]
+
+
+@pytest.mark.parametrize("program", MARKED)
+def test_the_table_says_what_a_program_reads(folder, program):
+    table = {key: documented()[program, *key] for key in FORMATS}
+    assert {key: other_programs.cell(key[0], right) for key, right in understood(program, folder).items()} == table
+
+
+def test_the_table_is_complete():
+    assert set(documented()) == {(program, *key) for program in PROGRAMS for key in FORMATS}
+    assert {"Open3D", "trimesh", "pyvista", "numpy"} <= set(HERE)
+    # every format is read by somebody with all that it holds
+    for what, ending in FORMATS:
+        most = max((documented()[program, what, ending] for program in PROGRAMS), key=len)
+        assert ("normals" in most) == (ending not in (".xyz", ".stl"))
+        assert ("faces" in most) == (what == "surface")
+
+
+def test_a_program_that_reads_wrongly_is_found_out(folder, tmp_path):
+    # so that the comparison can fail: a reader that mirrors
+    export(folder, tmp_path / "exported" / "surface.stl")
+    read = trimesh.load(tmp_path / "exported" / "surface.stl")
+    for change, right in ((lambda f: f, ("points", "faces")), (lambda f: f[:, ::-1], ("points",))):
+        np.savez(
+            tmp_path / "exported" / "surface.stl.trimesh.npz",
+            points=read.vertices,
+            normals=read.vertex_normals,
+            faces=change(read.faces),
+        )
+        (tmp_path / "surface.ply").write_bytes((folder / "surface.ply").read_bytes())
+        assert other_programs._right("trimesh", tmp_path, "surface", ".stl") == right
+
+
+# --- what the files hold ---
+
+
+def test_a_ply_keeps_every_bit(folder, tmp_path, cloud, surface):
+    for shape in (cloud, surface):
+        export(folder, tmp_path / "a.ply", shape.what)
+        rows, faces, comments = read_ply(tmp_path / "a.ply")
+        assert rows.dtype.names == shape.rows.dtype.names
+        assert rows.tobytes() == shape.rows.tobytes()
+        assert (faces is None) if shape.faces is None else np.array_equal(faces, shape.faces)
+        assert comments[:2] == (f"scan3d {shape.what}", "unit mm")
+        assert comments[2].startswith("frame world coordinates")
+        # and is itself something to export
+        export(tmp_path / "a.ply", tmp_path / "b.ply")
+        assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+
+
+def test_a_pcd_says_its_fields_and_holds_them(folder, tmp_path, cloud):
+    head, _, body = written(folder, tmp_path / "a.pcd").partition(b"DATA binary\n")
+    lines = head.decode().splitlines()
+    said = dict(line.split(" ", 1) for line in lines if not line.startswith("#"))
+    assert said["FIELDS"] == "x y z normal_x normal_y normal_z quality phase slice sweep force friction normal_source"
+    names = said["FIELDS"].split()
+    for name, value in (("SIZE", "4"), ("TYPE", "F"), ("COUNT", "1")):
+        assert said[name].split() == [value] * len(names)
+    assert said["WIDTH"] == said["POINTS"] == str(len(cloud.rows))
+    assert (said["VERSION"], said["HEIGHT"], said["VIEWPOINT"]) == ("0.7", "1", "0 0 0 1 0 0 0")
+    assert "# unit mm" in lines
+    assert any(line.startswith("# frame world") for line in lines)
+    table = np.frombuffer(body, "<f4").reshape(-1, len(names))
+    for k, name in enumerate(cloud.rows.dtype.names):
+        assert np.array_equal(table[:, k], cloud.rows[name].astype("f4"))
+
+
+def test_text_gives_the_same_bits_back(folder, tmp_path, cloud, surface):
+    table = np.loadtxt(written(folder, tmp_path / "a.xyzn").decode().splitlines())
+    assert np.array_equal(table[:, :3], cloud.points)
+    assert np.array_equal(table[:, 3:].astype("f4"), cloud.normals)
+    assert np.array_equal(np.loadtxt(written(folder, tmp_path / "a.xyz").decode().splitlines()), cloud.points)
+    header, *lines = written(folder, tmp_path / "a.csv").decode().splitlines()
+    assert header == "x_mm,y_mm,z_mm,nx,ny,nz,quality_mm,phase,slice,sweep,force_N,friction,normal_source"
+    table = np.loadtxt(lines, delimiter=",")
+    for k, name in enumerate(cloud.rows.dtype.names):
+        assert np.array_equal(table[:, k].astype(cloud.rows.dtype[name]), cloud.rows[name])
+    lines = written(folder, tmp_path / "a.obj").decode().splitlines()
+    assert "# unit mm" in lines
+    for start, values in (("v", surface.points), ("vn", surface.normals)):
+        found = np.loadtxt([line[len(start) :] for line in lines if line.startswith(f"{start} ")])
+        assert np.array_equal(found.astype(values.dtype), values)
+    assert f"f {' '.join(f'{c}//{c}' for c in surface.faces[0] + 1)}" in lines
+
+
+def test_an_stl_says_its_unit_and_faces_outwards(folder, tmp_path, surface):
+    data = written(folder, tmp_path / "a.stl")
+    assert len(data) == 84 + 50 * len(surface.faces)
+    assert b"unit mm" in data[:80]
+    assert not data.startswith(b"solid")  # which would pass for text
+    assert struct.unpack("<I", data[80:84]) == (len(surface.faces),)
+    rows = np.frombuffer(data[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    assert np.array_equal(rows["corners"], surface.points[surface.faces].astype("f4"))
+    assert np.allclose(np.linalg.norm(rows["normal"], axis=1), 1, atol=1e-6)
+    centre = surface.points.mean(axis=0)
+    assert ((rows["corners"].mean(axis=1) - centre) * rows["normal"]).sum(axis=1).min() > 0
+
+
+def test_a_triangle_without_area_has_no_normal_in_an_stl(tmp_path, surface):
+    faces = surface.faces.copy()
+    faces[0] = faces[0, 0]
+    (tmp_path / "surface.ply").write_bytes(ply(surface.rows, faces, ("unit mm",)))
+    data = written(tmp_path, tmp_path / "a.stl")
+    assert struct.unpack("<3f", data[84:96]) == (0, 0, 0)
+    assert np.isfinite(np.frombuffer(data[84:], [("f", "<f4", 12), ("attribute", "<u2")])["f"]).all()
+
+
+def glb(data):
+    """The JSON of a GLB."""
+    assert data[:4] == b"glTF"
+    return json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("in", 0.0254), ("m", 1.0)])
+def test_a_glb_is_in_metres_and_says_so(tmp_path, surface, unit, metres):
+    with_rows(surface, tmp_path / "surface.ply", unit)
+    tree = glb(written(tmp_path, tmp_path / "a.glb"))
+    extras = tree["asset"]["extras"]
+    assert (extras["unit"], extras["unit_of_recording"]) == ("m", unit)
+    assert extras["metres_per_unit_of_recording"] == metres
+    assert "world" in extras["frame"]
+    (primitive,) = tree["meshes"][0]["primitives"]
+    assert set(primitive["attributes"]) == {"POSITION", "NORMAL", "_BOUND"}
+    read = trimesh.load_mesh(tmp_path / "a.glb", process=False)
+    assert np.allclose(read.vertices, surface.points * metres, rtol=1e-6)
+    bound = read.vertex_attributes["_BOUND"].ravel()
+    assert np.allclose(bound, surface.scalars["bound"] * metres, rtol=1e-6)
+
+
+def test_gltf_knows_no_infinity(tmp_path, surface):
+    # a body that nothing bounds; JSON has no such number
+    with_rows(surface, tmp_path / "surface.ply", bound=np.inf)
+    tree = glb(written(tmp_path, tmp_path / "a.glb"))
+    assert set(tree["meshes"][0]["primitives"][0]["attributes"]) == {"POSITION", "NORMAL"}
+
+
+def test_a_vtp_keeps_every_bit(folder, tmp_path, cloud, surface):
+    import pyvista
+
+    for shape in (cloud, surface):
+        export(folder, tmp_path / "a.vtp", shape.what)
+        read = pyvista.read(tmp_path / "a.vtp")
+        assert read.points.dtype == np.float64
+        assert np.array_equal(read.points, shape.points)
+        assert np.array_equal(read.point_data.active_normals, shape.normals)
+        for name, column in shape.scalars.items():
+            assert read.point_data[name].dtype == column.dtype
+            assert np.array_equal(read.point_data[name], column)
+        assert list(read.field_data["unit"]) == ["mm"]
+        assert read.field_data["frame"][0].startswith("world coordinates")
+        assert (read.n_verts, read.n_cells) == (
+            (len(cloud.rows), len(cloud.rows)) if shape is cloud else (0, len(surface.faces))
+        )
+
+
+def test_what_is_not_known_stays_nan(tmp_path, cloud):
+    import pyvista
+
+    hole = np.arange(len(cloud.rows)) == 3
+    gaps = {name: np.where(hole, np.nan, cloud.rows[name]) for name in ("nx", "ny", "nz", "friction", "quality")}
+    with_rows(cloud, tmp_path / "cloud.ply", **gaps)
+    read = pyvista.read(export(tmp_path, tmp_path / "a.vtp", "cloud")["file"])
+    assert np.array_equal(np.isnan(read["Normals"]).all(axis=1), hole)
+    assert np.array_equal(np.isnan(read["friction"]), hole)
+    table = np.genfromtxt(written(tmp_path, tmp_path / "a.csv").decode().splitlines(), delimiter=",", names=True)
+    assert np.array_equal(np.isnan(table["quality_mm"]), hole)
+    body = written(tmp_path, tmp_path / "a.pcd").partition(b"DATA binary\n")[2]
+    table = np.frombuffer(body, "<f4").reshape(-1, 13)
+    assert np.array_equal(np.isnan(table), np.outer(hole, np.isin(np.arange(13), [3, 4, 5, 6, 11])))
+    assert np.isfinite(np.loadtxt(written(tmp_path, tmp_path / "a.xyz").decode().splitlines())).all()
+
+
+def test_the_same_shape_gives_the_same_file(folder, tmp_path):
+    for what, ending in FORMATS:
+        assert written(folder, tmp_path / f"a{ending}", what) == written(folder, tmp_path / f"b{ending}", what)
+
+
+# --- what is chosen ---
+
+
+def test_the_ending_chooses_and_the_option_decides(folder, tmp_path):
+    for ending in {*CLOUD_ENDINGS, *SURFACE_ENDINGS}:
+        expected = "surface" if ending in SURFACE_ENDINGS else "cloud"
+        found = export(folder, tmp_path / "new" / f"a{ending.upper()}")
+        assert (found["what"], found["unit"]) == (expected, "m" if ending == ".glb" else "mm")
+        assert (found["faces"] > 0) == (expected == "surface")
+    for ending in (".ply", ".vtp"):
+        assert export(folder, tmp_path / f"a{ending}", "cloud")["what"] == "cloud"
+        # a single file can only be what it is
+        assert export(folder / "cloud.ply", tmp_path / f"a{ending}")["what"] == "cloud"
+        assert export(folder / "surface.ply", tmp_path / f"a{ending}")["what"] == "surface"
+
+
+@pytest.mark.parametrize(
+    ("source", "to", "what", "sentence"),
+    [
+        (
+            ".",
+            "a.step",
+            None,
+            r"can't export to files ending in '\.step': a cloud goes to \.ply, \.pcd, .* or \.csv, a surf",
+        ),
+        (".", "a", None, "can't export to files ending in 'nothing'"),
+        (".", "a.stl", "cloud", r"\.stl holds no cloud: a cloud goes to \.ply, \.pcd"),
+        (".", "a.csv", "surface", r"\.csv holds no surface: a surface goes to \.stl, \.ply"),
+        (".", "a.ply", "rods", "what to export must be one of surface, cloud, got 'rods'"),
+        ("cloud.ply", "a.stl", None, r"cloud\.ply holds a cloud, where a surface is wanted; a cloud goes to \.ply"),
+        ("surface.ply", "a.ply", "cloud", r"surface\.ply holds a surface, where a cloud is wanted"),
+        ("missing", "a.ply", None, r"there is no .*missing; give the folder of a scan, or a PLY written by scan3d"),
+        ("empty", "a.ply", None, r"there is no surface\.ply in .*empty; give a folder written by 'scan3d scan'"),
+        ("empty", "a.csv", None, r"there is no cloud\.ply in .*empty"),
+        ("text.ply", "a.ply", None, r"text\.ply is no PLY as scan3d writes it: it lacks the header"),
+        ("bare.ply", "a.ply", None, r"bare\.ply is no PLY written by scan3d: its vertices lack nx, ny, nz"),
+        (
+            "unitless.ply",
+            "a.ply",
+            None,
+            r"unitless\.ply is no PLY written by scan3d: expected a comment such as 'unit mm'",
+        ),
+        ("furlong.ply", "a.ply", None, r"furlong\.ply is no PLY written by scan3d: .* with one of m, cm, mm, um, in"),
+        (
+            "gap.ply",
+            "a.xyzn",
+            None,
+            r"1 of 162 points have no normal, which \.xyzn can't say; leave them out with \.xyz",
+        ),
+        ("flat.ply", "a.obj", None, r"2 of 162 points have no normal, which \.obj can't say; choose \.stl or \.ply"),
+        ("flat.ply", "a.glb", None, r"2 of 162 points have no normal, which \.glb can't say"),
+        (".", "text.ply/a.ply", None, r"can't write into the folder .*text\.ply: .*; choose another one with --to"),
+        (".", "empty.ply", None, r"can't write .*empty\.ply: Is a directory; choose another place with --to"),
+    ],
+)
+def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
+    with_rows(cloud, tmp_path / "cloud.ply")
+    with_rows(surface, tmp_path / "surface.ply")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty.ply").mkdir()
+    (tmp_path / "text.ply").write_text("ply, as in plywood\n")
+    (tmp_path / "bare.ply").write_bytes(ply(cloud.rows[["x", "y", "z"]], None, ("unit mm",)))
+    (tmp_path / "unitless.ply").write_bytes(ply(cloud.rows))
+    (tmp_path / "furlong.ply").write_bytes(ply(cloud.rows, None, ("unit furlong",)))
+    some = np.arange(len(cloud.rows)) == 7
+    with_rows(cloud, tmp_path / "gap.ply", nx=np.where(some, np.nan, cloud.rows["nx"]))
+    zero = np.arange(len(surface.rows)) < 2
+    with_rows(surface, tmp_path / "flat.ply", **{n: np.where(zero, 0, surface.rows[n]) for n in ("nx", "ny", "nz")})
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match=sentence):
+        export(tmp_path / source, tmp_path / to, what)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    # and so says the command, where its usage doesn't forbid it
+    if what != "rods":
+        asked = ["export", str(tmp_path / source), "--to", str(tmp_path / to), *(["--what", what] if what else [])]
+        assert main(asked) == 1
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith("scan3d: ")
+        assert said.err.count("\n") == 1
+
+
+# --- the reader of our PLY files ---
+
+
+def test_a_ply_is_read_as_it_was_written(tmp_path):
+    kinds = ("f8", "f4", "i4", "u4", "i2", "u1", "i1")
+    rows = np.zeros(5, [(kind, kind) for kind in kinds])
+    for kind in kinds:
+        rows[kind] = np.arange(5) + 1
+    faces = np.array([[0, 1, 2], [2, 3, 4]])
+    for corners in (None, faces, faces[:0]):
+        (tmp_path / "a.ply").write_bytes(ply(rows, corners, ("unit mm", "end_header of a poem")))
+        found, triangles, comments = read_ply(tmp_path / "a.ply")
+        assert found.dtype == rows.dtype
+        assert np.array_equal(found, rows)
+        assert (triangles is None) if corners is None else np.array_equal(triangles, corners)
+        assert comments == ("unit mm", "end_header of a poem")
+
+
+HEAD = "ply\nformat binary_little_endian 1.0\n"
+POINT = "element vertex 1\nproperty float x\n"
+FACE = "element face 1\nproperty list uchar int vertex_indices\n"
+END = "end_header\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        ("", "it lacks the header from 'ply' to 'end_header'"),
+        (HEAD + POINT, "it lacks the header"),
+        (
+            "ply\nformat ascii 1.0\n" + POINT + END + "1\n",
+            "expected the format binary_little_endian 1.0, got 'format ascii",
+        ),
+        (HEAD + END, "expected 'element vertex COUNT', got 'nothing'"),
+        (HEAD + "element edge 1\n" + END, "expected 'element vertex COUNT', got 'element edge 1'"),
+        (
+            HEAD + "element vertex -1\nproperty float x\n" + END,
+            "expected 'element vertex COUNT', got 'element vertex -1'",
+        ),
+        (
+            HEAD + "element vertex 1\nproperty quad x\n" + END,
+            "expected vertices of numbers only, got 'property quad x'",
+        ),
+        (HEAD + "element vertex 1\n" + "property float x\n" * 2 + END, "more than once"),
+        (HEAD + POINT + END + "abc", "its header promises 4 bytes of numbers, it has 3"),
+        (HEAD + POINT + END + "abcde", "its header promises 4 bytes of numbers, it has 5"),
+        (HEAD + POINT + "element edge 1\n" + END, "expected 'element face COUNT', got 'element edge 1'"),
+        (
+            HEAD + POINT + "element face 1\nproperty list uchar uint corners\n" + END,
+            "expected faces as lists of vertex_indices",
+        ),
+        (
+            HEAD + POINT + FACE + POINT + END,
+            "expected faces as lists of vertex_indices, uchar and int, and nothing after",
+        ),
+        (HEAD + POINT + FACE + END + "1234" + "\x04" + "\0" * 12, "it has faces that are no triangles"),
+        (
+            HEAD + POINT + FACE + END + "1234" + "\x03" + "\0" * 8 + "\1\0\0\0",
+            "its faces name vertices beyond the 1 it has",
+        ),
+    ],
+)
+def test_a_ply_that_is_none_of_ours(tmp_path, data, sentence):
+    (tmp_path / "a.ply").write_bytes(data.encode())
+    with pytest.raises(InputError, match=rf"a\.ply is no PLY as scan3d writes it: .*{re.escape(sentence)}"):
+        read_ply(tmp_path / "a.ply")
+
+
+def test_a_ply_that_can_not_be_read(tmp_path):
+    for path, why in ((tmp_path / "missing.ply", "No such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError, match=rf"can't read .*: {why}.*; give a PLY written by scan3d"):
+            read_ply(path)
+
+
+# --- the command ---
+
+
+def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(commands, "_pictures", lambda *_: [])
+    few = Settings(slices=8, samples=24)
+    commands.scan(str(ROOT / "meshes" / "egg.stl"), str(tmp_path), few, lambda _: None, lambda *_: None)
+    for what, ending in FORMATS:
+        assert main(["export", str(tmp_path), "--to", str(tmp_path / f"a{ending}"), "--what", what]) == 0
+        said, complained = capsys.readouterr()
+        assert complained == ""
+        unit = "m" if ending == ".glb" else "mm"
+        kind = r"\d+ contacts" if what == "cloud" else r"a surface of \d+ vertices and \d+ faces"
+        assert re.fullmatch(rf"{kind} in {unit}, written to .*a{ending}\n", said)
+    assert trimesh.load_mesh(tmp_path / "a.stl").is_watertight
+    assert trimesh.load_mesh(tmp_path / "a.glb").extents.max() < 0.1
+    assert main(["export", str(tmp_path), "--to", str(tmp_path / "a.glb"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["unit"] == "m"
+    assert main(["export", str(tmp_path), "--to", str(tmp_path / "a.glb"), "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")

@@ -1,0 +1,238 @@
+"""Poisson reconstruction and ball pivoting, on clouds whose body is known: accuracy, invariances, and what is refused."""
+
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+import scan3d
+from scan3d import meshing
+from scan3d.errors import InputError
+from scan3d.meshing import ball_pivoting, poisson
+
+METHODS = [poisson, ball_pivoting]
+
+
+def slices_of(semi_axes, slices=32, around=200, seed=0):
+    """Contacts on an ellipsoid as a scan finds them: cosine spacing, dense along a slice, every slice turned anew."""
+    turn = np.random.default_rng(seed).uniform(0, 2 * np.pi, slices)
+    z = -np.cos(np.pi * (np.arange(slices) + 0.5) / slices)
+    angle = 2 * np.pi * np.arange(around) / around + turn[:, None]
+    radius = np.sqrt(1 - z**2)[:, None]
+    ball = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(z[:, None], angle.shape)], axis=2)
+    ball = ball.reshape(-1, 3)
+    normals = ball / semi_axes
+    return ball * semi_axes, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def cube(per_edge=21):
+    """Contacts all over the faces of the cube of side 2; on edges and corners one for each face."""
+    u, v = np.meshgrid(*[np.linspace(-1, 1, per_edge)] * 2)
+    face = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+    points = [np.roll(face * [1, 1, side], axis, axis=1) for axis in range(3) for side in (-1, 1)]
+    normals = [np.roll([[0, 0, side]] * u.size, axis, axis=1) for axis in range(3) for side in (-1, 1)]
+    return np.concatenate(points), np.concatenate(normals).astype(float)
+
+
+def digest(mesh):
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
+
+
+def ellipsoid(semi_axes):
+    mesh = trimesh.creation.icosphere(subdivisions=5)
+    mesh.apply_scale(semi_axes)
+    return mesh
+
+
+def open_edges(mesh):
+    return int((np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1] != 2).sum())
+
+
+def check_well_made(mesh):
+    """No vertex unused, no face double or without area, one winding, outwards."""
+    assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+    assert len(np.unique(np.sort(mesh.faces, axis=1), axis=0)) == len(mesh.faces)
+    assert mesh.area_faces.min() > 0
+    assert mesh.is_winding_consistent
+    outwards = (mesh.face_normals * (mesh.triangles_center - mesh.bounds.mean(axis=0))).sum(axis=1)
+    assert np.average(outwards, weights=mesh.area_faces) > 0
+
+
+# Between 32 slices the surface lies up to (π/32)²/8 = 1.2e-3 radii inside a chord, three times as much where triangles meet
+# askew; Poisson's cells are as wide as the slices are apart.
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("semi_axes", [(25.0, 25.0, 25.0), (36.0, 26.0, 18.0), (2.0, 2.0, 40.0), (40.0, 40.0, 2.0)])
+def test_a_smooth_body_is_closed_and_met(method, semi_axes):
+    found = method(*slices_of(np.array(semi_axes)))
+    result = scan3d.compare(found, ellipsoid(semi_axes))
+    check_well_made(found)
+    assert found.is_watertight
+    assert found.body_count == 1
+    assert result.relative < 2e-3
+    assert abs(result.volume_error) < 1e-2
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_more_slices_come_closer(method):
+    semi_axes = np.array([36.0, 26.0, 18.0])
+    few, many = (
+        scan3d.compare(method(*slices_of(semi_axes, slices, 8 * slices)), ellipsoid(semi_axes)) for slices in (16, 48)
+    )
+    assert many.rms < few.rms / 4
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize(("method", "within"), [(poisson, 0.03), (ball_pivoting, 0.01)])
+def test_a_cube_touched_all_over(method, within):
+    found = method(*cube())
+    check_well_made(found)
+    assert scan3d.compare(found, trimesh.creation.box((2, 2, 2))).relative < within
+
+
+@pytest.mark.open3d
+def test_the_vertices_of_ball_pivoting_are_contacts():
+    points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
+    given = set(map(tuple, points))
+    assert all(tuple(vertex) in given for vertex in ball_pivoting(points, normals).vertices)
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_bytes_in_any_order_and_again(method):
+    points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
+    order = np.random.default_rng(1).permutation(len(points))
+    once = digest(method(points, normals))
+    assert digest(method(points, normals)) == once
+    assert digest(method(points[order], normals[order])) == once
+    # contacts met twice, or without a normal, change nothing
+    unknown = np.full((3, 3), np.nan)
+    twice = np.concatenate([points, points[::5], 2 * points[:3]]), np.concatenate([normals, normals[::5], unknown])
+    assert digest(method(*twice)) == once
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e7])
+def test_the_unit_does_not_matter(method, scale):
+    points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
+    here, there = method(points, normals), method(scale * points, normals)
+    np.testing.assert_array_equal(there.faces, here.faces)
+    np.testing.assert_allclose(there.vertices / scale, here.vertices, rtol=0, atol=1e-9)
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_far_from_the_origin(method):
+    points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
+    moved = method(np.add(points, [1e3, -2e3, 3e3]), normals)
+    assert moved.is_watertight
+    assert scan3d.compare(moved, ellipsoid((36.0, 26.0, 18.0)).apply_translation([1e3, -2e3, 3e3])).relative < 2e-3
+
+
+@pytest.mark.open3d
+def test_ball_pivoting_says_what_is_open():
+    closed = ball_pivoting(*slices_of(np.array([1.0, 1.0, 1.0])))
+    assert closed.metadata["method"] == "ball-pivoting"
+    assert closed.metadata["reason"].endswith("contacts: closed")
+    # a ball does not rest where the normals are wrong
+    points, _ = slices_of(np.array([1.0, 1.0, 1.0]))
+    holed = ball_pivoting(points, points + np.random.default_rng(0).normal(scale=2.0, size=points.shape))
+    check_well_made(holed)
+    assert not holed.is_watertight
+    assert f"not closed, {open_edges(holed)} of" in holed.metadata["reason"]
+
+
+@pytest.mark.open3d
+def test_poisson_says_where_it_bulges():
+    points, normals = slices_of(np.array([1.0, 1.0, 1.0]), slices=64)
+    assert "bulges" not in poisson(points, normals).metadata["reason"]
+    # the open ends of a tube are not touched
+    tube = points[:, 2:] * [0.0, 0.0, 3.0] + points * [1, 1, 0] / np.hypot(points[:, 0], points[:, 1])[:, None]
+    found = poisson(tube, tube * [1, 1, 0])
+    assert found.is_watertight
+    assert "bulges" in found.metadata["reason"]
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_nothing_is_printed(method, capfd):
+    method(*slices_of(np.array([3.0, 2.0, 1.0]), slices=8, around=30))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.open3d
+def test_poisson_refuses_a_surface_that_does_not_close():
+    points, _ = slices_of(np.array([1.0, 1.0, 1.0]))
+    with pytest.raises(InputError, match=r"does not close.*further axes.*auto or hull"):
+        poisson(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)) + 0.01 * points)
+
+
+@pytest.mark.open3d
+def test_ball_pivoting_refuses_where_no_ball_rests(monkeypatch):
+    monkeypatch.setattr(meshing, "_LARGEST_BALL", 1e-3)
+    with pytest.raises(InputError, match=r"no ball rests.*more slices"):
+        ball_pivoting(*slices_of(np.array([1.0, 1.0, 1.0])))
+
+
+SPHERE = slices_of(np.array([1.0, 1.0, 1.0]), slices=8, around=20)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("points", "normals", "says"),
+    [
+        (SPHERE[0][:3], SPHERE[1][:3], "3 of 3 contacts have a normal.*at least 4"),
+        (SPHERE[0], np.full_like(SPHERE[1], np.nan), "0 of 160 contacts have a normal"),
+        (np.empty((0, 3)), np.empty((0, 3)), "0 of 0 contacts"),
+        (SPHERE[0] * [0, 0, 1], SPHERE[1], "span no body"),
+        (SPHERE[0] * [1, 1, 0], SPHERE[1], "span no body"),
+        (SPHERE[0] * [1, 1, 1e-6], SPHERE[1], "lie in one plane"),
+        (SPHERE[0] * 0, SPHERE[1], "span no body"),
+        (SPHERE[0], -SPHERE[1], "point inwards.*turn them round"),
+        (SPHERE[0], SPHERE[1][:-1], r"shape \(n, 3\), got \(160, 3\) and \(159, 3\)"),
+        (SPHERE[0][:, :2], SPHERE[1][:, :2], r"shape \(n, 3\)"),
+    ],
+)
+def test_what_is_refused(method, points, normals, says):
+    with pytest.raises(InputError, match=says):
+        method(points, normals)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "error", ["ImportError('No module named open3d')", "OSError('libGL.so.1: cannot open shared object file')"]
+)
+def test_without_open3d_a_sentence_says_what_to_install(method, error):
+    """In a child process whose import of open3d fails, as it does where the package or a system library is missing."""
+    code = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name == "open3d":
+            raise {error}
+sys.meta_path.insert(0, Missing())
+import numpy as np
+from scan3d.errors import InputError
+from scan3d.meshing import {method.__name__}
+points = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
+try:
+    {method.__name__}(points, points)
+except InputError as error:
+    print(error)
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert error.split("'")[1] in run.stdout
+    assert "apt-get install libgl1 libgomp1" in run.stdout
+    assert "auto, hull or support" in run.stdout
+    assert run.stdout.count("\n") == 1
+
+
+def test_open3d_is_imported_only_when_asked():
+    code = "import sys, scan3d.meshing; print('open3d' in sys.modules, 'trimesh' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "False"]

@@ -1,0 +1,320 @@
+"""The page: whole in itself, the same for the same scan, and in a real browser it shows the body and turns."""
+
+import base64
+import fcntl
+import io
+import json
+import os
+import re
+import select
+import subprocess
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from small_scans import CUBE, scanned
+
+import scan3d
+from scan3d import pages, scenes
+from scan3d.bodies import load_mesh
+
+WIDTH, HEIGHT = 900, 600
+SECONDS = 60.0
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return scanned(CUBE)
+
+
+def data_of(page):
+    return json.loads(re.search(r'id="data">(.*?)</script>', page.decode(), re.DOTALL)[1])
+
+
+def layer(page, name):
+    return next(one for one in data_of(page)["layers"] if one["name"] == name)
+
+
+def floats(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+# --- what is in it ---
+
+
+def test_the_page_holds_the_scan(cube):
+    page = pages.page(cube)
+    data = data_of(page)
+    names = [one["name"] for one in data["layers"]]
+    assert names == ["surface", "contacts", "normals", "slices", "rod in one sweep", "truth"]
+    contacts = layer(page, "contacts")
+    points = floats(contacts["position"]).reshape(-1, 3) + data["center"]
+    assert points == pytest.approx(cube.points, abs=1e-5)
+    assert [one["title"] for one in contacts["colors"]] == [
+        "kind of contact",
+        "contact force in mN",
+        "coefficient of friction",
+        "distance from the truth in mm",
+    ]
+    assert floats(contacts["colors"][1]["values"]) == pytest.approx(1e3 * cube.column("force"), rel=1e-6)
+    surface = layer(page, "surface")
+    assert [one["title"] for one in surface["colors"]] == ["signed deviation in mm", "certified bound in mm"]
+    off = surface["colors"][0]
+    assert off["low"] == -off["high"]  # symmetric
+    faces = np.frombuffer(base64.b64decode(surface["index"]), "<u4").reshape(-1, 3)
+    assert faces.max() < len(floats(surface["position"])) / 3
+    for what, much in cube.figures:
+        assert f"<th>{what}</th><td>{much}</td>" in page.decode()
+
+
+def test_the_page_needs_nothing_from_elsewhere(cube):
+    text = pages.page(cube).decode()
+    assert not re.findall(r"https?:|//cdn|@import|\bfetch\(|XMLHttpRequest|\bsrc=", text)
+    assert "default-src 'none'" in text
+
+
+def test_the_same_scene_gives_the_same_page(cube):
+    assert pages.page(cube) == pages.page(scanned(CUBE))
+
+
+def test_names_that_look_like_code_stay_text(cube):
+    name = "</script><b>@DATA@ & \\1"
+    text = pages.page(replace(cube, name=name)).decode()
+    assert "<b>" not in text
+    assert "&lt;/script&gt;&lt;b&gt;@DATA@ &amp; \\1" in text
+    assert data_of(text.encode())["unit"] == "mm"
+
+
+@pytest.mark.parametrize("what", ["contacts", "surface"])
+def test_a_page_of_a_part_shows_that_part(cube, what):
+    part = scenes.Scene("part", "um", **{what: getattr(cube, what)})
+    page = pages.page(part)
+    names = {one["name"] for one in data_of(page)["layers"]}
+    assert names == ({"contacts", "normals", "slices"} if what == "contacts" else {"surface"})
+    assert data_of(page)["unit"] == "µm"
+
+
+def test_a_page_of_nothing():
+    with pytest.raises(scan3d.InputError, match="void has nothing to show: neither contacts nor a surface"):
+        pages.page(scenes.Scene("void", "mm"))
+
+
+# --- in a browser ---
+
+
+class Tab:
+    """A page in headless Chromium, by the DevTools protocol over pipes."""
+
+    def __init__(self, chromium, profile):
+        ours, theirs = os.pipe(), os.pipe()  # what we read, what it reads
+        # away from 3 and 4, where Chromium expects them
+        ends = [fcntl.fcntl(fd, fcntl.F_DUPFD, 20) for fd in (theirs[0], ours[1])]
+        arguments = ["--headless", "--no-sandbox", "--remote-debugging-pipe", f"--user-data-dir={profile}"]
+        arguments += ["--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--force-device-scale-factor=1"]
+        self.process = subprocess.Popen(
+            [chromium, *arguments, "about:blank"],
+            preexec_fn=lambda: [os.dup2(end, fd) for end, fd in zip(ends, (3, 4), strict=True)],
+            pass_fds=(3, 4),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for fd in (*ends, theirs[0], ours[1]):
+            os.close(fd)
+        self.read, self.write = ours[0], theirs[1]
+        self.count, self.rest, self.events, self.session = 0, b"", [], None
+
+    def open(self, path):
+        """Load the file, and wait until it has."""
+        target = self("Target.createTarget", url="about:blank")["targetId"]
+        self.session = self("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Network", "Runtime", "Log"):
+            self(f"{domain}.enable")
+        self("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
+        self("Page.navigate", url=path.as_uri())
+        while not any(one["method"] == "Page.loadEventFired" for one in self.events):
+            self.receive()
+
+    def __call__(self, method, **params):
+        """Send a command and return its result."""
+        self.count += 1
+        message = {"id": self.count, "method": method, "params": params}
+        if self.session:
+            message["sessionId"] = self.session
+        os.write(self.write, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self.receive()
+            if answer.get("id") == self.count:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def receive(self):
+        end = time.monotonic() + SECONDS
+        while b"\0" not in self.rest:
+            ready, _, _ = select.select([self.read], [], [], max(0.0, end - time.monotonic()))
+            assert ready, "Chromium does not answer"
+            self.rest += os.read(self.read, 1 << 20)
+        line, _, self.rest = self.rest.partition(b"\0")
+        answer = json.loads(line)
+        if "method" in answer:
+            self.events.append(answer)
+        return answer
+
+    def run(self, expression):
+        answer = self("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def picture(self):
+        # two frames later all that was asked for is drawn
+        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
+        shot = base64.b64decode(self("Page.captureScreenshot", format="png")["data"])
+        return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+    def mouse(self, kind, x, y, **more):
+        self("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def drag(self, start, end):
+        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
+        for share in (0.5, 1.0):
+            self.mouse(
+                "mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)), button="left", buttons=1
+            )
+        self.mouse("mouseReleased", *end, button="left", clickCount=1)
+
+    def complaints(self):
+        """Console errors and warnings of the page's own, exceptions, and requests for anything but the page."""
+        found = []
+        for one in self.events:
+            params = one["params"]
+            if one["method"] == "Runtime.exceptionThrown":
+                found.append(params)
+            if one["method"] == "Runtime.consoleAPICalled":
+                found.append(params["args"])
+            if one["method"] == "Log.entryAdded" and params["entry"]["level"] == "error":
+                found.append(params["entry"])
+            if one["method"] == "Network.requestWillBeSent":
+                url = params["request"]["url"]
+                found += [] if url.startswith(("file:///", "data:,")) and url.endswith(("page.html", ",")) else [url]
+        return found
+
+    def close(self):
+        self.session = None
+        try:
+            self("Browser.close")
+            self.process.wait(timeout=SECONDS)
+        finally:
+            self.process.kill()
+            self.process.wait()
+        os.close(self.read)
+        os.close(self.write)
+
+
+@pytest.fixture(scope="module")
+def tab(browser_path, cube, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "page.html").write_bytes(pages.page(cube))
+    found = Tab(browser_path, folder / "profile")
+    try:
+        found.open(folder / "page.html")
+        yield found
+    finally:
+        found.close()
+
+
+def blue(image):
+    """Pixels as blue as the cube's top, which lies farthest below the truth."""
+    return (image[:, :, 2] - image[:, :, 0] > 50) & (image[:, :, 0] < 40)
+
+
+def drawn(image):
+    """Right of the panel, above the scale: what isn't white."""
+    return (image[:520, 320:] < 250).any(axis=2)
+
+
+@pytest.mark.browser
+def test_the_page_in_a_browser(tab, cube):
+    first = tab.picture()
+    assert first.shape == (HEIGHT, WIDTH, 3)
+    # the body, in the middle of what the panel leaves; paper around it
+    assert 0.2 < drawn(first).mean() < 0.8
+    assert drawn(first)[250:350, 240:340].all()
+    assert not drawn(first)[:, -20:].any()
+    assert blue(first[:, 320:]).mean() > 0.03
+    assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.figures))
+
+    # it turns with the mouse: the top goes out of sight when it is looked at from the side
+    tab.drag((600, 250), (640, 193))
+    turned = tab.picture()
+    assert (np.abs(turned - first).max(axis=2) > 20).mean() > 0.1
+    assert blue(turned[:, 320:]).mean() < 0.2 * blue(first[:, 320:]).mean()
+
+    # the wheel zooms, a double click goes back
+    tab.mouse("mouseWheel", 600, 300, deltaX=0, deltaY=600)
+    assert drawn(tab.picture()).mean() < 0.5 * drawn(turned).mean()
+    for count in (1, 2):
+        tab.mouse("mousePressed", 880, 20, button="left", buttons=1, clickCount=count)
+        tab.mouse("mouseReleased", 880, 20, button="left", clickCount=count)
+    assert (np.abs(tab.picture() - first).max(axis=2) > 20).mean() < 1e-3
+
+    # no errors, no network, all the while
+    assert tab.complaints() == []
+
+
+@pytest.mark.browser
+def test_layers_and_colours_in_a_browser(tab):
+    before = tab.picture()
+    tab.run("for (const box of document.querySelectorAll('input')) if (box.checked) box.click()")
+    assert not drawn(tab.picture()).any()
+    shown = {}
+    for name in tab.run("[...document.querySelectorAll('input')].map(box => box.name)"):
+        tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
+        shown[name] = drawn(tab.picture()).mean()
+        tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
+    assert set(shown) == {"surface", "contacts", "normals", "slices", "rod in one sweep", "truth"}
+    assert min(shown.values()) > 1e-3
+    assert shown["truth"] == pytest.approx(shown["surface"], rel=0.05)
+    assert shown["normals"] < shown["surface"]
+
+    tab.run("for (const name of ['surface', 'contacts']) document.querySelector(`input[name=${name}]`).click()")
+    assert (np.abs(tab.picture() - before).max(axis=2) > 20).mean() < 1e-3
+    choose = "const s = document.querySelector('select'); s.selectedIndex = {}; s.onchange(); s.value"
+    assert tab.run("{" + choose.format(2) + "}") == "plain"
+    plain = tab.picture()
+    assert not blue(plain[:, 320:]).any()
+    assert tab.run("{" + choose.format(1) + "}") == "certified bound in mm"
+    assert (np.abs(tab.picture() - plain).max(axis=2) > 20).mean() > 0.05
+    assert tab.complaints() == []
+
+
+@pytest.mark.browser
+def test_a_click_tells_what_was_felt(tab, cube):
+    said = "document.getElementById('told')"
+    tab.mouse("mousePressed", 880, 300, button="left", buttons=1, clickCount=1)
+    tab.mouse("mouseReleased", 880, 300, button="left", clickCount=1)
+    assert tab.run(said + ".hidden") is True
+    place = """(() => {
+      const p = data.layers.find(one => one.kind === "points").points, m = turned(), {w, h, scale, shift} = measures();
+      let best = 0, front = -1e9;
+      for (let k = 0; k < p.length; k += 3) {
+        const d = m[2] * p[k] + m[5] * p[k + 1] + m[8] * p[k + 2];
+        if (d > front) { front = d; best = k; }
+      }
+      const [u, v] = [0, 1].map(i => m[i] * p[best] + m[3 + i] * p[best + 1] + m[6 + i] * p[best + 2]);
+      return [best / 3, (u * scale[0] + shift[0] + 1) * w / 2, (1 - v * scale[1] - shift[1]) * h / 2];
+    })()"""
+    contact, x, y = tab.run(place)
+    tab.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
+    tab.mouse("mouseReleased", x, y, button="left", clickCount=1)
+    text = tab.run(said + ".textContent")
+    assert text.startswith(f"contact {contact}\n")
+    assert f"sweep {cube.column('sweep')[contact]:.0f}\n" in text
+    told = [float(one) for one in re.findall(r"[xyz] = (\S+) mm", text)]
+    assert told == pytest.approx(cube.points[contact], abs=1e-3)
+
+
+def test_the_truth_is_that_of_the_mesh(cube):
+    truth = layer(pages.page(cube), "truth")
+    size = np.ptp(floats(truth["position"]).reshape(-1, 3), axis=0)
+    assert size == pytest.approx(load_mesh(CUBE).extents, rel=1e-6)
