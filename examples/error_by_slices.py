@@ -7,8 +7,8 @@ certify for their convex hull.
 Between two slices h apart a chord lies h²/8R inside a body of radius R, so the hull's error falls as 1/n².  But an end slice
 h/2 below the pole leaves all of that open, and with even spacing the poles, not the slices between, decide: 1/n.  Slices at
 Chebyshev's nodes are 1/n² apart there.  A fitted support function and Poisson's surface bridge the poles, each in its way.
-Where a curve flattens out, the method's own resolution is reached, or that of the mesh, whose facets turn by half a degree
-to one degree.
+Where a curve flattens out, something else than the slices limits it: the hull's, the gaps between contacts along a slice;
+that of the support function, the facets of the surface that is drawn from it; Poisson's, its octree and its smoothing.
 
     python examples/error_by_slices.py [--out FILE] [--quick]
 
@@ -47,6 +47,8 @@ METHODS = {
     "ball-pivoting": ("#CC79A7", "v", 4),
 }
 BOUND = "0.35"
+# Where the guides for the slope start, over the hull's first error.
+GUIDE = 0.35
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,12 @@ def figure(errors: dict[str, Errors]) -> Figure:
             draw_errors(axes, found, SPACINGS[spacing])
             axes.set_title(f"({panel}) {spacing} spacing", loc="left")
             axes.set_xlabel("number of slices $n$")
-        panels[0].set_ylabel("Hausdorff distance / diagonal of the body's box")
+        panels[0].set_ylabel("Hausdorff distance / diagonal")
         low, high = panels[0].get_ylim()
         guide(panels[0], errors["uniform"], 1)
         guide(panels[1], errors["cosine"], 2)
         panels[0].set_ylim(low, high)
-        drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS) + 1)
+        drawn.legend(*panels[-1].get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS) + 1)
     return drawn
 
 
@@ -110,13 +112,12 @@ def draw_errors(axes: Axes, found: Errors, style: str) -> None:
 
 
 def guide(axes: Axes, found: Errors, power: int) -> None:
-    """A thin line that falls as n to the minus `power`, between the hull's error and its bound."""
-    ends = found.slices[[0, -1]].astype(float)
-    start = np.sqrt(found.bound[0] * found.hausdorff["hull"][0])
-    line = start * (ends / ends[0]) ** -power
-    axes.plot(ends, line, ":", color="black", linewidth=0.8)
+    """A thin line that falls as n to the minus `power`, well below the hull's error, over the first half of the slices."""
+    ends = found.slices[[0, len(found.slices) // 2]].astype(float)
+    line = GUIDE * found.hausdorff["hull"][0] * (ends / ends[0]) ** -power
+    axes.plot(ends, line, ":", color="black", linewidth=1.0)
     label = r"$\propto 1/n$" if power == 1 else rf"$\propto 1/n^{power}$"
-    axes.annotate(label, (ends[-1], line[-1]), (0, 5), textcoords="offset points", ha="right")
+    axes.annotate(label, (ends[1], line[1]), (5, -4), textcoords="offset points")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -17,26 +17,34 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.bracket import Bracket
 from scan3d.layers import Layers
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
-# In the caps, with slices on one side only, and where slices lack normals.
-_UNKNOWN = 0.5
+# In the caps, and where slices lack normals; every guess is drawn towards it by this weight, for half way the error is at
+# most half the gap.
+_UNKNOWN, _DOUBT = 0.5, 0.35
+# Evenly sliced, a parabola's height over the chord, in those of the secants' apex.
+_PARABOLA = 0.25
 
 
-def shares(bracket: Bracket, feet: Array, kink: float = 1.0) -> Array:
-    """Shares (w,) of the way from the inner body's nearest points (w, 3) to the outer body's corners."""
-    stack = bracket.stack
-    away = (bracket.corners - feet) @ stack.frame[:2].T
-    angle = np.arctan2(away[:, 1], away[:, 0])
-    slab = np.searchsorted(stack.heights, bracket.corners @ stack.frame[2])
+def shares(stack: Layers, away: Array, slab: Index, flat: NDArray[np.bool_], kink: float | None) -> Array:
+    """Shares (w,) of the way to the outer body's corners, which are `away` (w, 3) from the inner body's nearest points.
+
+    slab (w,) and flat (w, 2) are those of the `Bracket`.  `kink` is the share where the body goes on straight on both sides
+    of a slab: 1 if it is a polyhedron; with None the body is taken for flat between its slices: 0 but in the caps.
+    """
+    if kink is None:
+        return np.where((slab == 0) | (slab == len(stack.layers)), _UNKNOWN, 0.0)
+    across = away @ stack.frame[:2].T
+    angle = np.arctan2(across[:, 1], across[:, 0])
     share = np.full(len(angle), _UNKNOWN)
     for i in np.unique(slab):
         mine = slab == i
-        share[mine] = _share(stack, int(i), angle[mine], bracket.flat[mine])
-    share[bracket.flat.all(axis=1)] = kink
+        share[mine] = _share(stack, int(i), angle[mine], flat[mine])
+    # a polyhedron is straight on either side, though three slices may not show it on both
+    share[flat.any(axis=1) if kink == 1 else flat.all(axis=1)] = kink
     return share
 
 
@@ -68,7 +76,9 @@ def _share(stack: Layers, i: int, angle: Array, flat: NDArray[np.bool_]) -> Arra
         # the share of the turn that so much bending makes, and the length over which it does
         turned = np.minimum(1.0, 2 * bend * room * step[1] / (rise + fall))
         share = (1 - turned * np.minimum(room, 1.0) / 2) * apex / most
-    return np.where(np.isfinite(share), np.clip(share, 0.0, 1.0), _UNKNOWN)
+    # with slices on one side only, a parabola's share, unless the body comes straight; in the caps nothing is known
+    one_sided = np.where(flat.any(axis=1) | (i == 0) | (i == len(stack.layers)), _UNKNOWN, _PARABOLA)
+    return (1 - _DOUBT) * np.where(np.isfinite(share), np.clip(share, 0.0, 1.0), one_sided) + _DOUBT * _UNKNOWN
 
 
 def _slope(outer: Array, middle: Array, outer_step: float, middle_step: float) -> Array:

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from scan3d.cloud import Cloud
-from scan3d.comparison import nearest
+from scan3d.comparison import compare, nearest
+from scan3d.hulls import hull
 from scan3d.layers import Layer, Layers, stacks
-from scan3d.surfaces import hull
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _FAR = 1e6
 _FLAT = 0.03
 
 # Rounding of a support function, relative to it.
-_ROUNDING = 1e-13
+_ROUNDING = 1e-12
 
 # Offset of a dual facet that is zero to rounding: its corner lies at infinity.
 _ON_THE_EDGE = 1e-12
@@ -73,8 +73,10 @@ class Bracket:
     """(w,) of `Gap`."""
     flat: NDArray[np.bool_]
     """(w, 2) whether the body goes on straight below and above the corner's slab."""
+    slab: NDArray[np.intp]
+    """(w,) the slab's number: that below the layer of this number in `stack`."""
     stack: Layers
-    """The slices whose slabs these are."""
+    """The slices between which the slabs are."""
     bound: float
     """The Hausdorff distance of the inner body to the true one is no larger; infinite if nothing bounds its height."""
     margin: float
@@ -111,13 +113,14 @@ def bracket(cloud: Cloud, margin: float = 0.0) -> Bracket:
         outer = [slabs(stack, margin) for stack in found]
     best: Bracket | None = None
     for stack, parts in zip(found, outer, strict=True):
-        corners, kind, flat = (np.concatenate([slab[i] for slab in parts]) for i in range(3))
+        corners, kind, flat = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        slab = np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts])
         gap = np.full(len(corners), np.inf)
         bounded = np.isfinite(corners).all(axis=1)
         gap[bounded] = outside(corners[bounded], inner)
-        volume = inner.volume, max(sum(slab.volume for slab in parts), inner.volume)
+        volume = inner.volume, max(sum(part.volume for part in parts), inner.volume)
         if best is None or gap.max() + margin < best.bound:
-            best = Bracket(inner, corners, gap, kind, flat, stack, float(gap.max()) + margin, margin, volume)
+            best = Bracket(inner, corners, gap, kind, flat, slab, stack, float(gap.max()) + margin, margin, volume)
     assert best is not None
     return best
 
@@ -136,7 +139,14 @@ def slabs(stack: Layers, margin: float = 0.0, known: dict[tuple[float, ...], Sla
 
 
 def certificate(found: Bracket, surface: Any) -> tuple[float, Array]:
-    """Certified bound of a convex surface's Hausdorff distance to the true body, and the local bound at its vertices (v,)."""
+    """Certified bound of a surface's Hausdorff distance to the true body, and the local bound at its vertices (v,).
+
+    Of a hull (`hulls.hull`) by the outer body's corners.  A surface that is not convex, or open, is held against the inner
+    body, whose own bound is added.
+    """
+    if not surface.metadata.get("convex"):
+        local = np.abs(nearest(np.asarray(surface.vertices), found.inner)[0])
+        return compare(surface, found.inner).upper + found.bound, local + found.bound
     local = outside(np.asarray(surface.vertices), found.inner)
     distance, face = _outside_with_face(found.corners, surface)
     np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
@@ -191,13 +201,17 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
         return unbounded
     thickness = high - low
     planes = np.concatenate([*rows, [[0.0, 0.0, 1.0, -high], [0.0, 0.0, -1.0, low]]])
-    straight = np.ones((len(planes), 2), dtype=bool)
-    if below is not None and above is not None:
-        if i >= 2:
-            straight[: len(rows[0]), 0] = _straight(layers[:i][::-1], above)
-        if i + 1 < count:
-            straight[-2 - len(rows[-1]) : -2, 1] = _straight(layers[i:], below)
-    sides = np.array([below is not None and above is not None and i >= 2, below is not None and i + 1 < count])
+    # from below, from above, or of an empty slice, which cuts off what is not the body's shape
+    side = np.full(len(planes), -1)
+    straight = np.zeros(len(planes), dtype=bool)
+    if below is not None and i >= 2:
+        side[: len(rows[0])] = 0
+        straight[: len(rows[0])] = _straight(layers[:i][::-1], above)
+    if above is not None and i + 1 < count:
+        side[-2 - len(rows[-1]) : -2] = 1
+        straight[-2 - len(rows[-1]) : -2] = _straight(layers[i:], below)
+    # past an end slice there is one side only
+    lone = above is None or below is None
     # shifted to the inner point and stretched to unit size, the thin slabs are no trouble for Qhull
     planes[:, 3] += planes[:, :3] @ inside
     size = np.array([max(float(np.ptp(layer.points)) for layer in (below, above) if layer)] * 2 + [thickness])
@@ -216,10 +230,11 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
     if np.abs(corners[:, :2]).max() > _FAR:
         return unbounded
     corners = inside + corners * size
-    filled = [layer.height for layer in (below, above) if layer]
-    in_plane = np.abs(corners[:, 2:] - filled).min(axis=1) <= _IN_PLANE * thickness
+    # in the plane of a slice whose own half-spaces bound it there
+    held = [low] * (below is not None and i >= 2) + [high] * (above is not None and i + 1 < count)
+    in_plane = np.abs(corners[:, 2:] - held).min(axis=1) <= _IN_PLANE * thickness
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
-    flat = np.array([straight[of].all(axis=0) for of in cut.dual_facets]) & sides
+    flat = np.array([_flat(side[of], straight[of], lone) for of in cut.dual_facets])
     return Slab(corners @ stack.frame, kind, flat, volume)
 
 
@@ -239,20 +254,32 @@ def _half_spaces(layer: Layer, behind: Layer, margin: float) -> Array:
     return np.column_stack([normals, -secant, secant * layer.height - value])
 
 
-def _straight(behind: tuple[Layer, ...], beyond: Layer) -> NDArray[np.bool_]:
-    """Whether the body goes on straight behind a slab's layer at the layer's normals (k,): it has a flat side there.
+def _flat(side: Array, straight: NDArray[np.bool_], lone: bool) -> tuple[bool, bool]:
+    """Whether a corner's half-spaces from below, and from above, all go on straight behind the slab; both if one is lone."""
+    if lone:
+        good = bool(straight.all())
+        return good, good
+    below, above = side == 0, side == 1
+    return bool(below.any() and straight[below].all()), bool(above.any() and straight[above].all())
 
-    `behind` are the layer and those farther and farther from the slab, `beyond` is the one on the slab's other side.
+
+def _straight(behind: tuple[Layer, ...], beyond: Layer | None) -> NDArray[np.bool_]:
+    """Whether the body goes on straight behind a slab's layer at the layer's normals (k,).
+
+    `behind` are the layer and those farther and farther from the slab, `beyond` is the one on the slab's other side; past an
+    end slice there is none, and only rounding is allowed for.
     """
     if len(behind) < 3:
         return np.zeros(len(behind[0].angle), dtype=bool)
     normals = np.stack([np.cos(behind[0].angle), np.sin(behind[0].angle)], axis=1)
     near, far, turned = (
         (b.least(normals) - a.least(normals)) / (b.height - a.height)
-        for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond))
+        for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond or behind[1]))
     )
-    size = np.abs(behind[0].value).max() / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
-    return np.abs(near - far) <= _FLAT * np.abs(near - turned) + _ROUNDING * size
+    rounding = (
+        _ROUNDING * np.abs(behind[0].value).max() / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
+    )
+    return np.abs(near - far) <= _FLAT * np.abs(near - turned) + rounding
 
 
 def _inner_point(below: Layer | None, above: Layer | None, low: float, high: float, rows: list[Array]) -> Array | None:

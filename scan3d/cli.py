@@ -93,7 +93,7 @@ _OPTIONS = (
     ("noise", "SIGMA", "standard deviation of force and moment, in EI/L² and EI/L"),
     ("seed", "N", "seed of all that is random; the same seed gives the same files"),
     ("unit", "UNIT", "what the mesh's numbers mean: mm, cm, m, um, in"),
-    ("method", "METHOD", "surface from the contacts: auto, hull or support"),
+    ("method", "METHOD", "surface from the contacts: auto, hull, bracket, support, poisson or ball-pivoting"),
 )
 
 
@@ -157,7 +157,10 @@ def _parser() -> argparse.ArgumentParser:
     reconstruct.add_argument("--truth", metavar="MESH", help="the true body, to compare with")
     reconstruct.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
     reconstruct.add_argument(
-        "--method", metavar="METHOD", default="auto", help="surface from the contacts: auto, hull or support"
+        "--method",
+        metavar="METHOD",
+        default="auto",
+        help="surface from the contacts: auto, hull, bracket, support, poisson...",
     )
     _add_output(reconstruct)
     reconstruct.set_defaults(run=_reconstruct)

@@ -206,15 +206,17 @@ def _results(
 
     with clock("reconstruct"):
         cloud = reconstruct(recording)
-    with clock("surface"):
-        surface = surfaces.surface(cloud, settings["method"])
-    with clock("certificate"):
+    with clock("bracket"):
         inside = bracket(cloud, _NOISE_SIGMAS * cloud.noise)
+    with clock("surface"):
+        surface = surfaces.surface(cloud, settings["method"], found=None if cloud.noise else inside)
+    with clock("certificate"):
         certified = certificate(inside, surface)
-    error, found = None, None
+    error, found, hull_error = None, None, None
     if body is not None:
         with clock("compare"):
             error, found = distances(cloud.points, body), compare(surface, body)
+            hull_error = compare(inside.inner, body).hausdorff
 
     for stale in _RESULTS:
         (place / stale).unlink(missing_ok=True)
@@ -232,11 +234,12 @@ def _results(
         recording=recording,
         cloud=cloud,
         surface=surface,
-        certificate=certified[0],
+        certificate=certified,
         bracket=inside,
         mesh=body,
         contact_error=error,
         comparison=found,
+        hull_error=hull_error,
         friction_set=settings["friction"] if simulated else None,
     )
     scene = scenes.of_cloud(

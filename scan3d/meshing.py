@@ -8,9 +8,9 @@ a hole stays.
 
 Both want evenly spread points.  Contacts lie on slices, dense along a slice, sparser between slices, often many at one place.
 So contacts at one place become one with their mean normal, and the cloud is thinned until it is as dense along slices as
-between them.  Before that it is stretched to a round one, by the second moments of its convex hull; normals by the inverse.
-So a needle becomes a ball, and the result is stretched back.  Points are rounded and sorted first, so that neither their
-order nor their unit matters.
+between them: the gaps are those of a Delaunay triangulation of the directions in which the contacts lie.  Before that it is
+stretched to a round one, by the second moments of its convex hull; normals by the inverse.  So a needle becomes a ball, and
+the result is stretched back.  Points are rounded and sorted first, so that neither their order nor their unit matters.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.errors import InputError
-from scan3d.surfaces import hull
+from scan3d.hulls import hull
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Lengths in this module are in radii of the round cloud: its hull has the second moments of the unit ball.
+# Lengths here are in radii of the round cloud, whose hull has the second moments of the unit ball.
+
 # Places are multiples of this, far above rounding errors; contacts on the same one are one.
 _GRID = 2.0**-30
 # The stretching itself is rounded too: it need not be exact, but the same in any unit.
@@ -40,7 +41,7 @@ _FLATTEST = 1e-4
 # Points closer than this share of the spacing around them tell nothing new.
 _THINNED = 0.5
 # ... and so do those closer than this share of the dense spacing: noise has moved them apart.
-_FLOOR = 0.1
+_FLOOR = 0.25
 # Contacts farther out by so much are kept first: corners, edges and rims.
 _SHELL = 0.05
 # Poisson's cells are as fine as the spacing on the densest tenth of the surface, the first ball is as large as almost all.
@@ -119,9 +120,10 @@ def poisson(points: Array, normals: Array) -> Any:
 def ball_pivoting(points: Array, normals: Array) -> Any:
     """Ball pivoting over points (n, 3) with outward normals (n, 3): a `trimesh.Trimesh`, outward, perhaps with holes.
 
-    Its vertices are among the points.  Rows that aren't finite are left out.  The balls' radii grow from the points' spacing
-    to the body's size.  `metadata["reason"]` says how it was made, and how many edges are open.  Raises InputError for points
-    that span no body, if no ball rests on any three of them, and if open3d can't be imported.
+    Its vertices are among the points; holes of three edges are filled, larger ones are not.  Rows that aren't finite are left
+    out.  The balls' radii grow from the points' spacing to the body's size.  `metadata["reason"]` says how it was made, and
+    how many edges are open.  Raises InputError for points that span no body, if no ball rests on any three of them, and if
+    open3d can't be imported.
     """
     cloud = _round(points, normals)
     o3d = _open3d()
@@ -139,7 +141,9 @@ def ball_pivoting(points: Array, normals: Array) -> Any:
     faces = np.asarray(made.triangles, dtype=np.int64).reshape(-1, 3)
     inwards = np.linalg.det(cloud.points[faces]) < 0
     faces[inwards] = faces[inwards, ::-1]
-    found = _mesh(cloud.original, _single(faces))
+    faces = _single(faces)
+    gaps = _triangular_holes(faces)
+    found = _mesh(cloud.original, np.concatenate([faces, gaps]))
     if not len(found.faces):
         raise InputError(
             f"no ball rests on three of the {len(cloud.points)} contacts: scan more slices, or use the method auto or hull"
@@ -148,8 +152,9 @@ def ball_pivoting(points: Array, normals: Array) -> Any:
     holes = int((uses != 2).sum())
     found.metadata.update(
         method="ball-pivoting",
-        reason=f"ball pivoting with {len(radii)} radii over {len(cloud.points)} of {len(points)} contacts: "
-        + (f"not closed, {holes} of {len(edges)} edges are open" if holes else "closed"),
+        reason=f"ball pivoting with {len(radii)} radii over {len(cloud.points)} of {len(points)} contacts"
+        + (f", {len(gaps)} holes of three edges filled" if len(gaps) else "")
+        + (f": not closed, {holes} of {len(edges)} edges are open" if holes else ": closed"),
     )
     return found
 
@@ -259,6 +264,19 @@ def _single(faces: Index) -> Index:
     return faces[~again.reshape(-1, 3).any(axis=1)]
 
 
+def _triangular_holes(faces: Index) -> Index:
+    """The faces (k, 3) that three open edges ask for."""
+    edges = set(zip(faces.reshape(-1).tolist(), np.roll(faces, -1, axis=1).reshape(-1).tolist(), strict=True))
+    # from the holes' side; where several meet in one vertex, the last counts
+    following = {end: start for start, end in sorted(edges) if (end, start) not in edges}
+    found = []
+    for a, b in following.items():
+        c = following.get(b, -1)
+        if a < b and a < c and following.get(c) == a:
+            found.append((a, b, c))
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
+
+
 def _mesh(vertices: Array, faces: Index) -> Any:
     """A `trimesh.Trimesh` without faces that are double or have no area, and without vertices in no face."""
     import trimesh
@@ -286,6 +304,6 @@ def _open3d() -> Any:
     except (ImportError, OSError) as error:
         raise InputError(
             f"the methods poisson and ball-pivoting need open3d, which can't be imported ({error}): install it and its "
-            "libraries (on Debian or Ubuntu apt-get install libgl1 libgomp1), or use the method auto, hull or support"
+            "libraries (on Debian or Ubuntu apt-get install libgl1 libgomp1), or use the method auto, bracket, hull or support"
         ) from None
     return open3d

@@ -171,7 +171,7 @@ def _sweep(scene: Scene, frames: int) -> Iterator[Image]:
 
 def _growth(scene: Scene, frames: int) -> Iterator[Image]:
     """The hull of the contacts of more and more slices."""
-    from scan3d.surfaces import hull
+    from scan3d.hulls import hull
 
     numbers = scene.column("slice")
     if numbers is None:

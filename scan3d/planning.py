@@ -14,6 +14,7 @@ from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 SPACINGS = ("cosine", "uniform", "adaptive")
 STANDOFFS = ("follow", "fixed")
@@ -147,23 +148,22 @@ def first_heights(low: float, high: float, plan: Plan) -> Array:
     return np.concatenate([inside, [low - beyond, high + beyond]])
 
 
-def next_heights(known: Array, corners: Array, gaps: Array, kinks: Array, count: int, left: int) -> Array:
+def next_heights(known: Array, slab: Index, corners: Array, gaps: Array, kinks: Array, count: int, left: int) -> Array:
     """About `count` further heights, no more than `left`, where the bracket is widest.
 
-    known (s,): heights scanned, rising, with the nearest empty ones at both ends.  corners (w,): heights of the outer
-    body's corners, gaps (w,): their distances from the inner body, kinks (w,): whether the body goes on straight on both
-    sides.  A slab between known heights gets the height of its worst corner, which for a polyhedron is a vertex's own.
-    Where the body bends all along, its gap falls with the square of the slab's parts: a slab that will need three of them,
-    with what is left, gets two heights at once.  A corner on an empty slice says only that the body ends before it, and the
-    height between is halved.
+    known (s,): heights scanned, rising, with the nearest empty ones at both ends.  Of the outer body's corners: slab (w,),
+    number of the lower known height; corners (w,), their own heights; gaps (w,), their distances from the inner body;
+    kinks (w,), whether the body goes on straight on both sides.
+
+    A slab gets the height of its worst corner, which for a polyhedron is a vertex's own.  Where the body bends all along,
+    its gap falls with the square of the slab's parts: a slab that will need three of them, with what is left, gets two
+    heights at once.  A corner on an empty slice says only that the body ends before it, one on an end slice only that the
+    body may end right behind it: there the height between is halved.
     """
     size = known[-1] - known[0]
-    slab = np.searchsorted(known, corners) - 1
-    slab[np.abs(corners - known[0]) <= 1e-12 * size] = 0
-    slab[np.abs(corners - known[-1]) <= 1e-12 * size] = len(known) - 2  # to the caps before them
-    inside = (slab >= 0) & (slab < len(known) - 1) & (gaps > 0)
-    worst = np.flatnonzero(inside)[np.lexsort((-gaps[inside], slab[inside]))]
-    worst = worst[np.unique(slab[worst], return_index=True)[1]]
+    order = np.lexsort((-gaps, slab))
+    worst = order[np.unique(slab[order], return_index=True)[1]]
+    worst = worst[gaps[worst] > 0]
     slab, corner, kink = slab[worst], corners[worst], kinks[worst]
     low, high = known[slab], known[slab + 1]
     first, last = slab == 0, slab == len(known) - 2
@@ -173,20 +173,22 @@ def next_heights(known: Array, corners: Array, gaps: Array, kinks: Array, count:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (corner - end) / (beyond - end)
     in_cap = end + np.where(share > 1 - 1e-9, 0.5, 0.7 * share) * (beyond - end)
-    single = np.where(first | last, in_cap, corner)
+    on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
+    single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
     useful = np.minimum(single - low, high - single) > CLOSEST * size
     thirds = ~(first | last | kink) & (_parts(weight, left) == 3)
 
     chosen: list[float] = []
     for i in np.argsort(-weight, kind="stable"):
-        new = [low[i] + (high[i] - low[i]) * k / 3 for k in (1, 2)] if thirds[i] else [single[i]]
-        if len(chosen) >= count or not useful[i]:
+        if len(chosen) >= count:
             break
-        chosen += new[: left - len(chosen)]
+        if useful[i]:
+            new = [low[i] + (high[i] - low[i]) * k / 3 for k in (1, 2)] if thirds[i] else [single[i]]
+            chosen += new[: left - len(chosen)]
     return np.array(chosen)
 
 
-def _parts(weight: Array, left: int) -> NDArray[np.int64]:
+def _parts(weight: Array, left: int) -> Index:
     """Parts (n,) into which slabs come if `left` cuts make the largest ``weight / parts`` as small as they can."""
     parts = np.ones(len(weight), dtype=np.int64)
     for _ in range(left if len(weight) else 0):

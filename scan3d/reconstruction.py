@@ -35,7 +35,7 @@ def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
     below and above; of a body that proves smooth, from the support function fitted to all contacts.
     Raises InputError if the recording has no contact.
     """
-    cloud = _with_slice_normals(contacts(recording, method))
+    cloud = with_slice_normals(contacts(recording, method))
     found = smooth_fit(cloud)
     return cloud if found is None else _with_fit(cloud, *found)
 
@@ -72,8 +72,9 @@ def _mean_radius(fitted: SupportFit) -> float:
     return float(np.linalg.det(fitted.shape)) ** (1 / 3)
 
 
-def _with_slice_normals(cloud: Cloud) -> Cloud:
-    normals, source = cloud.normals.copy(), cloud.normal_source.copy()
+def with_slice_normals(cloud: Cloud) -> Cloud:
+    """The cloud with the normals that follow from each slice and its neighbours, in place of those it had."""
+    normals, source = np.full_like(cloud.normals, np.nan), np.full_like(cloud.normal_source, NormalSource.UNKNOWN)
     for stack in stacks(cloud):
         for layer, slope in zip(stack.layers, height_slopes(stack), strict=True):
             rows = layer.rows[layer.lying]

@@ -19,6 +19,8 @@ from scan3d.recording import Recording
 SCHEMA = 1
 # Directions, spread evenly over the sphere, at which the coverage of normals is looked up.
 _DIRECTIONS = 5000
+# The surface counts as seen where its certified bound is no more than this share of the diagonal.
+_SEEN = 1e-3
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
@@ -28,13 +30,14 @@ def report(
     recording: Recording,
     cloud: Cloud,
     surface: Any,
-    certificate: float,
+    certificate: tuple[float, Array],
     bracket: Bracket,
     timings_s: Mapping[str, float],
     files: list[str],
     mesh: Any = None,
     contact_error: Array | None = None,
     comparison: Comparison | None = None,
+    hull_error: float | None = None,
     friction_set: str | None = None,
 ) -> dict[str, Any]:
     """The report as it is written to JSON; what needs the true mesh is null without it."""
@@ -67,8 +70,9 @@ def report(
             "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
         },
         "hausdorff": _hausdorff(comparison, unit),
-        "certificate": _certificate(certificate, bracket, cloud),
-        "coverage": _coverage(cloud),
+        "certificate": _certificate(certificate[0], bracket, cloud),
+        "error_budget": _budget(certificate[0], bracket, cloud, contact_error, hull_error, comparison),
+        "coverage": _coverage(cloud, surface, certificate[1]),
         "surface": {
             "method": surface.metadata["method"],
             "reason": surface.metadata["reason"],
@@ -115,15 +119,49 @@ def _certificate(bound: float, bracket: Bracket, cloud: Cloud) -> dict[str, Any]
     }
 
 
-def _coverage(cloud: Cloud) -> dict[str, Any]:
-    """Share of the sphere of normals within 5° of a contact's, by as many directions spread evenly over it."""
+def _budget(
+    certified: float,
+    bracket: Bracket,
+    cloud: Cloud,
+    contact_error: Array | None,
+    hull_error: float | None,
+    comparison: Comparison | None,
+) -> dict[str, Any]:
+    """Where the error comes from, step by step: what touch alone guarantees, and what it is where the truth is known."""
+
+    def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
+        return {"at_most": guaranteed, "is": actual}
+
+    return {
+        "unit": cloud.unit,
+        "contacts_off": step(bracket.margin, None if contact_error is None else float(contact_error.max())),
+        "between_slices": step(bracket.part(Gap.SLICES), None),
+        "between_contacts": step(bracket.part(Gap.CONTACTS), None),
+        "past_end_slices": step(bracket.part(Gap.CAPS), None),
+        "hull": step(bracket.bound, hull_error),
+        "surface": step(certified, None if comparison is None else comparison.hausdorff),
+        "sum": "hull, at most = largest of between_slices, between_contacts and past_end_slices, plus contacts_off; "
+        "surface: what its method makes of that",
+    }
+
+
+def _coverage(cloud: Cloud, surface: Any, bound: Array) -> dict[str, Any]:
+    """Shares of what was seen.
+
+    Of the surface's area, where touch alone leaves less than 0.1 % of the diagonal open; of the sphere of normals, within
+    5° of a contact's, by as many directions spread evenly over it.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    area = np.asarray(surface.area_faces)
+    closed = bound[surface.faces].max(axis=1) <= _SEEN * diagonal
+    seen = {"surface": float(area[closed].sum() / area.sum()), "surface_within": _SEEN * diagonal}
     known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
     if not len(known):
-        return {"normals": 0.0}
+        return {**seen, "normals": 0.0}
     turn = np.arange(_DIRECTIONS) + 0.5
     z, angle = 1 - 2 * turn / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * turn
     sphere = np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
-    return {"normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(2.5))))}
+    return {**seen, "normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(2.5))))}
 
 
 def _hausdorff(found: Comparison | None, unit: str) -> dict[str, Any] | None:

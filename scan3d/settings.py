@@ -14,7 +14,7 @@ from scan3d.rods import parse_rod
 if TYPE_CHECKING:
     from scan3d.planning import Plan
 
-METHODS = ("auto", "hull", "support")
+METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
 _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 

@@ -16,11 +16,11 @@ from scan3d.bodies import extent_along, slice_polygons
 from scan3d.bracket import Gap, Slab, outside, slabs
 from scan3d.cloud import contacts
 from scan3d.errors import InputError
+from scan3d.hulls import hull
 from scan3d.layers import stacks
 from scan3d.planning import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.surfaces import hull
 from scan3d.units import UNITS_M
 
 Array = NDArray[np.float64]
@@ -201,8 +201,9 @@ def _adapt(scan: _Axis, rod: Rod, report: Callable[[int], None]) -> None:
         left = scan.plan.slices - len(scan.heights)
         room = max(1, min(round(_GROWTH * len(scan.heights)), left // 3))
         between = np.isfinite(gap) & (kind != Gap.CONTACTS)
+        slab = np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts])[between]
         heights, kinks = corners[between] @ stack.frame[2], flat[between].all(axis=1)
-        new = planning.next_heights(levels, heights, gap[between], kinks, room, left)
+        new = planning.next_heights(levels, slab, heights, gap[between], kinks, room, left)
         if not len(new):
             break
         scan.scan(new)

@@ -97,7 +97,7 @@ class Stage:
 
     def backdrop(self, scene: Scene) -> None:
         """A body inside the contacts, so that those behind it do not shine through."""
-        from scan3d.surfaces import hull
+        from scan3d.hulls import hull
 
         body = scene.surface
         if body is None:

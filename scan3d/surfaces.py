@@ -2,71 +2,145 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+from numpy.typing import NDArray
 
-from scan3d.cloud import Array, Cloud
+from scan3d.between import shares
+from scan3d.bracket import Bracket, bracket
+from scan3d.cloud import Cloud
+from scan3d.comparison import nearest
 from scan3d.errors import InputError
+from scan3d.evidence import Evidence, judge, thinned
+from scan3d.hulls import hull
+from scan3d.reconstruction import with_slice_normals
+from scan3d.support import SupportFit, fit_support
 
-METHODS = ("auto", "hull", "support")
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.
-_SUBDIVISIONS = 6
+Array = NDArray[np.float64]
+
+METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points, and 10,242 for a trial.
+_SUBDIVISIONS, _TRIAL_SUBDIVISIONS = 6, 5
+# A hull whose certified distance is this small, relative to the diagonal, is the body itself: no guess can better it.
+_PROVEN = 5e-5
+# Ways to guess where between its bounds the body is, by what is assumed of kinks: None stays with the hull between slices.
+_KINKS = (None, 0.75, 1.0)
+_GUESSES = {None: "flat between its slices", 0.75: "bent, with some edges", 1.0: "a polyhedron's, with sharp edges"}
+# With all slices the error between them is at most half of that with every second one; a fit's stays.
+_GAIN = 0.5
+# Standard deviations of a contact's place that the worst of many contacts may lie off.
+_NOISE_SIGMAS = 4.0
 
 
-def surface(cloud: Cloud, method: str = "auto") -> Any:
+def surface(cloud: Cloud, method: str = "auto", *, found: Bracket | None = None) -> Any:
     """Closed surface of a convex body from its contacts: a `trimesh.Trimesh`, outward, in the cloud's unit.
 
     method
-        'hull': the convex hull of the contacts, never outside the body; 'support': the body of the support function fitted
-        to them, for smooth bodies; 'auto': 'support' for a smooth body whose fit meets contacts left out of it, else 'hull'.
+        'hull': the convex hull of the contacts, never outside the body.
+        'bracket': the hull, extended to where between the inner and the outer body the true one most likely lies.
+        'support': the support function fitted to the contacts, for smooth bodies.
+        'poisson', 'ball-pivoting': open3d's, which do not know that the body is convex; the latter may leave holes.
+        'auto': the one of the first three that best foretells slices left out.
+    found
+        the cloud's `bracket`, if it is known already.
 
     `metadata` says which `method` it was, and for what `reason`.  Raises InputError for an unknown method, for contacts that
-    span no body, and for 'support' where the body is not smooth.
+    span no body, for 'support' where the body is not smooth, and where open3d is needed and missing.
     """
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if method == "support" and cloud.fit is None:
         raise InputError(
-            "the body is not smooth enough for the method support, or has too few contacts; use auto or hull"
+            "the body is not smooth enough for the method support, or has too few contacts; use auto, bracket or hull"
         )
-    if method == "hull" or cloud.fit is None:
-        chosen = "as asked for" if method == "hull" else "the body is not smooth, or has too few contacts for a fit"
-        found = hull(cloud.points)
-        found.metadata.update(method="hull", reason=f"convex hull of the contacts: {chosen}")
-        return found
+    if method == "hull":
+        return _named(hull(cloud.points), method, "convex hull of the contacts, as asked for")
+    if method in ("poisson", "ball-pivoting"):
+        from scan3d import meshing
+
+        build = meshing.poisson if method == "poisson" else meshing.ball_pivoting
+        found_by = build(cloud.points, cloud.normals)
+        return _named(found_by, method, f"{found_by.metadata['reason']}, as asked for")
+    if method == "support":
+        assert cloud.fit is not None
+        return _named(_of_fit(cloud.fit, _SUBDIVISIONS), method, f"{_degree(cloud.fit)}, as asked for")
+
+    found = found or bracket(cloud)
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    if method == "auto" and found.bound <= _PROVEN * diagonal:
+        reason = f"convex hull of the contacts: proven to lie within {found.bound:.2g} {cloud.unit} of the body"
+        return _named(found.inner, "hull", reason)
+    trial = _trial(cloud, with_fit=method == "auto")
+    if trial is None:
+        return _named(
+            _between(cloud, found, _KINKS[1]), "bracket", "between hull and outer body; too few slices for a trial"
+        )
+    guesses = {kink: evidence for kink, evidence in trial.items() if kink != "support"}
+    best = min(guesses, key=lambda kink: guesses[kink].rms)
+    assert best is None or isinstance(best, float)
+    off = f"slices left out on trial lie within {guesses[best].largest:.2g} {cloud.unit}"
+    # noise is in both, and the fit averages it
+    if "support" in trial and trial["support"].largest < _GAIN * guesses[best].largest + _NOISE_SIGMAS * cloud.noise:
+        assert cloud.fit is not None
+        smooth = trial["support"].largest
+        reason = (
+            f"{_degree(cloud.fit)}: the body is smooth, {off.split(' lie')[0]} lie within {smooth:.2g} {cloud.unit}"
+        )
+        return _named(_of_fit(cloud.fit, _SUBDIVISIONS), "support", reason)
+    reason = f"between hull and outer body, as {_GUESSES[best]}: {off}"
+    return _named(_between(cloud, found, best), "bracket", reason)
+
+
+def _trial(cloud: Cloud, *, with_fit: bool) -> dict[float | str | None, Evidence] | None:
+    """The evidence of slices left out for each way to guess, and for the fit; None with too few slices."""
+    parted = thinned(cloud)
+    if parted is None:
+        return None
+    rest, left_out = parted
+    found = bracket(rest)
+    builds: dict[float | str | None, Callable[[], Any]] = {
+        kink: partial(_between, rest, found, kink) for kink in _KINKS
+    }
+    if with_fit and cloud.fit is not None:
+        degree = cloud.fit.degree
+        builds["support"] = lambda: _of_fit(_refit(rest, degree), _TRIAL_SUBDIVISIONS)
+    return {name: judge(build, left_out) for name, build in builds.items()}
+
+
+def _refit(cloud: Cloud, degree: int) -> SupportFit:
+    """The fit without what the slices left out have told the normals."""
+    by_slices = with_slice_normals(cloud)
+    known = np.isfinite(by_slices.normals[:, 0])
+    return fit_support(cloud.points[known], by_slices.normals[known], degree)
+
+
+def _between(cloud: Cloud, found: Bracket, kink: float | None) -> Any:
+    """The hull of the contacts and of points on the way from it to the outer body's corners."""
+    bounded = np.isfinite(found.corners).all(axis=1) & (found.gap > 0)
+    if not bounded.any():
+        return found.inner
+    _, _, feet = nearest(found.corners[bounded], found.inner)
+    away = found.corners[bounded] - feet
+    share = shares(found.stack, away, found.slab[bounded], found.flat[bounded], kink)
+    return hull(np.concatenate([cloud.points, feet + share[:, None] * away]))
+
+
+def _of_fit(fitted: SupportFit, subdivisions: int) -> Any:
     from trimesh.creation import icosphere
 
-    found = hull(cloud.fit.points(icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)))
-    found.metadata.update(
-        method="support",
-        reason=f"support function of degree {cloud.fit.degree}: the body is smooth, 95 % of the contacts left out of the fit "
-        f"lie within {cloud.fit_error:.2g} {cloud.unit} of it",
-    )
+    return hull(fitted.points(icosphere(subdivisions=subdivisions).vertices.view(np.ndarray)))
+
+
+def _degree(fitted: SupportFit) -> str:
+    return f"support function of degree {fitted.degree}"
+
+
+def _named(found: Any, method: str, reason: str) -> Any:
+    found.metadata.update(method=method, reason=reason)
     return found
-
-
-def hull(points: Array) -> Any:
-    """Convex hull of points (n, 3) as a `trimesh.Trimesh` with outward faces.  Raises InputError if they span no body."""
-    import trimesh
-
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    size = float(np.ptp(points, axis=0).max()) or 1.0
-    try:
-        found = ConvexHull((points - centre) / size)
-    except (QhullError, ValueError):
-        raise InputError(
-            f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"
-        ) from None
-    faces = found.simplices.copy()
-    corners = found.points[faces]
-    inward = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * found.equations[:, :3]).sum(
-        axis=1
-    ) < 0
-    faces[inward] = faces[inward, ::-1]
-    kept, faces = np.unique(faces, return_inverse=True)
-    return trimesh.Trimesh(points[kept], faces.reshape(-1, 3), process=False)
 
 
 def table(surface: Any, bound: Array) -> np.ndarray[Any, np.dtype[np.void]]:

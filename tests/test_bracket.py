@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 import scan3d
 from scan3d.bracket import Gap, bracket, certificate
 from scan3d.cloud import contacts
-from scan3d.surfaces import hull
+from scan3d.hulls import hull
 
 
 def random_body(seed):

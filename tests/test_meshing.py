@@ -42,7 +42,7 @@ def digest(mesh):
 
 
 def ellipsoid(semi_axes):
-    mesh = trimesh.creation.icosphere(subdivisions=5)
+    mesh = trimesh.creation.icosphere(subdivisions=4)
     mesh.apply_scale(semi_axes)
     return mesh
 
@@ -81,9 +81,10 @@ def test_a_smooth_body_is_closed_and_met(method, semi_axes):
 def test_more_slices_come_closer(method):
     semi_axes = np.array([36.0, 26.0, 18.0])
     few, many = (
-        scan3d.compare(method(*slices_of(semi_axes, slices, 8 * slices)), ellipsoid(semi_axes)) for slices in (16, 48)
+        np.linalg.norm(method(*slices_of(semi_axes, slices, 8 * slices)).triangles_center / semi_axes, axis=1) - 1
+        for slices in (16, 48)
     )
-    assert many.rms < few.rms / 4
+    assert np.abs(many).mean() < np.abs(few).mean() / 4
 
 
 @pytest.mark.open3d
@@ -145,6 +146,36 @@ def test_ball_pivoting_says_what_is_open():
     check_well_made(holed)
     assert not holed.is_watertight
     assert f"not closed, {open_edges(holed)} of" in holed.metadata["reason"]
+
+
+def test_only_holes_of_three_edges_are_filled():
+    faces = trimesh.creation.icosphere(subdivisions=2).faces.astype(np.int64)
+    # two faces apart, and two that share an edge, so leave a hole of four
+    sharing = np.flatnonzero([len(set(face) & set(faces[100])) == 2 for face in faces])[0]
+    left = np.delete(faces, [0, 300, 100, sharing], axis=0)
+    filled = meshing._triangular_holes(left)
+    assert {tuple(np.roll(face, -face.argmin())) for face in filled} == {
+        tuple(np.roll(face, -face.argmin())) for face in faces[[0, 300]]
+    }
+    assert len(meshing._triangular_holes(faces)) == 0
+
+
+def test_faces_that_overlap_at_an_edge_are_dropped():
+    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 1, 4]])
+    np.testing.assert_array_equal(meshing._single(faces), faces[:2])
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("noise", [1e-6, 1e-4])
+def test_noise_does_not_tear_the_surface(method, noise):
+    """The same places met over and again by noisy contacts: near duplicates, no longer on one surface."""
+    points, normals = slices_of(np.array([1.0, 1.0, 1.0]))
+    several = np.tile(points, (3, 1)) + np.random.default_rng(2).normal(scale=noise, size=(3 * len(points), 3))
+    found = method(several, np.tile(normals, (3, 1)))
+    check_well_made(found)
+    assert found.is_watertight
+    assert scan3d.compare(found, ellipsoid((1.0, 1.0, 1.0))).relative < 2e-3
 
 
 @pytest.mark.open3d
@@ -228,7 +259,7 @@ except InputError as error:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert error.split("'")[1] in run.stdout
     assert "apt-get install libgl1 libgomp1" in run.stdout
-    assert "auto, hull or support" in run.stdout
+    assert "auto, bracket, hull or support" in run.stdout
     assert run.stdout.count("\n") == 1
 
 

@@ -15,9 +15,9 @@ import planar
 import scan3d
 from scan3d import simulation
 from scan3d.cloud import contacts
+from scan3d.hulls import hull
 from scan3d.planning import slice_frame
 from scan3d.rods import parse_rod
-from scan3d.surfaces import hull
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
