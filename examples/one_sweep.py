@@ -1,10 +1,15 @@
 # %% [markdown]
-"""One sweep, there and back: a rod is drawn along a circle, and from the reactions at its clamp the circle is found again.
+"""What does a rod feel that is drawn along a circle, and does that tell the circle, and how rough it is?
+
+One sweep, there and back: from the circle to the reactions at the clamp, and from these to contacts, friction and normals.
 
 Each `# %%` opens a cell for editors that run scripts cell by cell; run as a whole, the script prints the table at its end
 and saves the picture.  Lengths are in rod lengths L, forces in EI/L², moments in EI/L.
 
     python examples/one_sweep.py [FILE]
+
+Reference: L. Merker, J. Steigenberger, C. Behn, Friction Invariant Object Reconstruction Using a Vibrissa-inspired Tactile
+Sensor Concept, Section II.
 """
 
 import sys

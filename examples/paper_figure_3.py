@@ -1,9 +1,12 @@
-"""Figure 3 of the paper: the rod sweeps along a circle, with and without friction.
+"""What does friction do to the force and the moment at the clamp of a rod that sweeps along a circle?
 
-(a) elastic lines of a sweep without friction; (b)-(d) the support reactions for several coefficients of friction, one of
-them random from sample to sample.  Everything is to be read from right to left, the way the base moves.
+Figure 3 of the paper: (a) elastic lines of a sweep without friction; (b)-(d) the support reactions for several coefficients
+of friction, one of them random from sample to sample.  Everything is to be read from right to left, the way the base moves.
 
     python examples/paper_figure_3.py [FILE]
+
+Reference: L. Merker, J. Steigenberger, C. Behn, Friction Invariant Object Reconstruction Using a Vibrissa-inspired Tactile
+Sensor Concept, Figure 3, Section III-A.
 """
 
 import sys

@@ -1,10 +1,14 @@
-"""Figure 4 of the paper: contacts reconstructed from the reactions of Figure 3, by two methods.
+"""Does friction spoil the contacts that are found from the reactions?
 
-Left: Scholz & Rahn's integration up to ``κ = 0``, and the closed form that does the same without integrating.  Right: Will's
-equation (10).  Top to bottom: the contact along the rod, the contact points, and their distance to the contour.  Friction
-shifts the points along the contour, but takes only those on the right off it.
+Figure 4 of the paper, from the reactions of Figure 3, by two methods.  Left: Scholz & Rahn's integration up to ``κ = 0``,
+and the closed form that does the same without integrating.  Right: Will's equation (10).  Top to bottom: the contact along
+the rod, the contact points, and their distance to the contour.  Friction shifts the points along the contour, but takes only
+those on the right off it.
 
     python examples/paper_figure_4.py [FILE]
+
+Reference: L. Merker, J. Steigenberger, C. Behn, Friction Invariant Object Reconstruction Using a Vibrissa-inspired Tactile
+Sensor Concept, Figure 4, Section III-B.
 """
 
 import sys

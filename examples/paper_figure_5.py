@@ -1,10 +1,13 @@
-"""Figure 5 of the paper: the friction, from the reactions of Figure 3.
+"""How rough is the circle, by the reactions alone?
 
-(a) the angle ``β`` of (12) over the base position, its phase transitions marked with circles: between them it is the
-friction angle ``ζ``, outside it is smaller; (b) the coefficient of friction there, ``μ = tan ζ`` (14), and dots where it was
-set at random.
+Figure 5 of the paper, from the reactions of Figure 3: (a) the angle ``β`` of (12) over the base position, its phase
+transitions marked with circles: between them it is the friction angle ``ζ``, outside it is smaller; (b) the coefficient of
+friction there, ``μ = tan ζ`` (14), and dots where it was set at random.
 
     python examples/paper_figure_5.py [FILE]
+
+Reference: L. Merker, J. Steigenberger, C. Behn, Friction Invariant Object Reconstruction Using a Vibrissa-inspired Tactile
+Sensor Concept, Figure 5, Section III-C.
 """
 
 import sys

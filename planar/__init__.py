@@ -3,14 +3,14 @@
 Units (1): lengths in rod lengths ``L``, forces in ``EI/L²``, moments in ``EI/L``; angles in radians.  Frame: the rod is
 clamped at ``(x0, 0)`` and points up, the object lies above, the base moves in -x.
 
-=================  ==================================================================================================
+===================  ==================================================================================================
 ``s``, ``φ``, ``κ``  arc length in [0, 1], slope angle and curvature of the rod
-``α̃`` (slope)       slope angle of the contour at the contact; tangent ``(cos α̃, sin α̃)``, outward normal ``(sin α̃, -cos α̃)``
+``α̃`` (slope)        slope angle of the contour at the contact; tangent ``(cos α̃, sin α̃)``, outward normal ``(sin α̃, -cos α̃)``
 ``ζ``, ``μ``         friction angle and coefficient of friction, ``μ = tan ζ``
 ``α = α̃ + ζ``        direction of the contact force on the rod, ``f (sin α, -cos α)`` (2)
 ``s1``, ``φ1``       contact position along the rod, slope of the rod there
 ``f0x, f0y, m0z``    support reactions, the observables: ``-f sin α``, ``f cos α``, ``-κ(0)`` (8)
-=================  ==================================================================================================
+===================  ==================================================================================================
 
 `sweep` is step 1 of the paper (contour → reactions), `reconstruct` step 2 (reactions → contacts).  Numbers in brackets are
 equations of L. Merker, J. Steigenberger, C. Behn, "Friction invariant object reconstruction using a vibrissa-inspired

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
+from planar.display import some_rows, table_html
 from planar.elastica import Array, bend, bend_by_half_angle, partial_shape, tangential_q
 from planar.sweeping import Phase
 
@@ -102,6 +103,13 @@ class Contacts:
 
     def __len__(self) -> int:
         return len(self.s1)
+
+    def _repr_html_(self) -> str:
+        names, rows = ("s1", "force", "slope", "friction"), some_rows(len(self))
+        point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
+        status = {"status": [Status(one).sentence for one in self.status[rows]]}
+        columns = {**point, **{name: getattr(self, name)[rows] for name in names}, **status}
+        return table_html("Contacts", self.phase, Phase, columns)
 
     @property
     def friction_angle(self) -> Array:

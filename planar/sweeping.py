@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planar import segments
 from planar.contours import Array, Contour, Index, Mirrored, Path, Polygon, SmoothContour, check_contour, polygon_paths
+from planar.display import some_rows, table_html
 from planar.segments import Segments
 
 # Friction that differs from sample to sample: a sample's place is bracketed by the sweeps at this many coefficients.
@@ -58,6 +59,11 @@ class Sweep:
 
     def __len__(self) -> int:
         return len(self.x0)
+
+    def _repr_html_(self) -> str:
+        names, rows = ("x0", "f0x", "f0y", "m0z", "s1", "slope", "friction"), some_rows(len(self))
+        point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
+        return table_html("Sweep", self.phase, Phase, {**{name: getattr(self, name)[rows] for name in names}, **point})
 
 
 def sweep(

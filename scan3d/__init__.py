@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from scan3d.bodies import load_mesh
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison, compare
+    from scan3d.display import plot
     from scan3d.errors import InputError
     from scan3d.planning import Plan
     from scan3d.reconstruction import reconstruct
@@ -40,6 +41,7 @@ _HOME = {
     "Rod": "rods",
     "compare": "comparison",
     "load_mesh": "bodies",
+    "plot": "display",
     "read_recording": "recording",
     "reconstruct": "reconstruction",
     "simulate": "simulation",
@@ -56,6 +58,7 @@ __all__ = [
     "Rod",
     "compare",
     "load_mesh",
+    "plot",
     "read_recording",
     "reconstruct",
     "simulate",

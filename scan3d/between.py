@@ -25,6 +25,8 @@ Index = NDArray[np.intp]
 # In the caps, and where slices lack normals; every guess is drawn towards it by this weight, for half way the error is at
 # most half the gap.
 _UNKNOWN, _DOUBT = 0.5, 0.35
+# Slopes beyond a slab are equal if they differ by less than this share of their difference to the slab's.
+_FLAT = 0.03
 # Evenly sliced, a parabola's height over the chord, in those of the secants' apex.
 _PARABOLA = 0.25
 
@@ -42,45 +44,51 @@ def shares(stack: Layers, away: Array, slab: Index, flat: NDArray[np.bool_], kin
     share = np.full(len(angle), _UNKNOWN)
     for i in np.unique(slab):
         mine = slab == i
-        share[mine] = _share(stack, int(i), angle[mine], flat[mine])
+        share[mine] = _share(stack, int(i), angle[mine])
     # a polyhedron is straight on either side, though three slices may not show it on both
     share[flat.any(axis=1) if kink == 1 else flat.all(axis=1)] = kink
     return share
 
 
-def _share(stack: Layers, i: int, angle: Array, flat: NDArray[np.bool_]) -> Array:
-    """Shares (n,) in the slab below layer i, at angles (n,), with the body flat (n, 2) below and above it or not."""
+def _share(stack: Layers, i: int, angle: Array) -> Array:
+    """Shares (n,) in the slab below layer i, at angles (n,)."""
     nothing = np.full(len(angle), np.nan)
 
     def layer(j: int) -> tuple[float, Array]:
         usable = 0 <= j < len(stack.layers) and stack.layers[j].closed
         return (stack.layers[j].height, stack.layers[j].support(angle)) if usable else (np.nan, nothing)
 
-    # two slices on either side; steps and secants 0 | 1 | 2, with the slab's own in the middle
-    z, h = zip(*(layer(j) for j in range(i - 2, i + 2)), strict=True)
+    # three slices on either side; steps and secants 0 1 | 2 | 3 4, with the slab's own in the middle
+    z, h = zip(*(layer(j) for j in range(i - 3, i + 3)), strict=True)
     step = np.diff(np.array(z))
     secant = [(above - below) / width for below, above, width in zip(h[:-1], h[1:], step, strict=True)]
     with np.errstate(divide="ignore", invalid="ignore"):
-        left_flat, right_flat = flat.T
-        left = np.where(left_flat, secant[0], _slope(secant[0], secant[1], step[0], step[1]))
-        right = np.where(right_flat, secant[2], _slope(secant[2], secant[1], step[2], step[1]))
-        rise, fall = left - secant[1], secant[1] - right
+        left, left_flat = _slope(secant[0], secant[1], secant[2], step[1], step[2])
+        right, right_flat = _slope(secant[4], secant[3], secant[2], step[3], step[2])
+        rise, fall = left - secant[2], secant[2] - right
         # apexes over the chord, in steps: of the tangents, and of the certain secants
         apex = rise * fall / (rise + fall)
-        most = (secant[0] - secant[1]) * (secant[1] - secant[2]) / (secant[0] - secant[2])
+        most = (secant[1] - secant[2]) * (secant[2] - secant[3]) / (secant[1] - secant[3])
         room = 2 * np.minimum(rise, fall) / (rise + fall)
         bend = np.fmax(
-            np.where(left_flat, 0.0, (secant[0] - secant[1]) / (step[0] + step[1])),
-            np.where(right_flat, 0.0, (secant[1] - secant[2]) / (step[1] + step[2])),
+            np.where(left_flat, 0.0, (secant[1] - secant[2]) / (step[1] + step[2])),
+            np.where(right_flat, 0.0, (secant[2] - secant[3]) / (step[2] + step[3])),
         )
         # the share of the turn that so much bending makes, and the length over which it does
-        turned = np.minimum(1.0, 2 * bend * room * step[1] / (rise + fall))
+        turned = np.minimum(1.0, 2 * bend * room * step[2] / (rise + fall))
         share = (1 - turned * np.minimum(room, 1.0) / 2) * apex / most
-    # with slices on one side only, a parabola's share, unless the body comes straight; in the caps nothing is known
-    one_sided = np.where(flat.any(axis=1) | (i == 0) | (i == len(stack.layers)), _UNKNOWN, _PARABOLA)
+    # with slices on one side only, a parabola's share; in the caps nothing is known
+    one_sided = _UNKNOWN if i in (0, len(stack.layers)) else _PARABOLA
     return (1 - _DOUBT) * np.where(np.isfinite(share), np.clip(share, 0.0, 1.0), one_sided) + _DOUBT * _UNKNOWN
 
 
-def _slope(outer: Array, middle: Array, outer_step: float, middle_step: float) -> Array:
-    """Slope (n,) at the slice between two slabs, of the parabola through their three slices."""
-    return (outer * middle_step + middle * outer_step) / (outer_step + middle_step)
+def _slope(
+    far: Array, near: Array, middle: Array, near_step: float, middle_step: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Slope (n,) at the slice between two slabs, and whether the body is flat beyond it.
+
+    It is the neighbour's where that does not change further out, else the parabola's through three slices.
+    """
+    flat = np.abs(far - near) <= _FLAT * np.abs(near - middle)
+    parabola = (near * middle_step + middle * near_step) / (near_step + middle_step)
+    return np.where(flat, near, parabola), flat

@@ -141,7 +141,7 @@ def slabs(stack: Layers, margin: float = 0.0, known: dict[tuple[float, ...], Sla
 def certificate(found: Bracket, surface: Any) -> tuple[float, Array]:
     """Certified bound of a surface's Hausdorff distance to the true body, and the local bound at its vertices (v,).
 
-    Of a hull (`hulls.hull`) by the outer body's corners.  A surface that is not convex, or open, is held against the inner
+    Of a hull (``hulls.hull``) by the outer body's corners.  A surface that is not convex, or open, is held against the inner
     body, whose own bound is added.
     """
     if not surface.metadata.get("convex"):
@@ -168,13 +168,15 @@ def _lidded(k: int, found: list[Layers], outer: list[list[Slab]]) -> Layers:
     """A stack whose floor and ceiling are also bounded by the other stacks' outer bodies."""
     stack = found[k]
     low, high = stack.floor, stack.ceiling
+    firm = [False, False]
     for j, parts in enumerate(outer):
         corners = np.concatenate([slab.corners for slab in parts])
         if j != k and np.isfinite(corners).all():
             heights = corners @ stack.frame[2]
+            firm = [firm[0] or bool(heights.min() > low), firm[1] or bool(heights.max() < high)]
             low, high = max(low, float(heights.min())), min(high, float(heights.max()))
     low, high = min(low, stack.layers[0].height), max(high, stack.layers[-1].height)
-    return Layers(stack.frame, stack.layers, low, high)
+    return Layers(stack.frame, stack.layers, low, high, (firm[0], firm[1]))
 
 
 def _slab(stack: Layers, i: int, margin: float) -> Slab:
@@ -210,6 +212,7 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
     if above is not None and i + 1 < count:
         side[-2 - len(rows[-1]) : -2] = 1
         straight[-2 - len(rows[-1]) : -2] = _straight(layers[i:], below)
+    straight[-2:] = stack.firm[1] and above is None, stack.firm[0] and below is None
     # past an end slice there is one side only
     lone = above is None or below is None
     # shifted to the inner point and stretched to unit size, the thin slabs are no trouble for Qhull
@@ -230,11 +233,12 @@ def _slab(stack: Layers, i: int, margin: float) -> Slab:
     if np.abs(corners[:, :2]).max() > _FAR:
         return unbounded
     corners = inside + corners * size
-    # in the plane of a slice whose own half-spaces bound it there
-    held = [low] * (below is not None and i >= 2) + [high] * (above is not None and i + 1 < count)
-    in_plane = np.abs(corners[:, 2:] - held).min(axis=1) <= _IN_PLANE * thickness
+    # in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body can't be so wide
+    on_low, on_high = (np.abs(corners[:, 2] - z) <= _IN_PLANE * thickness for z in (low, high))
+    in_plane = (on_low & (i >= 2)) | (on_high & (above is not None) & (i + 1 < count))
+    on_end = (on_low & (i == 1)) | (on_high & (above is not None) & (i + 1 == count))
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
-    flat = np.array([_flat(side[of], straight[of], lone) for of in cut.dual_facets])
+    flat = np.array([_flat(side[of], straight[of], lone) for of in cut.dual_facets]) & ~on_end[:, None]
     return Slab(corners @ stack.frame, kind, flat, volume)
 
 

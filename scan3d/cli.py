@@ -185,20 +185,17 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument(
         "--color",
         choices=_COLORS,
-        default="force",
         metavar="WHAT",
-        help=f"colour of the contacts: {', '.join(_COLORS)}",
+        help=f"colour of the contacts in a picture or the window: {', '.join(_COLORS)} (default force)",
     )
-    show.add_argument(
-        "--movie-of", choices=("sweep", "growth"), default="sweep", metavar="WHAT", help="sweep (default) or growth"
-    )
+    show.add_argument("--movie-of", choices=("sweep", "growth"), metavar="WHAT", help="sweep (default) or growth")
     show.add_argument(
         "--truth", metavar="MESH", help="the true body; by default the one that the report names, if found"
     )
     show.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
     show.add_argument("--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="of a mesh (default mm)")
     _add_output(show)
-    show.set_defaults(run=_show)
+    show.set_defaults(run=_show, misuse=show.error)
 
     export = commands.add_parser(
         "export",
@@ -324,7 +321,14 @@ def _show(arguments: argparse.Namespace) -> int:
     from scan3d import commands
 
     names = ("truth", "hull", "unit", "view", "color", "movie_of", "screenshot", "html", "movie")
-    chosen = {name: getattr(arguments, name) for name in names}
+    chosen = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    # what would change nothing is a mistake
+    if arguments.view and not arguments.screenshot:
+        arguments.misuse("--view says what a picture shows: give --screenshot FILE as well")
+    if arguments.color and not arguments.screenshot and (arguments.html or arguments.movie):
+        arguments.misuse("--color is for a picture or the window: give --screenshot FILE as well")
+    if arguments.movie_of and not arguments.movie:
+        arguments.misuse("--movie-of says what a movie shows: give --movie FILE as well")
     done = commands.show(arguments.path, print, **chosen)
     return _print(arguments, done, "\n".join(f"written to {file}" for file in done["files"])) if done["files"] else 0
 

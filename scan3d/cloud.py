@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ _TIP_SIGMAS = 4.0
 # Standard deviation of a contact's place over that of force and moment, in rod lengths and observable units: for the middle
 # of the working range; contacts under small forces are worse.
 _NOISE_GAIN = 0.4
+# Friction angles, in radians, that agree: 95 % of them to so much, and so much more per standard deviation of the noise.
+_FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
 # However much noise, a contact this far from the tip, in rod lengths, is none of the tip's.
 _MOST_TOLERANCE = 0.5
 # Slices whose heights differ by less, in rod lengths, are one.
@@ -51,7 +54,8 @@ class Cloud:
     normal_source: NDArray[np.int8]
     """(n,) of `NormalSource`."""
     in_plane_normals: Array
-    """(n, 3) outward unit normals of the slice's contour in its plane (14); NaN in tip contact."""
+    """(n, 3) outward unit normals of the slice's contour in its plane: in tangential contact by (14), in tip contact by
+    the friction that the tangential contacts agree on, NaN if they don't."""
     phase: NDArray[np.int8]
     """(n,) of `planar.Phase`: TIP or TANGENTIAL."""
     slice: NDArray[np.int32]
@@ -79,6 +83,17 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    def plot(self, **how: Any) -> Any:
+        """A picture (the contacts with their normals), a `PIL.Image.Image`; `how` are the options of `scan3d.plot`."""
+        from scan3d.display import plot
+
+        return plot(self, **how)
+
+    def _repr_html_(self) -> str:
+        from scan3d.display import cloud_html
+
+        return cloud_html(self)
+
 
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     """Contacts of a recording by `planar.reconstruct`, their normals in the planes of their slices only.
@@ -90,7 +105,11 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     moment = recording.moment_Nm / rod.moment_unit_Nm
     noise = max(recording.noise_force_N / rod.force_unit_N, recording.noise_moment_Nm / rod.moment_unit_Nm)
     tolerance = min(max(planar.TOLERANCE, _TIP_SIGMAS * noise), _MOST_TOLERANCE)
-    found = planar.reconstruct(np.zeros(len(moment)), fx, fy, moment, method=method, tolerance=tolerance)
+    columns = np.zeros(len(moment)), fx, fy, moment
+    found = planar.reconstruct(*columns, method=method, tolerance=tolerance)
+    common = _common_friction(found, noise)
+    if common is not None:
+        found = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common)
     touching = (found.phase != planar.Phase.NONE) & (np.hypot(fx, fy) > _FORCE_SIGMAS * noise)
     rows = np.flatnonzero(touching)
     if not len(rows):
@@ -120,6 +139,16 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         rod_length=rod.length_m / scale,
         noise=noise * _NOISE_GAIN * rod.length_m / scale,
     )
+
+
+def _common_friction(found: planar.Contacts, noise: float) -> float | None:
+    """The coefficient of friction that the tangential contacts agree on, None if they do not."""
+    angle = found.friction_angle[np.isfinite(found.friction_angle)]
+    if not len(angle):
+        return None
+    middle = float(np.median(angle))
+    agree = np.percentile(np.abs(angle - middle), 95) <= _FRICTION_AGREES + _FRICTION_GAIN * noise
+    return max(float(np.tan(middle)), 0.0) if agree else None
 
 
 def _slices(recording: Recording, axes: Array) -> tuple[NDArray[np.int32], NDArray[np.intp]]:

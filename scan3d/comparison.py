@@ -54,26 +54,37 @@ F_SCORE_RADIUS = 0.01  # of the mesh's diagonal
 class Comparison:
     """Distances between a surface and a mesh, in the meshes' own unit unless said otherwise."""
 
-    hausdorff: float  # two-sided; attained at `worst_point`, so never above the truth
-    surface_to_mesh: float  # one-sided, attained
+    hausdorff: float  #: two-sided; attained at `worst_point`, so never above the truth
+    surface_to_mesh: float  #: one-sided, attained
     mesh_to_surface: float
-    lower: float  # certified bounds of the two-sided distance; both are `hausdorff` if `exact`
+    lower: float  #: certified bounds of the two-sided distance; both are `hausdorff` if `exact`
     upper: float
-    surface_to_mesh_upper: float  # certified upper bounds of the one-sided distances
+    surface_to_mesh_upper: float  #: certified upper bounds of the one-sided distances
     mesh_to_surface_upper: float
-    exact: bool  # both closed and convex (to 1e-9 of the diagonal): `hausdorff` is the distance itself
-    worst_point: Array  # (3,) where the distance is attained
-    worst_on: Literal["surface", "mesh"]  # on which of the two that point lies
-    diagonal: float  # of the mesh's bounding box
-    relative: float  # hausdorff / diagonal
-    mean: float  # over the area, half the weight to either direction
-    rms: float  # likewise
-    p95: float  # 95 % of the area, weighted likewise, is no farther than this
-    chamfer: float  # sum of the two directions' means
-    f_score: float  # 0..1: harmonic mean of the shares of area within 1 % of the diagonal of the other
-    normal_median_deg: float  # angle between the faces' normals at nearest points, over the area as above
+    exact: bool  #: both closed and convex (to 1e-9 of the diagonal): `hausdorff` is the distance itself
+    worst_point: Array  #: (3,) where the distance is attained
+    worst_on: Literal["surface", "mesh"]  #: on which of the two that point lies
+    diagonal: float  #: of the mesh's bounding box
+    relative: float  #: hausdorff / diagonal
+    mean: float  #: over the area, half the weight to either direction
+    rms: float  #: likewise
+    p95: float  #: 95 % of the area, weighted likewise, is no farther than this
+    chamfer: float  #: sum of the two directions' means
+    f_score: float  #: 0..1: harmonic mean of the shares of area within 1 % of the diagonal of the other
+    normal_median_deg: float  #: angle between the faces' normals at nearest points, over the area as above
     normal_p95_deg: float
-    volume_error: float  # (surface - mesh) / mesh; NaN unless both are closed
+    volume_error: float  #: (surface - mesh) / mesh; NaN unless both are closed
+
+    def plot(self, **how: Any) -> Any:
+        """A picture (the distances as bars), a `PIL.Image.Image`; `how` are the options of `scan3d.plot`."""
+        from scan3d.display import plot
+
+        return plot(self, **how)
+
+    def _repr_html_(self) -> str:
+        from scan3d.display import comparison_html
+
+        return comparison_html(self)
 
 
 class _Side(NamedTuple):

@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 # Packages a scan needs, and what others are good for.
-NEEDED = ("numpy", "scipy", "trimesh", "pyvista")
-OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces", "matplotlib": "the figures of the examples"}
+NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
+OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces"}
 # Endings that a recording may have, in this version or another.
 _RECORDINGS = (".csv", ".parquet")
 _TIMEOUT_S = 300

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from scan3d.cloud import Cloud
 from scan3d.comparison import distances
+from scan3d.support import SupportFit
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,16 @@ def thinned(cloud: Cloud) -> tuple[Cloud, Array] | None:
     return rest, cloud.points[~rows]
 
 
-def judge(build: Callable[[], Any], left_out: Array) -> Evidence:
-    """The evidence for a surface that `build` makes, by contacts (n, 3) it has not seen."""
-    off = distances(left_out, build())
-    return Evidence(float(off.max()), float(np.sqrt(np.mean(off**2))))
+def of_surface(surface: Any, left_out: Array) -> Evidence:
+    """The evidence for a surface by contacts (n, 3) it has not seen."""
+    return _evidence(distances(left_out, surface))
+
+
+def of_fit(fitted: SupportFit, left_out: Array, start: Array) -> Evidence:
+    """The evidence for a fitted body, without facets, by contacts (n, 3) it has not seen and rough normals (n, 3) of theirs."""
+    normals = fitted.normals(left_out, start)
+    return _evidence(((left_out - fitted.points(normals)) * normals).sum(axis=1))
+
+
+def _evidence(off: Array) -> Evidence:
+    return Evidence(float(np.abs(off).max()), float(np.sqrt(np.mean(off**2))))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull, QhullError
 
+import planar
 from scan3d.cloud import Cloud
 
 Array = NDArray[np.float64]
@@ -36,9 +37,13 @@ class Layer:
     points: Array
     """(n, 2) in the layers' frame."""
     lying: Index
-    """Those of `rows`, by position, that have an in-plane normal (k,)."""
+    """Those of `rows`, by position, in tangential contact (k,): their normals are measured."""
     normals: Array
     """(k, 2) their in-plane normals."""
+    tips: Index
+    """Those in tip contact whose normals follow from a common friction (l,): no more than an inference."""
+    tip_normals: Array
+    """(l, 2) their in-plane normals."""
     outline: Array
     """(v, 2) vertices of the convex hull of the points, empty if they lie on a line."""
     angle: Array
@@ -95,6 +100,8 @@ class Layers:
     floor: float
     """Height of the nearest empty slice below, -inf if there is none."""
     ceiling: float
+    firm: tuple[bool, bool] = (False, False)
+    """Whether floor and ceiling are where contacts of other slices say that the body ends, rather than empty slices."""
 
     @property
     def heights(self) -> Array:
@@ -131,8 +138,10 @@ def _frame(axis: Array) -> Array:
 def _layer(cloud: Cloud, frame: Array, number: int) -> Layer:
     rows = np.flatnonzero(cloud.slice == number)
     points = cloud.points[rows] @ frame[:2].T
-    lying = np.flatnonzero(np.isfinite(cloud.in_plane_normals[rows, 0]))
-    normals = cloud.in_plane_normals[rows[lying]] @ frame[:2].T
+    known = np.isfinite(cloud.in_plane_normals[rows, 0])
+    tangential = cloud.phase[rows] == planar.Phase.TANGENTIAL
+    lying, tips = np.flatnonzero(known & tangential), np.flatnonzero(known & ~tangential)
+    normals, tip_normals = (cloud.in_plane_normals[rows[part]] @ frame[:2].T for part in (lying, tips))
     raw = np.arctan2(normals[:, 1], normals[:, 0])
     order = np.argsort(raw, kind="stable")
     group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _ONE_NORMAL)
@@ -151,7 +160,18 @@ def _layer(cloud: Cloud, frame: Array, number: int) -> Layer:
     slope = np.stack([along[left], along[right]])
     corner = np.stack([at[left], at[right]], axis=1)
     return Layer(
-        float(cloud.slice_height[number]), rows, points, lying, normals, _outline(points), angle, value, slope, corner
+        float(cloud.slice_height[number]),
+        rows,
+        points,
+        lying,
+        normals,
+        tips,
+        tip_normals,
+        _outline(points),
+        angle,
+        value,
+        slope,
+        corner,
     )
 
 
@@ -164,15 +184,15 @@ def _outline(points: Array) -> Array:
         return np.empty((0, 2))
 
 
-def height_slopes(stack: Layers) -> list[Array]:
-    """∂h/∂z (k,) at the contacts of every layer that have an in-plane normal; NaN where one layer is all there is.
+def height_slopes(stack: Layers) -> list[tuple[Array, Array]]:
+    """∂h/∂z at the contacts of every layer, `lying` (k,) and `tips` (l,); NaN where one layer is all there is.
 
     ``(h - <c, n>)²``, with c(z) the Steiner point, is nearly a parabola in z, poles included (it is one for ellipsoids); its
     cubic spline gives the slope, which is then held between the secants that concavity prescribes.
     """
     z = stack.heights
     usable = np.array([layer.closed for layer in stack.layers])
-    slopes = [np.full(len(layer.lying), np.nan) for layer in stack.layers]
+    slopes = [(np.full(len(layer.lying), np.nan), np.full(len(layer.tips), np.nan)) for layer in stack.layers]
     known = np.flatnonzero(usable)
     if len(known) < 2:
         return slopes
@@ -180,16 +200,18 @@ def height_slopes(stack: Layers) -> list[Array]:
     center_slope = _spline(z[known], centers)(z[known], 1)
     for k, i in enumerate(known):
         layer = stack.layers[i]
-        angle = np.arctan2(layer.normals[:, 1], layer.normals[:, 0])
+        normals = np.concatenate([layer.normals, layer.tip_normals])
+        angle = np.arctan2(normals[:, 1], normals[:, 0])
         h = np.stack([stack.layers[j].support(angle) for j in known])
         below = (h[k] - h[k - 1]) / (z[i] - z[known[k - 1]]) if k else np.full(len(angle), np.inf)
         above = (h[k + 1] - h[k]) / (z[known[k + 1]] - z[i]) if k + 1 < len(known) else np.full(len(angle), -np.inf)
-        reach = h - centers @ layer.normals.T
+        reach = h - centers @ normals.T
         squared_slope = _spline(z[known], reach**2)(z[i], 1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = layer.normals @ center_slope[k] + squared_slope / (2 * reach[k])
+            slope = normals @ center_slope[k] + squared_slope / (2 * reach[k])
         slope = np.where(np.isfinite(slope), slope, np.where(np.isfinite(above), above, below))
-        slopes[i] = np.clip(slope, np.minimum(above, below), np.maximum(above, below))
+        slope = np.clip(slope, np.minimum(above, below), np.maximum(above, below))
+        slopes[i] = slope[: len(layer.lying)], slope[len(layer.lying) :]
     return slopes
 
 

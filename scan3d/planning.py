@@ -172,7 +172,7 @@ def next_heights(known: Array, slab: Index, corners: Array, gaps: Array, kinks: 
     end, beyond = np.where(first, high, low), np.where(first, low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (corner - end) / (beyond - end)
-    in_cap = end + np.where(share > 1 - 1e-9, 0.5, 0.7 * share) * (beyond - end)
+    in_cap = end + np.where(share > 1 - 1e-9, 0.5, np.where(kink, 0.98, 0.35) * share) * (beyond - end)
     on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
     single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
     useful = np.minimum(single - low, high - single) > CLOSEST * size

@@ -76,13 +76,17 @@ def with_slice_normals(cloud: Cloud) -> Cloud:
     """The cloud with the normals that follow from each slice and its neighbours, in place of those it had."""
     normals, source = np.full_like(cloud.normals, np.nan), np.full_like(cloud.normal_source, NormalSource.UNKNOWN)
     for stack in stacks(cloud):
-        for layer, slope in zip(stack.layers, height_slopes(stack), strict=True):
-            rows = layer.rows[layer.lying]
-            leaning = np.column_stack([layer.normals, -slope]) @ stack.frame
-            leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
-            known = np.isfinite(leaning[:, 0])
-            normals[rows[known]] = leaning[known]
-            source[rows[known]] = NormalSource.SLICES
+        for layer, slopes in zip(stack.layers, height_slopes(stack), strict=True):
+            for part, in_plane, slope, told in (
+                (layer.lying, layer.normals, slopes[0], NormalSource.SLICES),
+                (layer.tips, layer.tip_normals, slopes[1], NormalSource.FRICTION),
+            ):
+                rows = layer.rows[part]
+                leaning = np.column_stack([in_plane, -slope]) @ stack.frame
+                leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
+                known = np.isfinite(leaning[:, 0])
+                normals[rows[known]] = leaning[known]
+                source[rows[known]] = told
     return replace(cloud, normals=normals, normal_source=source)
 
 

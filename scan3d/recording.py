@@ -87,6 +87,17 @@ class Recording:
     def __len__(self) -> int:
         return len(self.sweep)
 
+    def plot(self, **how: Any) -> Any:
+        """A picture (the reactions of all sweeps), a `PIL.Image.Image`; `how` are the options of `scan3d.plot`."""
+        from scan3d.display import plot
+
+        return plot(self, **how)
+
+    def _repr_html_(self) -> str:
+        from scan3d.display import recording_html
+
+        return recording_html(self)
+
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
         w, x, y, z = (self.quaternion / np.linalg.norm(self.quaternion, axis=1, keepdims=True)).T

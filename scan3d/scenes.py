@@ -189,15 +189,18 @@ def read_report(folder: Path) -> Mapping[str, Any]:
 def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
     """The surface with, at its vertices (v,), what is known of it: signed deviation from the truth, certified local bound.
 
-    The deviation, positive outside, varies inside the facets: where the truth is known, long edges are split.
+    Long edges are split where either is known.  The deviation, positive outside, is looked up anew.  The bound, certified at
+    the old vertices, runs linearly between them: on a convex surface that is no less than what a facet itself is certified
+    for, as a vertex has the largest bound of the facets around it.
     """
     from scan3d.comparison import signed_distances
 
-    if scene.truth is None:
-        return scene.surface, None, scene.bound
+    if scene.truth is None and scene.bound is None:
+        return scene.surface, None, None
     mesh, weights, corners = _fine(scene.surface, scene.diagonal * _FINEST)
     bound = None if scene.bound is None else (weights * scene.bound[corners]).sum(axis=1)
-    return mesh, signed_distances(np.asarray(mesh.vertices), scene.truth), bound
+    off = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
+    return mesh, off, bound
 
 
 def _fine(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.integer]]:

@@ -69,7 +69,7 @@ class Stage:
         if off_screen:
             self.plotter.render_window.SetMultiSamples(0)  # the larger image does that
         self.corners = corners
-        self.size = float(np.linalg.norm(np.ptp(corners, axis=0)))
+        self.size = float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0  # one point is as large as you please
         toward = np.asarray(direction, dtype=float)
         self.toward = toward / np.linalg.norm(toward)
         right = np.cross(np.asarray(up, dtype=float), self.toward)
@@ -295,7 +295,7 @@ def legend(figure: Any, entries: list[tuple[str, str, str]], columns: int) -> No
 def tall(stage: Stage, share: float) -> float:
     """Height of a figure, in inches, that suits what the camera sees in a share of its width."""
     wide, high = np.ptp(stage.corners @ np.stack([stage.right, stage.up], axis=1), axis=0)
-    return float(np.clip(WIDE * share * high / wide * 0.94 / 0.80, _LEAST_TALL, 0.75 * WIDE))
+    return float(np.clip(WIDE * share * high / (wide or high or 1.0) * 0.94 / 0.80, _LEAST_TALL, 0.75 * WIDE))
 
 
 def save(figure: Any, path: Path) -> None:

@@ -1,7 +1,7 @@
 """A smooth body's support function, fitted to contacts.
 
 The support function ``h(u) = max <u, p>`` of a strictly convex body has the body's points as its gradient, ``p = ∇h(u)`` for
-the outward normal u (h extended to all of space as homogeneous of degree 1).  It is fitted as a sum of real solid harmonics
+the outward normal u (h extended to all of space as homogeneous of degree 1).  It is fitted as a sum of real solid harmonics::
 
     h(u) = Σ c_lm |u|^(1-l) R_lm(u),
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from scan3d.between import shares
 from scan3d.bracket import Bracket, bracket
 from scan3d.cloud import Cloud
 from scan3d.comparison import nearest
 from scan3d.errors import InputError
-from scan3d.evidence import Evidence, judge, thinned
+from scan3d.evidence import Evidence, of_fit, of_surface, thinned
 from scan3d.hulls import hull
 from scan3d.reconstruction import with_slice_normals
 from scan3d.support import SupportFit, fit_support
@@ -22,8 +21,8 @@ from scan3d.support import SupportFit, fit_support
 Array = NDArray[np.float64]
 
 METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points, and 10,242 for a trial.
-_SUBDIVISIONS, _TRIAL_SUBDIVISIONS = 6, 5
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.
+_SUBDIVISIONS = 6
 # A hull whose certified distance is this small, relative to the diagonal, is the body itself: no guess can better it.
 _PROVEN = 5e-5
 # Ways to guess where between its bounds the body is, by what is assumed of kinks: None stays with the hull between slices.
@@ -31,8 +30,6 @@ _KINKS = (None, 0.75, 1.0)
 _GUESSES = {None: "flat between its slices", 0.75: "bent, with some edges", 1.0: "a polyhedron's, with sharp edges"}
 # With all slices the error between them is at most half of that with every second one; a fit's stays.
 _GAIN = 0.5
-# Standard deviations of a contact's place that the worst of many contacts may lie off.
-_NOISE_SIGMAS = 4.0
 
 
 def surface(cloud: Cloud, method: str = "auto", *, found: Bracket | None = None) -> Any:
@@ -66,7 +63,7 @@ def surface(cloud: Cloud, method: str = "auto", *, found: Bracket | None = None)
         return _named(found_by, method, f"{found_by.metadata['reason']}, as asked for")
     if method == "support":
         assert cloud.fit is not None
-        return _named(_of_fit(cloud.fit, _SUBDIVISIONS), method, f"{_degree(cloud.fit)}, as asked for")
+        return _named(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as asked for")
 
     found = found or bracket(cloud)
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
@@ -82,14 +79,15 @@ def surface(cloud: Cloud, method: str = "auto", *, found: Bracket | None = None)
     best = min(guesses, key=lambda kink: guesses[kink].rms)
     assert best is None or isinstance(best, float)
     off = f"slices left out on trial lie within {guesses[best].largest:.2g} {cloud.unit}"
-    # noise is in both, and the fit averages it
-    if "support" in trial and trial["support"].largest < _GAIN * guesses[best].largest + _NOISE_SIGMAS * cloud.noise:
+    # the largest error is a noisy contact's
+    of = "rms" if cloud.noise else "largest"
+    if "support" in trial and getattr(trial["support"], of) < _GAIN * getattr(guesses[best], of):
         assert cloud.fit is not None
         smooth = trial["support"].largest
         reason = (
             f"{_degree(cloud.fit)}: the body is smooth, {off.split(' lie')[0]} lie within {smooth:.2g} {cloud.unit}"
         )
-        return _named(_of_fit(cloud.fit, _SUBDIVISIONS), "support", reason)
+        return _named(_of_fit(cloud.fit), "support", reason)
     reason = f"between hull and outer body, as {_GUESSES[best]}: {off}"
     return _named(_between(cloud, found, best), "bracket", reason)
 
@@ -101,20 +99,16 @@ def _trial(cloud: Cloud, *, with_fit: bool) -> dict[float | str | None, Evidence
         return None
     rest, left_out = parted
     found = bracket(rest)
-    builds: dict[float | str | None, Callable[[], Any]] = {
-        kink: partial(_between, rest, found, kink) for kink in _KINKS
+    trial: dict[float | str | None, Evidence] = {
+        kink: of_surface(_between(rest, found, kink), left_out) for kink in _KINKS
     }
     if with_fit and cloud.fit is not None:
-        degree = cloud.fit.degree
-        builds["support"] = lambda: _of_fit(_refit(rest, degree), _TRIAL_SUBDIVISIONS)
-    return {name: judge(build, left_out) for name, build in builds.items()}
-
-
-def _refit(cloud: Cloud, degree: int) -> SupportFit:
-    """The fit without what the slices left out have told the normals."""
-    by_slices = with_slice_normals(cloud)
-    known = np.isfinite(by_slices.normals[:, 0])
-    return fit_support(cloud.points[known], by_slices.normals[known], degree)
+        by_slices = with_slice_normals(rest)
+        known = np.isfinite(by_slices.normals[:, 0])
+        points, normals = rest.points[known], by_slices.normals[known]
+        near = cKDTree(points).query(left_out)[1]
+        trial["support"] = of_fit(fit_support(points, normals, cloud.fit.degree), left_out, normals[near])
+    return trial
 
 
 def _between(cloud: Cloud, found: Bracket, kink: float | None) -> Any:
@@ -128,10 +122,12 @@ def _between(cloud: Cloud, found: Bracket, kink: float | None) -> Any:
     return hull(np.concatenate([cloud.points, feet + share[:, None] * away]))
 
 
-def _of_fit(fitted: SupportFit, subdivisions: int) -> Any:
+def _of_fit(fitted: SupportFit) -> Any:
     from trimesh.creation import icosphere
 
-    return hull(fitted.points(icosphere(subdivisions=subdivisions).vertices.view(np.ndarray)))
+    # spread evenly over the ball-like body behind the fit, so that needles and discs get even facets too
+    directions = icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)
+    return hull(fitted.points(directions @ np.linalg.inv(fitted.shape)))
 
 
 def _degree(fitted: SupportFit) -> str:

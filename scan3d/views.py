@@ -134,7 +134,11 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
 
 
 def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | None]:
-    """The surface and the colours of its vertices: the deviation from the truth, or the bound; None if neither is known."""
+    """The surface and the colours of its vertices: the deviation from the truth, or the bound; None if neither is known.
+
+    A body with few vertices, such as a cube, may show one bound everywhere: it is kept for vertices only, and each has the
+    largest of the facets around it.
+    """
     if scene.surface is None:
         raise InputError(f"{scene.name} has no surface to show; it has a cloud: give the view cloud")
     if view != "bound" and scene.truth is not None:
@@ -143,8 +147,10 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
         most = float(np.abs(off).max()) or 1.0
         return mesh, shade(off, f"signed deviation in {scene.unit}", -most, most, map="RdBu_r")
     if scene.bound is not None and np.isfinite(scene.bound).any():
+        mesh, _, bound = scenes.shown_surface(scene)
+        assert bound is not None
         title = f"certified bound in {scene.unit}"
-        return scene.surface, shade(scene.bound, title, 0.0, float(np.nanmax(scene.bound)) or 1.0, map="YlGnBu")
+        return mesh, shade(bound, title, 0.0, float(np.nanmax(scene.bound)) or 1.0, map="YlGnBu")
     if view == "bound":
         raise InputError(
             f"the bound of {scene.name} is not known; show a scan's folder, its surface.ply, or a recording"
@@ -166,12 +172,16 @@ def picture(scene: Scene, path: str | Path, view: str = "cloud", color: str = "f
     Raises InputError if the scene lacks what the view shows, or where nothing can render.
     """
     path = check_path(path)
+    with quiet():
+        save(figure(scene, view, color), path)
+
+
+def figure(scene: Scene, view: str = "cloud", color: str = "force") -> Any:
+    """What `picture` writes, as a matplotlib figure.  Raises as it does."""
     if view not in VIEWS:
         raise InputError(f"view must be one of {', '.join(VIEWS)}, got {view!r}")
     need_renderer()
-    with quiet():
-        figure = {"cloud": _cloud, "compare": _compare, "explain": _explain}.get(view, _surface)(scene, view, color)
-        save(figure, path)
+    return {"cloud": _cloud, "compare": _compare, "explain": _explain}.get(view, _surface)(scene, view, color)
 
 
 # --- the pictures ---

@@ -647,15 +647,33 @@ def test_settings_given_in_python():
 
 def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
     assert METHODS == surfaces.METHODS
-    # enough contacts for a fit, or not
-    for method, size in (("auto", FEW), ("hull", FEW), ("support", ("--slices", "6", "--samples", "24"))):
+    # few slices: no trial, and too few contacts for a fit
+    more = ("--slices", "6", "--samples", "24")
+    for method, size, chosen in (
+        ("auto", FEW, "bracket"),
+        ("auto", ("--slices", "12", "--samples", "24"), "support"),
+        ("hull", FEW, "hull"),
+        ("bracket", FEW, "bracket"),
+        ("support", more, "support"),
+    ):
         code, said, _ = call("scan", EGG, "--out", tmp_path / method, *size, "--method", method, "--json")
         assert code == 0
-        assert json.loads(said)["surface"]["method"] == ("hull" if size is FEW else "support")
+        surface = json.loads(said)["surface"]
+        assert (surface["method"], surface["watertight"]) == (chosen, True)
+
+
+@pytest.mark.open3d
+@pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
+def test_open3ds_methods_can_be_chosen(call, tmp_path, no_pictures, method):
+    code, said, _ = call(
+        "scan", EGG, "--out", tmp_path, "--slices", "12", "--samples", "24", "--method", method, "--json"
+    )
+    assert code == 0
+    assert json.loads(said)["surface"]["method"] == method
 
 
 def test_a_method_that_the_body_does_not_allow(call, tmp_path, no_pictures):
     code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", "support")
     assert (code, said) == (1, "")
-    assert_sentence(complained, "not smooth enough for the method support, .*; use auto or hull")
+    assert_sentence(complained, "not smooth enough for the method support, .*; use auto, bracket or hull")
     assert tree(tmp_path) == {}

@@ -6,6 +6,7 @@ and integrated numerically.
 """
 
 import importlib
+import re
 import runpy
 import subprocess
 import sys
@@ -186,3 +187,68 @@ def test_error_by_slices_saves_its_picture_where_told(tmp_path: Path, monkeypatc
     monkeypatch.setattr(script, "QUICK_SUBDIVISIONS", 8)
     script.main(["--quick", "--out", str(tmp_path / "errors.png")])
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = example("friction_from_touch")
+    lying = script.SWEEP.phase == planar.Phase.TANGENTIAL
+    np.testing.assert_allclose(script.CONTACTS.friction[lying], script.SWEEP.friction[lying], rtol=0, atol=1e-12)
+    # with noise almost all of them tell it, and none but them; as far off as was foretold, to four of its own deviations
+    assert script.TOLD.sum() > 0.95 * lying.sum()
+    assert lying[script.TOLD].all()
+    scaled = script.ERROR / script.DEVIATION[script.TOLD]
+    assert np.sqrt(np.mean(scaled**2)) == pytest.approx(1, abs=4 / np.sqrt(2 * len(scaled)))
+    assert abs(scaled.mean()) < 4 / np.sqrt(len(scaled))
+    # the deviation is the derivative's: against differences of the reconstruction itself
+    step, gains = 1e-6, []
+    for row in range(3):
+        moved = script.REACTIONS + step * (np.arange(3) == row)[:, None]
+        friction = planar.reconstruct(script.SWEEP.x0, *moved, tolerance=1e-4).friction
+        gains.append((friction - script.CONTACTS.friction) / step)
+    found = script.deviation(script.CONTACTS, script.REACTIONS[2], 1.0)
+    both = lying & np.isfinite(gains).all(axis=0)
+    assert both.sum() > 0.9 * lying.sum()
+    np.testing.assert_allclose(np.linalg.norm(gains, axis=0)[both], found[both], rtol=1e-4)
+    script.main(["--out", str(tmp_path / "friction.png")])
+    assert (tmp_path / "friction.png").read_bytes().startswith(b"\x89PNG")
+    assert "tell their friction" in capsys.readouterr().out
+
+
+def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    script = example("own_measurements")
+    # the way through the laboratory's table and back loses nothing: the recording is that of the simulation
+    script.laboratory(tmp_path / "table.csv", slices=8)
+    header, *rows = (tmp_path / "table.csv").read_text().splitlines()
+    assert tuple(header.split(",")) == script.COLUMNS
+    made = script.recording(tmp_path / "table.csv")
+    assert len(made) == len(rows)
+    mesh = script.scan3d.load_mesh(script.MESH)
+    plan = script.scan3d.Plan(slices=8, spacing="adaptive", friction=(0.1, 0.4), rod=script.ROD)
+    straight = script.scan3d.simulate(mesh, plan)
+    for name in ("position_m", "force_N", "moment_Nm"):
+        np.testing.assert_allclose(getattr(made, name), getattr(straight, name), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(made.axes(), straight.axes(), rtol=0, atol=1e-15)
+
+    monkeypatch.setattr(script.scanned, "__defaults__", (8,))
+    script.main(["--out", str(tmp_path / "own.png")])
+    assert (tmp_path / "own.png").read_bytes().startswith(b"\x89PNG")
+    certified, known = (
+        float(line) for line in re.findall(r"within ([0-9.e-]+) mm[;,] volume", capsys.readouterr().out)
+    )
+    assert known <= certified
+
+
+def test_rod_for_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = example("rod_for_a_sensor")
+    error, force, strain = script.TRIALS.transpose(2, 0, 1)
+    # twice the diameter: sixteen times the force, exactly, a sixteenth of the error, twice the strain
+    ratio = script.DIAMETERS_M[1] / script.DIAMETERS_M[0]
+    np.testing.assert_allclose(force[:, 1:] / force[:, :-1], ratio**4, rtol=1e-12)
+    np.testing.assert_allclose(strain[:, 1:] / strain[:, :-1], ratio, rtol=1e-12)
+    np.testing.assert_allclose(error[:, -4:-1] / error[:, -3:], ratio**4, rtol=0.1)
+    # a longer rod is gentler, and less exact
+    assert (np.diff(force, axis=0) < 0).all()
+    assert (np.diff(error[:, 2:], axis=0) > 0).all()
+    script.main(["--out", str(tmp_path / "rod.png")])
+    assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")
+    assert len(capsys.readouterr().out.splitlines()) == error.size

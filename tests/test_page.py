@@ -9,7 +9,9 @@ import re
 import select
 import subprocess
 import time
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,6 +96,17 @@ def test_a_page_of_a_part_shows_that_part(cube, what):
     names = {one["name"] for one in data_of(page)["layers"]}
     assert names == ({"contacts", "normals", "slices"} if what == "contacts" else {"surface"})
     assert data_of(page)["unit"] == "µm"
+
+
+def test_the_package_brings_the_blank_page():
+    """And all else beside its modules: what no pattern names would be missing from a wheel."""
+    root = Path(pages.__file__).parents[1]
+    tool = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    for package in tool["packages"]:
+        named = {path for pattern in tool["package-data"][package] for path in (root / package).glob(pattern)}
+        there = {one for one in (root / package).iterdir() if one.is_file() and one.suffix not in (".py", ".pyc")}
+        assert named == there
+    assert root / "scan3d" / "page.html" in named
 
 
 def test_a_page_of_nothing():

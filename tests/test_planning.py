@@ -12,6 +12,7 @@ from scan3d.planning import (
     AIMED_SLOPE,
     FIRST_SLICES,
     OPEN_SHARE,
+    _parts,
     base_shares,
     first_directions,
     first_heights,
@@ -62,20 +63,47 @@ def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
 
 def test_the_next_heights_are_those_of_the_worst_corners():
     known = np.array([-0.1, 0.2, 0.5, 0.8, 1.1])
-    corners = np.array([0.3, 0.4, 0.6, 0.7])
-    gaps = np.array([1.0, 3.0, 2.0, 0.5])
+    slab, corners = np.array([1, 1, 2, 2]), np.array([0.3, 0.4, 0.6, 0.7])
+    gaps, kinks = np.array([1.0, 3.0, 2.0, 0.5]), np.ones(4, dtype=bool)
     # one a slab, the widest first
-    assert next_heights(known, corners, gaps, 4).tolist() == [0.4, 0.6]
-    assert next_heights(known, corners, gaps, 1).tolist() == [0.4]
-    assert len(next_heights(known, corners, np.zeros(4), 4)) == 0
-    # not where a slice is already
-    assert len(next_heights(known, known[1:2] + 1e-9, np.ones(1), 4)) == 0
+    assert next_heights(known, slab, corners, gaps, kinks, 4, 4).tolist() == [0.4, 0.6]
+    assert next_heights(known, slab, corners, gaps, kinks, 1, 4).tolist() == [0.4]
+    assert len(next_heights(known, slab, corners, np.zeros(4), kinks, 4, 4)) == 0
+    # a corner on an end slice tells no height: between it and its neighbour
+    on_end = next_heights(known, np.array([1]), known[1:2], np.ones(1), kinks[:1], 4, 4)
+    assert on_end == pytest.approx([0.35])
+    # not where slices stand close enough
+    close = np.array([0.0, 0.5, 0.5 + 1e-8, 1.0])
+    assert len(next_heights(close, np.array([1]), np.array([0.5]), np.ones(1), kinks[:1], 4, 4)) == 0
+
+
+def test_a_slab_that_will_need_three_parts_gets_two_heights_at_once():
+    known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
+    slab, corners, gaps = np.array([1, 2]), np.array([0.14, 0.46]), np.array([9.0, 4.0])
+    bent, kinked = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
+    # three cuts make parts of 9/3² and 4/2²
+    assert next_heights(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.1, 0.2, 0.46])
+    assert next_heights(known, slab, corners, gaps, kinked, 3, 3) == pytest.approx([0.14, 0.46])
+    # with one only, the worst slab's worst corner
+    assert next_heights(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.14])
+
+
+def test_parts_make_the_widest_gap_as_small_as_cuts_can():
+    rng = np.random.default_rng(0)
+    for left in (0, 1, 5, 20):
+        weight = rng.uniform(0.1, 3, 6)
+        parts = _parts(weight, left)
+        assert parts.sum() == len(weight) + left
+        level = (weight / parts).max()
+        # to lower it anywhere takes more cuts than there are
+        assert np.ceil(weight / (level * (1 - 1e-9))).sum() > parts.sum()
 
 
 def test_an_end_that_is_not_known_is_halved():
     known = np.array([0.0, 1.0, 2.0, 3.0])
     for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
-        assert next_heights(known, np.array([corner]), np.ones(1), 4) == pytest.approx([middle])
+        slab, kinks = np.array([0 if corner == 0 else 2]), np.zeros(1, dtype=bool)
+        assert next_heights(known, slab, np.array([corner]), np.ones(1), kinks, 4, 4) == pytest.approx([middle])
 
 
 @pytest.mark.parametrize("samples", [2, 3, 64])

@@ -1,5 +1,6 @@
 """Normals and surfaces of smooth bodies, against the bodies' own formulas."""
 
+import dataclasses
 import importlib.util
 from pathlib import Path
 
@@ -7,9 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 
+import planar
 import scan3d
+from scan3d.bracket import bracket
 from scan3d.cloud import NormalSource, contacts
 from scan3d.layers import height_slopes, stacks
+from scan3d.reconstruction import with_slice_normals
 from scan3d.support import fit_support, harmonics
 
 MESHES = Path(__file__).parents[1] / "meshes"
@@ -43,7 +47,7 @@ def test_normals_are_the_surfaces_own(smooth):
 def test_slices_alone_give_normals_to_a_facet(smooth):
     name, _, cloud = smooth
     for stack in stacks(cloud):
-        for layer, slope in zip(stack.layers[::7], height_slopes(stack)[::7], strict=True):
+        for layer, (slope, _) in zip(stack.layers[::7], height_slopes(stack)[::7], strict=True):
             leaning = np.column_stack([layer.normals, -slope]) @ stack.frame
             leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
             true = bodies.normal(name, cloud.points[layer.rows[layer.lying]])
@@ -110,3 +114,34 @@ def test_an_ellipsoid_of_any_aspect_is_fitted_exactly(axes):
     # the moments of inertia are those of the points' hull: the degrees above 1 make up for what it lacks
     fitted = fit_support(points, normals, 8)
     assert np.abs(fitted.points(normals) - points).max() < 1e-3 * min(axes)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_tip_contacts_get_normals_by_the_friction_that_the_others_agree_on(noise):
+    plan = scan3d.Plan(slices=24, samples=32, friction=0.3, noise=noise)
+    cloud = with_slice_normals(contacts(scan3d.simulate(bodies.make("ellipsoid", subdivisions=60), plan)))
+    tips = cloud.phase == planar.Phase.TIP
+    assert tips.sum() > 100
+    assert (cloud.normal_source[tips] == NormalSource.FRICTION).all()
+    assert (cloud.normal_source[~tips] == NormalSource.SLICES).all()
+    off = degrees_between(cloud.normals, bodies.normal("ellipsoid", cloud.points))
+    assert np.percentile(off[tips], 95) < 1.5  # of which the facets' share is 1
+
+
+def test_where_friction_varies_tip_contacts_have_no_normal_of_their_own():
+    plan = scan3d.Plan(slices=12, samples=32, friction=(0.0, 0.4))
+    cloud = with_slice_normals(contacts(scan3d.simulate(trimesh.creation.icosphere(4, 20.0), plan)))
+    tips = cloud.phase == planar.Phase.TIP
+    assert (cloud.normal_source[tips] == NormalSource.UNKNOWN).all()
+    assert np.isnan(cloud.normals[tips]).all()
+
+
+def test_the_certificate_does_not_rest_on_an_inferred_friction():
+    """Were it wrong, so would the bound be: the bracket is that of the tangential contacts alone."""
+    recording = scan3d.simulate(trimesh.creation.icosphere(3, 20.0), scan3d.Plan(slices=8, samples=16, friction=0.3))
+    cloud = contacts(recording)
+    tips = cloud.phase == planar.Phase.TIP
+    assert np.isfinite(cloud.in_plane_normals[tips]).all()
+    without = cloud.in_plane_normals.copy()
+    without[tips] = np.nan
+    assert bracket(cloud).bound == bracket(dataclasses.replace(cloud, in_plane_normals=without)).bound

@@ -318,6 +318,24 @@ def test_the_surface_by_its_bound(egg, tmp_path):
     assert 0.1 < (plain < 250).all(axis=2).mean() < 0.7
 
 
+def test_bounds_between_vertices_keep_to_the_scale(cube):
+    """Mixed by their values: mixed by their colours, pale and dark would give what the bar does not have."""
+    bound = np.where(cube.surface.vertices[:, 0] > 0, 0.4, 0.0)
+    mesh, shaded = views.shade_surface(replace(cube, bound=bound, truth=None), "bound")
+    assert mesh.volume == pytest.approx(cube.surface.volume)
+    assert (shaded.norm.vmin, shaded.norm.vmax) == (0.0, 0.4)
+    colors = {tuple(one) for one in shaded.rgb}
+    scale = stages.shade(np.linspace(0, 1, 256), "", 0, 1, map="YlGnBu").rgb
+    assert colors <= {tuple(one) for one in scale}
+    assert len(colors) > 30
+    # linear across the lid, from side to side
+    lid = mesh.vertices[:, 2] > mesh.vertices[:, 2].max() - 1e-6
+    x = mesh.vertices[lid, 0]
+    _, _, values = scenes.shown_surface(replace(cube, bound=bound, truth=None))
+    assert values[lid].min() >= -1e-12
+    assert values[lid][x < x.min() + 1e-6].max() <= values[lid][x > x.max() - 1e-6].min()
+
+
 @pytest.mark.rendering
 @pytest.mark.parametrize("color", scenes.COLORS)
 def test_the_cloud_by_each_colour(egg, tmp_path, color):
@@ -499,6 +517,31 @@ def test_show_writes_what_it_is_asked_for(folder, tmp_path, capsys):
 def test_the_page_of_a_folder_is_that_of_its_scan(folder, tmp_path):
     commands.show(str(folder), print, html=str(tmp_path / "again.html"))
     assert (tmp_path / "again.html").read_bytes() == (folder / "view.html").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--view", "bound"), "--view says what a picture shows: give --screenshot FILE as well"),
+        (("--view", "bound", "--html", "x.html"), "--view says what a picture shows: give --screenshot FILE as well"),
+        (
+            ("--color", "phase", "--html", "x.html"),
+            "--color is for a picture or the window: give --screenshot FILE as well",
+        ),
+        (
+            ("--color", "phase", "--movie", "x.gif"),
+            "--color is for a picture or the window: give --screenshot FILE as well",
+        ),
+        (("--movie-of", "growth", "--html", "x.html"), "--movie-of says what a movie shows: give --movie FILE as well"),
+    ],
+)
+def test_options_that_would_change_nothing(folder, tmp_path, monkeypatch, capsys, options, sentence):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as leaving:
+        main(["show", str(folder), *options])
+    assert leaving.value.code == 2
+    assert capsys.readouterr() == ("", f"scan3d: {sentence}; see 'scan3d show --help'\n")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("hidden", ["libraries", "display"])

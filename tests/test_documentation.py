@@ -1,0 +1,175 @@
+"""README and the pages in docs/: what they show runs, what they name exists, and nothing public or in examples/ is left out.
+
+Sphinx itself builds the pages in the gate (`make docs`), with warnings as errors, and checks the references among them.
+"""
+
+import ast
+import importlib.util
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import matplotlib
+import pytest
+from small_scans import EGG
+
+import planar
+import scan3d
+from scan3d import cli
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if "_build" not in page.parts)]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def named(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """The fenced blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def prose(text: str) -> str:
+    """A page without its fenced blocks and what stands between backticks."""
+    return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL))
+
+
+def targets(text: str) -> list[str]:
+    """What a page's links and pictures point at in the repository, without places within a page."""
+    found = re.findall(r"\]\(([^)\s]+)\)", prose(text))
+    found += re.findall(r"""(?:href|src)=["']([^"']+)["']""", prose(text))
+    found += re.findall(r"^```\{literalinclude\} (\S+)$", text, flags=re.MULTILINE)
+    return [path for path in (target.partition("#")[0] for target in found if "://" not in target) if path]
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which all of the repository is to be read, and what is written does not end up there."""
+    for path in ROOT.iterdir():
+        if not path.name.startswith(".") and path.name != "out":
+            (tmp_path / path.name).symlink_to(path)
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+    return tmp_path
+
+
+def test_the_reading_of_pages_finds_what_it_should() -> None:
+    # on a page made for it, so that the tests below can fail
+    page = "[a](x.md#y) ![b](p.png) `[no](no.md)` [web](https://example.org)\n```python\n[no](n.md)\nx = 1\n```\n"
+    assert blocks(page, "python") == ["[no](n.md)\nx = 1\n"]
+    assert targets(page) == ["x.md", "p.png"]
+    assert targets("```{literalinclude} ../a.py\n```\n") == ["../a.py"]
+    assert {"README.md", "docs/index.md", "docs/formats.md", "docs/api/planar.md"} <= set(map(named, PAGES))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python")], ids=named)
+def test_the_code_of_a_page_runs(page: Path, repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # one after the other, as they are read
+    names: dict[str, object] = {"__name__": "__main__"}
+    for number, block in enumerate(blocks(page.read_text(encoding="utf-8"), "python"), start=1):
+        exec(compile(block, f"{named(page)}, block {number}", "exec"), names)
+
+
+def test_every_block_of_readme_runs_on_its_own(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
+    assert len(found) >= 2
+    for number, block in enumerate(found, start=1):
+        exec(compile(block, f"README.md, block {number}", "exec"), {"__name__": "__main__"})
+    # what they print are numbers
+    assert re.search(r"\d", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_links_and_pictures_are_there(page: Path) -> None:
+    missing = [target for target in targets(page.read_text(encoding="utf-8")) if not (page.parent / target).is_file()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_scripts_and_commands_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for script in re.findall(r"python ((?:\w+/)+\w+\.py)", text):
+        assert (ROOT / script).is_file(), script
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"^(?:.*`)?make (\w+)", text, flags=re.MULTILINE):
+        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
+    commands = cli._parser()._subparsers._group_actions[0].choices
+    for command in re.findall(r"\bscan3d ([a-z]+)\b", "\n".join(blocks(text, "sh"))):
+        assert command in commands, command
+
+
+def test_every_public_name_is_in_the_api() -> None:
+    for package in (planar, scan3d):
+        page = (ROOT / "docs" / "api" / f"{package.__name__}.md").read_text(encoding="utf-8")
+        described = set(re.findall(rf"^\.\. auto\w+:: {package.__name__}\.(\w+)$", page, flags=re.MULTILINE))
+        assert set(package.__all__) <= described
+
+
+def test_every_example_is_in_the_gallery() -> None:
+    gallery = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    sections = gallery.split("\n## ")[1:]
+    assert len(sections) == len(EXAMPLES)
+    for section in sections:
+        assert section.partition("\n")[0].endswith("?")
+    for script in EXAMPLES:
+        mine = [section for section in sections if f"literalinclude}} ../examples/{script.name}" in section]
+        assert len(mine) == 1
+        assert f"python examples/{script.name}" in mine[0]
+        # a picture of its own, unless it prints a table
+        draws = "savefig" in script.read_text(encoding="utf-8")
+        assert (f"(pictures/{script.stem}.png)" in mine[0]) == draws
+
+
+@pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
+def test_an_example_opens_with_its_question_and_ends_with_its_reference(script: Path) -> None:
+    paragraphs = (ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").split("\n\n")
+    assert "?" in paragraphs[0]
+    assert paragraphs[-1].startswith("Reference: ")
+    assert f"python examples/{script.name}" in paragraphs[-2]
+
+
+def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    (block,) = blocks(page, "toml")
+    assert tomllib.loads(block)["rod"]["length_m"] == 0.05
+    columns = re.findall(r"`(\w+)`", "\n".join(row.split("|")[1] for row in page.split("\n") if row.startswith("| `")))
+    header = [name for name in columns if name in scan3d.recording.COLUMNS]
+    assert tuple(header) == scan3d.recording.COLUMNS
+    (tmp_path / "log.toml").write_text(block, encoding="utf-8")
+    (tmp_path / "log.csv").write_text(",".join(header) + "\n0,0,0,0,1,0,0,0,-1e-3,1e-3,1e-6\n", encoding="utf-8")
+    read = scan3d.read_recording(tmp_path / "log.csv")
+    assert read.rod.bending_stiffness_Nm2 == 8.35e-5
+    assert read.source["kind"] == "laboratory"
+
+
+def test_the_report_has_the_sections_that_the_pages_name(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8").partition("## The report")[2]
+    rows = [row.split("|")[1] for row in page.split("\n") if row.startswith("| `")]
+    sections = re.findall(r"`(\w+)`", " ".join(rows))
+    out = str(tmp_path / "out")
+    scan = ["scan", str(EGG), "--out", out, "--slices", "4", "--sweeps", "6", "--samples", "12", "--quiet"]
+    assert cli.main(scan) == 0
+    assert sorted(sections) == sorted(json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8")))
+
+
+def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
+    spec = importlib.util.spec_from_file_location("check_links", ROOT / "docs" / "check_links.py")
+    assert spec is not None
+    assert spec.loader is not None
+    check = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(check)
+    (tmp_path / "a.html").write_text('<h1 id="top">A</h1><a href="#top">up</a><a href="b.html#here">B</a>')
+    (tmp_path / "b.html").write_text('<p id="here"></p><a href="https://example.org/nowhere">out</a>')
+    assert list(check.broken(tmp_path)) == []
+    (tmp_path / "c.html").write_text(
+        '<a href="b.html#there">B</a><img src="gone%20away.png"><a href="#bottom">down</a>'
+    )
+    found = list(check.broken(tmp_path))
+    assert found == [
+        "c.html: b.html#there has no such place",
+        "c.html: gone%20away.png is not there",
+        "c.html: #bottom has no such place",
+    ]
