@@ -64,7 +64,7 @@ def test_the_fitted_surface_beats_the_hull(smooth):
 def test_bodies_with_edges_are_not_fitted():
     cloud = scan3d.reconstruct(scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=24)))
     assert cloud.fit is None
-    assert scan3d.surface(cloud).metadata["method"] == "hull"
+    assert scan3d.surface(cloud).metadata["method"] == "bracket"
     # on the faces of a box the normals are exact
     known = cloud.normal_source == NormalSource.SLICES
     on_face = known & (np.abs(np.abs(cloud.points) - [10, 15, 20]) < 1e-9).sum(axis=1).astype(bool)
