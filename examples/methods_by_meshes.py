@@ -3,7 +3,7 @@
 Each body is scanned once, in slices across its z axis, by a rod whose friction is drawn anew for every sample.  From the
 contacts all methods build their surfaces, and only then the true body is looked at.  Prints a table in Markdown: the
 Hausdorff distance to the body over the diagonal of its bounding box, the seconds that the method took, and "open" where the
-surface has holes.  A dash: the method refuses these contacts.
+surface has holes.  A dash: the method refuses these contacts.  `auto` says which method it has chosen, by slices left out.
 
 A convex hull and a fitted support function know that the body is convex.  Poisson reconstruction and ball pivoting know
 neither that nor what lies beyond the last slice: a flat end that no contact lies on is bulged, or left open.
@@ -26,7 +26,6 @@ from scan3d.surfaces import METHODS
 
 MESHES = sorted(file for file in (Path(__file__).parents[1] / "meshes").iterdir() if file.suffix not in (".py", ""))
 FRICTION = (0.0, 0.4)
-SHOWN = [method for method in METHODS if method != "auto"]
 
 
 def cell(cloud: scan3d.Cloud, mesh: object, method: str) -> str:
@@ -38,26 +37,27 @@ def cell(cloud: scan3d.Cloud, mesh: object, method: str) -> str:
         return "–"
     seconds = perf_counter() - start
     relative = scan3d.compare(surface, mesh).relative
-    return f"{relative:.1e}, {seconds:.1f} s" + ("" if surface.is_watertight else ", open")
+    chosen = f"{surface.metadata['method']}: " if method == "auto" else ""
+    return f"{chosen}{relative:.1e}, {seconds:.1f} s" + ("" if surface.is_watertight else ", open")
 
 
 def rows(files: Sequence[Path], slices: int, spacing: str) -> Iterator[str]:
     """The lines of the table, each as soon as it is known."""
-    yield f"| body | contacts | {' | '.join(SHOWN)} |"
-    yield "|---" * (len(SHOWN) + 2) + "|"
+    yield f"| body | contacts | {' | '.join(METHODS)} |"
+    yield "|---" * (len(METHODS) + 2) + "|"
     for file in files:
         mesh = scan3d.load_mesh(file)
         cloud = scan3d.reconstruct(
             scan3d.simulate(mesh, scan3d.Plan(slices=slices, spacing=spacing, friction=FRICTION))
         )
-        yield f"| {file.stem} | {len(cloud):,} | {' | '.join(cell(cloud, mesh, method) for method in SHOWN)} |"
+        yield f"| {file.stem} | {len(cloud):,} | {' | '.join(cell(cloud, mesh, method) for method in METHODS)} |"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Table of surface methods and bodies.")
     parser.add_argument("mesh", nargs="*", type=Path, help="bodies instead of those in meshes/")
     parser.add_argument("--slices", type=int, default=64)
-    parser.add_argument("--spacing", choices=("cosine", "adaptive"), default="adaptive")
+    parser.add_argument("--spacing", choices=("cosine", "adaptive"), default="cosine")
     given = parser.parse_args(arguments)
     with suppress(ImportError, OSError):
         import open3d  # noqa: F401 - so that no method's time has that of the import in it

@@ -27,8 +27,11 @@ _NOISE_GAIN = 0.4
 _FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
 # However much noise, a contact this far from the tip, in rod lengths, is none of the tip's.
 _MOST_TOLERANCE = 0.5
-# Slices whose heights differ by less, in rod lengths, are one.
-_SAME_HEIGHT = 1e-9
+# Slices whose normals differ by less were meant to be parallel.
+_SAME_NORMAL = 1e-3
+# Sweeps are in one slice if their heights, in rod lengths, differ by less, or by less than this many times the spread of the
+# heights within the median sweep.
+_SAME_HEIGHT, _SPREADS = 1e-9, 4.0
 
 
 class NormalSource(IntEnum):
@@ -121,8 +124,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", found.point[rows] * rod.length_m, axes[rows, :2])
-    slice_of, first = _slices(recording, axes)
-    axis = axes[first, 2]
+    slice_of, slice_axis, slice_height = _slices(recording, axes[:, 2])
     return Cloud(
         points=points / scale,
         normals=np.full((len(rows), 3), np.nan),
@@ -133,8 +135,8 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         sweep=recording.sweep[rows].astype(np.int32),
         force_N=found.force[rows] * rod.force_unit_N,
         friction=found.friction[rows],
-        slice_axis=axis,
-        slice_height=(recording.position_m[first] * axis).sum(axis=1) / scale,
+        slice_axis=slice_axis,
+        slice_height=slice_height / scale,
         unit=recording.unit,
         rod_length=rod.length_m / scale,
         noise=noise * _NOISE_GAIN * rod.length_m / scale,
@@ -151,22 +153,42 @@ def _common_friction(found: planar.Contacts, noise: float) -> float | None:
     return max(float(np.tan(middle)), 0.0) if agree else None
 
 
-def _slices(recording: Recording, axes: Array) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """(n,) number of each row's slice, by its normal and its height, in order of appearance; (s,) a row of each."""
-    normal = axes[:, 2]
-    height = (recording.position_m * normal).sum(axis=1) / recording.rod.length_m
-    # grouping by gaps in the sorted columns, so that no two equal values are torn apart by rounding
-    keys = []
-    for column in (*normal.T, height):
+def _slices(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Array, Array]:
+    """(n,) number of each row's slice, in order of appearance; (s, 3) normals of the slices and (s,) heights, in metres.
+
+    A sweep lies in one plane.  Sweeps are in one slice if their planes differ by no more than rounding, or than a typical
+    sweep's own poses do.
+    """
+    _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
+    of_sweep = normals[first]
+    direction = _groups(of_sweep, _SAME_NORMAL)
+    mean = np.stack([np.bincount(direction, column) for column in of_sweep.T], axis=1)
+    axis = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[direction]
+    height = (recording.position_m * axis[sweep]).sum(axis=1)
+    plane = np.bincount(sweep, height) / np.bincount(sweep)
+    low, high = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
+    np.minimum.at(low, sweep, height)
+    np.maximum.at(high, sweep, height)
+    same = max(_SAME_HEIGHT * recording.rod.length_m, _SPREADS * float(np.median(high - low)))
+    _, group = np.unique(np.column_stack([direction, _groups(plane[:, None], same)]), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    # numbers in the order in which the slices appear
+    start = np.full(group.max() + 1, len(sweep))
+    np.minimum.at(start, group, first)
+    order = np.argsort(start)
+    rank = np.empty(len(start), dtype=np.int32)
+    rank[order] = np.arange(len(start))
+    shown = sweep[start[order]]
+    return rank[group][sweep], axis[shown], (np.bincount(group, plane) / np.bincount(group))[order]
+
+
+def _groups(rows: Array, same: float) -> NDArray[np.int64]:
+    """Number (n,) of each row's group: by gaps in every sorted column, so that no two equal values are torn apart."""
+    keys = np.empty(rows.shape, dtype=np.int64)
+    for key, column in zip(keys.T, rows.T, strict=True):
         order = np.argsort(column, kind="stable")
-        key = np.empty(len(column), dtype=np.int64)
-        key[order] = np.cumsum(np.insert(np.diff(column[order]) > _SAME_HEIGHT, 0, False))
-        keys.append(key)
-    _, first, inverse = np.unique(np.stack(keys, axis=1), axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(first), dtype=np.int32)
-    rank[order] = np.arange(len(first))
-    return rank[inverse.reshape(-1)], first[order]
+        key[order] = np.cumsum(np.insert(np.diff(column[order]) > same, 0, False))
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:

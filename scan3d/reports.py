@@ -56,7 +56,8 @@ def report(
             "length": cloud.rod_length,
         },
         "counts": {
-            "slices": int(cloud.slice.max()) + 1,
+            "slices": len(np.unique(cloud.slice)),
+            "empty_slices": len(cloud.slice_height) - len(np.unique(cloud.slice)),
             "sweeps": len(np.unique(recording.sweep)),
             "samples": len(recording),
             "contacts": len(cloud),
@@ -194,6 +195,9 @@ def summary(data: Mapping[str, Any]) -> str:
         lines.append(
             f"contact error      {errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths)"
         )
+    unreached = data["source"].get("sweeps_out_of_reach")
+    if unreached:
+        lines.append(f"out of reach       {unreached} sweeps that the rod can't make from its base line")
     median = data["friction"]["estimated_median"]
     if median is not None:
         given = data["friction"]["set"]

@@ -61,6 +61,8 @@ class _Axis:
     heights: list[float] = field(default_factory=list)
     polygons: list[Array] = field(default_factory=list)
     sweeps: list[tuple[_Approach, planar.Sweep]] = field(default_factory=list)
+    unreached: int = 0
+    """Sweeps that were not made, their slice being out of the rod's reach."""
 
     def scan(self, heights: Array) -> None:
         """Sweep further slices."""
@@ -87,6 +89,8 @@ class _Axis:
                 # what is out of the rod's reach is not swept: it must not pass for empty
                 if sweep is not None:
                     done[approach.slice].append((approach, sweep))
+                else:
+                    self.unreached += 1
             if self.plan.sweeps is not None or round_ == _ROUNDS:
                 break
             todo = {i: self._open(done[i], self.polygons[i])[: planning.MOST_SWEEPS - len(done[i])] for i in todo}
@@ -225,6 +229,7 @@ def _recording(scans: list[_Axis], rod: Rod) -> Recording:
     plan, length = scans[0].plan, scans[0].length
     metres = UNITS_M[plan.unit]
     pairs = [(scan, *pair) for scan in scans for pair in scan.sweeps]
+    unreached = sum(scan.unreached for scan in scans)
     count = np.array([len(sweep) for *_, sweep in pairs])
     position, turned, wrench = [], [], []
     for scan, approach, sweep in pairs:
@@ -249,5 +254,5 @@ def _recording(scans: list[_Axis], rod: Rod) -> Recording:
         noise_force_N=plan.noise * rod.force_unit_N,
         noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
         unit=plan.unit,
-        source={"kind": "simulation", "seed": plan.seed},
+        source={"kind": "simulation", "seed": plan.seed, **({"sweeps_out_of_reach": unreached} if unreached else {})},
     )

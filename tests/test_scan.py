@@ -1,5 +1,6 @@
 """The way from a body to its recording and back: exact to rounding, whatever the friction, the place and the unit."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -540,6 +541,35 @@ def test_a_fixed_standoff_keeps_clear_of_the_widest_slice():
         lengths[standoff] = np.ptp(recording.position_m[first] @ axes[0, 1]) / recording.rod.length_m
     assert lengths["fixed"] < 1e-12
     assert lengths["follow"] > 0.05
+
+
+def test_what_a_fixed_base_line_can_not_reach_is_counted():
+    """The base line keeps clear of a cone's foot: near its tip the rod ends before it gets there."""
+    cone = trimesh.creation.cone(radius=20, height=40, sections=64)
+    plan = dict(slices=12, sweeps=4, samples=16, rod=parse_rod("steel:0.3x20"))
+    reached = scan3d.simulate(cone, scan3d.Plan(**plan))
+    recording = scan3d.simulate(cone, scan3d.Plan(**plan, standoff="fixed"))
+    assert "sweeps_out_of_reach" not in reached.source
+    missed = recording.source["sweeps_out_of_reach"]
+    assert missed > 0
+    assert len(np.unique(recording.sweep)) == len(np.unique(reached.sweep)) - missed
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-5])
+def test_poses_that_are_rounded_or_shake_keep_their_slices(spread):
+    """As a robot logs them: micrometres, and quaternions of six digits."""
+    recording = scan3d.simulate(
+        scan3d.load_mesh(EGG), scan3d.Plan(slices=8, sweeps=4, samples=16, axis=(1.0, 0.3, 2.0))
+    )
+    shaken = np.random.default_rng(0).normal(scale=spread * recording.rod.length_m, size=(len(recording), 1))
+    logged = dataclasses.replace(
+        recording,
+        position_m=np.round(recording.position_m + shaken * recording.axes()[:, 2], 6 if not spread else 9),
+        quaternion=np.round(recording.quaternion, 6),
+    )
+    exact, rounded = contacts(recording), contacts(logged)
+    assert len(rounded.slice_height) == len(exact.slice_height) == 10
+    assert np.array_equal(rounded.slice, exact.slice)
 
 
 def test_a_body_that_no_slice_meets(monkeypatch):
