@@ -6,9 +6,10 @@ certify for their convex hull.
 
 Between two slices h apart a chord lies h²/8R inside a body of radius R, so the hull's error falls as 1/n².  But an end slice
 h/2 below the pole leaves all of that open, and with even spacing the poles, not the slices between, decide: 1/n.  Slices at
-Chebyshev's nodes are 1/n² apart there.  A fitted support function and Poisson's surface bridge the poles, each in its way.
-Where a curve flattens out, something else than the slices limits it: the hull's, the gaps between contacts along a slice;
-that of the support function, the facets of the surface that is drawn from it; Poisson's, its octree and its smoothing.
+Chebyshev's nodes are 1/n² apart there.  A surface between the certified bounds, a fitted support function and Poisson's
+surface bridge the poles, each in its way.  Sweeps get more samples with more slices, lest the gaps between contacts along a
+slice limit the error instead.  Where a curve flattens out, something else does: the support function's, the facets of the
+surface that is drawn from it; Poisson's, its octree and its smoothing.
 
     python examples/error_by_slices.py [--out FILE] [--quick]
 
@@ -36,12 +37,14 @@ make = runpy.run_path(str(Path(__file__).parents[1] / "meshes" / "make_meshes.py
 
 FRICTION = (0.0, 0.4)
 SLICES = (8, 12, 16, 24, 32, 48, 64, 96)
+SAMPLES = 4  # per sweep, in slices
 SUBDIVISIONS = 128  # 131,072 triangles
 QUICK_SLICES, QUICK_SUBDIVISIONS = (8, 16), 24
 SPACINGS = {"uniform": "--", "cosine": "-"}
 # Okabe and Ito's colours, told apart by every eye; markers for print in grey, the larger below the smaller
 METHODS = {
     "hull": ("#0072B2", "o", 7),
+    "bracket": ("#56B4E9", "D", 4.5),
     "support": ("#D55E00", "s", 4.5),
     "poisson": ("#009E73", "^", 4.5),
     "ball-pivoting": ("#CC79A7", "v", 4),
@@ -66,7 +69,10 @@ def measure(slices: Sequence[int], subdivisions: int) -> dict[str, Errors]:
     diagonal = float(np.linalg.norm(mesh.extents))
     found = {}
     for spacing in SPACINGS:
-        plans = [scan3d.Plan(slices=count, spacing=spacing, friction=FRICTION) for count in slices]
+        plans = [
+            scan3d.Plan(slices=count, spacing=spacing, samples=max(64, SAMPLES * count), friction=FRICTION)
+            for count in slices
+        ]
         clouds = [scan3d.reconstruct(scan3d.simulate(mesh, plan)) for plan in plans]
         hausdorff = {method: np.array([error(cloud, method, mesh) for cloud in clouds]) for method in METHODS}
         bound = np.array([bracket(cloud).bound for cloud in clouds]) / diagonal
@@ -96,7 +102,7 @@ def figure(errors: dict[str, Errors]) -> Figure:
         guide(panels[0], errors["uniform"], 1)
         guide(panels[1], errors["cosine"], 2)
         panels[0].set_ylim(low, high)
-        drawn.legend(*panels[-1].get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS) + 1)
+        drawn.legend(*panels[-1].get_legend_handles_labels(), loc="outside upper center", ncols=(len(METHODS) + 2) // 2)
     return drawn
 
 

@@ -215,6 +215,18 @@ def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
     assert scan3d.compare(surface(three), mesh).hausdorff < scan3d.compare(hull(one.points), mesh).hausdorff / 3
 
 
+@pytest.mark.parametrize(
+    ("name", "seed"), [("cube.stl", 1), ("gem.glb", 4), ("cylinder.off", 4), ("rounded_box.glb", 2), ("capsule.stl", 2)]
+)
+def test_bodies_turned_any_way_with_64_adaptive_slices(name, seed):
+    mesh = turned(scan3d.load_mesh(FOLDER / name), seed)
+    cloud = scanned(mesh, slices=64, spacing="adaptive")
+    found = bracket(cloud)
+    made = surface(cloud, found=found)
+    assert scan3d.compare(made, mesh).relative < 5e-4
+    assert certificate(found, made)[0] < 2e-3 * np.linalg.norm(mesh.extents)
+
+
 # --- evidence ---
 
 
