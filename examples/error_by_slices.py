@@ -50,8 +50,8 @@ METHODS = {
     "ball-pivoting": ("#CC79A7", "v", 4),
 }
 BOUND = "0.35"
-# Where the guides for the slope start, over the hull's first error.
-GUIDE = 0.35
+# Where the guides for the slopes start, over the hull's first error.
+GUIDES = {1: 0.35, 2: 0.13}
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def draw_errors(axes: Axes, found: Errors, style: str) -> None:
 def guide(axes: Axes, found: Errors, power: int) -> None:
     """A thin line that falls as n to the minus `power`, well below the hull's error, over the first half of the slices."""
     ends = found.slices[[0, len(found.slices) // 2]].astype(float)
-    line = GUIDE * found.hausdorff["hull"][0] * (ends / ends[0]) ** -power
+    line = GUIDES[power] * found.hausdorff["hull"][0] * (ends / ends[0]) ** -power
     axes.plot(ends, line, ":", color="black", linewidth=1.0)
     label = r"$\propto 1/n$" if power == 1 else rf"$\propto 1/n^{power}$"
     axes.annotate(label, (ends[1], line[1]), (5, -4), textcoords="offset points")
