@@ -16,9 +16,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
-from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -66,9 +65,9 @@ class SmoothContour(Contour):
 
         first, last = np.pi / 2, -np.pi / 2
         if above_tip(first) > 0:
-            first = brentq(above_tip, 0.0, first, xtol=1e-16, rtol=1e-15)
+            first = scipy.optimize.brentq(above_tip, 0.0, first, xtol=1e-16, rtol=1e-15)
         if above_tip(last) > 0:
-            last = brentq(above_tip, last, 0.0, xtol=1e-16, rtol=1e-15)
+            last = scipy.optimize.brentq(above_tip, last, 0.0, xtol=1e-16, rtol=1e-15)
         slope = np.linspace(first, last, 2 + int((first - last) / _WIDEST_PIECE))
         while True:
             chord = np.linalg.norm(np.diff(self.points(slope), axis=0), axis=1)
@@ -89,7 +88,7 @@ class SmoothContour(Contour):
         """Distance (n,) of points (n, 2) to the contour's lower side, slopes from -π/2 to π/2."""
         points = np.asarray(points, dtype=float)
         slope = np.linspace(-np.pi / 2, np.pi / 2, 721)
-        nearest = slope[cKDTree(self.points(slope)).query(points)[1]]
+        nearest = slope[scipy.spatial.cKDTree(self.points(slope)).query(points)[1]]
         low, high = nearest - np.pi / 720, nearest + np.pi / 720
         for _ in range(60):  # the foot point, where the offset is normal to the contour, by bisection
             middle = (low + high) / 2

@@ -25,8 +25,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_ivp
 
 from planar.display import some_rows, table_html
 from planar.elastica import Array, bend, bend_by_half_angle, partial_shape, tangential_q
@@ -334,7 +334,9 @@ def _integrate(alpha: float, f: float, moment: float) -> tuple[float, float, flo
 
     curvature.terminal = True  # type: ignore[attr-defined]
     start = [0.0, 0.0, np.pi / 2, -moment]  # (5)
-    run = solve_ivp(rod, (0.0, _LONGEST), start, method="DOP853", events=curvature, rtol=_RTOL, atol=_ATOL)
+    run = scipy.integrate.solve_ivp(
+        rod, (0.0, _LONGEST), start, method="DOP853", events=curvature, rtol=_RTOL, atol=_ATOL
+    )
     if not len(run.t_events[0]):
         return np.nan, np.nan, np.nan
     return run.t_events[0][0], run.y_events[0][0][0], run.y_events[0][0][1]

@@ -7,11 +7,11 @@ Everything runs over flat arrays: the rows of many sweeps, told apart by their o
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import elementwise
 
 from planar import equilibria
 from planar.contours import Array, Index, Path
@@ -42,6 +42,13 @@ class Segments(NamedTuple):
     """(m, 2) change of x0 with t."""
     q: Array
     """(m, 2) ``m0z / (2 √f)``."""
+
+
+def _find_root(function: Callable[..., Array], bracket: tuple[Array, Array], args: tuple[Any, ...]) -> Any:
+    """Roots of many functions at once, to rounding."""
+    from scipy.optimize import elementwise  # here, for `import planar` to be quick
+
+    return elementwise.find_root(function, bracket, args=args, tolerances=_TO_ROUNDING)
 
 
 def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segments:
@@ -131,7 +138,7 @@ def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask)
         return equilibria.overhang(slope, y, zeta)
 
     low, high = segments.t[rows].T
-    t = elementwise.find_root(overhang, (low, high), args=(piece, zeta), tolerances=_TO_ROUNDING).x
+    t = _find_root(overhang, (low, high), args=(piece, zeta)).x
     slope, x, y = path.at(piece, t)
     lying = equilibria.tangential(slope, x, y, zeta)
     standing = equilibria.tip(slope, x, y, zeta, lying.q)
@@ -160,7 +167,7 @@ def _cut_at_folds(path: Path, segments: Segments) -> Segments:
         # the signs at the ends are known, and must not get lost to rounding
         return np.where(t == low, -1.0, np.where(t == high, 1.0, value))
 
-    found = elementwise.find_root(rate, (low, high), args=(piece, zeta, kind, low, high), tolerances=_TO_ROUNDING)
+    found = _find_root(rate, (low, high), args=(piece, zeta, kind, low, high))
     t = np.where(found.f_x > 0, found.bracket[0], found.x)  # never on the side on which x0 rises
     state = equilibria.of_kind(kind, *path.at(piece, t), zeta)
     return _cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
@@ -251,6 +258,6 @@ def _bracketed(path: Path, piece: Index, kind: Mask, zeta: Array, low: Array, hi
     def excess(t: Array, piece: Index, kind: Mask, zeta: Array, target: Array) -> Array:
         return equilibria.of_kind(kind, *path.at(piece, t), zeta).x0 - target
 
-    found = elementwise.find_root(excess, (low, high), args=(piece, kind, zeta, target), tolerances=_TO_ROUNDING)
+    found = _find_root(excess, (low, high), args=(piece, kind, zeta, target))
     # at an end that is a fold both signs may be lost to rounding: that end is the root
     return np.where(found.status == -1, high, found.x)

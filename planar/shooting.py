@@ -15,9 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_bvp, solve_ivp
-from scipy.optimize import root
 
 from planar.contours import SmoothContour
 from planar.sweeping import Phase
@@ -90,7 +89,9 @@ def integrate(
     shares = np.asarray(shares, dtype=float)
     if not all(np.isfinite(v).all() for v in (f, alpha, s1, start)):
         return np.full((*start.shape, len(shares)), np.nan)  # solve_ivp would never return
-    run = solve_ivp(rods, (0.0, 1.0), start.ravel(), method="DOP853", t_eval=shares, rtol=_RTOL, atol=_ATOL)
+    run = scipy.integrate.solve_ivp(
+        rods, (0.0, 1.0), start.ravel(), method="DOP853", t_eval=shares, rtol=_RTOL, atol=_ATOL
+    )
     if not run.success:
         return np.full((*start.shape, len(shares)), np.nan)
     return np.asarray(run.y).reshape(*start.shape, len(shares))
@@ -127,7 +128,7 @@ def shoot(place: Place, friction: float, x0: float, phase: Phase, start: Shootin
         end = integrate(x0, f, slope + np.arctan(friction), kappa0, s1)[:, 0, 0]
         return _conditions(end, slope, point, tip)
 
-    found = root(miss, guess[[0, 1, 3]] if tip else guess, method="hybr", options=dict(xtol=_XTOL))
+    found = scipy.optimize.root(miss, guess[[0, 1, 3]] if tip else guess, method="hybr", options=dict(xtol=_XTOL))
     return _state(place, friction, x0, phase, _spread(found.x, tip), float(np.abs(found.fun).max()))
 
 
@@ -162,7 +163,7 @@ def solve_by_collocation(
         return np.concatenate([clamp[:3] - [x0, 0.0, np.pi / 2], _conditions(end, slope, point, tip)])
 
     unknowns = guess[[0, 3]] if tip else guess[[0, 2, 3]]
-    found = solve_bvp(rod, conditions, mesh, values, unknowns, tol=tol, max_nodes=_MAX_NODES)
+    found = scipy.integrate.solve_bvp(rod, conditions, mesh, values, unknowns, tol=tol, max_nodes=_MAX_NODES)
     f, s1, parameter = _spread_bvp(found.p, tip)
     missed = float(
         max(np.abs(conditions(found.y[:, 0], found.y[:, -1], found.p)).max(), 0.0 if found.success else np.inf)

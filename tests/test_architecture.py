@@ -117,3 +117,10 @@ def test_a_scan_by_default_does_not_load_open3d():
         "scan3d.compare(scan3d.surface(scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=4)))), mesh)"
     )
     assert "open3d" not in loaded(statement % (ROOT / "meshes" / "cube.stl"))
+
+
+def test_planar_is_imported_without_what_few_of_its_functions_need():
+    """It takes a quarter of a second, most of it numpy's and scipy.special's."""
+    code = "import sys, planar; print([name for name in ('scipy.optimize', 'scipy.integrate', 'scipy.spatial') if name in sys.modules])"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "[]"
