@@ -121,6 +121,7 @@ def test_a_scan_by_default_does_not_load_open3d():
 
 def test_planar_is_imported_without_what_few_of_its_functions_need():
     """It takes a quarter of a second, most of it numpy's and scipy.special's."""
-    code = "import sys, planar; print([name for name in ('scipy.optimize', 'scipy.integrate', 'scipy.spatial') if name in sys.modules])"
+    late = ("scipy.optimize", "scipy.integrate", "scipy.spatial")
+    code = f"import sys, planar; print([name for name in {late} if name in sys.modules])"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "[]"
