@@ -113,7 +113,7 @@ def stacks(cloud: Cloud) -> list[Layers]:
     found = []
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
         mine = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < 1e-8)
-        frame = _frame(cloud.slice_axis[mine[0]])
+        frame = slice_frame(cloud.slice_axis[mine[0]])
         order = mine[np.argsort(cloud.slice_height[mine])]
         layers = [_layer(cloud, frame, number) for number in order]
         filled = [layer for layer in layers if len(layer.rows)]
@@ -127,12 +127,13 @@ def stacks(cloud: Cloud) -> list[Layers]:
     return found
 
 
-def _frame(axis: Array) -> Array:
-    """Rows: axes of a right-handed frame with z along `axis`."""
-    helper = np.eye(3)[[2, 0, 1][int(np.argmax(np.abs(axis)))]]
-    x = np.cross(helper, axis)
+def slice_frame(axis: Array) -> Array:
+    """Rows: x, y and z axes (3, 3) of the slices' frame, z along `axis` (3,); the identity for the z axis."""
+    z = axis / np.linalg.norm(axis)
+    helper = np.eye(3)[[2, 0, 1][int(np.argmax(np.abs(z)))]]
+    x = np.cross(helper, z)
     x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(axis, x), axis])
+    return np.stack([x, np.cross(z, x), z])
 
 
 def _layer(cloud: Cloud, frame: Array, number: int) -> Layer:

@@ -119,15 +119,6 @@ def _check_whole(name: str, value: object, least: int) -> None:
         raise InputError(f"{name} must be a whole number of at least {least}, got {value!r}")
 
 
-def slice_frame(axis: Array) -> Array:
-    """Rows: x, y and z axes (3, 3) of the slices' frame, z along `axis` (3,); the identity for the z axis."""
-    z = axis / np.linalg.norm(axis)
-    helper = np.eye(3)[[2, 0, 1][int(np.argmax(np.abs(z)))]]
-    x = np.cross(helper, z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
-
-
 def heights(low: float, high: float, plan: Plan) -> Array:
     """Heights (slices,) between the ends of the body; cosine spacing puts them at Chebyshev's nodes."""
     share = (np.arange(plan.slices) + 0.5) / plan.slices

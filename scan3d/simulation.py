@@ -17,7 +17,7 @@ from scan3d.bracket import Gap, Slab, outside, slabs
 from scan3d.cloud import contacts
 from scan3d.errors import InputError
 from scan3d.hulls import hull
-from scan3d.layers import stacks
+from scan3d.layers import slice_frame, stacks
 from scan3d.planning import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -164,7 +164,7 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     `progress` is called with the number of slices done and of all.  Raises InputError if the body can't be scanned so.
     """
     plan = plan or Plan()
-    frames = [planning.slice_frame(axis) for axis in plan.axes()]
+    frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(_width(mesh, frame) for frame in frames))
     scans = [_Axis(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scan3d import InputError, Plan
+from scan3d.layers import slice_frame
 from scan3d.planning import (
     AIMED_SLOPE,
     FIRST_SLICES,
@@ -19,7 +20,6 @@ from scan3d.planning import (
     further_directions,
     heights,
     next_heights,
-    slice_frame,
 )
 
 

@@ -17,7 +17,7 @@ import scan3d
 from scan3d import simulation
 from scan3d.cloud import contacts
 from scan3d.hulls import hull
-from scan3d.planning import slice_frame
+from scan3d.layers import slice_frame
 from scan3d.rods import parse_rod
 
 FOLDER = Path(__file__).parents[1] / "meshes"
