@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scan3d.between import shares
+from scan3d.between import middles, shares
 from scan3d.bracket import Bracket, bracket
 from scan3d.cloud import Cloud
 from scan3d.comparison import nearest
@@ -26,8 +26,10 @@ _SUBDIVISIONS = 6
 # A hull whose certified distance is this small, relative to the diagonal, is the body itself: no guess can better it.
 _PROVEN = 5e-5
 # Ways to guess where between its bounds the body is, by what is assumed of kinks: None stays with the hull between slices.
-_KINKS = (None, 0.75, 1.0)
-_GUESSES = {None: "flat between its slices", 0.75: "bent, with some edges", 1.0: "a polyhedron's, with sharp edges"}
+_KINKS = (None, 0.7, 1.0)
+_GUESSES = {None: "flat between its slices", 0.7: "bent, with some edges", 1.0: "a polyhedron's, with sharp edges"}
+# By how much sharp edges have to foretell the slices better than bent ones.
+_SHARPER = 0.9
 # With all slices the error between them is at most half of that with every second one; a fit's stays.
 _GAIN = 0.5
 
@@ -76,7 +78,8 @@ def surface(cloud: Cloud, method: str = "auto", *, found: Bracket | None = None)
             _between(cloud, found, _KINKS[1]), "bracket", "between hull and outer body; too few slices for a trial"
         )
     guesses = {kink: evidence for kink, evidence in trial.items() if kink != "support"}
-    best = min(guesses, key=lambda kink: guesses[kink].rms)
+    # where the trial hardly tells them apart, edges are not sharp: that errs less if it is wrong
+    best = min(guesses, key=lambda kink: guesses[kink].rms / (_SHARPER if kink == 1 else 1))
     assert best is None or isinstance(best, float)
     off = f"slices left out on trial lie within {guesses[best].largest:.2g} {cloud.unit}"
     # the largest error is a noisy contact's
@@ -112,14 +115,17 @@ def _trial(cloud: Cloud, *, with_fit: bool) -> dict[float | str | None, Evidence
 
 
 def _between(cloud: Cloud, found: Bracket, kink: float | None) -> Any:
-    """The hull of the contacts and of points on the way from it to the outer body's corners."""
+    """The hull of the contacts, of points on the way from it to the outer body's corners, and of contours between slices."""
     bounded = np.isfinite(found.corners).all(axis=1) & (found.gap > 0)
     if not bounded.any():
         return found.inner
     _, _, feet = nearest(found.corners[bounded], found.inner)
     away = found.corners[bounded] - feet
     share = shares(found.stack, away, found.slab[bounded], found.flat[bounded], kink)
-    return hull(np.concatenate([cloud.points, feet + share[:, None] * away]))
+    points = [cloud.points, feet + share[:, None] * away]
+    if kink is not None:
+        points.append(middles(found.stack))
+    return hull(np.concatenate(points))
 
 
 def _of_fit(fitted: SupportFit) -> Any:

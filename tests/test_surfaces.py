@@ -1,6 +1,7 @@
 """Surfaces between the bounds, the choice among the methods, and what slices left out say of them."""
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import trimesh
 
 import scan3d
 from scan3d import surfaces
-from scan3d.between import shares
+from scan3d.between import middles, shares
 from scan3d.bracket import bracket, certificate
 from scan3d.comparison import nearest
 from scan3d.evidence import of_fit, of_surface, thinned
@@ -101,6 +102,29 @@ def test_flat_between_slices_stays_with_the_hull_but_in_the_caps():
     stack = stack_of(np.arange(5.0), lambda angle, z: np.full(len(angle), 10.0))
     away, slab = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.5], [0.0, 0.0, -0.5]]), np.array([2, 5, 0])
     assert shares(stack, away, slab, np.zeros((3, 2), dtype=bool), None).tolist() == [0.0, 0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("profile", "heights"),
+    [
+        (lambda z: 10 - z * z, (-3, -2, -1, 0, 1, 2, 3)),
+        (lambda z: 10 - abs(z), (-3, -2, -1, 1, 2, 3)),
+        (lambda z: 10 - max(0.0, z) ** 2, (-3, -2, -1, 0, 1, 2, 3)),
+        (lambda z: 10 - z, (0, 1, 3, 4)),
+    ],
+    ids=["parabola", "cone on cone", "cylinder and paraboloid", "cone"],
+)
+def test_half_way_between_slices_the_contours_are_the_bodys(profile, heights):
+    """Where the guess's assumptions hold, the contours' narrowest radius, at their support lines, is the body's."""
+    stack = stack_of(np.array(heights, dtype=float), lambda angle, z: np.full(len(angle), profile(z)))
+    points = middles(stack)
+    levels, member = np.unique(np.round(points[:, 2], 9), return_inverse=True)
+    assert levels.tolist() == [(below + above) / 2 for below, above in pairwise(heights)]
+    radius = np.hypot(points[:, 0], points[:, 1])
+    for k, z in enumerate(levels):
+        assert radius[member == k].min() == pytest.approx(profile(z), rel=1e-12)
+        # not beyond the corners of 36 support lines
+        assert radius[member == k].max() < profile(z) / np.cos(np.pi / 36)
 
 
 # --- surfaces ---
