@@ -7,7 +7,8 @@ How near to that corner the body comes depends on how the turn of the slope is s
 - where the slopes beyond either end do not change, the body is a polyhedron's, and turns in one kink: it reaches the corner;
 - where they change steadily, it turns all along, as a parabola does, which passes half way below the tangents' apex;
 - between a flat and a curved part it turns in an arc about the apex, as long as the curvature beyond the slab makes it: a
-  parabola from tangent to tangent, a quarter of the turn times its half length below the apex.
+  parabola from tangent to tangent, a quarter of the turn times its half length below the apex.  Where the flat part's slope
+  falls a little towards the slab, the arc has begun before.
 
 This is a guess, by the slices on either side, and where it fails the certificate still holds.
 """
@@ -28,6 +29,8 @@ Index = NDArray[np.intp]
 # In the caps, and where slices lack normals; every guess is drawn towards it by this weight, for half way the error is at
 # most half the gap.
 _UNKNOWN, _DOUBT = 0.5, 0.35
+# In a polyhedron, what corners are nearer where too few slices show its planes.
+_UNSEEN = 0.3
 # Slopes beyond a slab are equal if they differ by less than this share of their difference to the slab's.
 _FLAT = 0.03
 # Evenly sliced, a parabola's height over the chord, in those of the secants' apex.
@@ -45,16 +48,24 @@ def shares(stack: Layers, away: Array, slab: Index, flat: NDArray[np.bool_], kin
     across = away @ stack.frame[:2].T
     angle = np.arctan2(across[:, 1], across[:, 0])
     share = np.full(len(angle), _UNKNOWN)
+    straight: NDArray[np.bool_] = np.asarray(flat.any(axis=1))
     for i in np.unique(slab):
         mine = slab == i
-        share[mine] = _share(stack, int(i), angle[mine])
-    # a polyhedron is straight on either side, though three slices may not show it on both
-    share[flat.any(axis=1) if kink == 1 else flat.all(axis=1)] = kink
+        turn = _turn(stack, int(i), angle[mine])
+        # with slices on one side only, a parabola's share; in the caps nothing is known
+        one_sided = _UNKNOWN if i in (0, len(stack.layers)) else _PARABOLA
+        share[mine] = (1 - _DOUBT) * turn.share(one_sided) + _DOUBT * _UNKNOWN
+        if kink < 1:
+            straight[mine] = turn.straight
+        elif 0 < i < len(stack.layers):
+            # a polyhedron is straight on either side, though three slices may not show it on both, or on any
+            share[mine] += _UNSEEN * (1 - share[mine])
+    share[straight] = kink
     return share
 
 
 def middles(stack: Layers) -> Array:
-    """Points (n, 3) in the world on the contours that the body most likely has half way between its slices.
+    """Points (n, 3) in the world on the contours that the body most likely has a third and two thirds up between its slices.
 
     The outer body's corners are far between where a flat face ends inside a slab; these go all around it.
     """
@@ -63,28 +74,28 @@ def middles(stack: Layers) -> Array:
         below, above = stack.layers[i - 1], stack.layers[i]
         if not (below.closed and above.closed):
             continue
+        before = stack.layers[i - 2] if i > 1 else None
+        after = stack.layers[i + 1] if i + 1 < len(stack.layers) else None
         angle = np.concatenate([below.angle, above.angle])
-        chord = (below.support(angle) + above.support(angle)) / 2
-        most = np.concatenate(
-            [
-                _beyond(below, stack.layers[i - 2] if i > 1 else None, above),
-                _beyond(above, stack.layers[i + 1] if i + 1 < len(stack.layers) else None, below),
-            ]
-        )
-        height = np.minimum(chord + _turn(stack, i, angle).above_chord(), most)
-        contour = _contour(angle, height, (below.outline.mean(axis=0) + above.outline.mean(axis=0)) / 2)
-        level = np.full((len(contour), 1), (below.height + above.height) / 2)
-        found.append(np.hstack([contour, level]) @ stack.frame)
+        turn = _turn(stack, i, angle)
+        support = np.stack([layer.support(angle) for layer in (below, above)])
+        middle = np.stack([layer.outline.mean(axis=0) for layer in (below, above)])
+        for up in (1 / 3, 2 / 3):
+            mix = np.array([1 - up, up])
+            level = below.height + up * (above.height - below.height)
+            most = np.concatenate([_beyond(below, before, level), _beyond(above, after, level)])
+            contour = _contour(angle, np.minimum(mix @ support + turn.above_chord(up), most), mix @ middle)
+            found.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
     return np.concatenate(found)
 
 
-def _beyond(layer: Layer, behind: Layer | None, ahead: Layer) -> Array:
-    """Upper bound (a,) of the support function half way to the layer ahead, at the layer's angles; inf if none is behind."""
+def _beyond(layer: Layer, behind: Layer | None, level: float) -> Array:
+    """Upper bound (a,) of the support function beyond a layer, at its angles; inf if no layer is behind it."""
     if behind is None:
         return np.full(len(layer.angle), np.inf)
     normals = np.stack([np.cos(layer.angle), np.sin(layer.angle)], axis=1)
     secant = (layer.value - behind.least(normals)) / (layer.height - behind.height)
-    return layer.value + secant * (ahead.height - layer.height) / 2
+    return layer.value + secant * (level - layer.height)
 
 
 def _contour(angle: Array, height: Array, inside: Array) -> Array:
@@ -101,14 +112,6 @@ def _contour(angle: Array, height: Array, inside: Array) -> Array:
     return np.concatenate([touched, (2 * corners + touched + np.roll(touched, 1, axis=0)) / 4])
 
 
-def _share(stack: Layers, i: int, angle: Array) -> Array:
-    """Shares (n,) in the slab below layer i, at angles (n,)."""
-    # with slices on one side only, a parabola's share; in the caps nothing is known
-    one_sided = _UNKNOWN if i in (0, len(stack.layers)) else _PARABOLA
-    share = _turn(stack, i, angle).share()
-    return (1 - _DOUBT) * np.where(np.isfinite(share), np.clip(share, 0.0, 1.0), one_sided) + _DOUBT * _UNKNOWN
-
-
 @dataclass(frozen=True)
 class _Turn:
     """How the slope of the support function turns in a slab, at angles (n,); NaN where there are too few slices."""
@@ -119,28 +122,28 @@ class _Turn:
     """Slope at the lower end, less that of the chord."""
     fall: Array
     """Slope of the chord, less that at the upper end."""
-    certain_rise: Array
-    """The same of the secants next to the slab: never less."""
-    certain_fall: Array
+    most: Array
+    """Height above the chord of the certain secants' apex, in steps."""
     arc: Array
     """Half the length of the arc about the tangents' apex, in steps."""
+    straight: NDArray[np.bool_]
+    """Whether the body goes on straight beyond either end."""
 
-    def share(self) -> Array:
-        """Height above the chord at the tangents' apex, in that of the secants' apex."""
+    def share(self, unknown: float) -> Array:
+        """Height above the chord at the tangents' apex, in that of the secants' apex, or `unknown`."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            most = self.certain_rise * self.certain_fall / (self.certain_rise + self.certain_fall)
             turn = self.rise + self.fall
-            return (self.rise * self.fall / turn - turn * self.arc / 4) / most
+            found = (self.rise * self.fall / turn - turn * self.arc / 4) / self.most
+        return np.where(np.isfinite(found), np.clip(found, 0.0, 1.0), unknown)
 
-    def above_chord(self) -> Array:
-        """Height above the chord half way up; where it is known from one side only, that of a parabola."""
+    def above_chord(self, up: float) -> Array:
+        """Height above the chord at a share of the way up; where it is known from one side only, that of a parabola."""
         rise, fall = np.fmax(self.rise, 0.0), np.fmax(self.fall, 0.0)
         rise, fall = np.where(np.isnan(self.rise), fall, rise), np.where(np.isnan(self.fall), rise, fall)
-        turn = rise + fall
+        turn, arc = rise + fall, np.where(np.isnan(self.arc), 0.5, self.arc)
         with np.errstate(divide="ignore", invalid="ignore"):
-            arc = np.where(np.isnan(self.arc), 0.5, self.arc)
-            overlap = np.maximum(arc - np.abs(0.5 - fall / turn), 0.0)
-            height = np.minimum(rise, fall) / 2 - np.where(overlap > 0, turn * overlap**2 / (4 * arc), 0.0)
+            inside = np.maximum(arc - np.abs(up - fall / turn), 0.0)
+            height = np.minimum(up * rise, (1 - up) * fall) - np.where(inside > 0, turn * inside**2 / (4 * arc), 0.0)
         return self.step * np.fmax(height, 0.0)
 
 
@@ -156,28 +159,44 @@ def _turn(stack: Layers, i: int, angle: Array) -> _Turn:
     z, h = zip(*(layer(j) for j in range(i - 3, i + 3)), strict=True)
     step = np.diff(np.array(z))
     secant = [(above - below) / width for below, above, width in zip(h[:-1], h[1:], step, strict=True)]
-    certain_rise, certain_fall = secant[1] - secant[2], secant[2] - secant[3]
+    below = _End(secant[0] - secant[2], secant[1] - secant[2], step[1], step[2])
+    above = _End(secant[2] - secant[4], secant[2] - secant[3], step[3], step[2])
+    bend = np.fmax(below.bend(), above.bend())
+    rise, fall = below.turn(bend), above.turn(bend)
     with np.errstate(divide="ignore", invalid="ignore"):
-        left, left_flat = _slope(secant[0], secant[1], secant[2], step[1], step[2])
-        right, right_flat = _slope(secant[4], secant[3], secant[2], step[3], step[2])
-        rise, fall = left - secant[2], secant[2] - right
-        bend = np.fmax(
-            np.where(left_flat, 0.0, certain_rise / (step[1] + step[2])),
-            np.where(right_flat, 0.0, certain_fall / (step[2] + step[3])),
-        )
         # the arc fits in on both sides of the apex, and is no longer than so much bending makes the turn
         fits = np.minimum(rise, fall) / (rise + fall)
-        turned = np.minimum(1.0, 4 * bend * fits * step[2] / (rise + fall))
-    return _Turn(float(step[2]), rise, fall, certain_rise, certain_fall, turned * fits)
+        arc = fits * np.minimum(1.0, 2 * bend * fits * step[2] / (rise + fall))
+        most = below.near * above.near / (below.near + above.near)
+    return _Turn(float(step[2]), rise, fall, most, arc, below.flat & above.flat)
 
 
-def _slope(
-    far: Array, near: Array, middle: Array, near_step: float, middle_step: float
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Slope (n,) at the slice between two slabs, and whether the body is flat beyond it.
+@dataclass(frozen=True)
+class _End:
+    """One end of a slab: how far the slopes of the two secants beyond it are from that of the slab's chord, at angles (n,)."""
 
-    It is the neighbour's where that does not change further out, else the parabola's through three slices.
-    """
-    flat = np.abs(far - near) <= _FLAT * np.abs(near - middle)
-    parabola = (near * middle_step + middle * near_step) / (near_step + middle_step)
-    return np.where(flat, near, parabola), flat
+    far: Array
+    near: Array
+    near_step: float
+    step: float
+    """The slab's thickness."""
+
+    @property
+    def flat(self) -> NDArray[np.bool_]:
+        return np.abs(self.far - self.near) <= _FLAT * np.abs(self.near)
+
+    def bend(self) -> Array:
+        """The slope's change with height around the end, 0 if it is flat."""
+        return np.where(self.flat, 0.0, 2 * self.near / (self.near_step + self.step))
+
+    def turn(self, bend: Array) -> Array:
+        """How far the slope at the end itself is from the chord's: that of the parabola through three slices, if not flat.
+
+        From a flat part on, the slope changes as beyond the other end, by `bend` with height: from where that makes the near
+        secant of the far one, but by no more than from the middle of the slab on.
+        """
+        parabola = self.near * self.step / (self.near_step + self.step)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            begun = np.minimum(np.sqrt(2 * np.abs(self.far - self.near) * self.near_step / bend), self.near_step)
+        flat = np.minimum(self.near, np.maximum(self.far - bend * begun, bend * self.step / 2))
+        return np.where(self.flat, np.where(bend > 0, flat, self.near), parabola)

@@ -57,7 +57,7 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Tr
     follows may rely on exact convexity. (`trimesh` gives zero normals to triangles below 1e-13 square units: bring a
     body of that size to unit size before asking for them.)
 
-    `metadata` gets `file` (name), `sha256`, `file_faces`, `dent` (deepest dent in the file's units, from above),
+    `metadata` gets `file` (name), `path`, `sha256`, `file_faces`, `dent` (deepest dent in the file's units, from above),
     `dent_relative` (to the diagonal of the bounding box) and `hull`.
 
     hull: take the convex hull even of a body that is dented or open.
@@ -103,6 +103,7 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Tr
     body = trimesh.Trimesh(vertices=vertices[used], faces=facets.reshape(-1, 3), process=False)
     body.metadata.update(
         file=path.name,
+        path=str(path.resolve()),
         sha256=hashlib.sha256(data).hexdigest(),
         file_faces=len(faces),
         dent=dent * diagonal,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -255,6 +256,10 @@ def _results(
     with clock("pictures"):
         files += _pictures(place, scene, say)
     data = report(timings_s=clock.seconds, files=[*files, "report.json"])
+    if body is not None:
+        # so that `show` finds it again
+        with suppress(ValueError):  # on another drive
+            data["mesh"]["path"] = os.path.relpath(body.metadata["path"], place.resolve())
     write_whole(place / "report.json", to_json(data))
     return data
 

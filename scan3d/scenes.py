@@ -111,11 +111,12 @@ def of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
 
 
 def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
-    """The mesh file that a report names, if it lies beside the folder, here, or in a folder here, unchanged."""
+    """The mesh file that a report names, if it is where it was, beside the folder, here, or in a folder here, unchanged."""
     named = report.get("mesh") or {}
     name, digest = Path(str(named.get("file"))).name, named.get("sha256")
     places = (folder, folder.resolve().parent, Path(), *sorted(one for one in Path().iterdir() if one.is_dir()))
-    for path in (place / name for place in places):
+    was = [folder / str(named["path"])] if named.get("path") else []
+    for path in (*was, *(place / name for place in places)):
         if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == digest:
             return str(path)
     return None

@@ -75,12 +75,12 @@ def share_at(profile, heights, z, flat, kink=1.0):
 
 def test_a_parabola_runs_a_quarter_of_the_way():
     """Evenly sliced: chord's height c d²/8, secants' apex 4 times that; the guess is drawn towards the middle by its doubt."""
-    found = share_at(lambda z: 10 - z * z, [-3, -2, -1, 0, 1, 2, 3], 0.5, (False, False))
+    found = share_at(lambda z: 10 - z * z, [-3, -2, -1, 0, 1, 2, 3], 0.5, (False, False), kink=0.75)
     assert found == pytest.approx(0.65 * 0.25 + 0.35 * 0.5)
 
 
 def test_a_cone_on_a_cone_reaches_the_corner():
-    kinked = [-2, -1, 1, 2], 0.0, (True, True)
+    kinked = [-3, -2, -1, 1, 2, 3], 0.0, (True, True)
     assert share_at(lambda z: 10 - abs(z), *kinked) == 1.0
     assert share_at(lambda z: 10 - abs(z), *kinked, kink=0.75) == 0.75
 
@@ -114,17 +114,35 @@ def test_flat_between_slices_stays_with_the_hull_but_in_the_caps():
     ],
     ids=["parabola", "cone on cone", "cylinder and paraboloid", "cone"],
 )
-def test_half_way_between_slices_the_contours_are_the_bodys(profile, heights):
+def test_between_slices_the_contours_are_the_bodys(profile, heights):
     """Where the guess's assumptions hold, the contours' narrowest radius, at their support lines, is the body's."""
     stack = stack_of(np.array(heights, dtype=float), lambda angle, z: np.full(len(angle), profile(z)))
     points = middles(stack)
     levels, member = np.unique(np.round(points[:, 2], 9), return_inverse=True)
-    assert levels.tolist() == [(below + above) / 2 for below, above in pairwise(heights)]
+    assert levels == pytest.approx([z + up * (after - z) for z, after in pairwise(heights) for up in (1 / 3, 2 / 3)])
     radius = np.hypot(points[:, 0], points[:, 1])
     for k, z in enumerate(levels):
-        assert radius[member == k].min() == pytest.approx(profile(z), rel=1e-12)
+        assert radius[member == k].min() == pytest.approx(profile(z), rel=1e-9)
         # not beyond the corners of 36 support lines
         assert radius[member == k].max() < profile(z) / np.cos(np.pi / 36)
+
+
+def test_an_arc_that_begins_in_the_flat_part_is_followed_back():
+    """A fifth of a step before the slice, which the slope of the slab there hardly shows."""
+
+    def profile(z):
+        return 10 - max(0.0, z + 0.2) ** 2
+
+    points = middles(stack_of(np.arange(-3.0, 4.0), lambda angle, z: np.full(len(angle), profile(z))))
+    for z in (1 / 3, 2 / 3):
+        here = points[np.abs(points[:, 2] - z) < 1e-9]
+        assert np.hypot(here[:, 0], here[:, 1]).min() == pytest.approx(profile(z), rel=1e-12)
+
+
+def test_the_vertices_of_a_polyhedron_lie_beyond_what_bends():
+    """Where too few slices show the planes, a polyhedron's guess goes further out than that of a bent body."""
+    bent, sharp = (share_at(lambda z: 10 - z * z, range(-3, 4), 0.5, (False, False), kink) for kink in (0.75, 1.0))
+    assert sharp == pytest.approx(bent + 0.3 * (1 - bent))
 
 
 # --- surfaces ---

@@ -136,6 +136,25 @@ def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_
     assert scenes.find_truth(tmp_path / "elsewhere", {}) is None
 
 
+def test_the_truth_is_found_where_it_was(tmp_path, monkeypatch, capsys):
+    """However far it lies from where the results are, and from where `show` is called."""
+    (tmp_path / "parts" / "old").mkdir(parents=True)
+    mesh = tmp_path / "parts" / "old" / "egg.stl"
+    mesh.write_bytes(EGG.read_bytes())
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    assert (
+        main(["scan", "../parts/old/egg.stl", "--out", "deep/out", "--slices", "4", "--samples", "8", "--quiet"]) == 0
+    )
+    report = scenes.read_report(Path("deep/out"))
+    assert report["mesh"]["path"] == os.path.join("..", "..", "..", "parts", "old", "egg.stl")
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "work" / "deep" / "out"
+    assert Path(scenes.find_truth(folder, report)).samefile(mesh)
+    mesh.unlink()
+    assert scenes.find_truth(folder, report) is None
+
+
 def test_what_was_felt_in_a_sentence(egg):
     lying = int(np.flatnonzero(egg.column("phase") == planar.Phase.TANGENTIAL)[0])
     said = scenes.sentence(egg, lying)
