@@ -28,7 +28,7 @@ Index = NDArray[np.intp]
 
 # In the caps, and where slices lack normals; every guess is drawn towards it by this weight, for half way the error is at
 # most half the gap.
-_UNKNOWN, _DOUBT = 0.5, 0.35
+_UNKNOWN, _DOUBT = 0.5, 0.6
 # In a polyhedron, what corners are nearer where too few slices show its planes.
 _UNSEEN = 0.3
 # Slopes beyond a slab are equal if they differ by less than this share of their difference to the slab's.
@@ -99,7 +99,7 @@ def _beyond(layer: Layer, behind: Layer | None, level: float) -> Array:
 
 
 def _contour(angle: Array, height: Array, inside: Array) -> Array:
-    """Points (n, 2) on the contour about the point `inside` (2,) whose support lines at angles (k,) have heights (k,)."""
+    """Points (n, 2) where support lines at angles (k,), of heights (k,), touch the contour about the point `inside` (2,)."""
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     room = height - normals @ inside
     if not (room > 0).all():
@@ -107,9 +107,8 @@ def _contour(angle: Array, height: Array, inside: Array) -> Array:
     edges = ConvexHull(normals / room[:, None]).equations
     corners = inside - edges[:, :2] / edges[:, 2:]
     corners = corners[np.argsort(np.arctan2(*(corners - inside).T))]
-    touched = (corners + np.roll(corners, -1, axis=0)) / 2
-    # between two support lines it may be round or have their corner
-    return np.concatenate([touched, (2 * corners + touched + np.roll(touched, 1, axis=0)) / 4])
+    # the middles of its sides: a corner of two support lines may be none of the body's
+    return (corners + np.roll(corners, -1, axis=0)) / 2
 
 
 @dataclass(frozen=True)
