@@ -14,7 +14,7 @@ from typing import Any
 
 # Packages a scan needs, and what others are good for.
 NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
-OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces"}
+OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces", "imageio-ffmpeg": "movies as .mp4"}
 # Endings that a recording may have, in this version or another.
 _RECORDINGS = (".csv", ".parquet")
 _TIMEOUT_S = 300

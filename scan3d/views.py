@@ -221,7 +221,8 @@ def _surface(scene: Scene, view: str, color: str) -> Any:
 def _compare(scene: Scene, view: str, color: str) -> Any:
     if scene.truth is None:
         raise InputError(
-            f"the true body of {scene.name} is not at hand, where the view compare shows it; give --truth MESH"
+            f"the true body of {scene.name} is not at hand, where the view compare shows it; "
+            "give --truth MESH (in Python truth=)"
         )
     mesh, shaded = shade_surface(scene)
     figure = sheet(tall(Stage(scene.corners), 0.40) + 0.3)

@@ -12,6 +12,16 @@ from scan3d import doctor, views
 from scan3d.cli import main
 
 
+def installed(name):
+    """Versions as they are, and imageio-ffmpeg, which no test needs, as if it were there."""
+    return "0.6.0" if name.startswith("imageio-ffmpeg") else version(name)
+
+
+@pytest.fixture(autouse=True)
+def with_ffmpeg(monkeypatch):
+    monkeypatch.setattr(doctor, "version", installed)
+
+
 @pytest.fixture
 def well(monkeypatch):
     """Nothing wrong, and no waiting for child processes."""
@@ -60,9 +70,18 @@ def without(monkeypatch, *names):
     def look(name):
         if name in names:
             raise PackageNotFoundError(name)
-        return version(name)
+        return installed(name)
 
     monkeypatch.setattr(doctor, "version", look)
+
+
+def test_without_ffmpeg_there_are_no_mp4(well, monkeypatch):
+    without(monkeypatch, "imageio-ffmpeg", "imageio-ffmpeg-cpu")
+    found = doctor.examine()
+    assert found["ok"]
+    (missing,) = found["missing"]
+    assert (missing["what"], missing["for"]) == ("imageio-ffmpeg", "movies as .mp4")
+    assert re.search(r"-m pip install 'imageio-ffmpeg>=0\.\d+'$", missing["command"])
 
 
 def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):
