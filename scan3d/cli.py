@@ -181,7 +181,12 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("--screenshot", metavar="FILE", help="a picture, .png or .pdf, instead of a window")
     show.add_argument("--html", metavar="FILE", help="a page that turns in any browser, without network")
     show.add_argument("--movie", metavar="FILE", help="a .gif, or an .mp4 (needs imageio-ffmpeg)")
-    show.add_argument("--view", choices=_VIEWS, metavar="VIEW", help=f"what the picture shows: {', '.join(_VIEWS)}")
+    show.add_argument(
+        "--view",
+        choices=_VIEWS,
+        metavar="VIEW",
+        help=f"what the picture shows: {', '.join(_VIEWS)} (default surface, with --color cloud)",
+    )
     show.add_argument(
         "--color",
         choices=_COLORS,
@@ -327,6 +332,10 @@ def _show(arguments: argparse.Namespace) -> int:
         arguments.misuse("--view says what a picture shows: give --screenshot FILE as well")
     if arguments.color and not arguments.screenshot and (arguments.html or arguments.movie):
         arguments.misuse("--color is for a picture or the window: give --screenshot FILE as well")
+    if arguments.color and arguments.view not in (None, "cloud"):
+        arguments.misuse(
+            f"--color is that of the contacts in the view cloud: leave it out with --view {arguments.view}"
+        )
     if arguments.movie_of and not arguments.movie:
         arguments.misuse("--movie-of says what a movie shows: give --movie FILE as well")
     done = commands.show(arguments.path, print, **chosen)

@@ -102,7 +102,7 @@ def show(
     hull: bool = False,
     unit: str = "mm",
     view: str | None = None,
-    color: str = "force",
+    color: str | None = None,
     movie_of: str = "sweep",
     screenshot: str | None = None,
     html: str | None = None,
@@ -132,10 +132,12 @@ def show(
         files.append(movie)
     if screenshot:
         with whole(screenshot) as file:
-            views.picture(scene, file, view or ("cloud" if scene.surface is None else "surface"), color)
+            views.picture(
+                scene, file, view or ("cloud" if color or scene.surface is None else "surface"), color or "force"
+            )
         files.append(screenshot)
     if not files:
-        windows.open_window(scene, tell, color)
+        windows.open_window(scene, tell, color or "force")
     return {"shown": scene.name, "files": files}
 
 

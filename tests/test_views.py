@@ -125,7 +125,7 @@ def test_key_figures_are_the_reports(folder):
 def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     report = scenes.read_report(folder)
-    assert scenes.find_truth(folder, report) == str(folder.parent / "egg.stl")
+    assert Path(scenes.find_truth(folder, report)).samefile(folder.parent / "egg.stl")
     (tmp_path / "parts").mkdir()
     (tmp_path / "elsewhere").mkdir()
     assert scenes.find_truth(tmp_path / "elsewhere", report) is None
@@ -551,6 +551,10 @@ def test_the_page_of_a_folder_is_that_of_its_scan(folder, tmp_path):
             ("--color", "phase", "--movie", "x.gif"),
             "--color is for a picture or the window: give --screenshot FILE as well",
         ),
+        (
+            ("--color", "phase", "--view", "bound", "--screenshot", "x.png"),
+            "--color is that of the contacts in the view cloud: leave it out with --view bound",
+        ),
         (("--movie-of", "growth", "--html", "x.html"), "--movie-of says what a movie shows: give --movie FILE as well"),
     ],
 )
@@ -561,6 +565,18 @@ def test_options_that_would_change_nothing(folder, tmp_path, monkeypatch, capsys
     assert leaving.value.code == 2
     assert capsys.readouterr() == ("", f"scan3d: {sentence}; see 'scan3d show --help'\n")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize(("options", "same_as"), [(("--color", "phase"), "cloud"), ((), "surface")])
+def test_a_colour_shows_the_contacts(folder, tmp_path, options, same_as):
+    """Without a view: the contacts if their colour is named, else the surface."""
+    found = tmp_path / "found.png"
+    assert main(["show", str(folder), "--screenshot", str(found), "--quiet", *options]) == 0
+    wanted = tmp_path / "wanted.png"
+    scene = commands._scene(folder, None, False, "mm")
+    views.picture(scene, wanted, same_as, "phase")
+    assert found.read_bytes() == wanted.read_bytes()
 
 
 @pytest.mark.parametrize("hidden", ["libraries", "display"])
