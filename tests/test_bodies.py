@@ -101,6 +101,7 @@ def test_formats_agree(tmp_path, kind, upper):
     assert {tuple(v) for v in body.vertices} == {tuple(v) for v in hull.vertices}
     assert body.metadata == {
         "file": name,
+        "path": str(path.resolve()),
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "file_faces": len(hull.faces),
         "dent": pytest.approx(0, abs=1e-15),
