@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.layers import Layer, Layers
 
@@ -64,7 +64,7 @@ def shares(stack: Layers, away: Array, slab: Index, flat: NDArray[np.bool_], kin
     return share
 
 
-def middles(stack: Layers) -> Array:
+def contours_between(stack: Layers) -> Array:
     """Points (n, 3) in the world on the contours that the body most likely has a third and two thirds up between its slices.
 
     The outer body's corners are far between where a flat face ends inside a slab; these go all around it.
@@ -104,10 +104,13 @@ def _contour(angle: Array, height: Array, inside: Array) -> Array:
     room = height - normals @ inside
     if not (room > 0).all():
         return np.empty((0, 2))
-    edges = ConvexHull(normals / room[:, None]).equations
+    try:
+        edges = ConvexHull(normals / room[:, None]).equations
+    except QhullError:  # too thin for Qhull, and then the slices say enough
+        return np.empty((0, 2))
     corners = inside - edges[:, :2] / edges[:, 2:]
     corners = corners[np.argsort(np.arctan2(*(corners - inside).T))]
-    # the middles of its sides: a corner of two support lines may be none of the body's
+    # the contours_between of its sides: a corner of two support lines may be none of the body's
     return (corners + np.roll(corners, -1, axis=0)) / 2
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scan3d.between import middles, shares
+from scan3d.between import contours_between, shares
 from scan3d.bracket import Bracket, bracket
 from scan3d.cloud import Cloud
 from scan3d.comparison import nearest
@@ -124,7 +124,7 @@ def _between(cloud: Cloud, found: Bracket, kink: float | None) -> Any:
     share = shares(found.stack, away, found.slab[bounded], found.flat[bounded], kink)
     points = [cloud.points, feet + share[:, None] * away]
     if kink is not None:
-        points.append(middles(found.stack))
+        points.append(contours_between(found.stack))
     return hull(np.concatenate(points))
 
 

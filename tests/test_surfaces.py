@@ -10,7 +10,7 @@ import trimesh
 
 import scan3d
 from scan3d import surfaces
-from scan3d.between import middles, shares
+from scan3d.between import _contour, contours_between, shares
 from scan3d.bracket import bracket, certificate
 from scan3d.comparison import nearest
 from scan3d.evidence import of_fit, of_surface, thinned
@@ -117,7 +117,7 @@ def test_flat_between_slices_stays_with_the_hull_but_in_the_caps():
 def test_between_slices_the_contours_are_the_bodys(profile, heights):
     """Where the guess's assumptions hold, the contours' narrowest radius, at their support lines, is the body's."""
     stack = stack_of(np.array(heights, dtype=float), lambda angle, z: np.full(len(angle), profile(z)))
-    points = middles(stack)
+    points = contours_between(stack)
     levels, member = np.unique(np.round(points[:, 2], 9), return_inverse=True)
     assert levels == pytest.approx([z + up * (after - z) for z, after in pairwise(heights) for up in (1 / 3, 2 / 3)])
     radius = np.hypot(points[:, 0], points[:, 1])
@@ -133,10 +133,18 @@ def test_an_arc_that_begins_in_the_flat_part_is_followed_back():
     def profile(z):
         return 10 - max(0.0, z + 0.2) ** 2
 
-    points = middles(stack_of(np.arange(-3.0, 4.0), lambda angle, z: np.full(len(angle), profile(z))))
+    points = contours_between(stack_of(np.arange(-3.0, 4.0), lambda angle, z: np.full(len(angle), profile(z))))
     for z in (1 / 3, 2 / 3):
         here = points[np.abs(points[:, 2] - z) < 1e-9]
         assert np.hypot(here[:, 0], here[:, 1]).min() == pytest.approx(profile(z), rel=1e-12)
+
+
+def test_contours_that_are_none_are_left_out():
+    angle = np.arange(4) * np.pi / 2
+    assert _contour(angle, np.ones(4), np.zeros(2)).shape == (4, 2)
+    # the point is outside; and what Qhull can't take
+    assert _contour(angle, -np.ones(4), np.zeros(2)).shape == (0, 2)
+    assert _contour(np.zeros(4), np.ones(4), np.zeros(2)).shape == (0, 2)
 
 
 def test_the_vertices_of_a_polyhedron_lie_beyond_what_bends():
