@@ -19,34 +19,35 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan3d.bodies import load_mesh
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison, compare
-    from scan3d.display import plot
     from scan3d.errors import InputError
+    from scan3d.files.recordings import read_recording, write_recording
+    from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
     from scan3d.reconstruction import reconstruct
-    from scan3d.recording import Recording, read_recording, write_recording
+    from scan3d.recording import Recording
     from scan3d.rods import Rod
-    from scan3d.simulation import simulate
-    from scan3d.surfaces import surface
+    from scan3d.simulation.bodies import load_mesh
+    from scan3d.simulation.scan import simulate
+    from scan3d.surfaces.choice import surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
     "Cloud": "cloud",
     "Comparison": "comparison",
     "InputError": "errors",
-    "Plan": "planning",
+    "Plan": "planning.plan",
     "Recording": "recording",
     "Rod": "rods",
     "compare": "comparison",
-    "load_mesh": "bodies",
-    "plot": "display",
-    "read_recording": "recording",
-    "reconstruct": "reconstruction",
-    "simulate": "simulation",
-    "surface": "surfaces",
-    "write_recording": "recording",
+    "load_mesh": "simulation.bodies",
+    "plot": "pictures.notebook",
+    "read_recording": "files.recordings",
+    "reconstruct": "reconstruction.normals",
+    "simulate": "simulation.scan",
+    "surface": "surfaces.choice",
+    "write_recording": "files.recordings",
 }
 
 __all__ = [

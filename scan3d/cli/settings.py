@@ -1,0 +1,126 @@
+"""Settings of the commands: defaults, a TOML file over them, the command line over both."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scan3d.choices import METHODS
+from scan3d.errors import InputError
+from scan3d.rods import parse_rod
+
+if TYPE_CHECKING:
+    from scan3d.planning.plan import Plan
+
+_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All that `scan3d scan` can be told, as it stands in a TOML file."""
+
+    slices: int = 64
+    spacing: str = "cosine"
+    axis: str = "z"
+    sweeps: str = "auto"
+    samples: int = 64
+    friction: str = "0.3"
+    rod: str = "auto"
+    clearance: float = 0.3
+    standoff: str = "follow"
+    tolerance: float = 0.0
+    noise: float = 0.0
+    seed: int = 0
+    unit: str = "mm"
+    method: str = "auto"
+    hull: bool = False
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
+
+    def plan(self) -> Plan:
+        """The plan they describe.  Raises InputError naming the setting that doesn't make sense."""
+        # imported here so that `scan3d --help`, which needs only the defaults, does without numpy
+        from scan3d.planning.plan import Plan
+
+        return Plan(
+            slices=self.slices,
+            spacing=self.spacing,
+            axis=_axis(self.axis),
+            sweeps=None if self.sweeps == "auto" else _whole("sweeps", self.sweeps),
+            samples=self.samples,
+            friction=_friction(self.friction),
+            clearance=self.clearance,
+            standoff=self.standoff,
+            tolerance=self.tolerance,
+            rod=parse_rod(self.rod),
+            noise=self.noise,
+            seed=self.seed,
+            unit=self.unit,
+        )
+
+
+def settings(given: Mapping[str, Any], config: str | Path | None = None) -> Settings:
+    """Defaults, then the file's settings, then those given."""
+    merged: Settings = Settings()
+    for source, values in ((config, {} if config is None else _read(config)), ("the command line", given)):
+        known = {field.name: type(field.default) for field in fields(Settings)}
+        unknown = sorted(set(values) - set(known))
+        if unknown:
+            raise InputError(f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}")
+        merged = replace(merged, **{name: _typed(str(source), name, values[name], known[name]) for name in values})
+    return merged
+
+
+def _read(path: str | Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"can't read the settings {path}: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path} is not a TOML file of settings: {error}") from None
+
+
+def _typed(source: str, name: str, value: Any, wanted: type) -> Any:
+    """A file's value in the type of the setting; lists are written as on the command line."""
+    if wanted is str and isinstance(value, list):
+        value = (":" if name == "friction" else ",").join(str(item) for item in value)
+    if wanted is str and isinstance(value, (int, float)) and not isinstance(value, bool):
+        value = str(value)
+    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not wanted:
+        raise InputError(f"{source}: {name} must be {_KINDS[wanted]}, got {value!r}")
+    return value
+
+
+def _friction(text: str) -> float | tuple[float, float]:
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) == 1:
+        return numbers[0]
+    if len(numbers) == 2:
+        return numbers[0], numbers[1]
+    raise InputError(f"friction must be a number, such as 0.3, or a range LOW:HIGH, such as 0.0:0.4; got {text!r}")
+
+
+def _axis(text: str) -> str | tuple[float, ...]:
+    if "," not in text:
+        return text
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"axis must be x, y, z or three numbers, such as 1,1,0; got {text!r}") from None
+
+
+def _whole(name: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"{name} must be 'auto' or a whole number, got {text!r}") from None

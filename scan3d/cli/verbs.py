@@ -1,0 +1,305 @@
+"""What each command does: from parsed arguments to an exit code.
+
+Numerical libraries are imported inside the functions, so that ``scan3d --help`` and ``scan3d doctor`` do without them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from scan3d.cli.settings import Settings, settings
+from scan3d.cli.terminal import is_terminal, table
+from scan3d.errors import InputError
+
+
+def scan(arguments: Namespace) -> int:
+    """Simulate, reconstruct, surface, compare: everything, into a folder."""
+    from scan3d import workflow
+    from scan3d.files.whole import folder
+    from scan3d.simulation.bodies import load_mesh
+    from scan3d.simulation.scan import simulate as simulate_scan
+
+    chosen = _settings(arguments)
+    if arguments.print_config:
+        return _print_config(chosen)
+    plan = chosen.plan()
+    start = time.perf_counter()
+    body = load_mesh(arguments.mesh, hull=chosen.hull)
+    loaded = time.perf_counter()
+    with folder(arguments.out) as place:
+        recording = _with_origin(simulate_scan(body, plan, _progress(arguments)), body)
+        seconds = {"load": loaded - start, "simulate": time.perf_counter() - loaded}
+        analysis = workflow.analyse(recording, body, chosen.method)
+        data = workflow.write(
+            analysis,
+            place,
+            settings=dataclasses.asdict(chosen),
+            with_recording=True,
+            seconds=seconds,
+            notify=_say,
+        )
+    return _print_report(arguments, data)
+
+
+def simulate(arguments: Namespace) -> int:
+    """Step 1 alone: a recording."""
+    import numpy as np
+
+    from scan3d.files.recordings import check_path, write_recording
+    from scan3d.files.whole import folder
+    from scan3d.simulation.bodies import load_mesh
+    from scan3d.simulation.scan import simulate as simulate_scan
+
+    chosen = _settings(arguments)
+    if arguments.print_config:
+        return _print_config(chosen)
+    _keep_config(arguments)
+    check_path(arguments.out)
+    plan = chosen.plan()
+    body = load_mesh(arguments.mesh, hull=chosen.hull)
+    with folder(Path(arguments.out).parent):
+        recording = simulate_scan(body, plan, _progress(arguments))
+        write_recording(_with_origin(recording, body), arguments.out)
+    data = {
+        "recording": str(arguments.out),
+        "samples": len(recording),
+        "sweeps": len(np.unique(recording.sweep)),
+    }
+    text = f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}"
+    return _print(arguments, data, text)
+
+
+def reconstruct(arguments: Namespace) -> int:
+    """Step 2 from a recording, with a comparison if the truth is given."""
+    from scan3d import workflow
+    from scan3d.files.recordings import read_recording
+    from scan3d.files.whole import folder
+    from scan3d.simulation.bodies import load_mesh
+
+    chosen = settings({"hull": arguments.hull, "method": arguments.method})
+    start = time.perf_counter()
+    recording = read_recording(arguments.recording)
+    body = load_mesh(arguments.truth, hull=chosen.hull) if arguments.truth else None
+    seconds = {"load": time.perf_counter() - start}
+    # the other settings are those of a simulation
+    used = {"method": chosen.method, "hull": chosen.hull}
+    with folder(arguments.out) as place:
+        analysis = workflow.analyse(recording, body, chosen.method)
+        data = workflow.write(analysis, place, settings=used, with_recording=False, seconds=seconds, notify=_say)
+    return _print_report(arguments, data)
+
+
+def compare(arguments: Namespace) -> int:
+    """Hausdorff distance and its companions of two mesh files, convex or not."""
+    from scan3d.comparison import compare as compare_meshes
+    from scan3d.report import comparison_summary
+    from scan3d.simulation.bodies import read_mesh
+
+    comparison = compare_meshes(read_mesh(arguments.first), read_mesh(arguments.second))
+    text = _table(*comparison_summary(comparison, arguments.unit))
+    return _print(arguments, dataclasses.asdict(comparison), text)
+
+
+def show(arguments: Namespace) -> int:
+    """Show a scan's folder, a recording, a cloud or a mesh: in the files that are named, or else in a window."""
+    _check_show(arguments)
+    from scan3d.files.whole import whole, write_whole
+    from scan3d.pictures import movie, page, views, window
+
+    screenshot, html, film = arguments.screenshot, arguments.html, arguments.movie
+    if not (screenshot or html or film) and not window.can_open():
+        raise InputError(window.NO_DISPLAY)
+    # before the work
+    if screenshot:
+        views.check_path(screenshot)
+    if film:
+        movie.check_path(film)
+    scene = _scene(Path(arguments.path), arguments.truth, arguments.hull, arguments.unit)
+    files = []
+    if html:
+        write_whole(html, page.page(scene))
+        files.append(html)
+    if film:
+        with whole(film) as file:
+            movie.movie(scene, file, arguments.movie_of or "sweep")
+        files.append(film)
+    if screenshot:
+        default = "cloud" if arguments.color or scene.surface is None else "surface"
+        with whole(screenshot) as file:
+            views.picture(scene, file, arguments.view or default, arguments.color or "force")
+        files.append(screenshot)
+    if not files:
+        window.open_window(scene, print, arguments.color or "force")
+        return 0
+    text = "\n".join(f"written to {file}" for file in files)
+    return _print(arguments, {"shown": scene.name, "files": files}, text)
+
+
+def _check_show(arguments: Namespace) -> None:
+    """Exit with a usage error for options that would change nothing."""
+    if arguments.view and not arguments.screenshot:
+        arguments.misuse("--view says what a picture shows: give --screenshot FILE as well")
+    if arguments.color and not arguments.screenshot and (arguments.html or arguments.movie):
+        arguments.misuse("--color is for a picture or the window: give --screenshot FILE as well")
+    if arguments.color and arguments.view not in (None, "cloud"):
+        arguments.misuse(
+            f"--color is that of the contacts in the view cloud: leave it out with --view {arguments.view}"
+        )
+    if arguments.movie_of and not arguments.movie:
+        arguments.misuse("--movie-of says what a movie shows: give --movie FILE as well")
+
+
+def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
+    """What a path shows, with the true body if it is named or found."""
+    from scan3d.pictures import stored
+    from scan3d.pictures.scene import Scene
+    from scan3d.simulation.bodies import load_mesh, read_mesh
+
+    if not path.exists():
+        raise InputError(
+            f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
+        )
+    if path.is_dir():
+        report = stored.read_report(path)
+        scene = stored.of_folder(path, report, unit)
+        truth = truth or stored.find_truth(path, report)
+        hull = hull or bool((report.get("settings") or {}).get("hull"))
+    elif path.suffix.lower() == ".csv":
+        scene = _recording_scene(path)
+    else:
+        stored_scene = stored.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
+        scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path))
+    return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull)) if truth else scene
+
+
+def _recording_scene(path: Path) -> Any:
+    """A recording's contacts, and their surface where they span a body."""
+    from scan3d import workflow
+    from scan3d.files.recordings import read_recording
+    from scan3d.pictures.scene import of_cloud
+    from scan3d.reconstruction import reconstruct as reconstruct_recording
+
+    recording = read_recording(path)
+    try:
+        scene = workflow.to_scene(workflow.analyse(recording))
+    except InputError:  # contacts in one plane do not span a body, and are still worth a look
+        return of_cloud(reconstruct_recording(recording), name=path.stem, recording=recording)
+    return dataclasses.replace(scene, name=path.stem)
+
+
+def export(arguments: Namespace) -> int:
+    """Cloud or surface in another format."""
+    from scan3d.files.exports import export as export_shape
+
+    done = export_shape(arguments.source, arguments.to, arguments.what)
+    cloud, surface = f"{done['points']} contacts", f"a surface of {done['points']} vertices and {done['faces']} faces"
+    shape = cloud if done["what"] == "cloud" else surface
+    return _print(arguments, done, f"{shape} in {done['unit']}, written to {done['file']}")
+
+
+def doctor(arguments: Namespace) -> int:
+    """What works on this machine, and what is missing."""
+    import json
+
+    from scan3d.cli.doctor import examine, summary
+
+    state = examine()
+    # without `files.text`, which needs numpy: that may be what is missing
+    if arguments.json:
+        print(json.dumps(state, indent=2))
+    elif not arguments.quiet:
+        print(_table("", summary(state)))
+    return 0 if state["ok"] else 1
+
+
+def completion(arguments: Namespace) -> int:
+    """A completion script for a shell."""
+    from scan3d.cli.completion import script
+    from scan3d.cli.parser import VALUES, parser
+
+    print(script(parser(), arguments.shell, VALUES), end="")
+    return 0
+
+
+VERBS: dict[str, Callable[[Namespace], int]] = {
+    "scan": scan,
+    "simulate": simulate,
+    "reconstruct": reconstruct,
+    "compare": compare,
+    "show": show,
+    "export": export,
+    "doctor": doctor,
+    "completion": completion,
+}
+
+
+def _settings(arguments: Namespace) -> Settings:
+    names = {field.name for field in dataclasses.fields(Settings)}
+    given = {name: value for name, value in vars(arguments).items() if name in names}
+    return settings(given, arguments.config)
+
+
+def _with_origin(recording: Any, body: Any) -> Any:
+    """The recording with the mesh that it was made from in its source."""
+    origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
+    return dataclasses.replace(recording, source={**recording.source, **origin})
+
+
+def _keep_config(arguments: Namespace) -> None:
+    """Raises InputError if the recording's own TOML file would overwrite that of the settings."""
+    from scan3d.files.recordings import sidecar
+
+    beside = sidecar(arguments.out)
+    if arguments.config is not None and beside.resolve() == Path(arguments.config).resolve():
+        raise InputError(f"{beside.name} holds the settings, and the recording's rod goes there; choose another --out")
+
+
+def _print_config(chosen: Settings) -> int:
+    from scan3d.files.text import to_toml
+
+    chosen.plan()  # a file with settings that do not make sense is of no use
+    print(to_toml(dataclasses.asdict(chosen)), end="")
+    return 0
+
+
+def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
+    from scan3d.report import summary
+
+    heading, rows = summary(data)
+    return _print(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))
+
+
+def _print(arguments: Namespace, data: Any, text: str) -> int:
+    from scan3d.files.text import to_json
+
+    if arguments.json:
+        print(to_json(data).decode(), end="")
+    elif not arguments.quiet:
+        print(text)
+    return 0
+
+
+def _table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
+    return table(heading, list(rows), sys.stdout)
+
+
+def _say(sentence: str) -> None:
+    print(f"scan3d: {sentence}", file=sys.stderr)
+
+
+def _progress(arguments: Namespace) -> Callable[[int, int], None]:
+    """A line on stderr that counts the slices and vanishes; nothing where stderr is not a terminal."""
+    if arguments.quiet or not is_terminal(sys.stderr):
+        return lambda *_: None
+
+    def show_progress(done: int, of: int) -> None:
+        end = f"\r{'':40}\r" if done >= of else ""
+        print(f"\rsimulate {done}/{of} slices{end}", end="", file=sys.stderr, flush=True)
+
+    return show_progress

@@ -1,0 +1,1 @@
+"""Files that are read and written: recordings, clouds, surfaces, settings and exports."""

@@ -1,0 +1,298 @@
+"""Clouds and surfaces in the formats of other programs, by file ending.
+
+Points keep their coordinates: the world's, in the recording's unit.  The one exception is GLB, which is in metres by its
+specification.  Normals and scalars go along wherever a format has a place for them; unit and frame are said in the file
+where it allows a remark.  docs/formats.md says which program reads what.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array
+from scan3d.errors import InputError
+from scan3d.files.ply import ply, read_ply
+from scan3d.files.whole import folder, whole
+from scan3d.units import UNITS_M
+
+CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv")
+SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
+# In the order of preference, where a file could hold both.
+_ENDINGS = {"surface": SURFACE_ENDINGS, "cloud": CLOUD_ENDINGS}
+WHAT = tuple(_ENDINGS)
+
+_FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
+_POINT, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+# Scalars that have a unit: lengths are in the file's.
+_LENGTHS, _FORCES = ("quality", "bound"), ("force",)
+_STL_HEADER = 80
+_STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A cloud or a surface as it stands in a PLY written by scan3d."""
+
+    rows: NDArray[Any]
+    """(n,) structured: x, y, z, nx, ny, nz, then scalars."""
+    faces: NDArray[np.int32] | None
+    """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
+    unit: str
+
+    @property
+    def what(self) -> str:
+        return "cloud" if self.faces is None else "surface"
+
+    @property
+    def points(self) -> Array:
+        """(n, 3)"""
+        return np.stack([self.rows[name] for name in _POINT], axis=1).astype(np.float64)
+
+    @property
+    def normals(self) -> NDArray[np.float32]:
+        """(n, 3), NaN where unknown."""
+        return np.stack([self.rows[name] for name in _NORMAL], axis=1)
+
+    @property
+    def scalars(self) -> dict[str, NDArray[Any]]:
+        """(n,) each, by name."""
+        names = self.rows.dtype.names or ()
+        return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in _POINT + _NORMAL}
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a file should say about its numbers."""
+        return f"scan3d {self.what}", f"unit {self.unit}", f"frame {_FRAME}"
+
+
+def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[str, Any]:
+    """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
+
+    The ending of `to` says which; where it could hold both (.ply, .vtp) `what` decides, 'cloud' or 'surface' (the default,
+    unless `source` is a cloud itself).  Returns what was written.  Raises InputError for endings and sources that are
+    unknown or don't go together, and for normals that are missing where the format needs them.
+    """
+    source, to = Path(source), Path(to)
+    ending = to.suffix.lower()
+    able = _able(ending, what)
+    shape = _read(source, able[0])
+    if shape.what not in able:
+        raise InputError(
+            f"{source.name} holds a {shape.what}, where a {able[0]} is wanted; a {shape.what} goes to "
+            f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
+        )
+    with folder(to.parent, option="--to"), whole(to, option="--to") as file:
+        if ending == ".vtp":
+            _write_vtp(shape, file)
+        else:
+            file.write_bytes(_WRITERS[ending](shape))
+    faces = 0 if shape.faces is None else len(shape.faces)
+    unit = "m" if ending == ".glb" else shape.unit
+    return {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
+
+
+def _able(ending: str, what: str | None) -> list[str]:
+    """What may go to files of this ending, what is preferred first."""
+    if what not in (None, *WHAT):
+        raise InputError(f"what to export must be one of {', '.join(WHAT)}, got {what!r}")
+    able = [kind for kind, endings in _ENDINGS.items() if ending in endings]
+    if not able:
+        raise InputError(
+            f"can't export to files ending in {ending or 'nothing'!r}: a cloud goes to {_listed(CLOUD_ENDINGS)}, "
+            f"a surface to {_listed(SURFACE_ENDINGS)}"
+        )
+    if what is None:
+        return able
+    if what not in able:
+        raise InputError(f"{ending} holds no {what}: a {what} goes to {_listed(_ENDINGS[what])}")
+    return [what]
+
+
+def _read(source: Path, wanted: str) -> Shape:
+    """The wanted part of a scan's folder, or whatever a single file holds."""
+    if not source.exists():
+        raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
+    if source.is_dir():
+        if not (source / f"{wanted}.ply").is_file():
+            raise InputError(
+                f"there is no {wanted}.ply in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
+            )
+        source = source / f"{wanted}.ply"
+    return read_shape(source)
+
+
+def read_shape(path: str | Path) -> Shape:
+    """Read a cloud or a surface from a PLY written by scan3d.  Raises InputError if it isn't one."""
+    rows, faces, comments = read_ply(path)
+    missing = [name for name in _POINT + _NORMAL if name not in (rows.dtype.names or ())]
+    if missing:
+        raise InputError(f"{Path(path).name} is no PLY written by scan3d: its vertices lack {', '.join(missing)}")
+    units = [words[1] for words in (line.split() for line in comments) if words[:1] == ["unit"] and len(words) == 2]
+    if len(units) != 1 or units[0] not in UNITS_M:
+        raise InputError(
+            f"{Path(path).name} is no PLY written by scan3d: expected a comment such as 'unit mm', "
+            f"with one of {', '.join(UNITS_M)}"
+        )
+    return Shape(rows, faces, units[0])
+
+
+def _ply(shape: Shape) -> bytes:
+    return ply(shape.rows, shape.faces, shape.remarks)
+
+
+def _pcd(shape: Shape) -> bytes:
+    """The point cloud library's format, in the fields of its PointNormal; all in float32, as its readers expect."""
+    names = shape.rows.dtype.names or ()
+    fields = [f"normal_{name[1:]}" if name in _NORMAL else name for name in names]
+    count = len(fields)
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        *(f"# {line}" for line in shape.remarks),
+        "VERSION 0.7",
+        f"FIELDS {' '.join(fields)}",
+        f"SIZE {' '.join(['4'] * count)}",
+        f"TYPE {' '.join(['F'] * count)}",
+        f"COUNT {' '.join(['1'] * count)}",
+        f"WIDTH {len(shape.rows)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(shape.rows)}",
+        "DATA binary",
+        "",
+    ]
+    body = np.stack(_columns(shape, names), axis=1).astype("<f4")
+    return "\n".join(header).encode() + body.tobytes()
+
+
+def _xyz(shape: Shape) -> bytes:
+    return _lines(_columns(shape, _POINT), " ")
+
+
+def _xyzn(shape: Shape) -> bytes:
+    _need_normals(shape, ".xyzn", "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which may hold none")
+    return _lines(_columns(shape, _POINT + _NORMAL), " ")
+
+
+def _csv(shape: Shape) -> bytes:
+    names = shape.rows.dtype.names or ()
+    units = dict.fromkeys(_POINT + _LENGTHS, f"_{shape.unit}") | dict.fromkeys(_FORCES, "_N")
+    header = ",".join(name + units.get(name, "") for name in names)
+    return f"{header}\n".encode() + _lines(_columns(shape, names), ",")
+
+
+def _stl(shape: Shape) -> bytes:
+    """Binary STL, float32; its only place for a remark are the 80 bytes before the triangles."""
+    assert shape.faces is not None
+    corners = shape.points[shape.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    rows = np.zeros(len(corners), _STL_ROW)
+    # a triangle without area has no normal, which STL writes as zeros
+    rows["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
+    rows["corners"] = corners
+    header = f"scan3d surface, unit {shape.unit}, frame world, outward".encode().ljust(_STL_HEADER)
+    return header + np.uint32(len(rows)).astype("<u4").tobytes() + rows.tobytes()
+
+
+def _obj(shape: Shape) -> bytes:
+    assert shape.faces is not None
+    _need_normals(shape, ".obj", "choose .stl or .ply")
+    remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
+    corners = (map(str, column) for column in (shape.faces + 1).T)
+    faces = (f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in zip(*corners, strict=True))
+    return b"".join(
+        [
+            remarks,
+            _lines(_columns(shape, _POINT), " ", "v "),
+            _lines(_columns(shape, _NORMAL), " ", "vn "),
+            "".join(faces).encode(),
+        ]
+    )
+
+
+def _glb(shape: Shape) -> bytes:
+    """Binary glTF, in metres by its specification, float32; the axes stay, so that z needn't be glTF's y, which is up."""
+    from trimesh import Scene, Trimesh
+    from trimesh.exchange.gltf import export_glb
+
+    _need_normals(shape, ".glb", "choose .stl or .ply")
+    scale = UNITS_M[shape.unit]
+    # glTF has neither NaN nor infinity: a scalar that isn't known everywhere stays out
+    known = {name: column.astype(np.float32) for name, column in shape.scalars.items() if np.isfinite(column).all()}
+    mesh = Trimesh(
+        shape.points * scale,
+        shape.faces,
+        vertex_normals=shape.normals,
+        vertex_attributes={
+            f"_{name.upper()}": column * (scale if name in _LENGTHS else 1) for name, column in known.items()
+        },
+        process=False,
+    )
+    extras = {
+        "unit": "m",
+        "unit_of_recording": shape.unit,
+        "metres_per_unit_of_recording": scale,
+        "frame": f"{_FRAME}; axes not turned to glTF's y up",
+    }
+
+    def say(tree: dict[str, Any]) -> None:
+        tree["asset"]["extras"] = extras
+
+    return bytes(export_glb(Scene({"surface": mesh}), include_normals=True, tree_postprocessor=say))
+
+
+def _write_vtp(shape: Shape, file: Path) -> None:
+    """VTK's XML of polygons: every column in its own precision, unit and frame as field data."""
+    import pyvista
+
+    if shape.faces is None:
+        data = pyvista.PolyData(shape.points)
+    else:
+        data = pyvista.PolyData.from_regular_faces(shape.points, shape.faces)
+    data.point_data["Normals"] = shape.normals
+    data.point_data.active_normals_name = "Normals"
+    for name, column in shape.scalars.items():
+        data.point_data[name] = column
+    data.set_active_scalars(None)
+    data.field_data["unit"] = [shape.unit]
+    data.field_data["frame"] = [_FRAME]
+    data.save(file)
+
+
+_WRITERS = {
+    ".ply": _ply,
+    ".pcd": _pcd,
+    ".xyz": _xyz,
+    ".xyzn": _xyzn,
+    ".csv": _csv,
+    ".stl": _stl,
+    ".obj": _obj,
+    ".glb": _glb,
+}
+
+
+def _columns(shape: Shape, names: Iterable[str]) -> list[NDArray[Any]]:
+    return [shape.rows[name] for name in names]
+
+
+def _lines(columns: list[NDArray[Any]], separator: str, start: str = "") -> bytes:
+    """Text of columns (n,), numbers as short as gives the same bits back."""
+    rows = zip(*(map(str, column) for column in columns), strict=True)
+    return "".join(f"{start}{separator.join(row)}\n" for row in rows).encode()
+
+
+def _need_normals(shape: Shape, ending: str, instead: str) -> None:
+    normals = shape.normals
+    missing = int((~(np.linalg.norm(normals, axis=1) > 0)).sum())
+    if missing:
+        raise InputError(f"{missing} of {len(normals)} points have no normal, which {ending} can't say; {instead}")
+
+
+def _listed(endings: tuple[str, ...]) -> str:
+    return f"{', '.join(endings[:-1])} or {endings[-1]}"

@@ -1,0 +1,169 @@
+"""Recordings on disk: a CSV with the columns `COLUMNS`, and beside it a TOML file of the same name.
+
+The TOML file holds the rod, the noise and where the data came from.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array
+from scan3d.errors import InputError
+from scan3d.files.text import to_toml
+from scan3d.files.whole import write_together
+from scan3d.recording import Recording
+from scan3d.rods import Rod
+from scan3d.units import UNITS_M
+
+COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm")
+# Numbers of sweeps stay below, so that they fit 32 bits.
+_MOST_SWEEPS = 2**31
+
+
+def sidecar(path: str | Path) -> Path:
+    """The TOML file beside a recording's table."""
+    return Path(path).with_suffix(".toml")
+
+
+def check_path(path: str | Path) -> None:
+    """Raises InputError unless a recording can bear the name."""
+    if Path(path).suffix != ".csv":
+        raise InputError(f"a recording is written as .csv, got {Path(path).name!r}")
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write the table and the TOML beside it; numbers in full, so that reading gives the same bits."""
+    path = Path(path)
+    check_path(path)
+    values = [recording.position_m, recording.quaternion, recording.force_N, recording.moment_Nm[:, None]]
+    lines = [",".join(COLUMNS)]
+    table = np.concatenate(values, axis=1).tolist()
+    lines += [
+        f"{sweep}," + ",".join(map(repr, row)) for sweep, row in zip(recording.sweep.tolist(), table, strict=True)
+    ]
+    meta = {
+        "schema": 1,
+        "unit": recording.unit,
+        "rod": {"length_m": recording.rod.length_m, "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2},
+        "noise": {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm},
+        "source": dict(recording.source),
+    }
+    # both or none: a table beside another table's rod would be read without a murmur
+    write_together({sidecar(path): to_toml(meta).encode(errors="replace"), path: ("\n".join(lines) + "\n").encode()})
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording's table and the TOML beside it.  Raises InputError naming the file and what is wrong in it."""
+    path = Path(path)
+    table = _read_table(path)
+    meta = _read_sidecar(path)
+    rod, noise, source = (_section(path, meta, name) for name in ("rod", "noise", "source"))
+    unit = meta.get("unit", "mm")
+    if not isinstance(unit, str):
+        raise InputError(f"{sidecar(path).name}: unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    try:
+        return Recording(
+            sweep=_whole(table["sweep"]),
+            position_m=np.stack([table[name] for name in ("x_m", "y_m", "z_m")], axis=1),
+            quaternion=np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
+            force_N=np.stack([table["fx_N"], table["fy_N"]], axis=1),
+            moment_Nm=table["mz_Nm"],
+            rod=_rod(rod),
+            noise_force_N=_number(noise, "force_N", 0.0),
+            noise_moment_Nm=_number(noise, "moment_Nm", 0.0),
+            unit=unit,
+            source=source,
+        )
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
+
+
+def _read_table(path: Path) -> dict[str, Array]:
+    """The columns (n,) that a recording needs, by name; others may hold what they like."""
+    try:
+        # spreadsheets put a byte order mark before the header
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = list(enumerate(csv.reader(file), start=1))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"can't read the recording {path}: {getattr(error, 'strerror', None) or error}") from None
+    header = [name.strip() for name in lines[0][1]] if lines else []
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise InputError(
+            f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
+            f"(scan3d simulate writes such a table)"
+        )
+    twice = [name for name in COLUMNS if header.count(name) > 1]
+    if twice:
+        raise InputError(f"{path.name}: its header has {', '.join(twice)} more than once; keep one column of each name")
+    body = [(number, line) for number, line in lines[1:] if line]
+    for number, line in body:
+        if len(line) != len(header):
+            raise InputError(
+                f"{path.name}: line {number} has {len(line)} values, expected {len(header)}; is it cut off?"
+            )
+    return {name: _numbers(path, name, header.index(name), body) for name in COLUMNS}
+
+
+def _numbers(path: Path, name: str, column: int, body: list[tuple[int, list[str]]]) -> Array:
+    try:
+        return np.array([float(line[column]) for _, line in body])
+    except ValueError:
+        number, text = next((number, line[column]) for number, line in body if not _is_number(line[column]))
+        raise InputError(f"{path.name}: line {number} has {text!r} for {name}, where a number is expected") from None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_sidecar(path: Path) -> dict[str, Any]:
+    beside = sidecar(path)
+    try:
+        return tomllib.loads(beside.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise InputError(
+            f"{path.name} needs {beside.name} beside it, with the rod's length_m and bending_stiffness_Nm2"
+        ) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"can't read {beside}: {getattr(error, 'strerror', None) or error}") from None
+
+
+def _section(path: Path, meta: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = meta.get(name, {})
+    if not isinstance(section, Mapping):
+        raise InputError(f"{sidecar(path).name}: {name} must be a section [{name}], got {section!r}")
+    return section
+
+
+def _rod(meta: Mapping[str, Any]) -> Rod:
+    if "length_m" in meta and "bending_stiffness_Nm2" in meta:
+        return Rod(_number(meta, "length_m"), _number(meta, "bending_stiffness_Nm2"))
+    if all(name in meta for name in ("length_m", "diameter_m", "modulus_Pa")):
+        return Rod.wire(_number(meta, "length_m"), _number(meta, "diameter_m"), _number(meta, "modulus_Pa"))
+    raise InputError("[rod] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
+
+
+def _number(section: Mapping[str, Any], name: str, default: float = float("nan")) -> float:
+    value = section.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{name} must be a number, got {value!r}")
+    return float(value)
+
+
+def _whole(values: Array) -> NDArray[np.int64]:
+    bad = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= _MOST_SWEEPS)
+    if bad.any():
+        raise InputError(f"the column sweep must hold whole numbers, got {values[np.argmax(bad)]}")
+    return values.astype(np.int64)

@@ -1,0 +1,45 @@
+"""The columns of ``cloud.ply`` and ``surface.ply``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array
+from scan3d.cloud import Cloud
+
+
+def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
+    """Contacts as a structured array, as `files.ply` writes them; `quality` (n,) is their distance to the true mesh."""
+    columns: dict[str, NDArray[np.generic]] = {
+        **dict(zip("xyz", cloud.points.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), cloud.normals.astype(np.float32).T, strict=True)),
+        "quality": np.full(len(cloud), np.nan) if quality is None else quality,
+        "phase": cloud.phase.astype(np.uint8),
+        "slice": cloud.slice,
+        "sweep": cloud.sweep,
+        "row": cloud.row,
+        "force": cloud.force_N,
+        "friction": cloud.friction.astype(np.float32),
+        "normal_source": cloud.normal_source.astype(np.uint8),
+    }
+    rows = np.empty(len(cloud), dtype=[(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+def surface_table(surface: Any, bound: Array) -> np.ndarray[Any, np.dtype[np.void]]:
+    """Vertices with their normals and the certified local bound (v,) as a structured array, as `files.ply` writes them."""
+    names = [(name, "f8") for name in "xyz"] + [(f"n{name}", "f4") for name in "xyz"] + [("bound", "f4")]
+    rows = np.empty(len(surface.vertices), dtype=names)
+    for columns, values in (
+        ("x y z", surface.vertices),
+        ("nx ny nz", surface.vertex_normals),
+        ("bound", bound[:, None]),
+    ):
+        for column, value in zip(columns.split(), np.asarray(values).T, strict=True):
+            rows[column] = value
+    return rows

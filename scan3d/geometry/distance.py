@@ -1,0 +1,137 @@
+"""Nearest points of triangle meshes, and the distances to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d.arrays import Array, Index
+from scan3d.errors import InputError
+from scan3d.geometry.triangles import areas, distance_to, dot, least, longest_first, offset_from
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
+    """Distance (p,) of points (p, 3) to a convex mesh, negative inside, the face (p,) and the point (p, 3) nearest to them.
+
+    Raises InputError as `compare`.
+    """
+    box = bounding_box(mesh, "mesh")
+    centre, scale = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
+    vertices, faces = welded(mesh, centre, scale)
+    points = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre) / scale
+    corners = vertices[faces]
+    face, foot = locator(corners)(points)
+    # a point lies on the far side of its foot from the middle exactly if it is outside
+    outside = dot(points - foot, vertices.mean(axis=0) - foot) < 0
+    offset = offset_from(points, corners[face])
+    distance = np.where(outside, 1.0, -1.0) * np.linalg.norm(offset, axis=1)
+    return distance * scale, face, (points - offset) * scale + centre
+
+
+def distances(points: Array, mesh: trimesh.Trimesh) -> Array:
+    """Distance (p,) of points (p, 3) to a mesh's surface, never negative."""
+    return np.abs(nearest(points, mesh)[0])
+
+
+def signed_distances(points: Array, mesh: trimesh.Trimesh) -> Array:
+    """Distance (p,) of points (p, 3) to a convex mesh, negative inside."""
+    return nearest(points, mesh)[0]
+
+
+def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
+    """Bounding box (2, 3) of a mesh's faces.  Raises InputError if they can't be compared."""
+    if len(mesh.faces) == 0:
+        raise InputError(
+            f"the {name} should have at least one triangle, but it has {len(mesh.vertices)} vertices and no faces; "
+            "check that its file holds triangles, or build a surface from its points first"
+        )
+    used = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
+    bad = int((~np.isfinite(used).all(axis=1)).sum())
+    if bad:
+        raise InputError(
+            f"the {name} should have finite coordinates, but {bad} of its {len(used)} vertices are NaN or infinite; "
+            "repair or export it again"
+        )
+    box = np.array([used.min(axis=0), used.max(axis=0)])
+    if not (box[1] > box[0]).any():
+        raise InputError(
+            f"the {name} should have an extent, but all its {len(used)} vertices are at {box[0].tolist()}; "
+            "check its file and its scale"
+        )
+    return box
+
+
+def welded(mesh: trimesh.Trimesh, centre: Array, scale: float) -> tuple[Array, Index]:
+    """A mesh's vertices (n, 3), brought to the common size and each there once, and faces (m, 3), longest edge first."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    scaled = (np.asarray(mesh.vertices, dtype=np.float64)[used] - centre) / scale
+    vertices, welded = np.unique(scaled, axis=0, return_inverse=True)
+    faces = welded.ravel()[faces.reshape(-1, 3)]
+    faces = np.take_along_axis(faces, longest_first(vertices[faces]), axis=1)
+    return vertices, faces
+
+
+class Search:
+    """Nearest of triangles (m, 3, 3), longest edge first."""
+
+    def __init__(self, corners: Array) -> None:
+        middles = corners.mean(axis=1)
+        self._corners = corners
+        self._radius = float(np.linalg.norm(corners - middles[:, None], axis=2).max())
+        self._tree = cKDTree(middles, balanced_tree=False)  # balancing is slow where many share a coordinate
+        self._locate = locator(corners)
+
+    def near(self, points: Array) -> tuple[Array, Index, Array]:
+        """Distance (p,) of points (p, 3) to a triangle near by, which, and a lower bound of that to the nearest."""
+        to_middle, face = self._tree.query(points, k=[1, 2, 3, 4][: self._tree.n], workers=-1)
+        return *least(distance_to(points[:, None], self._corners[face]), face), to_middle[:, 0] - self._radius
+
+    def nearest(self, points: Array) -> tuple[Array, Index]:
+        """Distance (p,) of points (p, 3) to the nearest triangle, to rounding, and which; slower."""
+        face, _ = self._locate(points)
+        return distance_to(points, self._corners[face]), face
+
+
+def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
+    """A function from points (p, 3) to the nearest of some triangles, longest edge first, and the nearest points (p, 3)."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonCore import reference, vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkGenericCell, vtkPolyData, vtkStaticCellLocator
+
+    def cells(corners: Index) -> Any:
+        array, starts = vtkCellArray(), np.arange(len(corners) + 1) * corners.shape[1]
+        array.SetData(numpy_to_vtkIdTypeArray(starts, deep=True), numpy_to_vtkIdTypeArray(corners.ravel(), deep=True))
+        return array
+
+    # VTK passes over triangles without area: they go in as their longest edge.  It counts lines before triangles.
+    length = np.linalg.norm(triangles[:, 1] - triangles[:, 0], axis=1)
+    flat = 2 * areas(triangles) <= 1e-14 * length**2
+    order = np.argsort(~flat, kind="stable")
+    index = np.arange(3 * len(triangles)).reshape(-1, 3)
+    points, data, locator = vtkPoints(), vtkPolyData(), vtkStaticCellLocator()
+    points.SetDataTypeToDouble()
+    points.SetData(numpy_to_vtk(triangles.reshape(-1, 3), deep=True))
+    data.SetPoints(points)
+    data.SetLines(cells(index[flat, :2]))
+    data.SetPolys(cells(index[~flat]))
+    locator.SetDataSet(data)
+    locator.BuildLocator()
+
+    def nearest(queries: Array) -> tuple[Index, Array]:
+        found, feet = np.empty(len(queries), dtype=np.int64), np.empty((len(queries), 3))
+        closest, cell = [0.0] * 3, vtkGenericCell()
+        at: Any = reference(0)
+        part: Any = reference(0)
+        squared: Any = reference(0.0)
+        for i, query in enumerate(queries.tolist()):
+            locator.FindClosestPoint(query, closest, cell, at, part, squared)
+            found[i], feet[i] = at, closest
+        return order[found], feet
+
+    return nearest

@@ -1,0 +1,111 @@
+"""Plane sections of convex meshes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
+
+from scan3d.arrays import Array, Index
+
+if TYPE_CHECKING:
+    import trimesh
+
+_ROUNDING = 8 * np.finfo(np.float64).eps  # of a rotated coordinate, relative to its size
+
+
+def slice_frame(axis: Array) -> Array:
+    """Rows: x, y and z axes (3, 3) of the slices' frame, z along `axis` (3,); the identity for the z axis."""
+    z = axis / np.linalg.norm(axis)
+    helper = np.eye(3)[[2, 0, 1][int(np.argmax(np.abs(z)))]]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def extent_along(mesh: trimesh.Trimesh, axis: ArrayLike) -> tuple[float, float]:
+    """Lowest and highest coordinate of the mesh along an axis (3,) of any length, in the units of the mesh.
+
+    Raises ValueError if the axis has no direction.
+    """
+    axis = np.asarray(axis, np.float64)
+    length = np.linalg.norm(axis)
+    if axis.shape != (3,) or not (0 < length < np.inf):
+        raise ValueError(f"axis must be three finite numbers, not all 0, but it is {axis.tolist()}")
+    heights = mesh.vertices.view(np.ndarray) @ (axis / length)
+    return float(heights.min()), float(heights.max())
+
+
+def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLike) -> list[Array]:
+    """Exact cross sections of a convex mesh, in the units of the mesh.
+
+    rotation: (3, 3), its rows are the slice frame's x, y and z axes in the world; the frame's origin is the world's.
+    heights: (n,) of the slices, along the frame's z axis, in any order.
+
+    Returns n convex polygons (m, 2), counter-clockwise in the frame's x and y, without duplicate or collinear vertices;
+    (0, 2) where the plane misses the body or touches it in a point or an edge only. A plane that holds a face of the
+    body, within rounding, gives that face. Vertices are exact to rounding of the body's size and place.
+
+    Raises ValueError unless the rotation's rows are orthonormal and the heights are (n,).
+    """
+    rotation, heights = np.asarray(rotation, np.float64), np.asarray(heights, np.float64)
+    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9):
+        raise ValueError(f"rotation must be (3, 3) with orthonormal rows, but it is {rotation.tolist()}")
+    if heights.ndim != 1:
+        raise ValueError(f"heights must be (n,), but their shape is {heights.shape}")
+
+    center = mesh.bounds.mean(axis=0)
+    origin = rotation @ center
+    points = (mesh.vertices.view(np.ndarray) - center) @ rotation.T  # about the centre, where float64 is finest
+    rounding = _ROUNDING * float(np.linalg.norm(mesh.extents) + np.linalg.norm(center))
+    order = np.argsort(heights)
+    levels = heights[order] - origin[2]
+
+    # A vertex within rounding of the plane lies on it; an edge crosses it where its ends lie strictly on either side.
+    z = points[:, 2]
+    on, on_level = _pairs(np.searchsorted(levels, z - rounding), np.searchsorted(levels, z + rounding, side="right"))
+    edges = mesh.edges_unique
+    low, high = np.where(z[edges[:, 0]] <= z[edges[:, 1]], edges.T, edges.T[::-1])
+    crossed, crossed_level = _pairs(
+        np.searchsorted(levels, z[low] + rounding, side="right"), np.searchsorted(levels, z[high] - rounding)
+    )
+    a, b = points[low[crossed]], points[high[crossed]]
+    below, above = levels[crossed_level] - a[:, 2], b[:, 2] - levels[crossed_level]
+    crossings = (above[:, None] * a[:, :2] + below[:, None] * b[:, :2]) / (below + above)[:, None]
+
+    level = np.concatenate([on_level, crossed_level])
+    by_level = np.argsort(level, kind="stable")
+    outline = np.concatenate([points[on, :2], crossings])[by_level]
+    ends = np.searchsorted(level[by_level], np.arange(len(levels) + 1))
+    polygons = [np.empty((0, 2))] * len(heights)
+    for i, j in enumerate(order):
+        polygons[j] = _convex_polygon(outline[ends[i] : ends[i + 1]], rounding) + origin[:2]
+    return polygons
+
+
+def _pairs(first: Index, last: Index) -> tuple[Index, Index]:
+    """All (i, j) with first[i] <= j < last[i], as two arrays."""
+    count = np.maximum(last - first, 0)
+    i = np.repeat(np.arange(len(count)), count)
+    return i, np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)
+
+
+def _convex_polygon(points: Array, rounding: float) -> Array:
+    """Counter-clockwise hull (m, 2) of points (n, 2) without vertices that rounding can't tell from their neighbours."""
+    nothing = np.empty((0, 2))
+    if len(points) < 3 or (size := np.ptp(points, axis=0).max()) <= rounding:
+        return nothing
+    try:
+        polygon = points[ConvexHull((points - points.mean(axis=0)) / size).vertices]
+    except QhullError:  # all on one line
+        return nothing
+    while len(polygon) >= 3:
+        before, after = polygon - np.roll(polygon, 1, axis=0), np.roll(polygon, -1, axis=0) - polygon
+        turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+        bulge = turn / np.linalg.norm(before + after, axis=1)  # distance from the neighbours' chord
+        if bulge.min() > rounding:
+            return polygon
+        polygon = np.delete(polygon, bulge.argmin(), axis=0)  # one by one: of two that coincide one stays
+    return nothing

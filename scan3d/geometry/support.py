@@ -1,0 +1,157 @@
+"""A smooth body's support function, fitted to contacts.
+
+The support function ``h(u) = max <u, p>`` of a strictly convex body has the body's points as its gradient, ``p = ∇h(u)`` for
+the outward normal u (h extended to all of space as homogeneous of degree 1).  It is fitted as a sum of real solid harmonics::
+
+    h(u) = Σ c_lm |u|^(1-l) R_lm(u),
+
+to the contacts' distances along their normals, and less strictly to their places.  Support functions follow affine maps,
+``h_{AK}(u) = h_K(Aᵀu)``; so the body is first mapped to one with the moments of inertia of the unit ball.  An ellipsoid, of
+any aspect, becomes the ball itself, and the series of every other smooth body converges much faster.
+
+Source: R. Schneider, *Convex Bodies: The Brunn-Minkowski Theory*, 1.7; the recurrences of the Racah-normalised solid
+harmonics and of their gradients are the standard ones, in Cartesian coordinates so that poles are ordinary points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import ConvexHull
+
+from scan3d.arrays import Array
+
+# Contacts used for a fit: far more than coefficients, spread over all slices.
+_MOST_CONTACTS = 4000
+# Rounds in which the normals follow the fit; they converge by a factor of ten or more in each.
+_ROUNDS = 3
+# Steps in which directions follow the fit, damped: where the body is flatter than the ball a full step would overshoot.
+_TURNS, _DAMPING = 3, 0.8
+# Weight of a contact's place along the surface against its distance from it: at first the normals are rough.
+_PLACE_WEIGHT = (0.1, 0.02)
+# Points that are evaluated at once, to bound the memory.
+_BLOCK = 1000
+# Keeps coefficients that the contacts hardly determine from growing; far below rounding of anything they do determine.
+_RIDGE = 1e-11
+
+
+@dataclass(frozen=True)
+class SupportFit:
+    """A fitted support function, in the unit of the contacts."""
+
+    degree: int
+    center: Array
+    """(3,) centroid, the origin of the affine map."""
+    shape: Array
+    """(3, 3) symmetric: a point q of the mapped body is ``center + shape q`` in the world."""
+    coefficients: Array
+    rms: float
+    """Root mean square distance of the contacts from the fitted body, in mean radii of the body."""
+
+    def points(self, normals: Array) -> Array:
+        """Points (n, 3) of the body with the outward normals (n, 3)."""
+        return self.center + self._gradient(_unit(normals @ self.shape)) @ self.shape
+
+    def normals(self, points: Array, start: Array) -> Array:
+        """Outward normals (n, 3) of the body at its points (n, 3), from rough ones."""
+        mapped = np.linalg.solve(self.shape, (points - self.center).T).T
+        found = _follow(self._gradient, mapped, _unit(start @ self.shape))
+        return _unit(np.linalg.solve(self.shape, found.T).T)
+
+    def _gradient(self, directions: Array) -> Array:
+        parts = np.array_split(directions, max(1, len(directions) // _BLOCK))
+        return np.concatenate([np.tensordot(self.coefficients, harmonics(part, self.degree)[1], 1).T for part in parts])
+
+
+def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
+    """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`."""
+    center, shape = _inertia(points)
+    step = max(1, -(-len(points) // _MOST_CONTACTS))
+    mapped = np.linalg.solve(shape, (points[::step] - center).T).T
+    directions = _unit(normals[::step] @ shape)
+    coefficients = np.zeros((degree + 1) ** 2)
+    for round_ in range(_ROUNDS):
+        weight = _PLACE_WEIGHT[min(round_, 1)]
+        normal_matrix, right = np.zeros((len(coefficients),) * 2), np.zeros(len(coefficients))
+        for first in range(0, len(mapped), _BLOCK):
+            part = slice(first, first + _BLOCK)
+            value, gradient = harmonics(directions[part], degree)
+            across = _tangents(directions[part])
+            rows = np.hstack([value, *(weight * (gradient * t.T).sum(axis=1) for t in across)])
+            here = mapped[part]
+            aims = [(here * directions[part]).sum(axis=1), *(weight * (here * t).sum(axis=1) for t in across)]
+            normal_matrix += rows @ rows.T
+            right += rows @ np.concatenate(aims)
+        normal_matrix.flat[:: len(right) + 1] += _RIDGE * np.trace(normal_matrix) / len(right)
+        coefficients = cho_solve(cho_factor(normal_matrix), right)
+        fitted = SupportFit(degree, center, shape, coefficients, 0.0)
+        directions = _follow(fitted._gradient, mapped, directions)
+    off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
+    return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
+
+
+def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
+    """Values (c, n) and gradients (c, 3, n) at unit vectors u (n, 3) of the functions ``|u|^(1-l) R_lm``, l <= degree."""
+    x, y, z = u.T
+    xy = x + 1j * y
+    level = {(0, 0): np.ones(len(u), dtype=complex)}
+    for m in range(1, degree + 1):
+        level[m, m] = level[m - 1, m - 1] * xy * np.sqrt((2 * m - 1) / (2 * m))
+    for m in range(degree):
+        level[m + 1, m] = np.sqrt(2 * m + 1) * z * level[m, m]
+        for n in range(m + 2, degree + 1):
+            above = (2 * n - 1) * z * level[n - 1, m] - np.sqrt((n - 1) ** 2 - m * m) * level[n - 2, m]
+            level[n, m] = above / np.sqrt(n * n - m * m)
+    count = (degree + 1) ** 2
+    value, gradient = np.empty((count, len(u))), np.empty((count, 3, len(u)))
+    zero = np.zeros(len(u), dtype=complex)
+    row = 0
+    for n in range(degree + 1):
+        for m in range(n + 1):
+            here = level[n, m]
+            plus = -np.sqrt((n - m) * (n - m - 1)) * level.get((n - 1, m + 1), zero)  # (∂x + i∂y) R
+            minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else np.conj(plus)  # (∂x - i∂y) R
+            slopes = ((plus + minus) / 2, (plus - minus) / 2j, np.sqrt(n * n - m * m) * level.get((n - 1, m), zero))
+            for part in ("real", "imag") if m else ("real",):
+                value[row] = getattr(here, part)
+                for axis, slope in enumerate(slopes):
+                    gradient[row, axis] = getattr(slope, part) + (1 - n) * value[row] * u[:, axis]
+                row += 1
+    return value, gradient
+
+
+def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) -> Array:
+    """Directions whose points on the fitted body lie closest below the given ones: near a ball the offset is the turn."""
+    for _ in range(_TURNS):
+        offset = points - gradient(directions)
+        offset -= (offset * directions).sum(axis=1, keepdims=True) * directions
+        directions = _unit(directions + _DAMPING * offset)
+    return directions
+
+
+def _inertia(points: Array) -> tuple[Array, Array]:
+    """Centroid and the symmetric map from the unit ball to the ball-like ellipsoid with the hull's moments of inertia."""
+    middle = points.mean(axis=0)
+    hull = ConvexHull(points - middle)
+    corners = hull.points[hull.simplices]
+    volume = np.abs(np.linalg.det(corners)) / 6
+    centroid = (volume[:, None] * corners.sum(axis=1) / 4).sum(axis=0) / volume.sum()
+    tetrahedra = np.concatenate([corners, np.zeros((len(corners), 1, 3))], axis=1) - centroid
+    total = tetrahedra.sum(axis=1)
+    second = np.einsum("n,ni,nj->ij", volume, total, total) + np.einsum("n,nai,naj->ij", volume, tetrahedra, tetrahedra)
+    values, vectors = np.linalg.eigh(second / (20 * volume.sum()))
+    # a ball of radius 1 has the second moment 1/5
+    return middle + centroid, vectors * np.sqrt(5 * values) @ vectors.T
+
+
+def _tangents(u: Array) -> tuple[Array, Array]:
+    first = _unit(np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=1)]))
+    return first, np.cross(u, first)
+
+
+def _unit(vectors: Any) -> Array:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -1,0 +1,78 @@
+"""Triangles (..., 3, 3), their areas and halves, and the distance of points to them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d.arrays import Array, Index
+
+
+def dot(a: Array, b: Array) -> Array:
+    return np.einsum("...x,...x->...", a, b)
+
+
+def least(values: Array, labels: Index) -> tuple[Array, Index]:
+    """The least value of each row (m, k) and its label."""
+    best = values.argmin(axis=1)[:, None]
+    return np.take_along_axis(values, best, 1)[:, 0], np.take_along_axis(labels, best, 1)[:, 0]
+
+
+def areas(corners: Array) -> Array:
+    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+
+
+def longest_first(corners: Array) -> Index:
+    """Order (m, 3) of the corners of triangles (m, 3, 3) that puts the longest edge first and keeps the winding."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    return (dot(edges, edges).argmax(axis=1)[:, None] + np.arange(3)) % 3
+
+
+def halve(corners: Array) -> tuple[Array, Index]:
+    """Triangles (m, 3, 3) cut across their longest edge: first halves, then second, (2m, 3, 3), and their new order."""
+    halves = np.concatenate([corners, corners])
+    halves[: len(corners), 1] = halves[len(corners) :, 0] = corners[:, :2].mean(axis=1)
+    turn = longest_first(halves)
+    return np.take_along_axis(halves, turn[:, :, None], axis=1), turn
+
+
+def distance_to(points: Array, corners: Array) -> Array:
+    """Distance of points (..., 3) to triangles (..., 3, 3), longest edge first, down to slivers and single points."""
+    return np.linalg.norm(offset_from(points, corners), axis=-1)
+
+
+def offset_from(points: Array, corners: Array) -> Array:
+    """Vectors to points (..., 3) from the nearest ones of triangles (..., 3, 3), longest edge first.
+
+    Coordinates along the longest edge and across it: a sliver's normal would lose all digits.
+    """
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    r, e, f = points - a, b - a, c - a
+
+    def ratio(x: Array, y: Array) -> Array:
+        """Component of x along y, 0 where y is."""
+        return dot(x, y) / np.maximum(dot(y, y), np.finfo(np.float64).tiny)
+
+    def to_edge(x: Array, y: Array) -> Array:
+        return x - np.clip(ratio(x, y), 0, 1)[..., None] * y
+
+    along, shear = ratio(r, e), ratio(f, e)
+    v = ratio(r - along[..., None] * e, f - shear[..., None] * e)
+    u = along - v * shear
+    shortest = r - u[..., None] * e - v[..., None] * f
+    distance = np.linalg.norm(shortest, axis=-1)
+    distance[(u < 0) | (v < 0) | (u + v > 1)] = np.inf
+    for offset in (to_edge(r, e), to_edge(r, f), to_edge(points - b, c - b)):
+        nearer = np.linalg.norm(offset, axis=-1) < distance
+        shortest[nearer] = offset[nearer]
+        distance[nearer] = np.linalg.norm(offset[nearer], axis=-1)
+    return shortest
+
+
+def distinct_rows(rows: Array) -> tuple[Index, Index]:
+    """Index of one of each distinct row (n,), and for every row (m,) which one it is. Several times np.unique's speed."""
+    order = np.lexsort(rows.T)
+    new = np.ones(len(rows), bool)
+    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    inverse = np.empty(len(rows), np.int64)
+    inverse[order] = np.cumsum(new) - 1
+    return order[new], inverse

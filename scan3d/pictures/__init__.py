@@ -1,0 +1,1 @@
+"""What is seen of a scan: pictures, pages, windows, movies, and tables in notebooks."""

@@ -1,0 +1,74 @@
+"""What there is to see of a scan: contacts, slices, surface, truth and recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array
+from scan3d.cloud import Cloud
+from scan3d.files.tables import cloud_table
+from scan3d.recording import Recording
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is known of a body.  Lengths in `unit`."""
+
+    name: str
+    unit: str
+    contacts: NDArray[Any] | None = None
+    """(n,) the columns of `files.tables.cloud_table`, or as many of them as a file has."""
+    surface: Any = None
+    """The reconstructed surface, a `trimesh.Trimesh`."""
+    bound: Array | None = None
+    """(v,) certified local bound at its vertices."""
+    truth: Any = None
+    """The true body, a `trimesh.Trimesh`."""
+    recording: Recording | None = None
+    key_figures: tuple[tuple[str, str], ...] = field(default=())
+    """Key figures: what, and how much."""
+
+    @property
+    def points(self) -> Array:
+        """(n, 3) contacts."""
+        return np.empty((0, 3)) if self.contacts is None else columns(self.contacts, "x", "y", "z")
+
+    @property
+    def normals(self) -> Array:
+        """(n, 3) outward normals, NaN where unknown."""
+        if self.contacts is None or "nx" not in (self.contacts.dtype.names or ()):
+            return np.full((len(self.points), 3), np.nan)
+        return columns(self.contacts, "nx", "ny", "nz")
+
+    @property
+    def corners(self) -> Array:
+        """(k, 3) points that fill a picture of all bodies."""
+        bodies = [np.asarray(mesh.vertices) for mesh in (self.surface, self.truth) if mesh is not None]
+        return np.concatenate([self.points, *bodies])
+
+    @property
+    def diagonal(self) -> float:
+        """Of the bounding box."""
+        return float(np.linalg.norm(np.ptp(self.corners, axis=0)))
+
+    def column(self, name: str) -> Array | None:
+        """(n,) a column of the contacts, None if there is none or nothing in it."""
+        name = {"error": "quality"}.get(name, name)
+        if self.contacts is None or name not in (self.contacts.dtype.names or ()):
+            return None
+        values = columns(self.contacts, name)[:, 0]
+        return values if np.isfinite(values).any() else None
+
+
+def columns(rows: NDArray[Any], *names: str) -> Array:
+    """Columns (n, k) of a structured array."""
+    return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
+
+
+def of_cloud(cloud: Cloud, error: Array | None = None, **more: Any) -> Scene:
+    """A scene of a cloud; `error` (n,) is the contacts' distance from the truth, `more` the fields of `Scene`."""
+    return Scene(**{"name": "body", **more}, unit=cloud.unit, contacts=cloud_table(cloud, error))

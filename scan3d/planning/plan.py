@@ -1,0 +1,96 @@
+"""The settings of a scan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from scan3d.arrays import Array
+from scan3d.choices import SPACINGS, STANDOFFS
+from scan3d.errors import InputError
+from scan3d.rods import Rod
+from scan3d.units import UNITS_M
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Settings of a simulated scan.  Raises InputError for values out of their range."""
+
+    slices: int = 64
+    """Slices along each axis; with adaptive spacing the empty ones count."""
+    spacing: str = "cosine"
+    """Heights of the slices: 'cosine' (dense at the ends), 'uniform', or 'adaptive' (where the contacts so far leave most
+    room for the body)."""
+    tolerance: float = 0.0
+    """Adaptive spacing stops when the certified bound, relative to the contacts' bounding-box diagonal, is this small."""
+    axis: str | Sequence[float] = "z"
+    """Normal of the slices: 'x', 'y', 'z', several such as 'xyz', or a vector."""
+    sweeps: int | None = None
+    """Sweeps per slice, evenly around it; None: as many as its contour needs."""
+    samples: int = 64
+    """Samples per sweep, from touch-down to the sweep's end."""
+    friction: float | tuple[float, float] = 0.3
+    """Coefficient of friction, or the range from which every sample draws its own."""
+    clearance: float = 0.3
+    """Distance of the base line from the slice, in rod lengths."""
+    standoff: str = "follow"
+    """The base line follows every slice ('follow'), or keeps the distance it has from the widest body ('fixed')."""
+    rod: Rod | None = None
+    """None: a steel wire twice as long as the widest slice's radius."""
+    noise: float = 0.0
+    """Standard deviation of force and moment, in EI/L² and EI/L."""
+    seed: int = 0
+    unit: str = "mm"
+    """Unit of the mesh's coordinates."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("slices", 1), ("samples", 2), ("seed", 0)):
+            _check_whole(name, getattr(self, name), least)
+        if self.sweeps is not None:
+            _check_whole("sweeps", self.sweeps, 1)
+        if self.spacing not in SPACINGS:
+            raise InputError(f"spacing must be one of {', '.join(SPACINGS)}, got {self.spacing!r}")
+        if self.standoff not in STANDOFFS:
+            raise InputError(f"standoff must be one of {', '.join(STANDOFFS)}, got {self.standoff!r}")
+        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
+        if self.unit not in UNITS_M:
+            raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
+        low, high = self.friction_range
+        if not (math.isfinite(low) and math.isfinite(high) and 0 <= low <= high):
+            raise InputError(f"friction must be a number >= 0 or a rising range LOW:HIGH of such, got {self.friction}")
+        if not (math.isfinite(self.noise) and self.noise >= 0):
+            raise InputError(f"noise must be a number >= 0, got {self.noise}")
+        if not 0 < self.clearance < 1:
+            raise InputError(f"clearance must lie between 0 and 1 rod lengths, got {self.clearance}")
+        self.axes()
+
+    @property
+    def friction_range(self) -> tuple[float, float]:
+        if isinstance(self.friction, (int, float)):
+            return float(self.friction), float(self.friction)
+        if len(self.friction) != 2:
+            raise InputError(f"a range of friction has two ends, got {self.friction}")
+        return float(self.friction[0]), float(self.friction[1])
+
+    def axes(self) -> Array:
+        """Unit normals (k, 3) of the slices."""
+        given = [_AXES.get(letter, ()) for letter in self.axis] if isinstance(self.axis, str) else [self.axis]
+        vectors = [np.asarray(vector, dtype=float) for vector in given]
+        good = all(v.shape == (3,) and np.isfinite(v).all() and np.linalg.norm(v) > 0 for v in vectors)
+        if not vectors or not good or (len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str)):
+            raise InputError(
+                f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
+                f"got {self.axis!r}"
+            )
+        return np.array([vector / np.linalg.norm(vector) for vector in vectors])
+
+
+def _check_whole(name: str, value: object, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InputError(f"{name} must be a whole number of at least {least}, got {value!r}")

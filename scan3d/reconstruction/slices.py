@@ -1,0 +1,171 @@
+"""The slices of a cloud: their support functions in the plane.
+
+A slice of a convex body has the support function ``h(θ, z) = max <n(θ), p>``, with θ the angle of the in-plane normal.  A
+tangential contact gives value and derivative, ``h = <n, p>`` and ``∂h/∂θ = <t, p>``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+import planar
+from scan3d.arrays import Array, Index
+from scan3d.cloud import Cloud
+from scan3d.geometry.sections import slice_frame
+
+# Contacts whose normals differ by less, in radians, lie on one edge.
+_ONE_NORMAL = 1e-9
+# Directions over which a slice's Steiner point is averaged.
+_STEINER_DIRECTIONS = 360
+
+
+@dataclass(frozen=True)
+class Slice:
+    """One slice: its height, its contacts in the plane, and its support function between their normals."""
+
+    height: float
+    rows: Index
+    """Contacts of the cloud (n,)."""
+    points: Array
+    """(n, 2) in the slices' frame."""
+    tangential: Index
+    """Those of `rows`, by position, in tangential contact (k,): their normals are measured."""
+    normals: Array
+    """(k, 2) their in-plane normals."""
+    tip: Index
+    """Those of `rows`, by position, in tip contact (l,) whose normals are inferred from a common friction."""
+    tip_normals: Array
+    """(l, 2) their in-plane normals."""
+    outline: Array
+    """(v, 2) vertices of the convex hull of the points, empty if they lie on a line."""
+    angle: Array
+    """(a,) distinct angles of the normals, rising."""
+    value: Array
+    """(a,) support function there."""
+    slope: Array
+    """(2, a) its one-sided derivatives in θ, left and right: they differ on an edge."""
+    corner: Array
+    """(a, 2, 2) contacts with that normal at the edge's left and right end."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether the known normals leave no gap of half a turn: the support lines enclose the slice."""
+        return len(self.angle) >= 3 and bool(np.diff(self.angle, append=self.angle[0] + 2 * np.pi).max() < np.pi - 1e-9)
+
+    def support_of_contacts(self, normals: Array) -> Array:
+        """Lower bound (n,) of the support function for unit normals (n, 2): the support function of the contacts."""
+        corners = self.outline if len(self.outline) else self.points
+        return (normals @ corners.T).max(axis=1)
+
+    def support(self, angle: Array) -> Array:
+        """Support function (n,) at angles (n,): Hermite's cubic between the known normals, clipped to its certain bounds."""
+        shifted = self.angle[0] + np.mod(angle - self.angle[0], 2 * np.pi)
+        i = np.searchsorted(self.angle, shifted, side="right") - 1
+        j = (i + 1) % len(self.angle)
+        width = np.mod(self.angle[j] - self.angle[i], 2 * np.pi)
+        width = np.where(width == 0, 2 * np.pi, width)
+        t = (shifted - self.angle[i]) / width
+        a, b, da, db = self.value[i], self.value[j], self.slope[1, i], self.slope[0, j]
+        cubic = (1 - t) ** 2 * (a * (1 + 2 * t) + width * da * t) + t * t * (b * (3 - 2 * t) - width * db * (1 - t))
+        n = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        lower = np.maximum((n * self.corner[i, 1]).sum(axis=1), (n * self.corner[j, 0]).sum(axis=1))
+        # the corner of the two support lines bounds h from above
+        with np.errstate(divide="ignore", invalid="ignore"):
+            upper = (a * np.sin(width * (1 - t)) + b * np.sin(width * t)) / np.sin(width)
+        upper = np.where((width < np.pi) & np.isfinite(upper), np.maximum(upper, lower), np.inf)
+        return np.clip(cubic, lower, upper)
+
+    def steiner_point(self) -> Array:
+        """(2,) the slice's Steiner point, ``(1/π) ∫ h n dθ``."""
+        angle = 2 * np.pi * np.arange(_STEINER_DIRECTIONS) / _STEINER_DIRECTIONS
+        h = self.support(angle)
+        return 2 * np.array([np.mean(h * np.cos(angle)), np.mean(h * np.sin(angle))])
+
+
+@dataclass(frozen=True)
+class SliceStack:
+    """Parallel slices of a cloud, from below, and the heights of the nearest empty ones."""
+
+    frame: Array
+    """(3, 3) rows: x, y and z axes of the slices' frame in the world."""
+    slices: tuple[Slice, ...]
+    floor: float
+    """Height of the nearest empty slice below, -inf if there is none."""
+    ceiling: float
+    bounded_by_others: tuple[bool, bool] = (False, False)
+    """Whether floor and ceiling come from contacts in slices along other axes, rather than from empty slices."""
+
+    @property
+    def heights(self) -> Array:
+        return np.array([slice_.height for slice_ in self.slices])
+
+
+def stacks(cloud: Cloud) -> list[SliceStack]:
+    """The cloud's slices, one stack for each axis it was sliced along."""
+    by_axis = []
+    for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
+        members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < 1e-8)
+        frame = slice_frame(cloud.slice_axis[members[0]])
+        order = members[np.argsort(cloud.slice_height[members])]
+        slices = [_slice(cloud, frame, number) for number in order]
+        filled = [slice_ for slice_ in slices if len(slice_.rows)]
+        if not filled:
+            continue
+        empty = [slice_.height for slice_ in slices if not len(slice_.rows)]
+        low, high = filled[0].height, filled[-1].height
+        floor = max((z for z in empty if z < low), default=-np.inf)
+        ceiling = min((z for z in empty if z > high), default=np.inf)
+        by_axis.append(SliceStack(frame, tuple(filled), floor, ceiling))
+    return by_axis
+
+
+def _slice(cloud: Cloud, frame: Array, number: int) -> Slice:
+    rows = np.flatnonzero(cloud.slice == number)
+    points = cloud.points[rows] @ frame[:2].T
+    known = np.isfinite(cloud.in_plane_normals[rows, 0])
+    along_rod = cloud.phase[rows] == planar.Phase.TANGENTIAL
+    tangential, tip = np.flatnonzero(known & along_rod), np.flatnonzero(known & ~along_rod)
+    normals, tip_normals = (cloud.in_plane_normals[rows[part]] @ frame[:2].T for part in (tangential, tip))
+    raw = np.arctan2(normals[:, 1], normals[:, 0])
+    order = np.argsort(raw, kind="stable")
+    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _ONE_NORMAL)
+    member = np.empty(len(raw), dtype=np.intp)
+    member[order] = group
+    count = int(group[-1]) + 1 if len(group) else 0
+    angle = raw[order][np.searchsorted(group, np.arange(count))]
+    n, t = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    at = points[tangential]
+    value = np.full(count, -np.inf)
+    np.maximum.at(value, member, (at * n[member]).sum(axis=1))
+    along = (at * t[member]).sum(axis=1)
+    ends = np.lexsort((along, member))
+    left = ends[np.searchsorted(member[ends], np.arange(count))]
+    right = ends[np.searchsorted(member[ends], np.arange(count), side="right") - 1]
+    slope = np.stack([along[left], along[right]])
+    corner = np.stack([at[left], at[right]], axis=1)
+    return Slice(
+        height=float(cloud.slice_height[number]),
+        rows=rows,
+        points=points,
+        tangential=tangential,
+        normals=normals,
+        tip=tip,
+        tip_normals=tip_normals,
+        outline=_outline(points),
+        angle=angle,
+        value=value,
+        slope=slope,
+        corner=corner,
+    )
+
+
+def _outline(points: Array) -> Array:
+    if len(points) < 3:
+        return np.empty((0, 2))
+    try:
+        return points[ConvexHull(points - points.mean(axis=0)).vertices]
+    except QhullError:
+        return np.empty((0, 2))

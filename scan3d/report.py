@@ -1,0 +1,262 @@
+"""What a run has found: the report's numbers, and a few lines of them for the terminal."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import planar
+from scan3d.arrays import Array
+from scan3d.cloud import Cloud
+from scan3d.comparison import Comparison
+from scan3d.recording import Recording
+from scan3d.surfaces import Certificate, Enclosure, Gap
+
+SCHEMA = 1
+# Directions, spread evenly over the sphere, at which the coverage of normals is looked up.
+_DIRECTIONS = 5000
+# The surface counts as seen where its certified bound is no more than this share of the diagonal.
+_SEEN = 1e-3
+_PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What a recording gives: contacts, bounds, surface and certificate; with the truth, also the comparison with it."""
+
+    recording: Recording
+    cloud: Cloud
+    bounds: Enclosure
+    surface: Any
+    """A `trimesh.Trimesh` in the cloud's unit; `metadata` has its `method` and the `reason` for it."""
+    certificate: Certificate
+    truth: Any = None
+    """The true body, a `trimesh.Trimesh`."""
+    contact_error: Array | None = None
+    """(n,) distance of the contacts from the truth."""
+    comparison: Comparison | None = None
+    """Of the surface with the truth."""
+    hull_error: float | None = None
+    """Hausdorff distance of the contacts' convex hull to the truth."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Time spent, by step."""
+
+
+def report(
+    analysis: Analysis,
+    *,
+    settings: Mapping[str, Any],
+    friction_set: str | None = None,
+    timings_s: Mapping[str, float] | None = None,
+    files: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The numbers of an analysis as they are written to JSON; what needs the true mesh is null without it."""
+    recording, cloud, surface, comparison = analysis.recording, analysis.cloud, analysis.surface, analysis.comparison
+    tangential = cloud.phase == planar.Phase.TANGENTIAL
+    friction = cloud.friction[tangential]
+    unit = cloud.unit
+    return {
+        "schema": SCHEMA,
+        "mesh": None if analysis.truth is None else _mesh(analysis.truth, unit),
+        "settings": dict(settings),
+        "source": dict(recording.source),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "rod": {
+            "length_m": recording.rod.length_m,
+            "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
+            "length": cloud.rod_length,
+        },
+        "counts": {
+            "slices": len(np.unique(cloud.slice)),
+            "empty_slices": len(cloud.slice_height) - len(np.unique(cloud.slice)),
+            "sweeps": len(np.unique(recording.sweep)),
+            "samples": len(recording),
+            "contacts": len(cloud),
+            "tangential": int(tangential.sum()),
+            "tip": int((cloud.phase == planar.Phase.TIP).sum()),
+        },
+        "contact_error": _contact_error(analysis),
+        "friction": {
+            "set": friction_set,
+            "estimated_median": float(np.median(friction)) if len(friction) else None,
+            "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
+        },
+        "hausdorff": _hausdorff(comparison, unit),
+        "certificate": _certificate(analysis),
+        "error_budget": _budget(analysis),
+        "coverage": _coverage(analysis),
+        "surface": {
+            "method": surface.metadata["method"],
+            "reason": surface.metadata["reason"],
+            "watertight": bool(surface.is_watertight),
+            "faces": len(surface.faces),
+            "volume": float(surface.volume),
+            "volume_error": None if comparison is None else comparison.volume_error,
+        },
+        "normals": _normals(comparison),
+        "timings_s": {name: round(seconds, 3) for name, seconds in (timings_s or {}).items()},
+        "files": list(files),
+    }
+
+
+def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
+    return {
+        "file": mesh.metadata.get("file"),
+        "sha256": mesh.metadata.get("sha256"),
+        "faces": mesh.metadata.get("file_faces", len(mesh.faces)),
+        "extents": mesh.extents,
+        "unit": unit,
+        "dent": mesh.metadata.get("dent"),
+        "hull": mesh.metadata.get("hull"),
+    }
+
+
+def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
+    errors, cloud = analysis.contact_error, analysis.cloud
+    if errors is None:
+        return None
+    most, rms = float(errors.max()), float(np.sqrt(np.mean(errors**2)))
+    return {"max": most, "rms": rms, "unit": cloud.unit, "max_rod_lengths": most / cloud.rod_length}
+
+
+def _certificate(analysis: Analysis) -> dict[str, Any]:
+    """What touch alone guarantees, relative to the diagonal of the contacts' bounding box."""
+    bound, bounds, cloud = analysis.certificate.bound, analysis.bounds, analysis.cloud
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    return {
+        "bound": bound,
+        "relative": bound / diagonal,
+        "unit": cloud.unit,
+        "hull_bound": bounds.bound,
+        "parts": {gap.name.lower(): bounds.part(gap) for gap in Gap} | {"noise": bounds.margin},
+        "volume": list(bounds.volume),
+    }
+
+
+def _budget(analysis: Analysis) -> dict[str, Any]:
+    """Where the error comes from, step by step: what touch alone guarantees, and what it is where the truth is known."""
+    bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
+
+    def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
+        return {"at_most": guaranteed, "is": actual}
+
+    return {
+        "unit": analysis.cloud.unit,
+        "contacts_off": step(bounds.margin, None if contact_error is None else float(contact_error.max())),
+        "between_slices": step(bounds.part(Gap.SLICES), None),
+        "between_contacts": step(bounds.part(Gap.CONTACTS), None),
+        "past_end_slices": step(bounds.part(Gap.CAPS), None),
+        "hull": step(bounds.bound, analysis.hull_error),
+        "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
+        "sum": "hull, at most = largest of between_slices, between_contacts and past_end_slices, plus contacts_off; "
+        "surface: what its method makes of that",
+    }
+
+
+def _coverage(analysis: Analysis) -> dict[str, Any]:
+    """Shares of what was seen.
+
+    Of the surface's area, where touch alone leaves less than 0.1 % of the diagonal open; of the sphere of normals, within
+    5° of a contact's, by as many directions spread evenly over it.
+    """
+    cloud, surface, bound = analysis.cloud, analysis.surface, analysis.certificate.at_vertices
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    area = np.asarray(surface.area_faces)
+    closed = bound[surface.faces].max(axis=1) <= _SEEN * diagonal
+    seen = {"surface": float(area[closed].sum() / area.sum()), "surface_within": _SEEN * diagonal}
+    known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
+    if not len(known):
+        return {**seen, "normals": 0.0}
+    turn = np.arange(_DIRECTIONS) + 0.5
+    z, angle = 1 - 2 * turn / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * turn
+    sphere = np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
+    return {**seen, "normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(2.5))))}
+
+
+def _hausdorff(found: Comparison | None, unit: str) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "two_sided": found.hausdorff,
+        "surface_to_mesh": found.surface_to_mesh,
+        "mesh_to_surface": found.mesh_to_surface,
+        "relative": found.relative,
+        "exact": found.exact,
+        "worst_point": found.worst_point,
+        "unit": unit,
+    }
+
+
+def _normals(found: Comparison | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {"of": "surface", "median_deg": found.normal_median_deg, "p95_deg": found.normal_p95_deg}
+
+
+class Summary(NamedTuple):
+    """A few rows for the terminal."""
+
+    heading: str
+    """Empty if there is none."""
+    rows: list[tuple[str, str]]
+    """What, and how much."""
+
+
+def summary(data: Mapping[str, Any]) -> Summary:
+    """The most important numbers of a report."""
+    counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
+    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {counts['slices']} slices"
+    rows = []
+    if errors:
+        error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths)"
+        rows.append(("contact error", error))
+    unreached = data["source"].get("sweeps_out_of_reach")
+    if unreached:
+        rows.append(("out of reach", f"{unreached} sweeps that the rod can't make from its base line"))
+    median = data["friction"]["estimated_median"]
+    if median is not None:
+        given = data["friction"]["set"]
+        rows.append(("friction", f"{median:.4g} (median, found from touch{f'; set: {given}' if given else ''})"))
+    surface = data["surface"]
+    closed = "watertight" if surface["watertight"] else "not watertight"
+    rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
+    if hausdorff:
+        relative = f"{hausdorff['relative']:.1e} of the diagonal"
+        rows.append(("Hausdorff distance", f"{hausdorff['two_sided']:.4g} {hausdorff['unit']} ({relative})"))
+    certified = data["certificate"]
+    if certified["bound"] is not None and np.isfinite(certified["bound"]):
+        bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
+        rows.append(("certified", f"within {bound}, from touch alone"))
+    return Summary(heading, rows)
+
+
+def comparison_summary(comparison: Comparison, unit: str) -> Summary:
+    """The comparison of two meshes, whose lengths are in `unit`."""
+    exact = (
+        "exact" if comparison.exact else f"certified between {comparison.lower:.6g} and {comparison.upper:.6g} {unit}"
+    )
+    where = ", ".join(f"{x:.6g}" for x in comparison.worst_point)
+    averages = f"{comparison.mean:.4g}, {comparison.rms:.4g}, {comparison.p95:.4g} {unit}"
+    normals = f"{comparison.normal_median_deg:.3g}° median, {comparison.normal_p95_deg:.3g}° at 95 %"
+    return Summary(
+        "",
+        [
+            (
+                "Hausdorff distance",
+                f"{comparison.hausdorff:.6g} {unit} ({comparison.relative:.3e} of B's diagonal; {exact})",
+            ),
+            ("A to B", f"{comparison.surface_to_mesh:.6g} {unit}"),
+            ("B to A", f"{comparison.mesh_to_surface:.6g} {unit}"),
+            ("worst at", f"({where}), on {'A' if comparison.worst_on == 'surface' else 'B'}"),
+            ("mean, RMS, 95 %", averages),
+            ("Chamfer, F-score", f"{comparison.chamfer:.4g} {unit}, {comparison.f_score:.4f} at 1 % of B's diagonal"),
+            ("normals", normals),
+            ("volume error", f"{comparison.volume_error:+.3e}"),
+        ],
+    )

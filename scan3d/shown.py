@@ -1,0 +1,24 @@
+"""How results show themselves in a notebook."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, cast
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+class Shown:
+    """A result that has a picture and a table in HTML.
+
+    Both are made by `scan3d.pictures.notebook`, which is imported only when one of them is asked for: results stand below
+    the pictures, and this is the only import upwards.
+    """
+
+    def plot(self, **options: Any) -> Image:
+        """A picture of the result; `options` are those of `scan3d.plot`."""
+        return cast("Image", import_module("scan3d.pictures.notebook").plot(self, **options))
+
+    def _repr_html_(self) -> str:
+        return cast(str, import_module("scan3d.pictures.notebook").to_html(self))

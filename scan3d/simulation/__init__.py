@@ -1,0 +1,1 @@
+"""Step 1: bodies from mesh files, and scans of them that are computed instead of measured."""

@@ -1,0 +1,9 @@
+"""Closed surfaces from contacts, with certified bounds of their distance to the body."""
+
+from scan3d.choices import METHODS
+from scan3d.surfaces.bounds import Certificate, Enclosure, certificate, enclosure
+from scan3d.surfaces.choice import surface
+from scan3d.surfaces.slabs import Gap
+from scan3d.surfaces.tuning import Tuning
+
+__all__ = ["METHODS", "Certificate", "Enclosure", "Gap", "Tuning", "certificate", "enclosure", "surface"]

@@ -1,0 +1,144 @@
+"""An inner and an outer body from touch alone, and the certified distance between them.
+
+The convex hull of the contacts lies inside the body.  The body lies in the union of the slabs that the half-spaces of the
+slices leave (`scan3d.surfaces.slabs`).
+
+The distance to a convex set is convex, so over a polyhedron it is largest at a corner: the largest distance of the corners
+from the hull bounds the Hausdorff distance of the hull to the unknown body, whatever that is, as long as it is convex and
+the contacts are right.  Half-spaces that noisy contacts give are moved out by a margin first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.cloud import Cloud
+from scan3d.comparison import compare
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.hull_distance import distance_to_hull
+from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.slices import SliceStack, stacks
+from scan3d.surfaces.slabs import Gap, Slab, slabs
+
+# A surface this close to its convex hull, relative to the diagonal, is certified as its hull is, and the distance between
+# the two is added to the bound.  Larger, that addition would weaken the bound; smaller, hulls whose facets are convex but
+# for rounding would be certified by the weaker rule for surfaces that are not convex.
+_CONVEX = 1e-9
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """Inner and outer body, in the cloud's unit."""
+
+    inner: Any
+    """Convex hull of the contacts, a `trimesh.Trimesh`."""
+    corners: Array
+    """(w, 3) corners of the outer body's slabs."""
+    gap: Array
+    """(w,) their distance from the inner body."""
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    straight: Mask
+    """(w, 2) whether the body goes on straight below and above the corner's slab."""
+    slab: Index
+    """(w,) the slab's number: slab i lies below slice i of `stack`."""
+    stack: SliceStack
+    """The slices between which the slabs are."""
+    bound: float
+    """Upper bound of the Hausdorff distance of the inner body to the true one; infinite if nothing bounds its height."""
+    margin: float
+    """Distance by which noisy contacts may be off, contained in `bound`."""
+    volume: tuple[float, float]
+    """Bounds of the true volume."""
+
+    def part(self, kind: Gap) -> float:
+        """The largest gap of one kind, 0 if there is none."""
+        gap = self.gap[self.kind == kind]
+        return float(gap.max()) if len(gap) else 0.0
+
+
+class Certificate(NamedTuple):
+    """How far a surface can be from the true body, from touch alone, in the cloud's unit."""
+
+    bound: float
+    """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
+    at_vertices: Array
+    """(v,) local bound at the surface's vertices: how far the true surface can be from here."""
+
+
+def enclosure(cloud: Cloud, margin: float = 0.0) -> Enclosure:
+    """The enclosure of a cloud whose contacts and normals are off by no more than `margin`, in the cloud's unit."""
+    inner = hull(cloud.points)
+    by_axis = stacks(cloud)
+    outer = [slabs(stack, margin) for stack in by_axis]
+    if len(by_axis) > 1:
+        # another stack may bound a stack's height where no empty slice does, or more tightly
+        by_axis = [_bounded_by_others(k, by_axis, outer) for k in range(len(by_axis))]
+        outer = [slabs(stack, margin) for stack in by_axis]
+    candidates = [_of_stack(inner, stack, parts, margin) for stack, parts in zip(by_axis, outer, strict=True)]
+    return min(candidates, key=lambda candidate: candidate.bound)
+
+
+def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float) -> Enclosure:
+    """The enclosure by the slabs of one stack."""
+    corners = np.concatenate([part.corners for part in parts])
+    gap = np.full(len(corners), np.inf)
+    bounded = np.isfinite(corners).all(axis=1)
+    gap[bounded] = outside(corners[bounded], inner)
+    return Enclosure(
+        inner=inner,
+        corners=corners,
+        gap=gap,
+        kind=np.concatenate([part.kind for part in parts]),
+        straight=np.concatenate([part.straight for part in parts]),
+        slab=np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts]),
+        stack=stack,
+        bound=float(gap.max()) + margin,
+        margin=margin,
+        volume=(inner.volume, max(sum(part.volume for part in parts), inner.volume)),
+    )
+
+
+def certificate(bounds: Enclosure, surface: Any) -> Certificate:
+    """The certificate of a surface, a `trimesh.Trimesh` in the cloud's unit, by an enclosure of the body.
+
+    A convex surface is certified by the outer body's corners; whether it is convex is judged by its shape.  A surface that is
+    not convex, or open, is compared with the inner body, whose own bound is added.
+    """
+    vertices = np.asarray(surface.vertices)
+    deviation = distance_to_hull(surface)
+    if deviation > _CONVEX * np.linalg.norm(np.ptp(vertices, axis=0)):
+        local = np.abs(nearest(vertices, bounds.inner)[0])
+        return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
+    local = outside(vertices, bounds.inner)
+    signed, face, _ = nearest(bounds.corners, surface)
+    distance = np.maximum(signed, 0.0)
+    np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
+    bound = float(max(local.max(), distance.max(initial=0.0))) if np.isfinite(bounds.bound) else np.inf
+    return Certificate(bound + bounds.margin + deviation, local + bounds.margin + deviation)
+
+
+def outside(points: Array, body: Any) -> Array:
+    """Distance (n,) of points (n, 3) to a convex body, 0 inside."""
+    return np.maximum(nearest(points, body)[0], 0.0)
+
+
+def _bounded_by_others(k: int, by_axis: list[SliceStack], outer: list[list[Slab]]) -> SliceStack:
+    """Stack k with its floor and ceiling also bounded by the other stacks' outer bodies."""
+    stack = by_axis[k]
+    low, high = stack.floor, stack.ceiling
+    floor_bounded = ceiling_bounded = False
+    for j, parts in enumerate(outer):
+        corners = np.concatenate([slab.corners for slab in parts])
+        if j != k and np.isfinite(corners).all():
+            heights = corners @ stack.frame[2]
+            floor_bounded |= bool(heights.min() > low)
+            ceiling_bounded |= bool(heights.max() < high)
+            low, high = max(low, float(heights.min())), min(high, float(heights.max()))
+    low, high = min(low, stack.slices[0].height), max(high, stack.slices[-1].height)
+    return SliceStack(stack.frame, stack.slices, low, high, (floor_bounded, ceiling_bounded))

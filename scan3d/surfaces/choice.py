@@ -1,0 +1,153 @@
+"""Closed surfaces from contacts, by the method asked for or by the one that predicts held-out slices best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from scan3d.choices import METHODS
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.support import SupportFit, fit_support
+from scan3d.reconstruction.normals import with_slice_normals
+from scan3d.surfaces.bounds import Enclosure, enclosure
+from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
+from scan3d.surfaces.interpolation import Edges, contours_between, fractions
+from scan3d.surfaces.tuning import Tuning
+
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more would halve the
+# sagitta of its facets twice, at four times the vertices.
+_SUBDIVISIONS = 6
+_DESCRIPTIONS = {
+    Edges.NONE: "flat between its slices",
+    Edges.SOME: "bent, with some edges",
+    Edges.SHARP: "a polyhedron's, with sharp edges",
+}
+
+
+def surface(
+    cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = None, tuning: Tuning | None = None
+) -> Any:
+    """Closed surface of a convex body from its contacts: a `trimesh.Trimesh`, outward, in the cloud's unit.
+
+    method
+        'hull': the convex hull of the contacts, never outside the body.
+        'bracket': the hull, extended to where between the inner and the outer body the true one most likely lies.
+        'support': the support function fitted to the contacts, for smooth bodies.
+        'poisson', 'ball-pivoting': open3d's, which do not know that the body is convex; the latter may leave holes.
+        'auto': the one of the first three that best predicts held-out slices.
+    bounds
+        the cloud's `enclosure`, if it is known already.
+    tuning
+        numbers of the estimate between the bounds.
+
+    `metadata` says which `method` it was, and for what `reason`.  Raises InputError for an unknown method, for contacts that
+    do not span a body, for 'support' where the body is not smooth, and where open3d is needed and missing.
+    """
+    if method not in METHODS:
+        raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if method == "support" and cloud.fit is None:
+        raise InputError(
+            "the body is not smooth enough for the method support, or has too few contacts; use auto, bracket or hull"
+        )
+    if method == "hull":
+        return _labelled(hull(cloud.points), method, "convex hull of the contacts, as asked for")
+    if method in ("poisson", "ball-pivoting"):
+        from scan3d.surfaces import open3d_methods
+
+        build = open3d_methods.poisson if method == "poisson" else open3d_methods.ball_pivoting
+        mesh = build(cloud.points, cloud.normals)
+        return _labelled(mesh, method, f"{mesh.metadata['reason']}, as asked for")
+    if method == "support":
+        assert cloud.fit is not None
+        return _labelled(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as asked for")
+    return _best(cloud, bounds or enclosure(cloud), tuning or Tuning(), with_fit=method == "auto")
+
+
+@dataclass(frozen=True)
+class _CrossValidation:
+    """Errors at held-out slices: of the estimates between the bounds, and of the fit, None if there is none."""
+
+    estimates: dict[Edges, HeldOutError]
+    fit: HeldOutError | None
+
+
+def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) -> Any:
+    """The estimate between the bounds that predicts held-out slices best; `with_fit`, also a proven hull or the fit."""
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    if with_fit and bounds.bound <= tuning.proven * diagonal:
+        reason = f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body"
+        return _labelled(bounds.inner.copy(), "hull", reason)
+    errors = _cross_validate(cloud, tuning, with_fit=with_fit)
+    if errors is None:
+        reason = "between hull and outer body; too few slices for cross-validation"
+        return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
+    # where cross-validation hardly tells them apart, bent edges are chosen: they err less if they are wrong
+    advantage = {Edges.SHARP: tuning.sharp_advantage}
+    best = min(errors.estimates, key=lambda edges: errors.estimates[edges].rms / advantage.get(edges, 1.0))
+    estimate = errors.estimates[best]
+    # under noise the largest error is that of the noisiest contact
+    name = "rms" if cloud.noise else "largest"
+    if errors.fit is not None and getattr(errors.fit, name) < tuning.fit_gain * getattr(estimate, name):
+        assert cloud.fit is not None
+        reason = f"{_degree(cloud.fit)}: the body is smooth, held-out slices lie within {errors.fit.largest:.2g} {cloud.unit}"
+        return _labelled(_of_fit(cloud.fit), "support", reason)
+    reason = (
+        f"between hull and outer body, as {_DESCRIPTIONS[best]}: held-out slices lie within {estimate.largest:.2g} "
+        f"{cloud.unit}"
+    )
+    return _labelled(_between(cloud, bounds, best, tuning), "bracket", reason)
+
+
+def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossValidation | None:
+    """The errors at held-out slices of surfaces made from the others; None with too few slices."""
+    parts = hold_out_slices(cloud)
+    if parts is None:
+        return None
+    kept, held_out = parts
+    bounds = enclosure(kept)
+    estimates = {edges: error_of_surface(_between(kept, bounds, edges, tuning), held_out) for edges in Edges}
+    fit = None
+    if with_fit and cloud.fit is not None:
+        by_slices = with_slice_normals(kept)
+        known = np.isfinite(by_slices.normals[:, 0])
+        points, normals = kept.points[known], by_slices.normals[known]
+        near = cKDTree(points).query(held_out)[1]
+        fit = error_of_fit(fit_support(points, normals, cloud.fit.degree), held_out, normals[near])
+    return _CrossValidation(estimates, fit)
+
+
+def _between(cloud: Cloud, bounds: Enclosure, edges: Edges, tuning: Tuning) -> Any:
+    """Hull of the contacts, of points between it and the outer body's corners, and of contours between the slices."""
+    bounded = np.isfinite(bounds.corners).all(axis=1) & (bounds.gap > 0)
+    if not bounded.any():
+        return bounds.inner.copy()
+    _, _, feet = nearest(bounds.corners[bounded], bounds.inner)
+    away = bounds.corners[bounded] - feet
+    fraction = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], edges, tuning)
+    points = [cloud.points, feet + fraction[:, None] * away]
+    if edges is not Edges.NONE:
+        points.append(contours_between(bounds.stack, tuning))
+    return hull(np.concatenate(points))
+
+
+def _of_fit(fit: SupportFit) -> Any:
+    from trimesh.creation import icosphere
+
+    # spread evenly over the ball-like body behind the fit, so that needles and discs get even facets too
+    directions = icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)
+    return hull(fit.points(directions @ np.linalg.inv(fit.shape)))
+
+
+def _degree(fit: SupportFit) -> str:
+    return f"support function of degree {fit.degree}"
+
+
+def _labelled(mesh: Any, method: str, reason: str) -> Any:
+    mesh.metadata.update(method=method, reason=reason)
+    return mesh

@@ -1,0 +1,306 @@
+"""Surfaces by two well-known algorithms of open3d, which do not know that the body is convex.
+
+Screened Poisson reconstruction (Kazhdan & Hoppe, ACM Transactions on Graphics 32(3), 2013) finds the function whose gradient
+is the field of normals.  Its surface is closed and smooth: it rounds edges, and bulges where there are no contacts.  Ball
+pivoting (Bernardini et al., IEEE Transactions on Visualization and Computer Graphics 5(4), 1999) rolls a ball over the
+contacts and spans a triangle wherever it rests on three of them: every vertex is a contact, and where the ball falls through,
+a hole stays.
+
+Both want evenly spread points.  Contacts lie on slices, dense along a slice, sparser between slices, often many at one place.
+So contacts at one place become one with their mean normal, and the cloud is thinned until it is as dense along slices as
+between them: the gaps are those of a Delaunay triangulation of the directions in which the contacts lie.  Before that it is
+stretched to a round one, by the second moments of its convex hull; normals by the inverse.  So a needle becomes a ball, and
+the result is stretched back.  Points are rounded and sorted first, so that neither their order nor their unit matters.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, cKDTree
+
+from scan3d.arrays import Array, Index
+from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull
+
+# Lengths here are in radii of the round cloud, whose hull has the second moments of the unit ball.
+
+# Places are multiples of this, far above rounding errors; contacts on the same one are one.
+_GRID = 2.0**-30
+# The stretching itself is rounded too: it need not be exact, but the same in any unit.
+_STRETCH_GRID = 2.0**-12
+# A body flatter than this, in widths, is none.
+_FLATTEST = 1e-4
+# Points closer than this share of the spacing around them tell nothing new.
+_THINNED = 0.5
+# ... and so do those closer than this share of the dense spacing: noise has moved them apart.
+_FLOOR = 0.25
+# Contacts farther out by so much are kept first: corners, edges and rims.
+_SHELL = 0.05
+# Poisson's cells are as fine as the spacing on the densest tenth of the surface, the first ball is as large as almost all.
+_DENSE, _SPARSE = 0.1, 0.99
+# ... but no larger than this many dense spacings, or it would take long.
+_FIRST_BALL = 4.0
+# The largest ball rests on a face as wide as the body.
+_LARGEST_BALL = 2.0
+# Points of a slice often lie on one circle, and those of a face in one plane, where ball pivoting spans overlapping
+# triangles.  So it is given them moved by this share of the squared distance between them: far less than curvature does.
+_JITTER = 1e-3
+# Side of Poisson's cube, in widths of the cloud; the larger if the surface runs into the cube's walls.
+_CUBES = (1.5, 3.0)
+_SHALLOWEST, _DEEPEST = 3, 10
+# A surface that reaches this share of the diagonal beyond the box of the contacts is told of.
+_BULGE = 0.01
+
+
+class _Round(NamedTuple):
+    """Contacts at different places, stretched to a round cloud, evenly spread."""
+
+    points: Array
+    """(n, 3) about the origin."""
+    normals: Array
+    """(n, 3)"""
+    original: Array
+    """(n, 3) the points as given."""
+    apart: Array
+    """(n,) distance to which they were thinned."""
+    dense: float
+    sparse: float
+    """Spacing where the surface is covered most densely, and almost most sparsely."""
+    back: Array
+    """(3, 3): points @ back + origin is where they were."""
+    origin: Array
+    """(3,)"""
+
+
+def poisson(points: Array, normals: Array) -> Any:
+    """Screened Poisson reconstruction from points (n, 3) with outward normals (n, 3): a closed `trimesh.Trimesh`, outward.
+
+    Rows that aren't finite are left out.  The octree is as deep as the points' spacing warrants.  `metadata["reason"]` says
+    how it was made.  Raises InputError for points that span no body, for a surface that does not close, and if open3d can't
+    be imported.
+    """
+    cloud = _round(points, normals)
+    o3d = _open3d()
+    width = float(np.ptp(cloud.points, axis=0).max())
+    for cube in _CUBES:
+        depth = max(_SHALLOWEST, min(math.floor(math.log2(cube * width / cloud.dense)) + 1, _DEEPEST))
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            # one thread: several add in any order
+            made, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+                _point_cloud(o3d, cloud.points, cloud.normals), depth=depth, scale=cube, n_threads=1
+            )
+        # vertices at one place are one
+        places, vertex = np.unique(np.asarray(made.vertices), axis=0, return_inverse=True)
+        faces = _largest(vertex.reshape(-1)[np.asarray(made.triangles)])
+        found = _mesh(places @ cloud.back + cloud.origin, faces)
+        if len(found.faces) and found.is_watertight:
+            reason = (
+                f"screened Poisson reconstruction of depth {depth} from {len(cloud.points)} of {len(points)} contacts"
+            )
+            low, high = found.bounds - [cloud.original.min(axis=0), cloud.original.max(axis=0)]
+            beyond = float(max(-low.min(), high.max()) / np.linalg.norm(np.ptp(cloud.original, axis=0)))
+            if beyond > _BULGE:
+                reason += f": it bulges {beyond:.0%} of their diagonal beyond them, where the body was not touched"
+            found.metadata.update(method="poisson", reason=reason)
+            return found
+    raise InputError(
+        f"the Poisson surface of {len(cloud.points)} contacts does not close, for they leave too much of the body open: "
+        "scan along further axes, or use the method auto or hull"
+    )
+
+
+def ball_pivoting(points: Array, normals: Array) -> Any:
+    """Ball pivoting over points (n, 3) with outward normals (n, 3): a `trimesh.Trimesh`, outward, perhaps with holes.
+
+    Its vertices are among the points; holes of three edges are filled, larger ones are not.  Rows that aren't finite are left
+    out.  The balls' radii grow from the points' spacing to the body's size.  `metadata["reason"]` says how it was made, and
+    how many edges are open.  Raises InputError for points that span no body, if no ball rests on any three of them, and if
+    open3d can't be imported.
+    """
+    cloud = _round(points, normals)
+    o3d = _open3d()
+    first = min(cloud.sparse, _FIRST_BALL * cloud.dense)
+    radii = first * 2.0 ** np.arange(math.ceil(math.log2(_LARGEST_BALL / first)) + 1)
+    moved = cloud.points + _JITTER * cloud.apart[:, None] ** 2 * np.random.default_rng(0).normal(
+        size=cloud.points.shape
+    )
+    # a slice just below a flat end has normals in the end's plane; leaning outwards, they tell its outside
+    leaning = _normalised(cloud.normals + _normalised(cloud.points))
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        made = o3d.geometry.TriangleMesh.create_from_point_cloud_ball_pivoting(
+            _point_cloud(o3d, moved, leaning), o3d.utility.DoubleVector(radii)
+        )
+    faces = np.asarray(made.triangles, dtype=np.int64).reshape(-1, 3)
+    inwards = np.linalg.det(cloud.points[faces]) < 0
+    faces[inwards] = faces[inwards, ::-1]
+    faces = _single(faces)
+    gaps = _triangular_holes(faces)
+    found = _mesh(cloud.original, np.concatenate([faces, gaps]))
+    if not len(found.faces):
+        raise InputError(
+            f"no ball rests on three of the {len(cloud.points)} contacts: scan more slices, or use the method auto or hull"
+        )
+    edges, uses = np.unique(found.edges_sorted, axis=0, return_counts=True)
+    holes = int((uses != 2).sum())
+    found.metadata.update(
+        method="ball-pivoting",
+        reason=f"ball pivoting with {len(radii)} radii over {len(cloud.points)} of {len(points)} contacts"
+        + (f", {len(gaps)} holes of three edges filled" if len(gaps) else "")
+        + (f": not closed, {holes} of {len(edges)} edges are open" if holes else ": closed"),
+    )
+    return found
+
+
+def _round(points: Array, normals: Array) -> _Round:
+    """Contacts made round, unique and evenly spread; see the module's docstring."""
+    points, normals = np.asarray(points, dtype=float), np.asarray(normals, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or points.shape != normals.shape:
+        raise InputError(f"points and normals must both be of shape (n, 3), got {points.shape} and {normals.shape}")
+    rows = np.concatenate([points, normals], axis=1)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if len(rows) < 4:
+        raise InputError(
+            f"{len(rows)} of {len(points)} contacts have a normal, and a surface needs at least 4: "
+            "scan more slices, or use the method hull"
+        )
+    rows = rows[np.lexsort(rows.T[::-1])]
+    points, normals = rows[:, :3], rows[:, 3:]
+
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    size = float(np.ptp(points, axis=0).max())
+    unit = (points - centre) / (size or 1.0)
+    body = hull(unit)
+    inertia = body.moment_inertia
+    moments, axes = np.linalg.eigh((np.trace(inertia) / 2 * np.eye(3) - inertia) / body.volume)
+    if moments[0] < _FLATTEST**2 * moments[2]:
+        raise InputError(
+            f"the {len(rows)} contacts with a normal lie in one plane, or all but: scan more slices, or use the method hull"
+        )
+    # the unit ball has the second moments 1/5
+    stretch = np.round((axes / np.sqrt(5 * moments) @ axes.T) / _STRETCH_GRID) * _STRETCH_GRID
+    middle = np.round(body.center_mass / _STRETCH_GRID) * _STRETCH_GRID
+    back = np.linalg.inv(stretch)
+
+    places = np.round((unit - middle) @ stretch / _GRID) * _GRID
+    places, first, place = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    total = np.zeros_like(places)
+    np.add.at(total, place.reshape(-1), normals)
+    total = total @ back.T
+    if (total * places).sum() <= 0:
+        raise InputError("the normals point inwards, and should point out of the body: turn them round")
+    # normals of one place that cancel say nothing: outwards then
+    total = _normalised(np.where(np.linalg.norm(total, axis=1, keepdims=True) > _GRID, total, places))
+    apart, dense, sparse = _spacing(places)
+    apart = _THINNED * np.maximum(apart, _FLOOR * dense)
+    kept = _thin(places, apart)
+    return _Round(
+        places[kept], total[kept], points[first[kept]], apart[kept], dense, sparse, back * size, middle * size + centre
+    )
+
+
+def _normalised(vectors: Array) -> Array:
+    """Vectors (n, 3) of length 1; zero stays zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), _GRID)
+
+
+def _spacing(points: Array) -> tuple[Array, float, float]:
+    """Spacing of points (n, 3) about the origin: of each point (n,), and where they are dense and sparse on the surface.
+
+    The directions of the points have a Delaunay triangulation on the sphere.  The diameter of a triangle's circumcircle is
+    the gap that it spans, from slice to slice however dense these are; a point's spacing is the smallest gap it lies at.
+    """
+    triangles = ConvexHull(_normalised(points)).simplices
+    corners = points[triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gap = np.minimum(np.nan_to_num(sides.prod(axis=1) / (2 * area), nan=np.inf), _LARGEST_BALL)
+    local = np.full(len(points), _LARGEST_BALL)
+    np.minimum.at(local, triangles, gap[:, None])
+    order = np.argsort(gap)
+    share = np.cumsum(area[order]) / area.sum()
+    dense, sparse = gap[order][np.searchsorted(share, (_DENSE, _SPARSE))]
+    return local, float(dense), float(sparse)
+
+
+def _thin(points: Array, apart: Array) -> Index:
+    """Rows (k,), rising, of points (n, 3) left if each, outer ones first, removes all closer to it than its `apart` (n,)."""
+    tree = cKDTree(points)
+    free = np.ones(len(points), dtype=bool)
+    kept = []
+    shell = np.round(np.linalg.norm(points, axis=1) / _SHELL)
+    for row in np.argsort(-shell, kind="stable"):
+        if free[row]:
+            kept.append(row)
+            free[tree.query_ball_point(points[row], apart[row])] = False
+    return np.sort(np.array(kept, dtype=np.int64))
+
+
+def _largest(faces: Index) -> Index:
+    """The faces (m, 3) of the component that has the most."""
+    count = int(faces.max(initial=-1)) + 1
+    if not count:
+        return faces
+    edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
+    _, label = connected_components(coo_array((np.ones(edges.shape[1]), edges), shape=(count, count)), directed=False)
+    mine = label[faces[:, 0]]
+    return faces[mine == np.bincount(mine).argmax()]
+
+
+def _single(faces: Index) -> Index:
+    """The faces (m, 3) without those that lie on the same side of an edge as one before: they overlap it."""
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    _, first = np.unique(np.stack([start, end], axis=1), axis=0, return_index=True)
+    again = np.ones(len(start), dtype=bool)
+    again[first] = False
+    return faces[~again.reshape(-1, 3).any(axis=1)]
+
+
+def _triangular_holes(faces: Index) -> Index:
+    """The faces (k, 3) that three open edges ask for."""
+    edges = set(zip(faces.reshape(-1).tolist(), np.roll(faces, -1, axis=1).reshape(-1).tolist(), strict=True))
+    # from the holes' side; where several meet in one vertex, the last counts
+    following = {end: start for start, end in sorted(edges) if (end, start) not in edges}
+    found = []
+    for a, b in following.items():
+        c = following.get(b, -1)
+        if a < b and a < c and following.get(c) == a:
+            found.append((a, b, c))
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
+
+
+def _mesh(vertices: Array, faces: Index) -> Any:
+    """A `trimesh.Trimesh` without faces that are double or have no area, and without vertices in no face."""
+    import trimesh
+
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    good = np.zeros(len(faces), dtype=bool)
+    good[once] = True
+    faces = faces[good & (area > 0)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
+
+
+def _point_cloud(o3d: Any, points: Array, normals: Array) -> Any:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(normals)
+    return cloud
+
+
+def _open3d() -> Any:
+    """The module open3d.  Raises InputError with what to do if it, or a system library it needs, is missing."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise InputError(
+            f"the methods poisson and ball-pivoting need open3d, which can't be imported ({error}): install it and its "
+            "libraries (on Debian or Ubuntu apt-get install libgl1 libgomp1), or use the method auto, bracket, hull or support"
+        ) from None
+    return open3d

@@ -1,0 +1,240 @@
+"""The outer body, slab by slab: what the half-spaces of the slices leave between two neighbouring heights.
+
+At a fixed normal angle θ a slice's support function is concave in the height z, so that beyond a slice it stays below the
+secant from the slice behind, extrapolated,
+
+    <n, p> <= h + σ (z - z_i),        σ = (h - h_before) / (z_i - z_before),
+
+with h exact at the contact and ``h_before`` at least the support of the contacts there.  Between two slices this holds from
+both sides; past the end slices from one, up to the next height at which a slice has found nothing.  These half-spaces cut
+each slab to a polyhedron.  Half-spaces that noisy contacts give are moved out by a margin.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+from scan3d.arrays import Array, Mask
+from scan3d.reconstruction.slices import Slice, SliceStack
+
+# Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
+# intersections; larger, corners between the slices would be taken for gaps between contacts.
+_IN_PLANE = 1e-9
+# Corners farther than this many widths of the slices belong to half-spaces that do not close.  Smaller, very oblique but
+# closed slabs would count as unbounded; larger, corners that rounding has brought back from infinity would be believed.
+_FAR = 1e6
+# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's.  Larger, gentle
+# curvature would count as straight and be extended to a crease; smaller, the secants of a facet would not pass for equal.
+_STRAIGHT = 0.03
+# Rounding of a support function, relative to it: some thousand units in the last place, for several sums of products.
+_ROUNDING = 1e-12
+# Offset of a dual facet that is zero to rounding: its corner lies at infinity.
+_ON_THE_EDGE = 1e-12
+# Where between its two planes a point inside a slab past an end slice is sought, as fractions of the thickness from the
+# slice: the middle is best conditioned, and a pointed cap leaves room near the slice only.
+_INNER_FRACTIONS = (0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-8)
+
+
+class Gap(IntEnum):
+    """What a part of the uncertainty comes from."""
+
+    SLICES = 0
+    """The body between two slices."""
+    CONTACTS = 1
+    """A slice's contour between two contacts."""
+    CAPS = 2
+    """The body past its end slices."""
+
+
+class Slab(NamedTuple):
+    """The outer body between two heights."""
+
+    corners: Array
+    """(w, 3) in the world; one infinite corner if nothing bounds the slab."""
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    straight: Mask
+    """(w, 2) whether all half-spaces of the corner that come from below, and from above, go on straight beyond the slab."""
+    volume: float
+
+
+SlabKey = tuple[float, ...]
+"""Heights of the slices that a slab depends on, and their numbers of contacts."""
+
+
+class _HalfSpaces(NamedTuple):
+    """The half-spaces ``a·x + b <= 0`` whose intersection is a slab; the last two are the slab's planes, above and below."""
+
+    planes: Array
+    """(k, 4) a and b."""
+    side: Array
+    """(k,) 0 for those from the slices below, 1 for those from above, -1 for the slab's planes."""
+    straight: Mask
+    """(k,) whether the body goes on straight behind the slab at this normal."""
+
+
+def slabs(stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None) -> list[Slab]:
+    """The slabs of a stack from below; those that depend on the same slices are taken from `known`, and added to it."""
+    known = {} if known is None else known
+    keys = slab_keys(stack)
+    for i, key in enumerate(keys):
+        if key not in known:
+            known[key] = _slab(stack, i, margin)
+    return [known[key] for key in keys]
+
+
+def slab_keys(stack: SliceStack) -> list[SlabKey]:
+    """What each slab depends on: three slices, or ends of the body, on either side, and how many contacts they have."""
+    heights = [-np.inf, -np.inf, stack.floor, *map(float, stack.heights), stack.ceiling, np.inf, np.inf]
+    contacts = [0, 0, 0, *(len(slice_.rows) for slice_ in stack.slices), 0, 0, 0]
+    return [tuple(heights[i : i + 6] + contacts[i : i + 6]) for i in range(len(stack.slices) + 1)]
+
+
+def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
+    """The slab below slice i."""
+    slices, count = stack.slices, len(stack.slices)
+    below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
+    low = below.height if below else stack.floor
+    high = above.height if above else stack.ceiling
+    inner_kind = Gap.CAPS if below is None or above is None else Gap.SLICES
+    unbounded = Slab(
+        np.full((1, 3), np.inf), np.array([inner_kind], dtype=np.int8), np.zeros((1, 2), dtype=bool), np.inf
+    )
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return unbounded
+    if high <= low:
+        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), np.empty((0, 2), dtype=bool), 0.0)
+    half_spaces = _half_spaces_of_slab(stack, i, low, high, margin)
+    inside = _inner_point(below, above, low, high, half_spaces.planes[:-2])
+    if inside is None:
+        return unbounded
+    thickness = high - low
+    size = np.array([max(float(np.ptp(slice_.points)) for slice_ in (below, above) if slice_)] * 2 + [thickness])
+    intersection = _intersection(half_spaces.planes, inside, size)
+    if intersection is None:
+        return unbounded
+    corners, facets, volume = intersection
+    # in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body can't be so wide
+    on_low, on_high = (np.abs(corners[:, 2] - z) <= _IN_PLANE * thickness for z in (low, high))
+    in_plane = (on_low & (i >= 2)) | (on_high & (above is not None) & (i + 1 < count))
+    on_end = (on_low & (i == 1)) | (on_high & (above is not None) & (i + 1 == count))
+    kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
+    one_sided = above is None or below is None
+    _, side, goes_on = half_spaces
+    straight = np.array([_corner_is_straight(side[rows], goes_on[rows], one_sided) for rows in facets])
+    return Slab(corners @ stack.frame, kind, straight & ~on_end[:, None], volume)
+
+
+def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, margin: float) -> _HalfSpaces:
+    """The half-spaces of the slab below slice i, between the heights `low` and `high`."""
+    slices, count = stack.slices, len(stack.slices)
+    below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
+    planes, side, straight = [np.empty((0, 4))], [np.empty(0)], [np.empty(0, dtype=bool)]
+    if below is not None and i >= 2:
+        planes.append(_half_spaces(below, slices[i - 2], margin))
+        side.append(np.full(len(planes[-1]), 0.0))
+        straight.append(_goes_on_straight(slices[:i][::-1], above))
+    if above is not None and i + 1 < count:
+        planes.append(_half_spaces(above, slices[i + 1], margin))
+        side.append(np.full(len(planes[-1]), 1.0))
+        straight.append(_goes_on_straight(slices[i:], below))
+    # the plane of an empty slice cuts off what does not follow from the body's shape
+    ends = [stack.bounded_by_others[1] and above is None, stack.bounded_by_others[0] and below is None]
+    return _HalfSpaces(
+        np.concatenate([*planes, [[0.0, 0.0, 1.0, -high], [0.0, 0.0, -1.0, low]]]),
+        np.concatenate([*side, [-1.0, -1.0]]),
+        np.concatenate([*straight, ends]),
+    )
+
+
+def _half_spaces(slice_: Slice, behind: Slice, margin: float) -> Array:
+    """Rows (k, 4) ``a·x + b <= 0``: the slice's supporting lines, inclined along the secants from the slice behind."""
+    normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
+    value = slice_.value + margin
+    secant = (value - (behind.support_of_contacts(normals) - margin)) / (slice_.height - behind.height)
+    return np.column_stack([normals, -secant, secant * slice_.height - value])
+
+
+def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, list[list[int]], float] | None:
+    """Corners (w, 3) of the half-spaces' intersection, the half-spaces that meet in each, and the volume; None if open.
+
+    The half-spaces are shifted to the inner point and scaled by `size` (3,), so that Qhull can handle thin slabs.
+    """
+    planes = planes.copy()
+    planes[:, 3] += planes[:, :3] @ inside
+    planes[:, :3] *= size
+    planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            intersection = _qhull(HalfspaceIntersection, planes, np.zeros(3))
+        # the half-spaces close only where their dual points have the inner point among them
+        if not (intersection.dual_equations[:, 3] < -_ON_THE_EDGE).all():
+            return None
+        corners = intersection.intersections
+        volume = _qhull(ConvexHull, corners).volume * float(np.prod(size))
+    except (QhullError, ValueError):
+        return None
+    if np.abs(corners[:, :2]).max() > _FAR:
+        return None
+    return inside + corners * size, intersection.dual_facets, volume
+
+
+def _qhull(build: Any, *inputs: Array) -> Any:
+    """Qhull, with its input joggled by rounding where nearly equal planes or points confuse it."""
+    try:
+        return build(*inputs)
+    except QhullError:
+        return build(*inputs, qhull_options="QJ")
+
+
+def _corner_is_straight(side: Array, straight: Mask, one_sided: bool) -> tuple[bool, bool]:
+    """Whether a corner's half-spaces from below, and from above, all go on straight behind the slab.
+
+    Where the slab has slices on one side only, both say whether those of that side do.
+    """
+    if one_sided:
+        both = bool(straight.all())
+        return both, both
+    below, above = side == 0, side == 1
+    return bool(below.any() and straight[below].all()), bool(above.any() and straight[above].all())
+
+
+def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
+    """Whether the body goes on straight behind a slab's slice, at the slice's normals (k,).
+
+    `behind` are the slice and those farther and farther from the slab, `beyond` is the one on the slab's other side; past an
+    end slice no slice is beyond, and the slopes may differ by rounding only.
+    """
+    if len(behind) < 3:
+        return np.zeros(len(behind[0].angle), dtype=bool)
+    normals = np.stack([np.cos(behind[0].angle), np.sin(behind[0].angle)], axis=1)
+    near, far, turned = (
+        (b.support_of_contacts(normals) - a.support_of_contacts(normals)) / (b.height - a.height)
+        for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond or behind[1]))
+    )
+    rounding = (
+        _ROUNDING * np.abs(behind[0].value).max() / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
+    )
+    return np.abs(near - far) <= _STRAIGHT * np.abs(near - turned) + rounding
+
+
+def _inner_point(below: Slice | None, above: Slice | None, low: float, high: float, planes: Array) -> Array | None:
+    """A point well inside a slab's half-spaces, on the line between the centres of its slices; None if there is none."""
+    centres = [slice_.outline.mean(axis=0) for slice_ in (below, above) if slice_ is not None and len(slice_.outline)]
+    if not centres or not len(planes):
+        return None
+    for fraction in _INNER_FRACTIONS:
+        if below is not None and above is not None:
+            z = (low + high) / 2
+        else:
+            z = low + fraction * (high - low) if below is not None else high - fraction * (high - low)
+        point = np.array([*np.mean(centres, axis=0), z])
+        if (planes[:, :3] @ point + planes[:, 3] < 0).all():
+            return point
+    return None
