@@ -65,7 +65,7 @@ def movie(scene: Scene, path: str | Path, of: str = "sweep", frames: int = FRAME
         raise InputError(f"a movie is of {' or '.join(MOVIES)}, got {of!r}")
     write = _gif if path.suffix.lower() == ".gif" else _mp4()
     with quiet():
-        write(path, _sweep(scene, frames) if of == "sweep" else _growth(scene, frames))
+        write(path, _sweep_frames(scene, frames) if of == "sweep" else _growth_frames(scene, frames))
 
 
 def _gif(path: Path, images: Iterator[Image]) -> None:
@@ -114,7 +114,7 @@ def _shot(figure: Any) -> Image:
     return np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3])
 
 
-def _sweep(scene: Scene, frames: int) -> Iterator[Image]:
+def _sweep_frames(scene: Scene, frames: int) -> Iterator[Image]:
     """The plane of a slice: contour, clamp, rod and contacts so far; beside it the reactions."""
     one = shown_sweep(scene)
     assert scene.recording is not None
@@ -165,7 +165,7 @@ def _sweep(scene: Scene, frames: int) -> Iterator[Image]:
     clamp = scene_axes.plot([], [], "s", color=INK, ms=9)[0]
     contact = scene_axes.plot([], [], "o", color=TANGENTIAL, ms=7)[0]
     touched = flat(one.contact)
-    for k in _some(len(way), frames):
+    for k in _frame_numbers(len(way), frames):
         bent.set_data(*shapes[k].T)
         trace.set_data(*touched[: k + 1].T)
         clamp.set_data(*base[k : k + 1].T)
@@ -176,7 +176,7 @@ def _sweep(scene: Scene, frames: int) -> Iterator[Image]:
         yield _shot(figure)
 
 
-def _growth(scene: Scene, frames: int) -> Iterator[Image]:
+def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
     """The hull of the contacts of more and more slices."""
     from scan3d.geometry.hulls import hull
 
@@ -191,7 +191,7 @@ def _growth(scene: Scene, frames: int) -> Iterator[Image]:
     canvas = Canvas(points)
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
     axes = None
-    for k in _some(len(order), frames):
+    for k in _frame_numbers(len(order), frames):
         mine = points[numbers <= order[k]]
         actors = [canvas.add_points(mine, TANGENTIAL, 3)]
         with suppress(InputError):  # the contacts of one slice span no body yet
@@ -209,6 +209,6 @@ def _growth(scene: Scene, frames: int) -> Iterator[Image]:
     canvas.plotter.close()
 
 
-def _some(count: int, frames: int) -> NDArray[np.integer]:
+def _frame_numbers(count: int, frames: int) -> NDArray[np.integer]:
     """So many of the numbers below `count`, evenly, the first and the last among them."""
     return np.unique(np.linspace(0, count - 1, min(frames, count)).round().astype(int))

@@ -119,9 +119,9 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
             low, high = float(shaded.norm.vmin), float(shaded.norm.vmax)
             colors.append(_scale(shaded.title, shown, low, high, shaded.map, log=log))
     names = {name: scene.column(name) for name in ("sweep", "slice")}
-    told = {name: values.astype(int).tolist() for name, values in names.items() if values is not None}
+    columns = {name: values.astype(int).tolist() for name, values in names.items() if values is not None}
     position = _floats(scene.points - center)
-    return {"name": "contacts", "kind": "points", "on": True, "position": position, "colors": colors, "told": told,
+    return {"name": "contacts", "kind": "points", "on": True, "position": position, "colors": colors, "columns": columns,
             "color": TANGENTIAL}  # fmt: skip
 
 
