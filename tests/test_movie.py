@@ -17,6 +17,7 @@ from scan3d.choices import COLORS, MOVIES, VIEWS
 from scan3d.cli import main, verbs
 from scan3d.cli.parser import parser
 from scan3d.pictures import movie, rendering, shading
+from scan3d.pictures.parts import evenly_chosen
 
 SIZE = (980, 560)
 LEFT, RIGHT = (slice(0, 500), slice(0, 550)), (slice(0, 500), slice(640, 980))
@@ -83,8 +84,8 @@ def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
 
 
 def test_no_more_frames_than_there_are_samples():
-    assert movie._frame_numbers(5, 60).tolist() == [0, 1, 2, 3, 4]
-    assert movie._frame_numbers(100, 4).tolist() == [0, 33, 66, 99]
+    assert evenly_chosen(5, 60).tolist() == [0, 1, 2, 3, 4]
+    assert evenly_chosen(100, 4).tolist() == [0, 33, 66, 99]
 
 
 @pytest.mark.parametrize("name", ["sweep.gif", "sweep.mp4"])
@@ -125,7 +126,7 @@ def test_the_command(tmp_path, monkeypatch, capsys, name):
             "sweep",
             "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif",
         ),
-        (dict(recording=None), "x.gif", "sweep", "egg has no recording, where rods need one"),
+        (dict(recording=None), "x.gif", "sweep", "egg has no recording, which rods are drawn from"),
         (dict(contacts=None), "x.gif", "growth", "egg does not say which slices its contacts lie in"),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_cloud_shows_itself(cloud):
     assert rows["slices"] == f"{len(np.unique(cloud.slice))} with contacts of {len(cloud.slice_height)}"
     assert rows["size"] == " × ".join(f"{extent:.4g}" for extent in np.ptp(cloud.points, axis=0)) + " mm"
     assert rows["friction"].startswith(f"{np.nanmedian(cloud.friction):.4g} (median; 0.1")
-    assert "contacts off by" not in rows
+    assert "position noise" not in rows
     assert shown.text.count("render") == 0
     # the body in the middle, the bar at the right
     image = embedded(shown.pictures[0])
@@ -158,7 +158,7 @@ def test_a_cloud_without_a_renderer_is_a_table(cloud, no_renderer):
     shown = Reader(replace(cloud, noise=0.1, unit="um")._repr_html_())
     assert shown.pictures == []
     assert rendering.NO_RENDERER in shown.text
-    assert dict(shown.rows)["contacts off by"] == "0.1 µm (standard deviation)"
+    assert dict(shown.rows)["position noise"] == "0.1 µm (standard deviation)"
     with pytest.raises(scan3d.InputError, match="nothing here can render off screen"):
         cloud.plot()
 
@@ -277,11 +277,11 @@ def test_what_can_not_be_plotted(recording, cloud, surface, mesh, monkeypatch):
         ((surface,), dict(view="rainbow"), "view must be one of cloud, surface, .*, got 'rainbow'"),
         ((surface,), dict(view="cloud"), "the surface has no contacts"),
         ((cloud,), dict(color="taste"), "contacts are coloured by phase, force, friction, error, got 'taste'"),
-        ((cloud,), dict(color="error"), "the cloud says nothing of its contacts' error"),
-        ((cloud,), dict(view="explain"), "the cloud has no recording, where rods need one"),
+        ((cloud,), dict(color="error"), "the error of the contacts of the cloud is not known"),
+        ((cloud,), dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
         ((recording,), dict(view="surface"), "the recording has no surface to show"),
         ((surface,), dict(truth=CUBE), "truth must be a trimesh.Trimesh.*load_mesh.*got a \\w+Path"),
-        ((surface,), dict(view="compare"), "the true body of the surface is not at hand"),
+        ((surface,), dict(view="compare"), "the true body of the surface is not known"),
     ]
     for arguments, options, sentence in wrong:
         with pytest.raises(scan3d.InputError, match=sentence):

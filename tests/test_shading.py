@@ -44,10 +44,12 @@ def test_colours_that_a_cloud_does_not_know(cube):
     unknown = cube.contacts.copy()
     unknown["quality"] = np.nan
     with pytest.raises(
-        scan3d.InputError, match="cube says nothing of its contacts' error; known are phase, force, friction"
+        scan3d.InputError, match="the error of the contacts of cube is not known; known are phase, force, friction"
     ):
         shading.shade_contacts(replace(cube, contacts=unknown), "error")
-    with pytest.raises(scan3d.InputError, match="nothing of its contacts' force; its file has points only"):
+    with pytest.raises(
+        scan3d.InputError, match="the force of the contacts of cube is not known; its file has points only"
+    ):
         shading.shade_contacts(replace(cube, contacts=cube.contacts[["x", "y", "z"]]), "force")
 
 

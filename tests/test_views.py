@@ -153,11 +153,15 @@ def test_the_scale_is_a_round_length(length, step):
     [
         ({}, dict(view="rainbow"), "view must be one of cloud, surface, bound, compare, explain, got 'rainbow'"),
         ({}, dict(color="taste"), "contacts are coloured by phase, force, friction, error, got 'taste'"),
-        (dict(contacts=None), dict(view="cloud"), "cube has no contacts, where the view cloud shows them"),
+        (
+            dict(contacts=None),
+            dict(view="cloud"),
+            "cube has no contacts to show; it has a surface: give the view surface",
+        ),
         (dict(surface=None), dict(view="surface"), "cube has no surface to show; it has a cloud: give the view cloud"),
-        (dict(truth=None), dict(view="compare"), "the true body of cube is not at hand, .*; give --truth MESH"),
+        (dict(truth=None), dict(view="compare"), "the true body of cube is not known, .*: give --truth MESH"),
         (dict(bound=None), dict(view="bound"), "the bound of cube is not known; show a scan's folder"),
-        (dict(recording=None), dict(view="explain"), "cube has no recording, where rods need one"),
+        (dict(recording=None), dict(view="explain"), "cube has no recording, which rods are drawn from"),
     ],
 )
 def test_views_that_the_scene_can_not_give(cube, tmp_path, monkeypatch, change, options, sentence):

@@ -23,22 +23,22 @@ def folder(tmp_path_factory):
 @pytest.mark.rendering
 def test_the_window(egg):
     sentences = []
-    made = window.window(egg, sentences.append, "phase", off_screen=True)
+    built = window.build_window(egg, sentences.append, "phase", off_screen=True)
     try:
-        assert list(made.layers) == ["surface", "truth", "contacts", "normals", "slices", "rods"]
-        visible = {name: all(actor.GetVisibility() for actor in actors) for name, actors in made.layers.items()}
-        assert visible == {name: name in ("surface", "contacts") for name in made.layers}
-        assert all(made.layers.values())
-        made.switch("truth", True)
-        assert made.layers["truth"][0].GetVisibility()
-        assert np.array_equal(made.contacts["rgb"], shading.shade_contacts(egg, "phase").rgb)
-        made.paint("force")
-        assert np.array_equal(made.contacts["rgb"], shading.shade_contacts(egg, "force").rgb)
-        made.pick(egg.points[17])
-        made.pick(egg.points[17] + 100.0)
+        assert list(built.layers) == ["surface", "truth", "contacts", "normals", "slices", "rods"]
+        visible = {name: all(actor.GetVisibility() for actor in actors) for name, actors in built.layers.items()}
+        assert visible == {name: name in ("surface", "contacts") for name in built.layers}
+        assert all(built.layers.values())
+        built.switch("truth", True)
+        assert built.layers["truth"][0].GetVisibility()
+        assert np.array_equal(built.contacts["rgb"], shading.shade_contacts(egg, "phase").rgb)
+        built.paint("force")
+        assert np.array_equal(built.contacts["rgb"], shading.shade_contacts(egg, "force").rgb)
+        built.pick(egg.points[17])
+        built.pick(egg.points[17] + 100.0)
         assert sentences == [contact_sentence(egg, 17)]
     finally:
-        made.plotter.close()
+        built.plotter.close()
 
 
 def test_without_a_display_there_is_no_window(folder, monkeypatch, capsys):
