@@ -3,7 +3,7 @@
 import os
 
 MISSING = ("libraries", "display")
-"""Its OpenGL libraries are missing, or it is told to open its window on an X server, where there is none."""
+"""Either the OpenGL libraries are missing, or VTK is set to open its window on an X server, which does not run."""
 _LIBRARIES = (
     "libEGL.so.1",
     "libEGL.so",

@@ -130,14 +130,13 @@ class Canvas:
         """Add the rods of some samples of a sweep with their clamps and contacts.  Returns their actors."""
         import pyvista
 
-        actors = []
+        actors, rods = [], sweep.rods
         mark = _MARK * self.size
         for k in states:
-            actors.append(self.add_tube(sweep.rods[k], ROD, _ROD_RADIUS))
+            actors.append(self.add_tube(rods[k], ROD, _ROD_RADIUS))
             clamp = pyvista.Cube(x_length=3 * mark, y_length=3 * mark, z_length=3 * mark)
-            clamp.points = (
-                sweep.base[k] + clamp.points @ sweep.axes - 1.5 * mark * sweep.axes[1]
-            )  # the rod begins at its face
+            center = sweep.base[k] - 1.5 * mark * sweep.axes[1]  # the rod begins at the clamp's face
+            clamp.points = center + clamp.points @ sweep.axes
             actors.append(self.plotter.add_mesh(clamp, color=INK))
             ball = pyvista.Sphere(radius=1.7 * mark, center=sweep.contact[k])
             actors.append(self.plotter.add_mesh(ball, color=TANGENTIAL))

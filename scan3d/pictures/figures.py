@@ -32,6 +32,8 @@ _AXIS, _AXIS_PER_PIXEL = 30, 0.036
 # the distance under which letters overlap, begin of the scale, its height and that of its label.
 _AXES_FLOOR, _AXES_ORIGIN, _LETTER, _OVERLAP = 1.9, (1.6, 1.3), 1.35, 0.4
 _SCALE_BEGIN, _SCALE_HEIGHT, _SCALE_LABEL = 3.4, 0.55, 0.75
+# Rounding: a length that should be exactly a step counts as one.
+_SLACK = 1e-9
 # Longest scale as a fraction of the image's width: it stays clear of the right edge.
 _LONGEST_SCALE = 0.22
 
@@ -93,7 +95,7 @@ def _scale(axes: Any, length_across: float, width: int, arm: float, unit: str) -
 def nice(length: float) -> float:
     """The largest 1, 2 or 5 times a power of ten that is no longer."""
     power = 10.0 ** np.floor(np.log10(length))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= length * (1 + _SLACK)))
 
 
 def color_bar(figure: Any, shaded: Shade, unknown: str = "") -> None:

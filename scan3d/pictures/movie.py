@@ -45,6 +45,8 @@ _COLORS = 128
 _WHITE = 245
 # Margins as fractions of what is drawn: points and lines at the border are seen entirely.
 _CURVE_MARGIN, _PLANE_MARGIN = 0.06, 0.05
+# Diameter of a contact in pixels, smaller than in pictures as frames are smaller.
+_CONTACT_SIZE = 3
 # Height of the rendered body as a fraction of the frame; the caption is below.
 _BODY_HEIGHT = 0.92
 
@@ -213,7 +215,7 @@ def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
     shown = None
     for k in evenly_chosen(len(numbers), frames):
         selected = points[slices <= numbers[k]]
-        actors = [canvas.add_points(selected, TANGENTIAL, 3)]
+        actors = [canvas.add_points(selected, TANGENTIAL, _CONTACT_SIZE)]
         with suppress(InputError):  # the contacts of one slice span no body yet
             actors.append(canvas.add_body(hull(selected), BODY))
         image, _ = canvas.image(width, height)

@@ -31,6 +31,8 @@ _BASE_LINE_MARGIN = 0.12
 # From a sweep toward the camera, along the clamp's axes: from the base line and above the slice, so that rods hide little of
 # the body and do not hide each other.
 _SWEEP_DIRECTION = (0.45, -0.6, 0.7)
+# Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
+_CONTACT_SIZE = 7
 
 
 def check_path(path: str | Path) -> Path:
@@ -65,7 +67,7 @@ def _cloud(scene: Scene, view: str, color: str) -> Any:
     shaded = shade_contacts(scene, color)
     canvas = Canvas(np.concatenate([scene.corners, *normal_lines(scene)]))
     canvas.add_backdrop(scene)
-    canvas.add_points(scene.points, shaded.rgb, 7)
+    canvas.add_points(scene.points, shaded.rgb, _CONTACT_SIZE)
     canvas.add_lines(normal_lines(scene), NORMAL, 1)
     width = _BESIDE_LEGEND if shaded.norm is None else _BESIDE_BAR
     figure = blank_figure(figure_height(canvas, width))

@@ -39,6 +39,8 @@ _NEAR = 0.03
 _STATES = 9
 # Pixels from button to button, from the left edge, of a button, and points of its label.
 _LINE, _LEFT, _BUTTON, _FONT = 34, 14, 24, 11
+# Diameter of a contact in pixels, as in pictures.
+_CONTACT_SIZE = 7
 # Opacity of the truth: the surface is seen through it.
 _TRUTH_OPACITY = 0.4
 
@@ -115,7 +117,7 @@ def build_window(
             np.array(pyvista.Color(TANGENTIAL).int_rgb, dtype=np.uint8), (len(scene.points), 1)
         )
         actor = canvas.plotter.add_mesh(
-            window.contacts, scalars="rgb", rgb=True, point_size=7, render_points_as_spheres=True
+            window.contacts, scalars="rgb", rgb=True, point_size=_CONTACT_SIZE, render_points_as_spheres=True
         )
         window.layers["contacts"] = [actor]
         window.layers["normals"] = canvas.add_lines(normal_lines(scene), NORMAL, 1)
