@@ -100,6 +100,14 @@ def test_a_page_of_a_part_shows_that_part(cube, what):
     assert data_of(page)["unit"] == "µm"
 
 
+def test_a_folder_of_an_earlier_version_has_a_page_without_rods(cube):
+    """Its contacts do not state their rows of the recording."""
+    columns = [name for name in cube.contacts.dtype.names if name != "row"]
+    page = html_page(replace(cube, contacts=cube.contacts[columns]))
+    names = [layer["name"] for layer in data_of(page)["layers"]]
+    assert names == ["surface", "contacts", "normals", "slices", "truth"]
+
+
 def test_the_package_contains_the_empty_page():
     """And every other file beside its modules: files that no pattern matches would be missing from a wheel."""
     root = Path(__file__).parents[1]

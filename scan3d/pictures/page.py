@@ -19,7 +19,7 @@ from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.figures import quiet
-from scan3d.pictures.parts import evenly_chosen, normal_lines, outlines, shown_surface, shown_sweep
+from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, outlines, shown_surface, shown_sweep
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
     BODY,
@@ -140,7 +140,7 @@ def _lines(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
     contours = [outline for outline, _ in outlines(scene)]
     if contours:
         layers.append(_strips("slices", contours, center, INK, 1.2))
-    if scene.recording is not None:
+    if has_rods(scene):
         sweep = shown_sweep(scene, points=_ROD_POINTS)
         rods = sweep.rods[evenly_chosen(len(sweep.base), _STATES)]
         layers.append(_strips("rod in one sweep", [*rods, sweep.base[[0, -1]]], center, ROD, 3.0))

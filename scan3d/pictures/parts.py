@@ -122,6 +122,11 @@ class ShownSweep:
         return np.concatenate([self.curved, self.straight[:, 1:]], axis=1)
 
 
+def has_rods(scene: Scene) -> bool:
+    """Whether the scene has a recording and contacts that state their rows, which folders of earlier versions do not."""
+    return scene.recording is not None and scene.column("row") is not None
+
+
 def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> ShownSweep:
     """A sweep of the recording, the most informative one unless a number is given; `points` are those of a curved part.
 

@@ -13,7 +13,7 @@ import numpy as np
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import WINDOW_SIZE, Canvas
-from scan3d.pictures.parts import evenly_chosen, normal_lines, outlines, shown_sweep
+from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, outlines, shown_sweep
 from scan3d.pictures.rendering import renders
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
@@ -124,7 +124,7 @@ def build_window(
         window.layers["slices"] = [
             actor for outline, _ in outlines(scene) for actor in canvas.add_lines(outline[None], INK, 1)
         ]
-    if scene.recording is not None:
+    if has_rods(scene):
         sweep = shown_sweep(scene)
         window.layers["rods"] = canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))
     _buttons(window, known, color if color in known else "")
