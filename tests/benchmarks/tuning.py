@@ -1,0 +1,203 @@
+"""Error of the surface over each number with which it is estimated between the inner and the outer body.
+
+    python tests/benchmarks/tuning.py [--quick] [--only NAME ...] [--slices N]
+
+For each field of `Tuning` a table gives the Hausdorff distance of the surface to the true body, relative to the diagonal of
+its bounding box: median and largest over the meshes in meshes/ and over random bodies, for the present value (marked) and for
+values around it, with all other fields as they are.  Fields that act on the interpolation are tried with the method
+`bracket`, fields that act on the choice among the methods with `auto`.  Every body is scanned once, with exact reactions.
+
+Whoever changes one of these numbers runs this script before and after, and states both in the commit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+import scan3d
+from scan3d import between, bracket, hulls, surfaces
+
+MESHES = Path(__file__).resolve().parents[2] / "meshes"
+QUICK_MESHES = ("cylinder", "egg", "gem", "lens", "needle", "rounded_box")
+SLICES, RANDOM_BODIES = 32, 24
+QUICK_SLICES, QUICK_RANDOM_BODIES = 16, 6
+SAMPLES = 32
+FRICTION = (0.0, 0.4)
+
+# Numbers between 0 and 1 are tried near the present value, tolerances over two decades.
+NEAR = (0.5, 0.75, 4 / 3, 2.0)
+DECADES = (0.1, 1 / 3, 3.0, 10.0)
+
+
+class Field(NamedTuple):
+    """One number of `Tuning`, and how it is tried."""
+
+    name: str
+    method: str
+    """The method of `scan3d.surface` in which the number acts."""
+    factors: tuple[float, ...]
+    """The values tried, in those of the present value."""
+    upper: float
+    """No larger value is tried."""
+
+
+FIELDS = (
+    Field("unknown", "bracket", NEAR, 1.0),
+    Field("damping", "bracket", NEAR, 1.0),
+    Field("unseen_corners", "bracket", NEAR, 1.0),
+    Field("straight", "bracket", DECADES, 1.0),
+    Field("parabola", "bracket", NEAR, 1.0),
+    Field("crease", "bracket", NEAR, 0.99),
+    Field("sharp_advantage", "bracket", NEAR, 1.0),
+    Field("fit_gain", "auto", NEAR, 1.0),
+    Field("proven", "auto", DECADES, np.inf),
+)
+
+
+# The one place that knows where the numbers are
+
+_PLACES: dict[str, tuple[tuple[Any, str], ...]] = {
+    "unknown": ((between, "_UNKNOWN"),),
+    "damping": ((between, "_DOUBT"),),
+    "unseen_corners": ((between, "_UNSEEN"),),
+    "straight": ((between, "_FLAT"), (bracket, "_FLAT")),
+    "parabola": ((between, "_PARABOLA"),),
+    "crease": (),
+    "sharp_advantage": ((surfaces, "_SHARPER"),),
+    "fit_gain": ((surfaces, "_GAIN"),),
+    "proven": ((surfaces, "_PROVEN"),),
+}
+
+
+def present() -> dict[str, float]:
+    """The numbers as they are."""
+    values = {name: getattr(*places[0]) for name, places in _PLACES.items() if places}
+    return values | {"crease": surfaces._KINKS[1]}
+
+
+def surface_with(cloud: scan3d.Cloud, method: str, **numbers: float) -> Any:
+    """The surface of a cloud with some of the numbers changed."""
+    changes: list[tuple[Any, str, Any]] = [
+        (module, name, numbers[field]) for field in numbers for module, name in _PLACES[field]
+    ]
+    if "crease" in numbers:
+        words = {None: "straight", numbers["crease"]: "bent", 1.0: "sharp"}
+        changes += [(surfaces, "_KINKS", (None, numbers["crease"], 1.0)), (surfaces, "_GUESSES", words)]
+    kept = [(module, name, getattr(module, name)) for module, name, _ in changes]
+    try:
+        for module, name, value in changes:
+            setattr(module, name, value)
+        return scan3d.surface(cloud, method)
+    finally:
+        for module, name, value in kept:
+            setattr(module, name, value)
+
+
+# The bodies
+
+
+class Body(NamedTuple):
+    name: str
+    mesh: Any
+    cloud: scan3d.Cloud
+
+
+def random_body(seed: int) -> tuple[str, Any]:
+    """In turn a polytope, an ellipsoid and a Minkowski sum of two such, some 40 long and turned at random."""
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(12, 3))
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    ellipsoid = directions * rng.uniform(0.3, 1.0, size=3)
+    kind = ("polytope", "ellipsoid", "sum")[seed % 3]
+    if kind == "polytope":
+        points = corners
+    elif kind == "ellipsoid":
+        points = ellipsoid
+    else:
+        points = (corners[:, None] + 0.4 * ellipsoid[::8]).reshape(-1, 3)
+    points = 20 * Rotation.random(random_state=rng).apply(points)
+    return f"{kind} {seed}", hulls.hull(points[ConvexHull(points).vertices])
+
+
+def scanned(name: str, mesh: Any, slices: int) -> Body:
+    plan = scan3d.Plan(slices=slices, samples=SAMPLES, friction=FRICTION)
+    return Body(name, mesh, scan3d.reconstruct(scan3d.simulate(mesh, plan)))
+
+
+def all_bodies(quick: bool, slices: int) -> dict[str, list[Body]]:
+    """The bodies with their clouds: the meshes, and the random ones."""
+    paths = sorted(path for path in MESHES.iterdir() if path.suffix in (".stl", ".ply", ".obj", ".off", ".glb"))
+    meshes = [(path.stem, scan3d.load_mesh(path)) for path in paths if not quick or path.stem in QUICK_MESHES]
+    randoms = [random_body(seed) for seed in range(QUICK_RANDOM_BODIES if quick else RANDOM_BODIES)]
+    groups = {"meshes": meshes, "random bodies": randoms}
+    return {group: [scanned(name, mesh, slices) for name, mesh in members] for group, members in groups.items()}
+
+
+# The tables
+
+
+def errors(bodies: list[Body], method: str, **numbers: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Hausdorff distance (n,) of each body's surface to the body, relative to the diagonal."""
+    return np.array(
+        [scan3d.compare(surface_with(body.cloud, method, **numbers), body.mesh).relative for body in bodies]
+    )
+
+
+def print_row(label: str, groups: dict[str, list[Body]], found: dict[str, np.ndarray[Any, Any]], *, mark: str) -> None:
+    cells = ""
+    for group, bodies in groups.items():
+        worst = int(np.argmax(found[group]))
+        cells += f"{np.median(found[group]):>12.3e}{found[group][worst]:>12.3e}  {bodies[worst].name:<16}"
+    print(f"{label:>12}{cells}{mark}".rstrip(), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Error of the surface over each number of its tuning.")
+    parser.add_argument("--quick", action="store_true", help="fewer bodies, fewer slices: minutes instead of an hour")
+    parser.add_argument("--only", nargs="+", choices=[field.name for field in FIELDS], help="only these numbers")
+    parser.add_argument(
+        "--slices", type=int, help=f"slices of every body: {SLICES} unless given, {QUICK_SLICES} if quick"
+    )
+    options = parser.parse_args()
+    slices = options.slices or (QUICK_SLICES if options.quick else SLICES)
+    start = time.perf_counter()
+    groups = all_bodies(options.quick, slices)
+    numbers = present()
+    fields = [field for field in FIELDS if not options.only or field.name in options.only]
+    # the present values are the same in all tables
+    as_is = {
+        method: {group: errors(bodies, method) for group, bodies in groups.items()}
+        for method in sorted({field.method for field in fields})
+    }
+    print(f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}")
+    print(", ".join(f"{len(bodies)} {group}" for group, bodies in groups.items()) + f", {slices} slices each")
+    print("Hausdorff distance relative to the diagonal")
+    for field in fields:
+        value = numbers[field.name]
+        tried = {min(factor * value, field.upper) for factor in field.factors} | {value}
+        print(f"\n{field.name}, method {field.method}")
+        print(f"{'value':>12}" + "".join(f"{'median':>12}{'largest':>12}  {'of ' + group:<16}" for group in groups))
+        for changed in sorted(tried):
+            if changed == value:
+                print_row(f"{changed:.4g}", groups, as_is[field.method], mark="<- present")
+            else:
+                found = {
+                    group: errors(bodies, field.method, **{field.name: changed}) for group, bodies in groups.items()
+                }
+                print_row(f"{changed:.4g}", groups, found, mark="")
+    print(f"\n{time.perf_counter() - start:.0f} s", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
