@@ -4,10 +4,12 @@
 
 For each field of `Tuning` a table gives the Hausdorff distance of the surface to the true body, relative to the diagonal of
 its bounding box: median and largest over the meshes in meshes/ and over random bodies, for the present value (marked) and for
-values around it, with all other fields as they are.  Fields that act on the interpolation are tried with the method
-`bracket`, fields that act on the choice among the methods with `auto`.  Every body is scanned once, with exact reactions.
+values around it, with all other fields as they are.  The largest error often lies where a field does not act; the table
+therefore also gives the ratio of the errors to those with the present value, as a geometric mean over the bodies.  Fields
+that act on the interpolation are tried with the method `bracket`, fields that act on the choice among the methods with
+`auto`.  Every body is scanned once, with exact reactions.
 
-Whoever changes one of these numbers runs this script before and after, and states both in the commit.
+Whoever changes one of these numbers runs this script before the change, and states in the commit what the table says.
 """
 
 from __future__ import annotations
@@ -21,11 +23,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d import between, bracket, hulls, surfaces
+
+Array = NDArray[np.float64]
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 QUICK_MESHES = ("cylinder", "egg", "gem", "lens", "needle", "rounded_box")
@@ -33,6 +38,8 @@ SLICES, RANDOM_BODIES = 32, 24
 QUICK_SLICES, QUICK_RANDOM_BODIES = 16, 6
 SAMPLES = 32
 FRICTION = (0.0, 0.4)
+# Errors below this fraction of the diagonal are rounding.
+ROUNDING = 1e-9
 
 # Numbers between 0 and 1 are tried near the present value, tolerances over two decades.
 NEAR = (0.5, 0.75, 4 / 3, 2.0)
@@ -147,19 +154,36 @@ def all_bodies(quick: bool, slices: int) -> dict[str, list[Body]]:
 # The tables
 
 
-def errors(bodies: list[Body], method: str, **numbers: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Hausdorff distance (n,) of each body's surface to the body, relative to the diagonal."""
-    return np.array(
-        [scan3d.compare(surface_with(body.cloud, method, **numbers), body.mesh).relative for body in bodies]
-    )
+class Errors(NamedTuple):
+    """Distances (n,) of the surfaces of n bodies to the bodies, relative to the diagonals."""
+
+    hausdorff: Array
+    mean: Array
 
 
-def print_row(label: str, groups: dict[str, list[Body]], found: dict[str, np.ndarray[Any, Any]], *, mark: str) -> None:
+def errors(bodies: list[Body], method: str, **numbers: float) -> Errors:
+    found = [scan3d.compare(surface_with(body.cloud, method, **numbers), body.mesh) for body in bodies]
+    hausdorff, mean = np.array([(one.relative, one.mean / one.diagonal) for one in found]).T
+    return Errors(hausdorff, mean)
+
+
+def ratio(changed: Array, as_is: Array) -> float:
+    """Geometric mean of changed errors (n,) over those with the present values, without bodies met to rounding."""
+    visible = (changed > ROUNDING) | (as_is > ROUNDING)
+    logarithms = np.log(np.maximum(changed[visible], ROUNDING) / np.maximum(as_is[visible], ROUNDING))
+    return float(np.exp(logarithms.mean())) if visible.any() else 1.0
+
+
+def print_row(
+    value: float, groups: dict[str, list[Body]], changed: dict[str, Errors], as_is: dict[str, Errors]
+) -> None:
     cells = ""
     for group, bodies in groups.items():
-        worst = int(np.argmax(found[group]))
-        cells += f"{np.median(found[group]):>12.3e}{found[group][worst]:>12.3e}  {bodies[worst].name:<16}"
-    print(f"{label:>12}{cells}{mark}".rstrip(), flush=True)
+        hausdorff, worst = changed[group].hausdorff, int(np.argmax(changed[group].hausdorff))
+        ratios = (ratio(after, before) for after, before in zip(changed[group], as_is[group], strict=True))
+        cells += f"{np.median(hausdorff):>11.2e}{hausdorff[worst]:>10.2e}" + "".join(f"{x:>8.3f}" for x in ratios)
+        cells += f"  {bodies[worst].name:<15}"
+    print(f"{value:>9.4g}{cells}{'<- present' if changed is as_is else ''}".rstrip(), flush=True)
 
 
 def main() -> None:
@@ -182,20 +206,24 @@ def main() -> None:
     }
     print(f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}")
     print(", ".join(f"{len(bodies)} {group}" for group, bodies in groups.items()) + f", {slices} slices each")
-    print("Hausdorff distance relative to the diagonal")
+    print(
+        "median, largest: Hausdorff distance relative to the diagonal; H, mean: Hausdorff and mean distance, in those with"
+    )
+    print("the present value (geometric mean over the bodies); worst: the body with the largest")
     for field in fields:
-        value = numbers[field.name]
+        value, before = numbers[field.name], as_is[field.method]
         tried = {min(factor * value, field.upper) for factor in field.factors} | {value}
         print(f"\n{field.name}, method {field.method}")
-        print(f"{'value':>12}" + "".join(f"{'median':>12}{'largest':>12}  {'of ' + group:<16}" for group in groups))
-        for changed in sorted(tried):
-            if changed == value:
-                print_row(f"{changed:.4g}", groups, as_is[field.method], mark="<- present")
-            else:
-                found = {
-                    group: errors(bodies, field.method, **{field.name: changed}) for group, bodies in groups.items()
-                }
-                print_row(f"{changed:.4g}", groups, found, mark="")
+        print(
+            f"{'value':>9}"
+            + "".join(f"{'median':>11}{'largest':>10}{'H':>8}{'mean':>8}  {'worst':<15}" for _ in groups)
+        )
+        for number in sorted(tried):
+            if number == value:
+                print_row(number, groups, before, before)
+                continue
+            changed = {group: errors(bodies, field.method, **{field.name: number}) for group, bodies in groups.items()}
+            print_row(number, groups, changed, before)
     print(f"\n{time.perf_counter() - start:.0f} s", file=sys.stderr)
 
 
