@@ -38,8 +38,8 @@ def equilibria_at_random():
     x, y = rng.normal(size=count), rng.uniform(0.05, 1.0, count)
     close = np.arange(count) % 8 == 1  # the same for tip contact
     y[close] = 1 - 10 ** rng.uniform(-12, -1, close.sum())
-    lies = equilibria.lies_tangentially(slope, y, zeta)
-    state = equilibria.of_kind(lies, slope, x, y, zeta)
+    lies = equilibria.is_tangential(slope, y, zeta)
+    state = equilibria.states(lies, slope, x, y, zeta)
     # as many of either phase as there are
     exists = np.isfinite(state.x0) & (state.root_f > 0)
     chosen = np.concatenate([np.flatnonzero(exists & lies)[:5000], np.flatnonzero(exists & ~lies)[:5000]])

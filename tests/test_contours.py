@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import planar
-from planar.contours import Mirrored, polygon_paths
+from planar.contours import Mirrored
+from planar.paths import polygon_paths
 
 SLOPES = np.linspace(-np.pi / 2, np.pi / 2, 181)
 SQUARE = np.array([[0.0, 0.5], [0.4, 0.5], [0.4, 0.9], [0.0, 0.9]])
@@ -191,7 +192,7 @@ def test_a_path_leaves_out_what_the_tip_can_not_reach():
 
 def test_paths_of_many_polygons_are_one():
     square, triangle = planar.Polygon(SQUARE), planar.Polygon(SQUARE[:3])
-    together = polygon_paths([square, triangle])
+    together = polygon_paths([square.vertices, triangle.vertices])
     assert together.offsets.tolist() == [0, len(square.path().slope), len(together.slope)]
     np.testing.assert_array_equal(together.slope[together.offsets[1] :], triangle.path().slope)
 

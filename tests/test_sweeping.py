@@ -98,7 +98,7 @@ def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(co
     piece, t = np.repeat(np.arange(count), 30), np.tile(np.linspace(0, 1, 30), count)
     slope, x, y = path.at(piece, t)
     zeta = np.full(len(slope), np.arctan(friction))
-    x0 = equilibria.of_kind(equilibria.lies_tangentially(slope, y, zeta), slope, x, y, zeta).x0
+    x0 = equilibria.states(equilibria.is_tangential(slope, y, zeta), slope, x, y, zeta).x0
     # no place before comes down so far, and when all are passed none is left
     for i in range(len(swept)):
         before = (slope > swept.slope[i] + 1e-9) | ((slope > swept.slope[i] - 1e-9) & (x > swept.point[i, 0] + 1e-9))
