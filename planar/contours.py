@@ -291,7 +291,7 @@ def _tidy(vertices: Array) -> Array:
         / 2
     )
     if abs(area) <= _COLLINEAR * size**2:
-        raise ValueError("a polygon needs an area, its vertices all lie on one line")
+        raise ValueError("a polygon needs an area: its vertices lie on one line, or the polygon crosses itself")
     if area < 0:
         kept = kept[::-1]
     while True:

@@ -198,7 +198,9 @@ class _Measured(NamedTuple):
     q: Array
     """``m0z / (2 √f)``, of any sign"""
     complement: Array
-    """``1 - k²``: negative where a rod with these reactions does not exist"""
+    """``1 - k²``: negative where the moment is larger than the force can balance"""
+    exists: Mask
+    """where there is a rod with these reactions"""
     beta: Array
     rods: Rods
 
@@ -212,7 +214,7 @@ def _measured(f0x: Array, f0y: Array, m0z: Array) -> _Measured:
     beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
     exists = (complement >= 0) & (q > 0)
     rods = Rods(2 * np.arctan2(s, c), s, c, q if exists.all() else np.where(exists, q, np.nan), root_f)  # α of (9)
-    return _Measured(force, q, complement, beta, rods)
+    return _Measured(force, q, complement, exists, beta, rods)
 
 
 def _fill(
@@ -235,8 +237,7 @@ def _fill(
         if method == "will":
             pulled[:] = False  # (10) errs in s1, so that nothing follows from its s1 < 1
         valid = (solved.s1 <= 1 + tolerance) & np.isfinite(x)
-        valid &= measured.complement >= 0
-        valid &= measured.q > 0
+        valid &= measured.exists
         valid &= ~pulled
         if solved.undefined is not None:
             valid &= ~solved.undefined
