@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d import simulation
-from scan3d.cloud import contacts
-from scan3d.hulls import hull
-from scan3d.layers import slice_frame
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.sections import slice_frame
+from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
+from scan3d.simulation import scan as simulation
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
@@ -259,7 +259,7 @@ def scan(folder, *arguments):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take longer than all the rest, and are tested elsewhere."""
-    monkeypatch.setattr("scan3d.views.can_render", lambda: False)
+    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
 
 
 def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
