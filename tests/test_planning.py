@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from scan3d import InputError, Plan
 from scan3d.geometry.sections import slice_frame
-from scan3d.planning.directions import AIMED_SLOPE, OPEN_SHARE, base_shares, first_directions, further_directions
+from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import FIRST_SLICES, _parts, first_heights, heights, heights_at_gaps
 
 
@@ -98,7 +98,7 @@ def test_an_end_that_is_not_known_is_halved():
 
 @pytest.mark.parametrize("samples", [2, 3, 64])
 def test_samples_go_from_touch_down_to_the_end_denser_at_the_start(samples):
-    shares = base_shares(samples)
+    shares = base_fractions(samples)
     assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
     assert np.all(np.diff(shares) > 0)
     assert np.all(np.diff(shares, 2) > 0)
@@ -174,7 +174,7 @@ def test_a_corner_between_two_sides_that_were_seen_whole_leaves_nothing_open():
 
 def test_a_corner_that_was_not_reached_is_open():
     # its triangle is (1 - reach) / sqrt(2) high
-    closed, open_ = (1 - share * OPEN_SHARE * 2.0 * math.sqrt(2) for share in (0.9, 1.1))
+    closed, open_ = (1 - share * OPEN_FRACTION * 2.0 * math.sqrt(2) for share in (0.9, 1.1))
     assert len(further_directions(*square(closed), width=2.0)) == 0
     assert len(further_directions(*square(open_), width=2.0)) == 4
 

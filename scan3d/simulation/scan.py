@@ -14,7 +14,7 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.planning.adaptive import SlabMemory, next_heights
-from scan3d.planning.directions import MOST_SWEEPS, base_shares, first_directions, further_directions
+from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
@@ -98,7 +98,7 @@ class _AxisScan:
             if self.plan.sweeps is not None or round_ == _ROUNDS:
                 break
             directions = {
-                i: self._open_directions(done[i], self.polygons[i])[: MOST_SWEEPS - len(done[i])] for i in directions
+                i: self._open_directions(done[i], self.polygons[i])[: MAX_SWEEPS - len(done[i])] for i in directions
             }
             directions = {i: angles for i, angles in directions.items() if len(angles)}
         return [swept for i in slices for swept in done[i]]
@@ -140,7 +140,7 @@ class _AxisScan:
             keys = [[self.plan.seed, 0, self.number, s.slice, s.number] for s in sweeps]
             friction = [np.random.default_rng(key).uniform(low, high, self.plan.samples) for key in keys]
         contours = [planar.Polygon(outlines[k]) for k in within]
-        shares = base_shares(self.plan.samples)
+        shares = base_fractions(self.plan.samples)
         results = planar.sweep_all(contours, [friction[k] for k in within], shares=shares) if within else []
         by_sweep = dict(zip(within, results, strict=True))
         return [by_sweep.get(k) for k in range(len(sweeps))]
