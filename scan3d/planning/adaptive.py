@@ -110,7 +110,7 @@ def _stack(cloud: Cloud, axis: Array | None) -> SliceStack:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
         candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < _GIVEN_AXIS]
     if len(candidates) != 1:
-        normals = np.unique(np.round(cloud.slice_axis, _AXIS_DECIMALS), axis=0)
+        normals = np.unique(np.round(cloud.slice_axis, _AXIS_DECIMALS), axis=0) + 0.0  # -0 becomes 0
         axes = ", ".join(str(tuple(map(float, row))) for row in normals)
         raise InputError(
             f"next heights are chosen along one axis, and the cloud has contacts in slices along {axes}; give one of them "
