@@ -1,4 +1,4 @@
-"""Upper bounds of the distance between a triangle mesh and its convex hull, tight for meshes that are convex but for rounding."""
+"""Bounds of the distance between a triangle mesh and its convex hull, tight for meshes that are convex but for rounding."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ if TYPE_CHECKING:
 # A surface less deep than this below its hull counts as convex.  Larger, real dents would be taken for rounding; smaller,
 # rounding for dents, which costs time and tight bounds.
 CONVEX_DEPTH = 1e-9
-# A surface with more faces deeper than this than can be examined counts as not convex.  Larger, its bound may be so wide that the
-# search that uses it gains nothing; smaller, single-precision files of fine meshes would lose their tight bounds.
+# A surface with more faces deeper than this than can be examined counts as not convex.  Larger, its bound may be so wide that
+# the search that uses it gains nothing; smaller, single-precision files of fine meshes would lose their tight bounds.
 NEAR_CONVEX_DEPTH = 1e-4
-# Depth of a face below which it is not examined further where only the distance to the hull is wanted.  Larger, the bound of a
-# convex surface grows; smaller, faces are examined whose depth is rounding only.
+# Depth of a face below which it is not examined further where only the distance to the hull is wanted.  Larger, the bound of
+# a convex surface grows; smaller, faces are examined whose depth is rounding only.
 _PRECISION = 1e-11
-# Upper bound of the distances between faces and planes that are computed for one surface.  Larger, fine meshes that are not convex
-# take longer (one second for this number); smaller, the bounds of fine meshes that nearly are convex become wide or infinite.
+# Upper bound of the distances between faces and planes that are computed for one surface.  Larger, fine meshes that are not
+# convex take longer; smaller, the bounds of fine meshes that nearly are convex become wide or infinite.
 _MAX_DISTANCES = 200_000_000
-# Those computed at once.  More need more memory (8 bytes each); fewer take more calls.
+# Number of these distances that are computed at once.  More need more memory (8 bytes each); fewer take more calls.
 _DISTANCES_AT_ONCE = 4_000_000
-# Largest fraction of the full solid angle that may lack a surface.  Larger, holes would count that are seen as such; smaller, the
-# rounding of the solid angles of fine meshes would count as a hole.
+# Largest fraction of the full solid angle that may lack a surface.  Larger, holes would count that are seen as such; smaller,
+# the rounding of the solid angles of fine meshes would count as a hole.
 _MAX_HOLE = 1e-6
-# Rounding of that fraction, which is added to it in an open surface.
+# Rounding of that fraction, which is added to it in an open surface.  Larger, the bounds of open surfaces are wider; smaller,
+# they might not be certain.
 _HOLE_ROUNDING = 1e-14
 
 

@@ -12,18 +12,18 @@ from scan3d.planning.plan import Plan
 # Slices inside the body with which adaptive spacing starts.  More are placed without knowing the body; with fewer, the first
 # heights are chosen by loose bounds.
 FIRST_SLICES = 8
-# Distance of the slices beyond the ends in adaptive spacing, as a fraction of the body's height.  Larger, the caps are bounded
-# more loosely at first; smaller, a real body that is higher than expected is not closed by them.
+# Distance of the slices beyond the ends in adaptive spacing, as a fraction of the body's height.  Larger, the caps are
+# bounded more loosely at first; smaller, a real body that is higher than expected is not closed by them.
 OVERSHOOT = 0.02
 # Lower bound of that distance for the other spacings, where it is that of the end slices from the ends.  Larger, the caps of
 # closely spaced scans are bounded more loosely; smaller, rounding could decide whether the slice is empty.
 LEAST_OVERSHOOT = 1e-4
-# Weight of a gap in a cap relative to one in another slab: how a body closes past its end slice is known least.  Larger, slices
-# are spent on the ends of the body; smaller, on its middle.
+# Weight of a gap in a cap relative to one in another slab: how a body closes past its end slice is known least.  Larger,
+# slices are spent on the ends of the body; smaller, on its middle.
 _CAP_WEIGHT = 1.5
-# Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner.  At a vertex just before its tip:
-# closer, the slice may be empty, and farther away, the tip's own cap stays larger.  At a smooth pole, whose cap is shallower
-# than its corner, at about a third: larger, the slice is often empty, and smaller, the cap shrinks slowly.
+# Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner.  At a vertex just before its
+# tip: closer, the slice may be empty, and farther away, the tip's own cap stays larger.  At a smooth pole, whose cap is
+# shallower than its corner, at about a third: larger, the slice is often empty, and smaller, the cap shrinks slowly.
 _AT_VERTEX, _AT_POLE = 0.98, 0.35
 # A worst corner within this fraction of a cap's height of the empty slice counts as lying on it.  Rounding is 1e-16 of the
 # height; larger, corners of real caps would count as unknown ends.
@@ -69,9 +69,9 @@ def heights_at_gaps(
         number of heights wanted, and of those that may still be scanned.
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
-    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab: if that
-    slab will need three parts by the time that no slices are left, it gets two heights at once.  A corner on an empty slice says
-    only that the body ends before it, and a corner on an end slice only that the body may end right behind it: there the new
+    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab; if it
+    will need three parts by the time that no slices are left, it gets two heights at once.  A corner on an empty slice says
+    only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the new
     height is in the middle of the slab.
     """
     size = known[-1] - known[0]

@@ -27,14 +27,14 @@ Progress = Callable[[int, int], None]
 
 # Slices that are swept in one call.  More make progress reports rare; fewer leave the arrays short, which takes longer.
 _SLICES_AT_ONCE = 16
-# Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.  More rounds close smaller gaps at the
-# cost of more sweeps; fewer leave gaps.
+# Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.  More rounds close smaller gaps at
+# the cost of more sweeps; fewer leave gaps.
 _ROUNDS = 2
-# Heights at which the body's width is evaluated to choose a rod for it.  More take longer; fewer could miss the widest slice of a
-# pointed body, for which the rod would be too short.
+# Heights at which the body's width is evaluated to choose a rod for it.  More take longer; fewer could miss the widest slice
+# of a pointed body, for which the rod would be too short.
 _WIDTH_HEIGHTS = 33
-# Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.  Larger, such sweeps
-# are longer than needed; smaller, they could end before the contour does.
+# Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.  Larger, such
+# sweeps are longer than needed; smaller, they could end before the contour does.
 _BEYOND = 0.01
 
 
