@@ -33,7 +33,8 @@ time on the dents of rounding."""
 # Distances of probes from planes in one step of the search.  More take more memory (8 bytes each) and improve the bounds less
 # often; fewer take more calls.
 _PROBES = 2_000_000
-# Smallest number of triangles that are probed in one step, where bodies have many planes.
+# Smallest number of triangles that are probed in one step, where bodies have many planes.  Larger, a step takes more memory;
+# smaller, more steps are needed.
 _FEWEST_PROBED = 4
 # Triangles that are halved in one step while no dent is known, for which it takes as long as the probes.  More are halved in
 # vain; fewer take more calls.
@@ -137,4 +138,5 @@ def _bounds(corners: Array, hull: Hull) -> Array:
     for nearest in (np.append(hull.facet_plane, 0)[facet], along % len(hull.planes), against % len(hull.planes)):
         plane = hull.planes[nearest]  # where no plane is nearby the index is one too high, and any plane gives a bound
         np.minimum(bound, -(np.einsum("tcx,tx->tc", corners, plane[:, :3]) + plane[:, 3:]).min(axis=1), out=bound)
-    return np.maximum(bound, 0)
+    np.maximum(bound, 0, out=bound)
+    return bound

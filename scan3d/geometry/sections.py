@@ -105,16 +105,15 @@ def _convex_polygon(points: Array, rounding: float) -> Array:
     if len(points) < 3 or (size := np.ptp(points, axis=0).max()) <= rounding:
         return empty
     try:
-        polygon = points[ConvexHull((points - points.mean(axis=0)) / size).vertices]
-    except QhullError:  # all on one line
+        polygon: Array = points[ConvexHull((points - points.mean(axis=0)) / size).vertices]
+    except QhullError:  # the points lie on a line
         return empty
+    # vertices are removed one at a time, so that of two that coincide one stays
     while len(polygon) >= 3:
         before, after = polygon - np.roll(polygon, 1, axis=0), np.roll(polygon, -1, axis=0) - polygon
         turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         bulge = turn / np.linalg.norm(before + after, axis=1)  # distance from the neighbours' chord
         if bulge.min() > rounding:
             return polygon
-        polygon = np.delete(
-            polygon, bulge.argmin(), axis=0
-        )  # one at a time, so that of two vertices that coincide one stays
+        polygon = np.delete(polygon, bulge.argmin(), axis=0)
     return empty

@@ -169,4 +169,6 @@ def _tangents(u: Array) -> tuple[Array, Array]:
 
 
 def _unit(vectors: Any) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    """Vectors (n, 3) scaled to unit length."""
+    length: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / length

@@ -9,7 +9,8 @@ from scan3d.arrays import Array, Index
 
 def dot(a: Array, b: Array) -> Array:
     """Scalar products (...) of vectors (..., 3)."""
-    return np.einsum("...x,...x->...", a, b)
+    products: Array = np.einsum("...x,...x->...", a, b)
+    return products
 
 
 def row_minima(values: Array, labels: Index) -> tuple[Array, Index]:
@@ -20,13 +21,15 @@ def row_minima(values: Array, labels: Index) -> tuple[Array, Index]:
 
 def areas(corners: Array) -> Array:
     """Areas (m,) of triangles (m, 3, 3)."""
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    doubled: Array = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return doubled / 2
 
 
 def longest_first(corners: Array) -> Index:
     """Order (m, 3) of the corners of triangles (m, 3, 3) that puts the longest edge first and keeps the winding."""
     edges = np.roll(corners, -1, axis=1) - corners
-    return (dot(edges, edges).argmax(axis=1)[:, None] + np.arange(3)) % 3
+    longest: Index = dot(edges, edges).argmax(axis=1)
+    return (longest[:, None] + np.arange(3)) % 3
 
 
 def halve(corners: Array) -> tuple[Array, Index]:
@@ -43,7 +46,8 @@ def halve(corners: Array) -> tuple[Array, Index]:
 
 def distance_to(points: Array, corners: Array) -> Array:
     """Distances (...) of points (..., 3) from triangles (..., 3, 3), longest edge first, slivers and single points included."""
-    return np.linalg.norm(offset_from(points, corners), axis=-1)
+    distance: Array = np.linalg.norm(offset_from(points, corners), axis=-1)
+    return distance
 
 
 def offset_from(points: Array, corners: Array) -> Array:

@@ -19,11 +19,11 @@ from scan3d.geometry.triangles import areas, distinct_rows
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
-"""Smallest thickness of a body, relative to the diagonal of its bounding box.  Larger, thin plates would be refused; smaller, oblique
-flat sheets, which rounding to float32 leaves 1e-8 to 1e-7 thick, would count as bodies."""
+"""Smallest thickness of a body, relative to the diagonal of its bounding box.  Larger, thin plates would be refused; smaller,
+oblique flat sheets, which rounding to float32 leaves 1e-8 to 1e-7 thick, would count as bodies."""
 OPEN_TOLERANCE = 1e-3
-"""Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding of the
-areas of fine meshes would count as a hole."""
+"""Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding
+of the areas of fine meshes would count as a hole."""
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Trimesh:
