@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import convex_hausdorff, random_body
+from sample_bodies import convex_hausdorff, random_body, scanned
 
 import planar
 import scan3d
@@ -84,3 +84,90 @@ def test_the_certificate_does_not_rest_on_an_inferred_friction():
     without_tip_normals = cloud.in_plane_normals.copy()
     without_tip_normals[tip] = np.nan
     assert enclosure(cloud).bound == enclosure(dataclasses.replace(cloud, in_plane_normals=without_tip_normals)).bound
+
+
+# --- what decides whether a surface is certified as convex ---
+
+
+@pytest.fixture(scope="module")
+def ball():
+    mesh = trimesh.creation.icosphere(4, 20.0)
+    cloud = scanned(mesh, slices=12, samples=24)
+    return mesh, cloud, enclosure(cloud)
+
+
+def with_vertex_moved(hull_surface, distance):
+    """The hull with the vertex farthest from its middle moved outwards by a distance, and marked as convex."""
+    vertices = hull_surface.vertices.view(np.ndarray).copy()
+    outward = vertices - vertices.mean(axis=0)
+    farthest = np.linalg.norm(outward, axis=1).argmax()
+    vertices[farthest] += distance * outward[farthest] / np.linalg.norm(outward[farthest])
+    moved = trimesh.Trimesh(vertices, hull_surface.faces, process=False)
+    moved.metadata["convex"] = True
+    return moved
+
+
+@pytest.mark.parametrize("fraction", [-0.1, -1e-3, -1e-5, 1e-5, 1e-3, 0.1])
+def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
+    """The mark on the mesh decides nothing: what is pushed in by 10 % of the diagonal used to be certified as convex."""
+    mesh, cloud, bounds = ball
+    convex = surface(cloud, "hull")
+    moved = with_vertex_moved(convex, fraction * np.linalg.norm(np.ptp(convex.vertices, axis=0)))
+    bound, at_vertices = certificate(bounds, moved)
+    distance = scan3d.compare(moved, mesh)
+    assert bound >= distance.upper * (1 - 1e-9)
+    assert at_vertices.max() <= bound * (1 + 1e-9)
+    if abs(fraction) == 0.1:
+        assert distance.hausdorff > 0.05 * distance.diagonal
+        assert bound < 0.2 * distance.diagonal
+
+
+def test_an_open_hull_is_not_certified_as_convex(ball):
+    """The hull without the faces above a height: nothing of the surface is near the removed part's pole."""
+    mesh, cloud, bounds = ball
+    closed = surface(cloud, "hull")
+    open_surface = closed.submesh([np.flatnonzero(closed.triangles_center[:, 2] < 10.0)], append=True)
+    open_surface.metadata["convex"] = True
+    assert not open_surface.is_watertight
+    distance = scan3d.compare(open_surface, mesh)
+    assert distance.hausdorff > 5.0
+    assert certificate(bounds, open_surface).bound >= distance.upper
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.05])
+def test_the_certificate_of_a_hull_is_the_largest_distance_of_an_outer_corner(ball, margin):
+    """Against every outer corner's distance to every face, by the least-squares solution on each triangle's features."""
+    _, cloud, _ = ball
+    bounds = enclosure(cloud, margin)
+    convex = surface(cloud, "hull")
+    triangles = convex.vertices.view(np.ndarray)[convex.faces]
+    largest = max(point_to_triangles(corner, triangles) for corner in bounds.corners)
+    assert certificate(bounds, convex).bound == pytest.approx(largest + margin, rel=1e-9)
+    assert bounds.bound == pytest.approx(largest + margin, rel=1e-9)
+
+
+def point_to_triangles(point, triangles):
+    """Distance of a point (3,) outside a body from its surface's triangles (m, 3, 3): in planes, on edges, at corners."""
+    a, b, c = triangles.swapaxes(0, 1)
+    distances = [np.linalg.norm(triangles - point, axis=2).min()]
+    for start, end in ((a, b), (b, c), (c, a)):
+        along = end - start
+        t = np.clip(((point - start) * along).sum(axis=1) / (along * along).sum(axis=1), 0, 1)
+        distances.append(np.linalg.norm(start + t[:, None] * along - point, axis=1).min())
+    normal = np.cross(b - a, c - a)
+    foot = point - (((point - a) * normal).sum(axis=1) / (normal * normal).sum(axis=1))[:, None] * normal
+    inside = np.ones(len(triangles), dtype=bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        inside &= (np.cross(end - start, foot - start) * normal).sum(axis=1) >= 0
+    distances.append(np.linalg.norm(foot - point, axis=1)[inside].min(initial=np.inf))
+    return min(distances)
+
+
+def test_a_hull_with_slivers_wound_the_wrong_way_is_certified_as_convex(ball):
+    """Qhull winds triangles without area by rounding; such a hull is as closed as with them the right way round."""
+    _, _, bounds = ball
+    inner = bounds.inner
+    faces = inner.faces.copy()
+    faces[::50] = faces[::50, ::-1]
+    turned = trimesh.Trimesh(inner.vertices, faces, process=False)
+    assert certificate(bounds, turned).bound == pytest.approx(certificate(bounds, inner).bound, rel=1e-9)
