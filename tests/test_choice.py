@@ -14,6 +14,7 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import certificate, choice, enclosure, surface
 from scan3d.surfaces.cross_validation import HeldOutError
 from scan3d.surfaces.interpolation import Edges
+from scan3d.surfaces.tuning import Tuning
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +161,57 @@ def test_the_choice_follows_the_cross_validation(box, monkeypatch):
         errors = choice._CrossValidation({**equal, best: HeldOutError(0.5, 0.5)}, None)
         monkeypatch.setattr(choice, "_cross_validate", lambda *_, errors=errors, **__: errors)
         assert description in surface(cloud).metadata["reason"]
+
+
+# --- the numbers of the estimate ---
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    """Cloud and enclosure of a box, a ball and a cylinder, with 12 slices each."""
+    meshes = {
+        "box": rotated(trimesh.creation.box((40, 30, 50))),
+        "ball": trimesh.creation.icosphere(4, 20.0),
+        "cylinder": rotated(trimesh.creation.cylinder(radius=15, height=40, sections=48)),
+    }
+    clouds = {name: scanned(mesh, slices=12, samples=32) for name, mesh in meshes.items()}
+    return {name: (cloud, enclosure(cloud)) for name, cloud in clouds.items()}
+
+
+ALWAYS_SHARP, NEVER_SHARP = {"sharp_advantage": 1e3}, {"sharp_advantage": 1e-3}
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "body", "others", "method"),
+    [
+        ("unknown", 0.6, "cylinder", {}, "bracket"),
+        ("damping", 0.3, "cylinder", {}, "bracket"),
+        ("unseen_corners", 0.6, "cylinder", ALWAYS_SHARP, "bracket"),
+        ("straight", 0.3, "cylinder", {}, "bracket"),
+        ("parabola", 0.4, "cylinder", {}, "bracket"),
+        ("crease", 0.5, "box", NEVER_SHARP, "bracket"),
+        ("sharp_advantage", 1e-3, "box", {}, "bracket"),
+        ("fit_gain", 0.0, "ball", {}, "auto"),
+        ("proven", 1.0, "box", {}, "auto"),
+    ],
+)
+def test_every_number_of_the_tuning_reaches_the_surface_and_none_the_enclosure(
+    bodies, field, value, body, others, method
+):
+    cloud, bounds = bodies[body]
+    tuning = Tuning(**others)
+    before = surface(cloud, method, tuning=tuning)
+    after = surface(cloud, method, tuning=dataclasses.replace(tuning, **{field: value}))
+    assert not np.array_equal(before.vertices, after.vertices)
+    again = enclosure(cloud)
+    assert again.bound == bounds.bound
+    np.testing.assert_array_equal(again.corners, bounds.corners)
+    # the certificate of either surface holds with the same enclosure
+    inner = certificate(again, again.inner).bound
+    assert inner == certificate(bounds, bounds.inner).bound == pytest.approx(bounds.bound, rel=1e-9)
+
+
+def test_every_number_of_the_tuning_is_tested():
+    marks = test_every_number_of_the_tuning_reaches_the_surface_and_none_the_enclosure.pytestmark
+    (cases,) = (mark.args[1] for mark in marks if mark.name == "parametrize")
+    assert [field for field, *_ in cases] == [field.name for field in dataclasses.fields(Tuning)]
