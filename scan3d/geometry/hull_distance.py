@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
@@ -75,7 +77,36 @@ def distance_to_hull(mesh: trimesh.Trimesh) -> float:
     """
     box = bounding_box(mesh, "surface")
     scale = float(np.linalg.norm(box[1] - box[0]))
-    return against_hull(prepare_facets(mesh, box.mean(axis=0), scale), _PRECISION)[1] * scale
+    facets = prepare_facets(mesh, box.mean(axis=0), scale)
+    if not facets.closed:
+        facets = _wound_alike(facets)
+    return against_hull(facets, _PRECISION)[1] * scale
+
+
+def _wound_alike(facets: Facets) -> Facets:
+    """A closed surface with all faces wound alike; facets unchanged if an edge is not of two faces, or in several parts.
+
+    The winding of a face without area, as Qhull makes them, is due to rounding, and would make a hull look open.
+    """
+    faces = facets.faces
+    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    faces, corners = faces[kept], facets.corners[kept]
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    edge = np.minimum(start, end) * len(facets.vertices) + np.maximum(start, end)
+    _, uses = np.unique(edge, return_counts=True)
+    if not (uses == 2).all():
+        return facets
+    first, second = np.argsort(edge, kind="stable").reshape(-1, 2).T
+    # each face stands twice in this graph, as it is and turned over; neighbours that are wound alike are joined
+    count, differs = len(faces), start[first] == start[second]
+    a, b = first // 3, second // 3
+    joined = np.concatenate([a, a + count]), np.concatenate([b + count * differs, b + count * ~differs])
+    parts, label = connected_components(coo_array((np.ones(len(joined[0])), joined), shape=(2 * count,) * 2), False)
+    if parts != 2 or (label[:count] == label[count:]).any():
+        return facets
+    turned = label[:count] != label[0]
+    faces[turned], corners[turned] = faces[turned, ::-1], corners[turned, ::-1]
+    return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True)
 
 
 def _planes(points: Array) -> Array:
