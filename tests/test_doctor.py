@@ -8,8 +8,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 
 import pytest
 
-from scan3d import doctor, views
-from scan3d.cli import main
+from scan3d.cli import doctor, main
+from scan3d.cli.terminal import table
+from scan3d.pictures import rendering
 
 
 def installed(name):
@@ -26,11 +27,11 @@ def with_ffmpeg(monkeypatch):
 def well(monkeypatch):
     """Nothing wrong, and no waiting for child processes."""
     monkeypatch.setattr(doctor, "_trouble", lambda code: None)
-    monkeypatch.setattr(views, "can_render", lambda: True)
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
 
 
 def test_a_scan_is_tried_out(monkeypatch):
-    monkeypatch.setattr(views, "can_render", lambda: True)
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
     found = doctor.examine()
     assert found["ok"]
     assert found["scan"] == {"works": True, "why_not": None}
@@ -117,7 +118,7 @@ def test_missing_system_libraries(monkeypatch, platform, known):
     monkeypatch.setattr(
         doctor, "_trouble", lambda code: "libGL.so.1: no such file" if "import open3d" in code else None
     )
-    monkeypatch.setattr(views, "can_render", lambda: False)
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
     monkeypatch.setattr(doctor.sys, "platform", platform)
     found = doctor.examine()
     assert found["ok"]
@@ -127,7 +128,7 @@ def test_missing_system_libraries(monkeypatch, platform, known):
         "open3d": "apt-get install libgl1 libgomp1" if known else None,
         "renderer": "apt-get install libegl1 libgl1" if known else None,
     }
-    said = doctor.summary(found)
+    said = table("", doctor.summary(found), None)
     assert "open3d             doesn't work (libGL.so.1: no such file)" in said
     assert "pictures           don't work (nothing can render off screen)" in said
     assert ("apt-get" in said) == known
@@ -152,7 +153,7 @@ def test_a_child_that_does_not_end(monkeypatch):
 def test_it_runs_where_nothing_can_be_imported():
     # a fresh checkout without its packages: the doctor is what one turns to
     code = "import sys\nfor name in ('numpy', 'scipy', 'trimesh', 'pyvista'): sys.modules[name] = None\n"
-    code += "from scan3d import doctor, cli\ndoctor._trouble = lambda code: 'broken'\nsys.exit(cli.main(['doctor', '--json']))"
+    code += "from scan3d.cli import doctor, main\ndoctor._trouble = lambda code: 'broken'\nsys.exit(main(['doctor', '--json']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "")
     found = json.loads(done.stdout)
@@ -161,14 +162,14 @@ def test_it_runs_where_nothing_can_be_imported():
 
 
 def test_a_recording_that_can_not_be_written(well, monkeypatch):
-    from scan3d import recording
     from scan3d.errors import InputError
+    from scan3d.files import recordings
 
     def write(one, path):
         raise InputError("no ink")
 
-    monkeypatch.setattr(recording, "write_recording", write)
+    monkeypatch.setattr(recordings, "write_recording", write)
     found = doctor.examine()
     assert found["recordings"][".csv"] is False
     assert {"what": ".csv recordings", "for": "recordings", "why": "no ink", "command": None} in found["missing"]
-    assert "recordings         none" in doctor.summary(found)
+    assert "recordings         none" in table("", doctor.summary(found), None)

@@ -128,7 +128,7 @@ def _trouble(code: str) -> str | None:
 
 def _can_render() -> bool:
     try:
-        from scan3d.pictures import rendering
+        from scan3d.pictures import rendering, views  # noqa: F401 - a picture needs what these import
     except ImportError:
         return False
     return rendering.can_render()

@@ -21,7 +21,7 @@ from scan3d.errors import InputError
 def scan(arguments: Namespace) -> int:
     """Simulate, reconstruct, surface, compare: everything, into a folder."""
     from scan3d import workflow
-    from scan3d.files.whole import folder
+    from scan3d.files.atomic import folder
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
@@ -51,8 +51,8 @@ def simulate(arguments: Namespace) -> int:
     """Step 1 alone: a recording."""
     import numpy as np
 
+    from scan3d.files.atomic import folder
     from scan3d.files.recordings import check_path, write_recording
-    from scan3d.files.whole import folder
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
@@ -78,8 +78,8 @@ def simulate(arguments: Namespace) -> int:
 def reconstruct(arguments: Namespace) -> int:
     """Step 2 from a recording, with a comparison if the truth is given."""
     from scan3d import workflow
+    from scan3d.files.atomic import folder
     from scan3d.files.recordings import read_recording
-    from scan3d.files.whole import folder
     from scan3d.simulation.bodies import load_mesh
 
     chosen = settings({"hull": arguments.hull, "method": arguments.method})
@@ -109,7 +109,7 @@ def compare(arguments: Namespace) -> int:
 def show(arguments: Namespace) -> int:
     """Show a scan's folder, a recording, a cloud or a mesh: in the files that are named, or else in a window."""
     _check_show(arguments)
-    from scan3d.files.whole import whole, write_whole
+    from scan3d.files.atomic import atomic, write_atomic
     from scan3d.pictures import movie, page, views, window
 
     screenshot, html, film = arguments.screenshot, arguments.html, arguments.movie
@@ -123,15 +123,15 @@ def show(arguments: Namespace) -> int:
     scene = _scene(Path(arguments.path), arguments.truth, arguments.hull, arguments.unit)
     files = []
     if html:
-        write_whole(html, page.page(scene))
+        write_atomic(html, page.page(scene))
         files.append(html)
     if film:
-        with whole(film) as file:
+        with atomic(film) as file:
             movie.movie(scene, file, arguments.movie_of or "sweep")
         files.append(film)
     if screenshot:
         default = "cloud" if arguments.color or scene.surface is None else "surface"
-        with whole(screenshot) as file:
+        with atomic(screenshot) as file:
             views.picture(scene, file, arguments.view or default, arguments.color or "force")
         files.append(screenshot)
     if not files:

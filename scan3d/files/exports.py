@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.files.atomic import atomic, folder
 from scan3d.files.ply import ply, read_ply
-from scan3d.files.whole import folder, whole
 from scan3d.units import UNITS_M
 
 CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv")
@@ -87,7 +87,7 @@ def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[
             f"{source.name} holds a {shape.what}, where a {able[0]} is wanted; a {shape.what} goes to "
             f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
-    with folder(to.parent, option="--to"), whole(to, option="--to") as file:
+    with folder(to.parent, option="--to"), atomic(to, option="--to") as file:
         if ending == ".vtp":
             _write_vtp(shape, file)
         else:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.files.atomic import write_together
 from scan3d.files.text import to_toml
-from scan3d.files.whole import write_together
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M

@@ -12,7 +12,7 @@ from scan3d.errors import InputError
 
 
 @contextmanager
-def whole(path: str | Path, option: str = "--out") -> Iterator[Path]:
+def atomic(path: str | Path, option: str = "--out") -> Iterator[Path]:
     """A temporary file beside the path, with its ending, to write to; in the end it takes the path's place.
 
     If the writing fails, what stood there before stays.  `option` is where the user gave the path.
@@ -32,7 +32,7 @@ def whole(path: str | Path, option: str = "--out") -> Iterator[Path]:
         raise InputError(f"can't write {path}: {error.strerror or error}; choose another place with {option}") from None
 
 
-def write_whole(path: str | Path, data: bytes) -> None:
+def write_atomic(path: str | Path, data: bytes) -> None:
     """Write a file so that no reader ever sees a part of it."""
     write_together({path: data})
 
@@ -41,7 +41,7 @@ def write_together(files: Mapping[str | Path, bytes]) -> None:
     """Write files that belong together: none takes its place before all of them are on the disk."""
     with ExitStack() as stack:
         for path, data in files.items():
-            stack.enter_context(whole(path)).write_bytes(data)
+            stack.enter_context(atomic(path)).write_bytes(data)
 
 
 def _umask() -> int:
