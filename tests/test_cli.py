@@ -213,7 +213,7 @@ def test_a_recording_does_not_overwrite_the_settings_it_was_made_with(call, tmp_
     before = tree(tmp_path)
     code, said, complained = call("simulate", CUBE, "--config", tmp_path / "part.toml", "--out", tmp_path / "part.csv")
     assert (code, said) == (1, "")
-    assert_sentence(complained, r"part\.toml holds the settings, .*; choose another --out")
+    assert_sentence(complained, r"part\.toml contains the settings .*; choose another --out")
     assert tree(tmp_path) == before
 
 

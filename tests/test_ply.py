@@ -104,8 +104,8 @@ END = "end_header\n"
             "expected vertices of numbers only, got 'property quad x'",
         ),
         (HEAD + "element vertex 1\n" + "property float x\n" * 2 + END, "more than once"),
-        (HEAD + POINT + END + "abc", "its header promises 4 bytes of numbers, it has 3"),
-        (HEAD + POINT + END + "abcde", "its header promises 4 bytes of numbers, it has 5"),
+        (HEAD + POINT + END + "abc", "its header announces 4 bytes of numbers, but it has 3"),
+        (HEAD + POINT + END + "abcde", "its header announces 4 bytes of numbers, but it has 5"),
         (HEAD + POINT + "element edge 1\n" + END, "expected 'element face COUNT', got 'element edge 1'"),
         (
             HEAD + POINT + "element face 1\nproperty list uchar uint corners\n" + END,
@@ -115,16 +115,16 @@ END = "end_header\n"
             HEAD + POINT + FACE + POINT + END,
             "expected faces as lists of vertex_indices, uchar and int, and nothing after",
         ),
-        (HEAD + POINT + FACE + END + "1234" + "\x04" + "\0" * 12, "it has faces that are no triangles"),
+        (HEAD + POINT + FACE + END + "1234" + "\x04" + "\0" * 12, "it has faces that are not triangles"),
         (
             HEAD + POINT + FACE + END + "1234" + "\x03" + "\0" * 8 + "\1\0\0\0",
-            "its faces name vertices beyond the 1 it has",
+            "its faces refer to vertices beyond its 1",
         ),
     ],
 )
-def test_a_ply_that_is_none_of_ours(tmp_path, data, sentence):
+def test_a_ply_that_scan3d_does_not_write(tmp_path, data, sentence):
     (tmp_path / "a.ply").write_bytes(data.encode())
-    with pytest.raises(InputError, match=rf"a\.ply is no PLY as scan3d writes it: .*{re.escape(sentence)}"):
+    with pytest.raises(InputError, match=rf"a\.ply is not a PLY file as scan3d writes it: .*{re.escape(sentence)}"):
         read_our_ply(tmp_path / "a.ply")
 
 
