@@ -1,28 +1,60 @@
-# Two commands on a fresh machine: `make scan` and `make test`.  Each sets up .venv first.
+# Two commands on a fresh machine: `make scan` and `make test`.  Each sets up .venv first; `make help` lists the others.
 
 PYTHON ?= python3
 MESH ?= meshes/egg.stl
 OUT ?= out
 ARGS ?=
+# Tests that run side by side; each keeps to one thread, so that they do not take the cores from each other.
+WORKERS ?= 2
+PYTEST = OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist worksteal
+PIP = .venv/bin/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: scan test docs
+.DEFAULT_GOAL := help
+.PHONY: help scan test fast lint format check mutants docs dev
 
-scan: .venv/installed
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@echo "ARGS='...' hands options on to pytest or to the mutation tests; WORKERS=$(WORKERS) tests run side by side"
+
+scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/installed
-	.venv/bin/python -m pytest $(ARGS)
+test: .venv/installed ## run all tests (6 minutes on two cores)
+	$(PYTEST) $(ARGS)
 
-# The manual, in docs/_build/html.
-docs: .venv/docs
+fast: .venv/installed ## run the tests that are not marked slow (90 seconds on two cores)
+	$(PYTEST) -m "not slow" $(ARGS)
+
+lint: .venv/dev ## check style, format, types and imports
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+format: .venv/dev ## put the code into the project's format
+	.venv/bin/ruff check --fix .
+	.venv/bin/ruff format .
+
+check: lint fast ## lint and fast: what to run before a commit
+
+mutants: .venv/dev ## mutation tests: change the code in small ways, list the changes that no test notices
+	.venv/bin/python tests/mutation/run.py $(ARGS)
+
+docs: .venv/docs ## build the manual in docs/_build/html
 	.venv/bin/python -m sphinx --fresh-env --fail-on-warning --keep-going --quiet -b html docs docs/_build/html
 	.venv/bin/python docs/check_links.py docs/_build/html
 
+dev: .venv/dev .venv/docs ## set up .venv with the linters, the type checker and Sphinx
+
+.venv/dev: .venv/installed
+	$(PIP) --editable '.[dev]'
+	touch $@
+
 .venv/docs: .venv/installed
-	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(PIP) --editable '.[docs]'
 	touch $@
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
-	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(PIP) --editable '.[test]'
 	touch $@

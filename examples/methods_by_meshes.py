@@ -1,12 +1,13 @@
-"""Which surface suits which body?  Every way to build a surface, from the same contacts, for every body in meshes/.
+"""Which surface suits which body?  All methods, from the same contacts, for every body in meshes/.
 
-Each body is scanned once, in slices across its z axis, by a rod whose friction is drawn anew for every sample.  From the
-contacts all methods build their surfaces, and only then the true body is looked at.  Prints a table in Markdown: the
-Hausdorff distance to the body over the diagonal of its bounding box, the seconds that the method took, and "open" where the
-surface has holes.  A dash: the method refuses these contacts.  `auto` says which method it has chosen, by slices left out.
+Each body is scanned once, in slices across its z axis; the coefficient of friction is drawn separately for every sample.
+Every method builds a surface from the contacts alone, and the surface is then compared with the true body.  The script
+prints a table in Markdown: the Hausdorff distance to the body over the diagonal of its bounding box, the time that the
+method took, and "open" where the surface has holes.  A dash means that the method refuses these contacts.  `auto` names the
+method that it has chosen by cross-validation with held-out slices.
 
-A convex hull and a fitted support function know that the body is convex.  Poisson reconstruction and ball pivoting know
-neither that nor what lies beyond the last slice: a flat end that no contact lies on is bulged, or left open.
+A convex hull and a fitted support function make use of the convexity of the body.  Poisson reconstruction and ball pivoting do
+not, and have no information beyond the last slice: a flat end without contacts becomes a bulge or a hole.
 
     python examples/methods_by_meshes.py [MESH...] [--slices N] [--spacing cosine|adaptive]
 
@@ -42,7 +43,7 @@ def cell(cloud: scan3d.Cloud, mesh: object, method: str) -> str:
 
 
 def rows(files: Sequence[Path], slices: int, spacing: str) -> Iterator[str]:
-    """The lines of the table, each as soon as it is known."""
+    """The lines of the table, each as soon as it has been computed."""
     yield f"| body | contacts | {' | '.join(METHODS)} |"
     yield "|---" * (len(METHODS) + 2) + "|"
     for file in files:
@@ -60,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--spacing", choices=("cosine", "adaptive"), default="cosine")
     given = parser.parse_args(arguments)
     with suppress(ImportError, OSError):
-        import open3d  # noqa: F401 - so that no method's time has that of the import in it
+        import open3d  # noqa: F401 - imported first, so that no measured time contains the import
     for row in rows(given.mesh or MESHES, given.slices, given.spacing):
         print(row, flush=True)
 

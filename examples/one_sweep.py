@@ -1,7 +1,7 @@
 # %% [markdown]
-"""What does a rod feel that is drawn along a circle, and does that tell the circle, and how rough it is?
+"""Which reactions does a rod have that is drawn along a circle, and can the circle and its friction be recovered from them?
 
-One sweep, there and back: from the circle to the reactions at the clamp, and from these to contacts, friction and normals.
+One sweep in both directions: from the circle to the reactions at the clamp, and from these to contacts, friction and normals.
 
 Each `# %%` opens a cell for editors that run scripts cell by cell; run as a whole, the script prints the table at its end
 and saves the picture.  Lengths are in rod lengths L, forces in EI/L², moments in EI/L.
@@ -25,33 +25,33 @@ import planar
 contour = planar.Circle(radius=0.9, center=(0.0, 1.3))
 
 # %% Step 1: from the contour to the reactions
-# Without `base`, the sweep runs evenly from touch-down to the place where the rod snaps off.
+# Without `base`, the samples are evenly spaced from touch-down to the base position at which the rod snaps off.
 sweep = planar.sweep(contour, friction=0.3, samples=41)
 
-# Tip contact first, then the rod lies along the circle, and in the end the tip slides up on the other side.
+# First the tip is in contact, then the rod is tangential to the circle, and at the end the tip slides up on the other side.
 phases = [planar.Phase(phase).name.lower() for phase in sweep.phase]
 
-# %% What happens on the way
-# `events` finds these places exactly, independently of the samples.
+# %% The events of the sweep
+# `events` finds the base positions of the transitions exactly, independently of the samples.
 events = planar.events(contour, friction=0.3)
 reasons = [planar.EventKind(kind).reason for kind in events.kind]
 
 # %% Step 2: from the reactions to the contacts
-# Only base position and reactions go in.  The first sample is a touch without force, from which nothing can be found.
+# The inputs are the base position and the reactions.  The force of the first sample is zero, and determines no contact.
 contacts = planar.reconstruct(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z)
-found = contacts.status == planar.Status.OK
-largest_error = contour.distance(contacts.point[found]).max()
+valid = contacts.status == planar.Status.OK
+largest_error = contour.distance(contacts.point[valid]).max()
 
-# %% The friction, which nobody told us
+# %% The friction, which is not an input of the reconstruction
 # In tangential contact (14) separates friction and slope; in tip contact only a lower bound of the friction is known.
 tangential = contacts.phase == planar.Phase.TANGENTIAL
 friction = float(np.median(contacts.friction[tangential]))
 
-# With the friction learned there, tip contacts have a normal as well.
+# With the friction estimated from the tangential contacts, tip contacts have a normal as well.
 with_normals = planar.reconstruct(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z, friction=friction)
-largest_turn = np.abs(with_normals.slope - sweep.slope)[found].max()
+largest_turn = np.abs(with_normals.slope - sweep.slope)[valid].max()
 
-# %% The landmarks of sweeps with more and more friction
+# %% The landmarks of sweeps with increasing friction
 frictions = (0.0, 0.2, 0.4, 0.6)
 landmarks = {mu: planar.events(contour, mu) for mu in frictions}
 
@@ -92,7 +92,7 @@ def draw() -> Figure:
 if __name__ == "__main__":
     for x0, reason in zip(events.x0, reasons, strict=True):
         print(f"x0 = {x0:+.4f}: {reason}")
-    print(f"{found.sum()} contacts within {largest_error:.1e} of the circle, slopes within {largest_turn:.1e} rad")
-    print(f"friction {friction:.12f} found, 0.3 set\n")
+    print(f"{valid.sum()} contacts within {largest_error:.1e} of the circle, slopes within {largest_turn:.1e} rad")
+    print(f"friction {friction:.12f} estimated, 0.3 set\n")
     print(table())
     draw().savefig(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).with_suffix(".png").name, dpi=150)

@@ -1,16 +1,16 @@
-"""How do measurements of one's own become a body, and how far may it be trusted?
+"""How do own measurements become a surface, and how far can the surface be from the true body?
 
-A laboratory has a table: a rod on a linear stage is drawn past a specimen on a turntable, at several heights, and a
-force-torque sensor at its clamp logs a row a sample: the specimen's turn, the stage's height and travel in mm, force in mN
-and moment in µN·m, those that the rod exerts on the sensor.  Here the table is simulated: `laboratory` writes it.  All the
-rest would be the same for a real one.
+In a laboratory a rod on a linear stage is drawn past a specimen on a turntable, at several heights.  A force-torque sensor at
+its clamp logs one row per sample: the specimen's rotation, the stage's height and travel in mm, and the force in mN and moment
+in µN·m that the rod exerts on the sensor.  Here the table is simulated: `laboratory` writes it.  Everything else would be the
+same for a measured table.
 
 `recording` turns it into what `scan3d` reads: SI units, the clamp's pose in the specimen's frame for every row (y along the
-undeformed rod, x against the motion, z across the slice), the reactions of the clamp on the rod, and the rod.  From there on:
-contacts, friction, surface, and the certified bound of its distance to a body that nobody has seen.
+undeformed rod, x against the motion, z across the slice), the reactions of the clamp on the rod, and the rod.  From the
+recording follow contacts, friction, surface, and the certified bound on its distance to the body, without a mesh of it.
 
-(a) the contacts at the widest height from above, some of their normals, and the ways of the clamp; (b) the surface and how
-far the true one may be from it at most.
+(a) the contacts of the widest slice seen from above, some of their normals, and the clamp travel; (b) the surface, coloured by
+the upper bound on its distance to the true one.
 
     python examples/own_measurements.py [--out FILE]
 
@@ -35,17 +35,17 @@ from paper_figure_3 import STYLE
 
 import planar
 import scan3d
-from scan3d.bracket import bracket, certificate
+from scan3d.surfaces import certificate, enclosure
 
 MESH = Path(__file__).parents[1] / "meshes" / "gem.glb"
 COLUMNS = ("sweep", "turn_deg", "height_mm", "distance_mm", "travel_mm", "across_mN", "along_mN", "moment_uNm")
-# What is drawn of the normals: their length, and one in so many.
+# Length of the drawn normals, and which of them are drawn: every fifth, so that they can be distinguished.
 NORMAL_MM, SHOWN = 5.0, 5
 ROD = scan3d.Rod.wire(length_m=0.06, diameter_m=0.3e-3, modulus_Pa=210e9)
 
 
 def laboratory(path: Path, slices: int = 24) -> None:
-    """Write the table, in the laboratory's own way: a stand-in for the rig, and the only one who knows the specimen."""
+    """Write the table in the laboratory's columns, units and signs.  Only this function uses the mesh of the specimen."""
     plan = scan3d.Plan(slices=slices, spacing="adaptive", friction=(0.1, 0.4), rod=ROD)
     log = scan3d.simulate(scan3d.load_mesh(MESH), plan)
     x, y, _ = log.axes().transpose(1, 0, 2)
@@ -63,18 +63,18 @@ def recording(path: Path) -> scan3d.Recording:
     """The laboratory's table as a recording: poses in the specimen's frame, SI units, reactions on the rod."""
     table = np.genfromtxt(path, delimiter=",", names=True)
     turn = np.radians(table["turn_deg"])
-    nothing = np.zeros_like(turn)
+    zero = np.zeros_like(turn)
     # the clamp's axes in the specimen's frame: the motion is along -x, the rod points along y
-    x = np.stack([np.cos(turn), np.sin(turn), nothing], axis=1)
-    y = np.stack([-np.sin(turn), np.cos(turn), nothing], axis=1)
+    x = np.stack([np.cos(turn), np.sin(turn), zero], axis=1)
+    y = np.stack([-np.sin(turn), np.cos(turn), zero], axis=1)
     place = -table["travel_mm"][:, None] * x - table["distance_mm"][:, None] * y
     place[:, 2] = table["height_mm"]
     return scan3d.Recording(
         sweep=table["sweep"].astype(int),
         position_m=place * 1e-3,
         # a turn about z, w first
-        quaternion=np.stack([np.cos(turn / 2), nothing, nothing, np.sin(turn / 2)], axis=1),
-        # what the clamp exerts on the rod is the opposite of what the sensor feels
+        quaternion=np.stack([np.cos(turn / 2), zero, zero, np.sin(turn / 2)], axis=1),
+        # the clamp's action on the rod is the opposite of the rod's action on the sensor
         force_N=-np.stack([table["across_mN"], table["along_mN"]], axis=1) * 1e-3,
         moment_Nm=-table["moment_uNm"] * 1e-6,
         rod=ROD,
@@ -83,7 +83,7 @@ def recording(path: Path) -> scan3d.Recording:
 
 
 def scanned(folder: Path, slices: int = 24) -> tuple[scan3d.Recording, scan3d.Cloud]:
-    """From the table to the contacts, by way of the file that `scan3d reconstruct` reads."""
+    """From the table to the contacts, through the file that `scan3d reconstruct` reads."""
     laboratory(folder / "table.csv", slices)
     scan3d.write_recording(recording(folder / "table.csv"), folder / "specimen.csv")
     read = scan3d.read_recording(folder / "specimen.csv")
@@ -91,7 +91,7 @@ def scanned(folder: Path, slices: int = 24) -> tuple[scan3d.Recording, scan3d.Cl
 
 
 def figure(log: scan3d.Recording, cloud: scan3d.Cloud, surface: Any, bound: np.ndarray) -> Figure:
-    """The figure, two columns of a page wide; `bound` (v,) is the certified one at the surface's vertices."""
+    """The figure, two columns of a page wide; `bound` (v,) is the certified bound at the surface's vertices."""
     with rc_context(STYLE):
         drawn = Figure(figsize=(7.2, 3.6), layout="constrained")
         draw_slice(drawn.add_subplot(1, 2, 1), log, cloud)
@@ -100,20 +100,20 @@ def figure(log: scan3d.Recording, cloud: scan3d.Cloud, surface: Any, bound: np.n
 
 
 def draw_slice(axes: Axes, log: scan3d.Recording, cloud: scan3d.Cloud) -> None:
-    """Contacts, some normals and the ways of the clamp in the widest slice."""
+    """Contacts, some normals and the clamp travel in the widest slice."""
     reach = np.zeros(len(cloud.slice_height))
     np.maximum.at(reach, cloud.slice, np.hypot(*cloud.points[:, :2].T))
     number = int(reach.argmax())
-    mine = cloud.slice == number
-    for sweep in np.unique(cloud.sweep[mine]):
-        way = log.position_m[log.sweep == sweep, :2] * 1e3
-        axes.annotate("", way[-1], way[0], arrowprops=dict(arrowstyle="->", color="0.6", linewidth=0.8))
-        axes.plot(*way.T, color="0.6", linewidth=0.8)
-    points, normals = cloud.points[mine, :2], cloud.in_plane_normals[mine, :2]
+    selected = cloud.slice == number
+    for sweep in np.unique(cloud.sweep[selected]):
+        travel = log.position_m[log.sweep == sweep, :2] * 1e3
+        axes.annotate("", travel[-1], travel[0], arrowprops=dict(arrowstyle="->", color="0.6", linewidth=0.8))
+        axes.plot(*travel.T, color="0.6", linewidth=0.8)
+    points, normals = cloud.points[selected, :2], cloud.in_plane_normals[selected, :2]
     axes.plot(
         *np.stack([points, points + NORMAL_MM * normals])[:, ::SHOWN].transpose(2, 0, 1), color="#D55E00", linewidth=0.8
     )
-    tip = cloud.phase[mine] == planar.Phase.TIP
+    tip = cloud.phase[selected] == planar.Phase.TIP
     axes.plot(*points[~tip].T, ".", color="black", ms=3, label="tangential")
     axes.plot(*points[tip].T, ".", color="#0072B2", ms=3, label="tip")
     axes.set(xlabel="x in mm", ylabel="y in mm", aspect="equal")
@@ -142,17 +142,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         log, cloud = scanned(Path(folder))
-    found = bracket(cloud)
-    surface = scan3d.surface(cloud, found=found)
-    bound, at_vertices = certificate(found, surface)
+    bounds = enclosure(cloud)
+    surface = scan3d.surface(cloud, bounds=bounds)
+    bound, at_vertices = certificate(bounds, surface)
     print(
         f"{len(log)} rows, {len(cloud)} contacts, friction {np.nanmin(cloud.friction):.3f}...{np.nanmax(cloud.friction):.3f}"
     )
     print(f"surface: {surface.metadata['reason']}")
-    print(f"certified within {bound:.2g} mm; volume between {found.volume[0]:.6g} and {found.volume[1]:.6g} mm³")
+    print(f"certified within {bound:.2g} mm; volume between {bounds.volume[0]:.6g} and {bounds.volume[1]:.6g} mm³")
     truth = scan3d.load_mesh(MESH)
     error = scan3d.compare(surface, truth).hausdorff
-    print(f"this specimen is known: within {error:.2g} mm, volume {truth.volume:.6g} mm³")
+    print(f"compared with the true specimen: within {error:.2g} mm, volume {truth.volume:.6g} mm³")
     figure(log, cloud, surface, at_vertices).savefig(given.out, dpi=150, bbox_inches="tight")
 
 

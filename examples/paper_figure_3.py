@@ -1,7 +1,8 @@
 """What does friction do to the force and the moment at the clamp of a rod that sweeps along a circle?
 
 Figure 3 of the paper: (a) elastic lines of a sweep without friction; (b)-(d) the support reactions for several coefficients
-of friction, one of them random from sample to sample.  Everything is to be read from right to left, the way the base moves.
+of friction, one of them random from sample to sample.  All panels are read from right to left, the direction in which the
+base moves.
 
     python examples/paper_figure_3.py [FILE]
 
@@ -22,10 +23,10 @@ import planar
 
 # The semi-circle (4) of Section III, in rod lengths.
 CONTOUR = planar.Circle(radius=0.9, center=(0.0, 1.3))
-SAMPLES = 100
-LINES = 32
+SAMPLES = 100  # of the sweep with random friction, few enough for its scatter to be seen
+LINES = 32  # elastic lines in panel (a), few enough to be distinguished
 
-# Step 1: sweeps from touch-down to snap-off, the last one with a friction of its own in every sample.
+# Step 1: sweeps from touch-down to snap-off, the last one with a friction drawn separately for every sample.
 FRICTIONS = [0.0, 0.2, 0.4, 0.6]
 EVENTS = [planar.events(CONTOUR, mu) for mu in FRICTIONS]
 BASE = np.linspace(EVENTS[-1].x0[0], EVENTS[-1].x0[-1], SAMPLES)
@@ -33,7 +34,7 @@ RANDOM = np.random.default_rng(3).uniform(0.0, 0.4, SAMPLES)
 
 
 def to_snap_off(end: float) -> np.ndarray:
-    """The base positions before the end of a sweep, and closely spaced ones there: the reactions run into it vertically."""
+    """The base positions before the end of a sweep, and closely spaced ones near the end, where the curves become vertical."""
     return np.union1d(BASE[end < BASE], end + np.linspace(0.0, 0.2, 8) ** 2)[::-1]
 
 
@@ -44,7 +45,7 @@ SWEEPS.append(planar.sweep(CONTOUR, RANDOM, base=BASE))
 LABELS = [*(rf"$\mu = {mu:g}$" for mu in FRICTIONS), r"random $\mu \in [0, 0.4]$"]
 COLORS = ["black", "tab:green", "orange", "red", "0.65"]
 
-# The states in which tip contact changes to tangential contact, and back.
+# The states at the transitions from tip to tangential contact and from tangential to tip contact.
 TRANSITIONS = [
     planar.sweep(CONTOUR, mu, base=[*events.of(planar.EventKind.TO_TANGENTIAL), *events.of(planar.EventKind.TO_TIP)])
     for mu, events in zip(FRICTIONS, EVENTS, strict=True)

@@ -1,9 +1,9 @@
 """Does friction spoil the contacts that are found from the reactions?
 
 Figure 4 of the paper, from the reactions of Figure 3, by two methods.  Left: Scholz & Rahn's integration up to ``κ = 0``,
-and the closed form that does the same without integrating.  Right: Will's equation (10).  Top to bottom: the contact along
-the rod, the contact points, and their distance to the contour.  Friction shifts the points along the contour, but takes only
-those on the right off it.
+and the closed form, which gives the same result without integration.  Right: Will's equation (10).  Top to bottom: the place
+of the contact along the rod, the contact points, and their distance to the contour.  Friction shifts the points along the
+contour; only by Will's equation does it also move them off the contour.
 
     python examples/paper_figure_4.py [FILE]
 
@@ -28,9 +28,9 @@ CONTACTS = {
     for method in ("scholz-rahn", "will", "closed-form")
 }
 # The smallest distance of every contact to the original contour.
-ERRORS = {method: [CONTOUR.distance(contacts.point) for contacts in found] for method, found in CONTACTS.items()}
+ERRORS = {method: [CONTOUR.distance(contacts.point) for contacts in sweeps] for method, sweeps in CONTACTS.items()}
 # Errors of exactly zero are drawn here, below the last digit of a point's coordinates.
-LEAST_ERROR = 5e-17
+SMALLEST_ERROR = 5e-17
 
 
 def draw() -> Figure:
@@ -74,7 +74,7 @@ def draw_points(axes: Axes, method: str) -> None:
 def draw_errors(axes: Axes, method: str, marker: str) -> None:
     """The distances of the points to the contour over the base position."""
     for swept, errors, color in zip(SWEEPS[::-1], ERRORS[method][::-1], COLORS[::-1], strict=True):
-        axes.semilogy(swept.x0, np.maximum(errors, LEAST_ERROR), marker, color=color, markersize=3)
+        axes.semilogy(swept.x0, np.maximum(errors, SMALLEST_ERROR), marker, color=color, markersize=3)
 
 
 def enlarge(

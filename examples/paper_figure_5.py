@@ -1,8 +1,8 @@
-"""How rough is the circle, by the reactions alone?
+"""What is the coefficient of friction of the circle, according to the reactions alone?
 
 Figure 5 of the paper, from the reactions of Figure 3: (a) the angle ``β`` of (12) over the base position, its phase
-transitions marked with circles: between them it is the friction angle ``ζ``, outside it is smaller; (b) the coefficient of
-friction there, ``μ = tan ζ`` (14), and dots where it was set at random.
+transitions marked with circles: between them it is the friction angle ``ζ``, outside them it is smaller; (b) the coefficient
+of friction ``μ = tan ζ`` (14) between the transitions, and as dots the values that were set at random.
 
     python examples/paper_figure_5.py [FILE]
 
@@ -33,8 +33,8 @@ def draw() -> Figure:
         mark_transitions(angle, [np.degrees(contacts.friction_angle_bound) for contacts in AT_TRANSITIONS])
         draw_curves(coefficient, [contacts.friction for contacts in CONTACTS])
         random = SWEEPS[-1]
-        lying = random.phase == planar.Phase.TANGENTIAL
-        coefficient.plot(random.x0[lying], random.friction[lying], ".", color=COLORS[-1], markersize=3.5)
+        tangential = random.phase == planar.Phase.TANGENTIAL
+        coefficient.plot(random.x0[tangential], random.friction[tangential], ".", color=COLORS[-1], markersize=3.5)
         angle.set(xlabel="$x_0\\;/\\;L$", ylabel=r"$\beta$ in degrees")
         coefficient.set(xlabel="$x_0\\;/\\;L$", ylabel=r"$\mu = \tan\,\zeta$")
         angle.set_title("(a)", loc="left")

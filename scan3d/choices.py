@@ -1,18 +1,21 @@
-"""What settings may be, by name: plain tuples, so that ``scan3d --help`` needs no numerical library."""
+"""The allowed values of the settings that are chosen by name.
+
+Every list stands here and nowhere else.  The tuples are plain, so that ``scan3d --help`` does not need a numerical library.
+"""
 
 SPACINGS = ("cosine", "uniform", "adaptive")
-"""Heights of the slices."""
+"""Rules for the heights of the slices."""
 STANDOFFS = ("follow", "fixed")
-"""Whether the base line follows each slice, or keeps clear of the widest."""
+"""Whether the base line follows each slice, or keeps clear of the widest slice."""
 METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
-"""Surfaces from contacts."""
+"""Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds."""
 VIEWS = ("cloud", "surface", "bound", "compare", "explain")
 """What a picture can show."""
 COLORS = ("phase", "force", "friction", "error")
-"""What contacts can be coloured by."""
+"""The quantities by which contacts can be coloured."""
 MOVIES = ("sweep", "growth")
-"""What a movie can show."""
+"""What a movie can show; the first is the default."""
 EXPORTS = ("surface", "cloud")
-"""What of a scan can be exported, in the order of preference where a file could hold both."""
+"""What can be exported of a scan; the first is the default where a file can contain either."""
 SHELLS = ("bash", "zsh", "fish")
 """Shells for which there is a completion script."""

@@ -17,7 +17,7 @@ from scan3d.files.ply import ply
 from scan3d.files.recordings import write_recording
 from scan3d.files.tables import cloud_table, surface_table
 from scan3d.files.text import to_json
-from scan3d.files.whole import whole, write_whole
+from scan3d.files.atomic import atomic, write_atomic
 from scan3d.geometry.distance import distances
 from scan3d.pictures import page, rendering, views
 from scan3d.pictures.scene import Scene, of_cloud
@@ -96,9 +96,9 @@ def write(
         if with_recording:
             write_recording(analysis.recording, folder / _RECORDING[0])
             files = [*_RECORDING, *files]
-        write_whole(folder / "cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
+        write_atomic(folder / "cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
         vertices = surface_table(mesh, analysis.certificate.at_vertices)
-        write_whole(folder / "surface.ply", ply(vertices, mesh.faces, comments=comments))
+        write_atomic(folder / "surface.ply", ply(vertices, mesh.faces, comments=comments))
     friction = settings.get("friction") if with_recording else None
     with clock("pictures"):
         figures = key_figures(report(analysis, settings=settings, friction_set=friction))
@@ -114,7 +114,7 @@ def write(
         # so that `scan3d show` finds the mesh again
         with suppress(ValueError):  # on another drive
             data["mesh"]["path"] = os.path.relpath(analysis.truth.metadata["path"], folder.resolve())
-    write_whole(folder / "report.json", to_json(data))
+    write_atomic(folder / "report.json", to_json(data))
     return data
 
 
@@ -141,12 +141,12 @@ def _name(analysis: Analysis) -> str:
 
 def _draw(scene: Scene, folder: Path, notify: Callable[[str], None]) -> list[str]:
     """Write the page, and the pictures where they can be rendered; returns the files."""
-    write_whole(folder / "view.html", page.page(scene))
+    write_atomic(folder / "view.html", page.page(scene))
     if not rendering.can_render():
         notify(rendering.NO_RENDERER)
         return ["view.html"]
     for view in ("cloud", "surface"):
-        with whole(folder / f"{view}.png") as picture:
+        with atomic(folder / f"{view}.png") as picture:
             views.picture(scene, picture, view)
     return ["view.html", "cloud.png", "surface.png"]
 

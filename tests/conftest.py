@@ -1,7 +1,7 @@
-"""What several tests share: the option --no-skip, the marks `rendering`, `browser` and `open3d`, and a reader of PLY files.
+"""What several tests share: the option --no-skip, the marks of the tests, and a reader of PLY files.
 
-A test so marked needs an off-screen renderer, Chromium or open3d; where there is none it is skipped, with the command that
-installs what is missing.
+A test marked `rendering`, `browser` or `open3d` needs an off-screen renderer, Chromium or open3d; where that is missing the
+test is skipped, with the command that installs it.  Tests marked `slow` are left out of the fast lane (``make fast``).
 """
 
 import functools
@@ -13,7 +13,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-# A busy machine is no failure, and a gate must not depend on the day's draw.
+# Tests must not fail because the machine is busy, nor depend on random draws.
 hypothesis.settings.register_profile("scan3d", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("scan3d")
 
@@ -32,6 +32,7 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "rendering: needs an off-screen renderer")
     config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")
+    config.addinivalue_line("markers", "slow: left out of the fast lane")
 
 
 def chromium():
@@ -42,9 +43,9 @@ def chromium():
 @functools.cache
 def _has(what):
     if what == "rendering":
-        from scan3d import views
+        from scan3d.pictures import rendering
 
-        return views.can_render()
+        return rendering.can_render()
     if what == "browser":
         return chromium() is not None
     # in a child process, for the libraries it lacks may be missed by more than an ImportError
@@ -58,7 +59,9 @@ def pytest_runtest_setup(item):
 
 
 def _skipped(config):
-    return config.pluginmanager.get_plugin("terminalreporter").stats.get("skipped", [])
+    # with pytest-xdist the workers, which have no reporter, send their reports to the process that does
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    return [] if reporter is None else reporter.stats.get("skipped", [])
 
 
 def pytest_sessionfinish(session):

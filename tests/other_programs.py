@@ -15,8 +15,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from scan3d.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
-from scan3d.files import ply
+from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.ply import ply
 
 FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS] + [("surface", ending) for ending in SURFACE_ENDINGS]
 # What passes for the same number: float32, and six digits of text.
@@ -138,7 +138,7 @@ def understood(program, folder):
 
 
 def _right(program, folder, what, ending):
-    from scan3d.exports import read_shape
+    from scan3d.files.exports import read_shape
 
     found = folder / "exported" / f"{what}{ending}.{program}.npz"
     if not found.exists():

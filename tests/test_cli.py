@@ -17,9 +17,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan3d import InputError, commands, files, read_recording, surfaces, views
+from scan3d import InputError, choices, read_recording, surfaces
 from scan3d.cli import main
-from scan3d.settings import METHODS, Settings, settings
+from scan3d.cli.settings import Settings, settings
+from scan3d.files import atomic
+from scan3d.pictures import rendering
 
 MESHES = Path(__file__).parents[1] / "meshes"
 CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
@@ -48,7 +50,7 @@ def call(capsys):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take longer than all the rest."""
-    monkeypatch.setattr(views, "can_render", lambda: False)
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
 
 
 def tree(folder):
@@ -191,7 +193,7 @@ def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
 
 
 def test_a_recording_has_its_ending_checked_before_the_work(call, tmp_path, monkeypatch):
-    monkeypatch.setattr("scan3d.simulation.simulate", pytest.fail)
+    monkeypatch.setattr("scan3d.simulation.scan.simulate", pytest.fail)
     code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.txt")
     assert (code, said) == (1, "")
     assert_sentence(complained, r"a recording is written as \.csv, got 'log\.txt'")
@@ -211,7 +213,7 @@ def test_a_recording_does_not_overwrite_the_settings_it_was_made_with(call, tmp_
     before = tree(tmp_path)
     code, said, complained = call("simulate", CUBE, "--config", tmp_path / "part.toml", "--out", tmp_path / "part.csv")
     assert (code, said) == (1, "")
-    assert_sentence(complained, r"part\.toml holds the settings, .*; choose another --out")
+    assert_sentence(complained, r"part\.toml contains the settings .*; choose another --out")
     assert tree(tmp_path) == before
 
 
@@ -332,12 +334,12 @@ def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
         replaced.append(arguments)
         original(*arguments)
 
-    monkeypatch.setattr(files.os, "replace", replace)
+    monkeypatch.setattr(atomic.os, "replace", replace)
     code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
     monkeypatch.undo()
     assert (code, said) == (130, "")
     # after the page comes the sentence about pictures
-    assert complained == (f"scan3d: {views.NO_RENDERER}\n" if nth == 5 else "") + "scan3d: interrupted\n"
+    assert complained == (f"scan3d: {rendering.NO_RENDERER}\n" if nth == 5 else "") + "scan3d: interrupted\n"
     whole = tmp_path / "whole"
     assert main(["scan", str(CUBE), "--out", str(whole), *FEW, "--quiet"]) == 0
     left = tree(tmp_path / "out") if nth else {}
@@ -526,7 +528,7 @@ def test_compare_prints_the_distance(call, tmp_path):
 
 
 def test_quiet_prints_nothing(call, tmp_path, monkeypatch, no_pictures):
-    monkeypatch.setattr(views, "NO_RENDERER", "nothing to see")
+    monkeypatch.setattr(rendering, "NO_RENDERER", "nothing to see")
     code, said, complained = call("scan", CUBE, "--out", tmp_path, *FEW, "--quiet")
     assert (code, said) == (0, "")
     assert complained in ("", "scan3d: nothing to see\n")
@@ -555,7 +557,7 @@ def test_ctrl_c_on_a_terminal_begins_a_line(monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands, "simulate_only", interrupted)
+    monkeypatch.setattr("scan3d.simulation.scan.simulate", interrupted)
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv")]) == 130
@@ -652,7 +654,7 @@ def test_settings_given_in_python():
 
 
 def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
-    assert METHODS == surfaces.METHODS
+    assert choices.METHODS == surfaces.METHODS
     # few slices: no trial, and too few contacts for a fit
     more = ("--slices", "6", "--samples", "24")
     for method, size, chosen in (

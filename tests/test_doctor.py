@@ -8,8 +8,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 
 import pytest
 
-from scan3d import doctor, views
-from scan3d.cli import main
+from scan3d.cli import doctor, main
+from scan3d.cli.terminal import table
+from scan3d.pictures import rendering
 
 
 def installed(name):
@@ -25,12 +26,12 @@ def with_ffmpeg(monkeypatch):
 @pytest.fixture
 def well(monkeypatch):
     """Nothing wrong, and no waiting for child processes."""
-    monkeypatch.setattr(doctor, "_trouble", lambda code: None)
-    monkeypatch.setattr(views, "can_render", lambda: True)
+    monkeypatch.setattr(doctor, "_error_of", lambda code: None)
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
 
 
 def test_a_scan_is_tried_out(monkeypatch):
-    monkeypatch.setattr(views, "can_render", lambda: True)
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
     found = doctor.examine()
     assert found["ok"]
     assert found["scan"] == {"works": True, "why_not": None}
@@ -86,7 +87,7 @@ def test_without_ffmpeg_there_are_no_mp4(well, monkeypatch):
 
 def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):
     without(monkeypatch, "scipy")
-    monkeypatch.setattr(doctor, "_trouble", lambda code: "No module named 'scipy'" if "scan3d" in code else None)
+    monkeypatch.setattr(doctor, "_error_of", lambda code: "No module named 'scipy'" if "scan3d" in code else None)
     assert main(["doctor"]) == 1
     said = capsys.readouterr().out
     assert "scans              don't work (No module named 'scipy')" in said
@@ -115,9 +116,9 @@ def test_what_a_scan_can_do_without(well, monkeypatch, platform, machine, comman
 @pytest.mark.parametrize(("platform", "known"), [("linux", True), ("darwin", False)])
 def test_missing_system_libraries(monkeypatch, platform, known):
     monkeypatch.setattr(
-        doctor, "_trouble", lambda code: "libGL.so.1: no such file" if "import open3d" in code else None
+        doctor, "_error_of", lambda code: "libGL.so.1: no such file" if "import open3d" in code else None
     )
-    monkeypatch.setattr(views, "can_render", lambda: False)
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
     monkeypatch.setattr(doctor.sys, "platform", platform)
     found = doctor.examine()
     assert found["ok"]
@@ -127,18 +128,18 @@ def test_missing_system_libraries(monkeypatch, platform, known):
         "open3d": "apt-get install libgl1 libgomp1" if known else None,
         "renderer": "apt-get install libegl1 libgl1" if known else None,
     }
-    said = doctor.summary(found)
+    said = table("", doctor.summary(found), None)
     assert "open3d             doesn't work (libGL.so.1: no such file)" in said
     assert "pictures           don't work (nothing can render off screen)" in said
     assert ("apt-get" in said) == known
 
 
 def test_a_child_that_fails_says_why():
-    assert doctor._trouble("") is None
-    assert doctor._trouble("raise OSError('no luck')") == "OSError: no luck"
-    assert doctor._trouble("import sys; sys.exit(3)") == "exit code 3"
+    assert doctor._error_of("") is None
+    assert doctor._error_of("raise OSError('no luck')") == "OSError: no luck"
+    assert doctor._error_of("import sys; sys.exit(3)") == "exit code 3"
     if sys.platform != "win32":
-        assert doctor._trouble("import os; os.kill(os.getpid(), 9)") == "killed by signal 9"
+        assert doctor._error_of("import os; os.kill(os.getpid(), 9)") == "killed by signal 9"
 
 
 def test_a_child_that_does_not_end(monkeypatch):
@@ -146,13 +147,14 @@ def test_a_child_that_does_not_end(monkeypatch):
         raise subprocess.TimeoutExpired("python", 300)
 
     monkeypatch.setattr(doctor.subprocess, "run", run)
-    assert "timed out after 300 seconds" in doctor._trouble("")
+    assert "timed out after 300 seconds" in doctor._error_of("")
 
 
 def test_it_runs_where_nothing_can_be_imported():
     # a fresh checkout without its packages: the doctor is what one turns to
     code = "import sys\nfor name in ('numpy', 'scipy', 'trimesh', 'pyvista'): sys.modules[name] = None\n"
-    code += "from scan3d import doctor, cli\ndoctor._trouble = lambda code: 'broken'\nsys.exit(cli.main(['doctor', '--json']))"
+    code += "from scan3d.cli import doctor, main\ndoctor._error_of = lambda code: 'broken'\n"
+    code += "sys.exit(main(['doctor', '--json']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "")
     found = json.loads(done.stdout)
@@ -161,14 +163,14 @@ def test_it_runs_where_nothing_can_be_imported():
 
 
 def test_a_recording_that_can_not_be_written(well, monkeypatch):
-    from scan3d import recording
     from scan3d.errors import InputError
+    from scan3d.files import recordings
 
     def write(one, path):
         raise InputError("no ink")
 
-    monkeypatch.setattr(recording, "write_recording", write)
+    monkeypatch.setattr(recordings, "write_recording", write)
     found = doctor.examine()
     assert found["recordings"][".csv"] is False
     assert {"what": ".csv recordings", "for": "recordings", "why": "no ink", "command": None} in found["missing"]
-    assert "recordings         none" in doctor.summary(found)
+    assert "recordings         none" in table("", doctor.summary(found), None)

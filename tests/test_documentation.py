@@ -12,13 +12,15 @@ from pathlib import Path
 
 import matplotlib
 import pytest
-from small_scans import EGG
 
 import planar
 import scan3d
-from scan3d import cli
+from scan3d.cli import main
+from scan3d.cli.parser import parser
+from scan3d.files.recordings import COLUMNS
 
 ROOT = Path(__file__).parents[1]
+EGG = ROOT / "meshes" / "egg.stl"
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if "_build" not in page.parts)]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
@@ -96,7 +98,7 @@ def test_scripts_and_commands_that_are_named_exist(page: Path) -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"^(?:.*`)?make (\w+)", text, flags=re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
-    commands = cli._parser()._subparsers._group_actions[0].choices
+    commands = parser()._subparsers._group_actions[0].choices
     for command in re.findall(r"\bscan3d ([a-z]+)\b", "\n".join(blocks(text, "sh"))):
         assert command in commands, command
 
@@ -136,8 +138,8 @@ def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:
     (block,) = blocks(page, "toml")
     assert tomllib.loads(block)["rod"]["length_m"] == 0.05
     columns = re.findall(r"`(\w+)`", "\n".join(row.split("|")[1] for row in page.split("\n") if row.startswith("| `")))
-    header = [name for name in columns if name in scan3d.recording.COLUMNS]
-    assert tuple(header) == scan3d.recording.COLUMNS
+    header = [name for name in columns if name in COLUMNS]
+    assert tuple(header) == COLUMNS
     (tmp_path / "log.toml").write_text(block, encoding="utf-8")
     (tmp_path / "log.csv").write_text(",".join(header) + "\n0,0,0,0,1,0,0,0,-1e-3,1e-3,1e-6\n", encoding="utf-8")
     read = scan3d.read_recording(tmp_path / "log.csv")
@@ -151,7 +153,7 @@ def test_the_report_has_the_sections_that_the_pages_name(tmp_path: Path) -> None
     sections = re.findall(r"`(\w+)`", " ".join(rows))
     out = str(tmp_path / "out")
     scan = ["scan", str(EGG), "--out", out, "--slices", "4", "--sweeps", "6", "--samples", "12", "--quiet"]
-    assert cli.main(scan) == 0
+    assert main(scan) == 0
     assert sorted(sections) == sorted(json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8")))
 
 

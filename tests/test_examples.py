@@ -1,7 +1,7 @@
-"""The scripts in examples/ run, draw, and show what they say.
+"""The scripts in examples/ run, draw, and show what their docstrings state.
 
-Every script there is imported and, if it defines `draw`, drawn.  What the figures of the paper claim (Section III) is
-checked against the arrays that they draw, and the transitions against the reference values below, which were derived twice
+Every script there is imported and, if it defines `draw`, drawn.  The statements of the paper about its figures (Section III)
+are checked against the arrays that are drawn, and the transitions against the reference values below, which were derived twice
 and integrated numerically.
 """
 
@@ -52,7 +52,7 @@ def test_imports_and_draws(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["one_sweep", "paper_figure_3", "paper_figure_4", "paper_figure_5"])
-def test_saves_its_picture_here(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_saves_its_picture_in_the_current_folder(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = str(EXAMPLES / f"{name}.py")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [script])
@@ -60,7 +60,7 @@ def test_saves_its_picture_here(name: str, tmp_path: Path, monkeypatch: pytest.M
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_saves_its_picture_where_told(tmp_path: Path) -> None:
+def test_saves_its_picture_at_the_given_path(tmp_path: Path) -> None:
     command = [sys.executable, str(EXAMPLES / "paper_figure_5.py"), str(tmp_path / "friction.png")]
     subprocess.run(command, cwd=tmp_path, check=True)
     assert [file.name for file in tmp_path.iterdir()] == ["friction.png"]
@@ -111,12 +111,12 @@ def test_figure_4() -> None:
     assert np.nanmax(figure.ERRORS["will"][0][before]) < 1e-12
     assert np.nanmax(figure.ERRORS["will"][0][~before]) > 1e-2
     assert (will[0].s1[swept[0].x0 < -1.16] < 1).all()
-    # with friction it errs the more the more there is
-    tangential = [one.phase == planar.Phase.TANGENTIAL for one in swept]
-    medians = [np.nanmedian(errors[lies]) for errors, lies in zip(figure.ERRORS["will"], tangential, strict=True)]
+    # with friction its error grows with the coefficient
+    tangential = [sweep.phase == planar.Phase.TANGENTIAL for sweep in swept]
+    medians = [np.nanmedian(errors[rows]) for errors, rows in zip(figure.ERRORS["will"], tangential, strict=True)]
     assert (np.diff(medians[:4]) > 1e-3).all()
     # and is undefined at the beginning where the force is steeper than the clamp
-    undefined = [(one.status == planar.Status.UNDEFINED).any() for one in will[:4]]
+    undefined = [(contacts.status == planar.Status.UNDEFINED).any() for contacts in will[:4]]
     assert undefined == [False, False, True, True]
 
 
@@ -127,11 +127,11 @@ def test_figure_5() -> None:
     assert len(coefficient.lines) == 6
     for swept, contacts in zip(figure.SWEEPS, figure.CONTACTS, strict=True):
         touching = contacts.status == planar.Status.OK
-        lies = swept.phase == planar.Phase.TANGENTIAL
+        tangential = swept.phase == planar.Phase.TANGENTIAL
         np.testing.assert_array_equal(contacts.phase[touching], swept.phase[touching])
         # the friction found is the friction set, sample by sample
-        np.testing.assert_allclose(contacts.friction[lies], swept.friction[lies], rtol=0, atol=1e-12)
-        tip = touching & ~lies
+        np.testing.assert_allclose(contacts.friction[tangential], swept.friction[tangential], rtol=0, atol=1e-12)
+        tip = touching & ~tangential
         assert (contacts.friction_angle_bound[tip] < np.arctan(swept.friction[tip])).all()
 
 
@@ -153,7 +153,7 @@ def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
     named = dict(zip(header.split(" | "), cube.split(" | "), strict=True))
     assert rule == "|---" * (header.count("|") - 1) + "|"
     assert named["| body"] == "| cube"
-    # a hull meets what was touched; a cube is not smooth enough for a support function
+    # the hull of the contacts is close to the cube, which is not smooth enough for a support function
     assert float(named["hull"].split(",")[0]) < 0.01
     assert named["support"] == "–"
 
@@ -163,12 +163,12 @@ def test_error_by_slices(tmp_path: Path) -> None:
     script = example("error_by_slices")
     # coarse: what is compared are slices, not facets
     errors = script.measure((8, 16), 24)
-    for found in errors.values():
-        assert (found.bound > found.hausdorff["hull"]).all()
+    for curves in errors.values():
+        assert (curves.bound > curves.hausdorff["hull"]).all()
         for method in ("hull", "poisson", "ball-pivoting"):
-            assert (np.diff(found.hausdorff[method]) < 0).all()
-        assert np.isfinite(found.hausdorff["support"]).any()
-    # the poles, left out by even spacing, decide: half the error for twice the slices, a quarter of it at Chebyshev's nodes
+            assert (np.diff(curves.hausdorff[method]) < 0).all()
+        assert np.isfinite(curves.hausdorff["support"]).any()
+    # the caps at the poles determine the error: half of it for twice the slices by even spacing, a quarter at Chebyshev's nodes
     few, many = (errors["uniform"].hausdorff["hull"][i] for i in (0, 1))
     assert few / many == pytest.approx(2, rel=0.02)
     few, many = (errors["cosine"].hausdorff["hull"][i] for i in (0, 1))
@@ -181,7 +181,7 @@ def test_error_by_slices(tmp_path: Path) -> None:
 
 
 @pytest.mark.open3d
-def test_error_by_slices_saves_its_picture_where_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_by_slices_saves_its_picture_at_the_given_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("error_by_slices")
     monkeypatch.setattr(script, "QUICK_SLICES", (8, 12))
     monkeypatch.setattr(script, "QUICK_SUBDIVISIONS", 8)
@@ -191,32 +191,35 @@ def test_error_by_slices_saves_its_picture_where_told(tmp_path: Path, monkeypatc
 
 def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("friction_from_touch")
-    lying = script.SWEEP.phase == planar.Phase.TANGENTIAL
-    np.testing.assert_allclose(script.CONTACTS.friction[lying], script.SWEEP.friction[lying], rtol=0, atol=1e-12)
-    # with noise almost all of them tell it, and none but them; as far off as was foretold, to four of its own deviations
-    assert script.TOLD.sum() > 0.95 * lying.sum()
-    assert lying[script.TOLD].all()
-    scaled = script.ERROR / script.DEVIATION[script.TOLD]
+    tangential = script.SWEEP.phase == planar.Phase.TANGENTIAL
+    np.testing.assert_allclose(
+        script.CONTACTS.friction[tangential], script.SWEEP.friction[tangential], rtol=0, atol=1e-12
+    )
+    # with noise almost all tangential contacts give a reliable friction, and no tip contact does; the spread of the error
+    # is the predicted one, to four standard deviations of its estimate
+    assert script.RELIABLE.sum() > 0.95 * tangential.sum()
+    assert tangential[script.RELIABLE].all()
+    scaled = script.ERROR / script.DEVIATION[script.RELIABLE]
     assert np.sqrt(np.mean(scaled**2)) == pytest.approx(1, abs=4 / np.sqrt(2 * len(scaled)))
     assert abs(scaled.mean()) < 4 / np.sqrt(len(scaled))
-    # the deviation is the derivative's: against differences of the reconstruction itself
+    # the deviation agrees with differences of the reconstruction itself
     step, gains = 1e-6, []
     for row in range(3):
         moved = script.REACTIONS + step * (np.arange(3) == row)[:, None]
         friction = planar.reconstruct(script.SWEEP.x0, *moved, tolerance=1e-4).friction
         gains.append((friction - script.CONTACTS.friction) / step)
-    found = script.deviation(script.CONTACTS, script.REACTIONS[2], 1.0)
-    both = lying & np.isfinite(gains).all(axis=0)
-    assert both.sum() > 0.9 * lying.sum()
-    np.testing.assert_allclose(np.linalg.norm(gains, axis=0)[both], found[both], rtol=1e-4)
+    deviation = script.deviation(script.CONTACTS, script.REACTIONS[2], 1.0)
+    both = tangential & np.isfinite(gains).all(axis=0)
+    assert both.sum() > 0.9 * tangential.sum()
+    np.testing.assert_allclose(np.linalg.norm(gains, axis=0)[both], deviation[both], rtol=1e-4)
     script.main(["--out", str(tmp_path / "friction.png")])
     assert (tmp_path / "friction.png").read_bytes().startswith(b"\x89PNG")
-    assert "tell their friction" in capsys.readouterr().out
+    assert "have a reliable friction" in capsys.readouterr().out
 
 
 def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("own_measurements")
-    # the way through the laboratory's table and back loses nothing: the recording is that of the simulation
+    # the conversion to the laboratory's table and back loses nothing: the recording is that of the simulation
     script.laboratory(tmp_path / "table.csv", slices=8)
     header, *rows = (tmp_path / "table.csv").read_text().splitlines()
     assert tuple(header.split(",")) == script.COLUMNS
@@ -246,7 +249,7 @@ def test_rod_for_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     np.testing.assert_allclose(force[:, 1:] / force[:, :-1], ratio**4, rtol=1e-12)
     np.testing.assert_allclose(strain[:, 1:] / strain[:, :-1], ratio, rtol=1e-12)
     np.testing.assert_allclose(error[:, -4:-1] / error[:, -3:], ratio**4, rtol=0.1)
-    # a longer rod is gentler, and less exact
+    # a longer rod makes smaller forces and larger errors
     assert (np.diff(force, axis=0) < 0).all()
     assert (np.diff(error[:, 2:], axis=0) > 0).all()
     script.main(["--out", str(tmp_path / "rod.png")])

@@ -12,11 +12,10 @@ import pytest
 import trimesh
 from other_programs import FORMATS, HERE, PROGRAMS
 
-from scan3d import InputError, commands
+from scan3d import InputError, workflow
 from scan3d.cli import main
-from scan3d.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export, read_shape
-from scan3d.files import ply, read_ply
-from scan3d.settings import Settings
+from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export, read_shape
+from scan3d.files.ply import ply, read_ply
 
 ROOT = Path(__file__).parents[1]
 
@@ -287,23 +286,28 @@ def test_the_ending_chooses_and_the_option_decides(folder, tmp_path):
         ("missing", "a.ply", None, r"there is no .*missing; give the folder of a scan, or a PLY written by scan3d"),
         ("empty", "a.ply", None, r"there is no surface\.ply in .*empty; give a folder written by 'scan3d scan'"),
         ("empty", "a.csv", None, r"there is no cloud\.ply in .*empty"),
-        ("text.ply", "a.ply", None, r"text\.ply is no PLY as scan3d writes it: it lacks the header"),
-        ("bare.ply", "a.ply", None, r"bare\.ply is no PLY written by scan3d: its vertices lack nx, ny, nz"),
+        ("text.ply", "a.ply", None, r"text\.ply is not a PLY file as scan3d writes it: it lacks the header"),
+        ("bare.ply", "a.ply", None, r"bare\.ply is not a PLY file written by scan3d: its vertices lack nx, ny, nz"),
         (
             "unitless.ply",
             "a.ply",
             None,
-            r"unitless\.ply is no PLY written by scan3d: expected a comment such as 'unit mm'",
+            r"unitless\.ply is not a PLY file written by scan3d: expected a comment such as 'unit mm'",
         ),
-        ("furlong.ply", "a.ply", None, r"furlong\.ply is no PLY written by scan3d: .* with one of m, cm, mm, um, in"),
+        (
+            "furlong.ply",
+            "a.ply",
+            None,
+            r"furlong\.ply is not a PLY file written by scan3d: .* with one of m, cm, mm, um, in",
+        ),
         (
             "gap.ply",
             "a.xyzn",
             None,
-            r"1 of 162 points have no normal, which \.xyzn can't say; leave them out with \.xyz",
+            r"1 of 162 points have no normal, which \.xyzn requires; leave them out with \.xyz",
         ),
-        ("flat.ply", "a.obj", None, r"2 of 162 points have no normal, which \.obj can't say; choose \.stl or \.ply"),
-        ("flat.ply", "a.glb", None, r"2 of 162 points have no normal, which \.glb can't say"),
+        ("flat.ply", "a.obj", None, r"2 of 162 points have no normal, which \.obj requires; choose \.stl or \.ply"),
+        ("flat.ply", "a.glb", None, r"2 of 162 points have no normal, which \.glb requires"),
         (".", "text.ply/a.ply", None, r"can't write into the folder .*text\.ply: .*; choose another one with --to"),
         (".", "empty.ply", None, r"can't write .*empty\.ply: Is a directory; choose another place with --to"),
     ],
@@ -335,87 +339,13 @@ def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
         assert said.err.count("\n") == 1
 
 
-# --- the reader of our PLY files ---
-
-
-def test_a_ply_is_read_as_it_was_written(tmp_path):
-    kinds = ("f8", "f4", "i4", "u4", "i2", "u1", "i1")
-    rows = np.zeros(5, [(kind, kind) for kind in kinds])
-    for kind in kinds:
-        rows[kind] = np.arange(5) + 1
-    faces = np.array([[0, 1, 2], [2, 3, 4]])
-    for corners in (None, faces, faces[:0]):
-        (tmp_path / "a.ply").write_bytes(ply(rows, corners, ("unit mm", "end_header of a poem")))
-        found, triangles, comments = read_ply(tmp_path / "a.ply")
-        assert found.dtype == rows.dtype
-        assert np.array_equal(found, rows)
-        assert (triangles is None) if corners is None else np.array_equal(triangles, corners)
-        assert comments == ("unit mm", "end_header of a poem")
-
-
-HEAD = "ply\nformat binary_little_endian 1.0\n"
-POINT = "element vertex 1\nproperty float x\n"
-FACE = "element face 1\nproperty list uchar int vertex_indices\n"
-END = "end_header\n"
-
-
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        ("", "it lacks the header from 'ply' to 'end_header'"),
-        (HEAD + POINT, "it lacks the header"),
-        (
-            "ply\nformat ascii 1.0\n" + POINT + END + "1\n",
-            "expected the format binary_little_endian 1.0, got 'format ascii",
-        ),
-        (HEAD + END, "expected 'element vertex COUNT', got 'nothing'"),
-        (HEAD + "element edge 1\n" + END, "expected 'element vertex COUNT', got 'element edge 1'"),
-        (
-            HEAD + "element vertex -1\nproperty float x\n" + END,
-            "expected 'element vertex COUNT', got 'element vertex -1'",
-        ),
-        (
-            HEAD + "element vertex 1\nproperty quad x\n" + END,
-            "expected vertices of numbers only, got 'property quad x'",
-        ),
-        (HEAD + "element vertex 1\n" + "property float x\n" * 2 + END, "more than once"),
-        (HEAD + POINT + END + "abc", "its header promises 4 bytes of numbers, it has 3"),
-        (HEAD + POINT + END + "abcde", "its header promises 4 bytes of numbers, it has 5"),
-        (HEAD + POINT + "element edge 1\n" + END, "expected 'element face COUNT', got 'element edge 1'"),
-        (
-            HEAD + POINT + "element face 1\nproperty list uchar uint corners\n" + END,
-            "expected faces as lists of vertex_indices",
-        ),
-        (
-            HEAD + POINT + FACE + POINT + END,
-            "expected faces as lists of vertex_indices, uchar and int, and nothing after",
-        ),
-        (HEAD + POINT + FACE + END + "1234" + "\x04" + "\0" * 12, "it has faces that are no triangles"),
-        (
-            HEAD + POINT + FACE + END + "1234" + "\x03" + "\0" * 8 + "\1\0\0\0",
-            "its faces name vertices beyond the 1 it has",
-        ),
-    ],
-)
-def test_a_ply_that_is_none_of_ours(tmp_path, data, sentence):
-    (tmp_path / "a.ply").write_bytes(data.encode())
-    with pytest.raises(InputError, match=rf"a\.ply is no PLY as scan3d writes it: .*{re.escape(sentence)}"):
-        read_ply(tmp_path / "a.ply")
-
-
-def test_a_ply_that_can_not_be_read(tmp_path):
-    for path, why in ((tmp_path / "missing.ply", "No such file"), (tmp_path, "Is a directory")):
-        with pytest.raises(InputError, match=rf"can't read .*: {why}.*; give a PLY written by scan3d"):
-            read_ply(path)
-
-
 # --- the command ---
 
 
 def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(commands, "_pictures", lambda *_: [])
-    few = Settings(slices=8, samples=24)
-    commands.scan(str(ROOT / "meshes" / "egg.stl"), str(tmp_path), few, lambda _: None, lambda *_: None)
+    monkeypatch.setattr(workflow, "_draw", lambda *_: [])
+    egg = str(ROOT / "meshes" / "egg.stl")
+    assert main(["scan", egg, "--out", str(tmp_path), "--slices", "8", "--samples", "24", "--quiet"]) == 0
     for what, ending in FORMATS:
         assert main(["export", str(tmp_path), "--to", str(tmp_path / f"a{ending}"), "--what", what]) == 0
         said, complained = capsys.readouterr()

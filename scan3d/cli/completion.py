@@ -1,7 +1,7 @@
-"""Completion scripts for shells, made from the command line's own parser.
+"""Completion scripts for shells, generated from the parser of the command line.
 
-bash: eval "$(scan3d completion bash)" in ~/.bashrc; zsh: the same with zsh in ~/.zshrc, after compinit; fish:
-scan3d completion fish > ~/.config/fish/completions/scan3d.fish.
+In bash the line ``eval "$(scan3d completion bash)"`` in ~/.bashrc switches completion on, in zsh the same line with zsh in
+~/.zshrc after compinit.  In fish it is ``scan3d completion fish > ~/.config/fish/completions/scan3d.fish``.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-# Placeholders of options whose value is a file or a folder; words without an option are files or folders anyway.
+# Placeholders of options whose value is a file or a folder.  Arguments without an option always complete to files.
 _FILES = ("FILE", "MESH")
 _FOLDERS = ("DIR",)
 
 
 @dataclass(frozen=True)
 class _Argument:
-    """One option, or one word that stands without an option."""
+    """An option with its flags, or an argument without an option."""
 
     flags: tuple[str, ...]
     help: str
     name: str
-    """What stands for its value; empty if it takes none."""
+    """Placeholder of its value; empty if it takes no value."""
     values: tuple[str, ...]
-    """All that it may be, if that is known."""
+    """The allowed values, if there is a list of them."""
     repeated: bool
 
     @property
@@ -41,21 +41,24 @@ class _Argument:
 
 
 def script(parser: argparse.ArgumentParser, shell: str, values: Mapping[str, tuple[str, ...]]) -> str:
-    """The script for one of `choices.SHELLS`; `values` are those of options that the parser takes as they come, by name."""
+    """The script for one of `choices.SHELLS`.
+
+    `values` has the values of options that the parser itself does not restrict, by the name of the option.
+    """
     commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    about = {choice.dest: choice.help or "" for choice in commands._choices_actions}
-    found = {name: _arguments(one, values) for name, one in commands.choices.items()}
+    descriptions = {choice.dest: choice.help or "" for choice in commands._choices_actions}
+    by_command = {name: _arguments(command, values) for name, command in commands.choices.items()}
     top = [argument for argument in _arguments(parser, values) if argument.flags]
-    return {"bash": _bash, "zsh": _zsh, "fish": _fish}[shell](about, top, found)
+    return {"bash": _bash, "zsh": _zsh, "fish": _fish}[shell](descriptions, top, by_command)
 
 
 def _arguments(parser: argparse.ArgumentParser, values: Mapping[str, tuple[str, ...]]) -> list[_Argument]:
-    found = []
+    arguments = []
     for action in parser._actions:
         if action.help == argparse.SUPPRESS or isinstance(action, argparse._SubParsersAction):
             continue
         metavar = action.metavar if isinstance(action.metavar, str) else action.dest.upper()
-        found.append(
+        arguments.append(
             _Argument(
                 flags=tuple(action.option_strings),
                 help=(action.help or "").replace("%%", "%"),
@@ -64,21 +67,21 @@ def _arguments(parser: argparse.ArgumentParser, values: Mapping[str, tuple[str, 
                 repeated=action.nargs in ("*", "+"),
             )
         )
-    return found
+    return arguments
 
 
-def _bash(about: Mapping[str, str], top: list[_Argument], commands: Mapping[str, list[_Argument]]) -> str:
-    after, words = [], [f"        '') words={shlex.quote(' '.join([*about, *_flags(top)]))} ;;"]
+def _bash(descriptions: Mapping[str, str], top: list[_Argument], commands: Mapping[str, list[_Argument]]) -> str:
+    after, cases = [], [f"        '') words={shlex.quote(' '.join([*descriptions, *_flags(top)]))} ;;"]
     for command, arguments in commands.items():
-        # what follows an option, options with the same together
-        wanted: dict[str, list[str]] = {}
-        for one in (one for one in arguments if one.flags and one.kind != "none"):
-            patterns = wanted.setdefault(_bash_words(one), [])
-            patterns += [f"{command}:{flag}" for flag in one.flags]
-        after += [f"        {'|'.join(patterns)}) {what} ;;" for what, patterns in wanted.items()]
+        # the completion after an option; options with the same completion share a line
+        patterns_by_words: dict[str, list[str]] = {}
+        for option in (argument for argument in arguments if argument.flags and argument.kind != "none"):
+            patterns = patterns_by_words.setdefault(_bash_words(option), [])
+            patterns += [f"{command}:{flag}" for flag in option.flags]
+        after += [f"        {'|'.join(patterns)}) {words} ;;" for words, patterns in patterns_by_words.items()]
         flags = shlex.quote(" ".join(_flags(arguments)))
-        free = next((_bash_words(one) for one in arguments if not one.flags), "return")
-        words.append(f"        {command}) if [[ $current == -* ]]; then words={flags}; else {free}; fi ;;")
+        positional = next((_bash_words(argument) for argument in arguments if not argument.flags), "return")
+        cases.append(f"        {command}) if [[ $current == -* ]]; then words={flags}; else {positional}; fi ;;")
     nl = "\n"
     return f"""\
 # bash completion for scan3d; put this into ~/.bashrc: eval "$(scan3d completion bash)"
@@ -86,16 +89,16 @@ _scan3d() {{
     local current=${{COMP_WORDS[COMP_CWORD]}} before=${{COMP_WORDS[COMP_CWORD-1]}}
     local command='' words='' files='' word IFS=$' \\t\\n'
     COMPREPLY=()
-    # --option=value comes as three words
+    # bash splits --option=value into three words
     if [[ $current == '=' ]]; then current=''
     elif [[ $before == '=' ]]; then before=${{COMP_WORDS[COMP_CWORD-2]}}; fi
     for word in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
-        case $word in {"|".join(about)}) command=$word; break ;; esac
+        case $word in {"|".join(descriptions)}) command=$word; break ;; esac
     done
     case $command:$before in
 {nl.join(after)}
         *) case $command in
-{nl.join(words)}
+{nl.join(cases)}
         esac ;;
     esac
     if [[ -n $files ]]; then
@@ -110,13 +113,13 @@ complete -F _scan3d scan3d
 """
 
 
-def _bash_words(one: _Argument) -> str:
-    words = f"words={shlex.quote(' '.join(one.values))}"
-    return {"values": words, "folder": "files=-d", "file": "files=-f"}.get(one.kind, "return")
+def _bash_words(argument: _Argument) -> str:
+    words = f"words={shlex.quote(' '.join(argument.values))}"
+    return {"values": words, "folder": "files=-d", "file": "files=-f"}.get(argument.kind, "return")
 
 
-def _zsh(about: Mapping[str, str], top: list[_Argument], commands: Mapping[str, list[_Argument]]) -> str:
-    listed = "\n".join(f"            {shlex.quote(f'{name}:{_plain(text)}')}" for name, text in about.items())
+def _zsh(descriptions: Mapping[str, str], top: list[_Argument], commands: Mapping[str, list[_Argument]]) -> str:
+    listed = "\n".join(f"            {shlex.quote(f'{name}:{_plain(text)}')}" for name, text in descriptions.items())
     cases = "\n".join(
         f"        {command}) _arguments {' '.join(_zsh_specs(arguments))} ;;" for command, arguments in commands.items()
     )
@@ -146,23 +149,23 @@ if [[ $funcstack[1] == _scan3d ]]; then _scan3d "$@"; else compdef _scan3d scan3
 
 def _zsh_specs(arguments: Iterable[_Argument]) -> list[str]:
     specs = []
-    for one in arguments:
-        action = {"values": f"({' '.join(one.values)})", "folder": "_files -/", "file": "_files"}.get(one.kind, " ")
-        value = f":{_plain(one.name)}:{action}" if one.name else ""
-        for flag in one.flags:
-            equals = "=" if one.name and flag.startswith("--") else ""
-            specs.append(shlex.quote(f"{flag}{equals}[{_plain(one.help)}]{value}"))
-        if not one.flags:
-            specs.append(shlex.quote(f"{'*' if one.repeated else ''}{value}"))
+    for argument in arguments:
+        actions = {"values": f"({' '.join(argument.values)})", "folder": "_files -/", "file": "_files"}
+        value = f":{_plain(argument.name)}:{actions.get(argument.kind, ' ')}" if argument.name else ""
+        for flag in argument.flags:
+            equals = "=" if argument.name and flag.startswith("--") else ""
+            specs.append(shlex.quote(f"{flag}{equals}[{_plain(argument.help)}]{value}"))
+        if not argument.flags:
+            specs.append(shlex.quote(f"{'*' if argument.repeated else ''}{value}"))
     return specs
 
 
 def _plain(text: str) -> str:
-    """Without what means something to _arguments."""
+    """The text without the characters that have a meaning for zsh's _arguments."""
     return text.replace("[", "(").replace("]", ")").replace("\\", "/").replace(":", "\\:")
 
 
-def _fish(about: Mapping[str, str], top: list[_Argument], commands: Mapping[str, list[_Argument]]) -> str:
+def _fish(descriptions: Mapping[str, str], top: list[_Argument], commands: Mapping[str, list[_Argument]]) -> str:
     lines = [
         "# fish completion for scan3d: scan3d completion fish > ~/.config/fish/completions/scan3d.fish",
         "complete -c scan3d -f",
@@ -172,21 +175,21 @@ def _fish(about: Mapping[str, str], top: list[_Argument], commands: Mapping[str,
         start = f"complete -c scan3d -n {shlex.quote(condition)}"
         if where in commands:
             lines.append(
-                f"complete -c scan3d -n __fish_use_subcommand -a {where} -d {_fish_quoted(about.get(where, ''))}"
+                f"complete -c scan3d -n __fish_use_subcommand -a {where} -d {_fish_quoted(descriptions.get(where, ''))}"
             )
-        for one in arguments:
-            flags = " ".join(f"-l {flag[2:]}" if flag.startswith("--") else f"-s {flag[1:]}" for flag in one.flags)
-            wanted = {
+        for argument in arguments:
+            flags = " ".join(f"-l {flag[2:]}" if flag.startswith("--") else f"-s {flag[1:]}" for flag in argument.flags)
+            completion = {
                 "none": "",
-                "values": f"-x -a {_fish_quoted(' '.join(one.values))}",
+                "values": f"-x -a {_fish_quoted(' '.join(argument.values))}",
                 "folder": "-x -a '(__fish_complete_directories)'",
                 "file": "-r -F",
                 "other": "-x",
-            }[one.kind]
-            if one.flags:
-                lines.append(" ".join(filter(None, [start, flags, wanted, f"-d {_fish_quoted(one.help)}"])))
+            }[argument.kind]
+            if argument.flags:
+                lines.append(" ".join(filter(None, [start, flags, completion, f"-d {_fish_quoted(argument.help)}"])))
             else:
-                lines.append(f"{start} {wanted.removeprefix('-r ').removeprefix('-x ')}")
+                lines.append(f"{start} {completion.removeprefix('-r ').removeprefix('-x ')}")
     return "\n".join(lines) + "\n"
 
 
@@ -195,4 +198,4 @@ def _fish_quoted(text: str) -> str:
 
 
 def _flags(arguments: Iterable[_Argument]) -> list[str]:
-    return [flag for one in arguments for flag in one.flags]
+    return [flag for argument in arguments for flag in argument.flags]

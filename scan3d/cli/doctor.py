@@ -1,4 +1,4 @@
-"""What works on this machine, what doesn't, and the command that mends it."""
+"""What works on this machine, what does not, and the command that installs what is missing."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-# Packages a scan needs, and what others are good for.
+# Packages that every scan needs, and what the others are used for.
 NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
 OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces", "imageio-ffmpeg": "movies as .mp4"}
-# Endings that a recording may have, in this version or another.
+# Endings of recordings that are tried; those that this version does not know are left out of the result.
 _RECORDINGS = (".csv", ".parquet")
+# A child process is stopped after this time.  Shorter, a slow disk or a busy machine would count as a failure; longer, a
+# process that hangs would keep the user waiting.
 _TIMEOUT_S = 300
-# A scan of a moment, of all steps; in a child, for a broken library may take its process down.
+# A small scan with all steps.  It runs in a child process, because a broken library may end its process.
 _SCAN = """
 import trimesh, scan3d
 body = trimesh.creation.box((30, 20, 10))
@@ -28,10 +30,13 @@ scan3d.compare(scan3d.surface(scan3d.reconstruct(recording)), body)
 
 
 def examine() -> dict[str, Any]:
-    """Try out what the commands need.  Plain values; `ok` says whether a scan works, `missing` what to do about the rest."""
+    """Try what the commands need.
+
+    Returns plain values: `ok` states whether a scan works, `missing` lists what is missing and the command that installs it.
+    """
     packages = {name: _version(name) for name in (*NEEDED, "vtk", *OPTIONAL)}
-    trouble = _trouble(_SCAN)
-    open3d = _trouble("import open3d")
+    scan_error = _error_of(_SCAN)
+    open3d_error = _error_of("import open3d")
     recordings = _recordings()
     pictures = _can_render()
     missing = [
@@ -39,40 +44,42 @@ def examine() -> dict[str, Any]:
         for name in (*NEEDED, *OPTIONAL)
         if packages[name] is None
     ]
-    if packages["open3d"] is not None and open3d:
-        missing.append(_missing("open3d", OPTIONAL["open3d"], open3d, _apt("libgl1 libgomp1")))
+    if packages["open3d"] is not None and open3d_error:
+        missing.append(_missing("open3d", OPTIONAL["open3d"], open3d_error, _apt("libgl1 libgomp1")))
     if not pictures:
         missing.append(_missing("renderer", "pictures", "nothing can render off screen", _apt("libegl1 libgl1")))
-    missing += [_missing(f"{e} recordings", "recordings", why, None) for e, why in recordings.items() if why]
+    missing += [
+        _missing(f"{ending} recordings", "recordings", error, None) for ending, error in recordings.items() if error
+    ]
     return {
         "scan3d": _version("scan3d"),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": packages,
-        "scan": {"works": trouble is None, "why_not": trouble},
+        "scan": {"works": scan_error is None, "why_not": scan_error},
         "rendering": pictures,
-        "open3d": {"works": open3d is None, "why_not": open3d},
-        "recordings": {ending: why is None for ending, why in recordings.items()},
+        "open3d": {"works": open3d_error is None, "why_not": open3d_error},
+        "recordings": {ending: error is None for ending, error in recordings.items()},
         "missing": missing,
-        "ok": trouble is None,
+        "ok": scan_error is None,
     }
 
 
-def summary(found: dict[str, Any]) -> list[tuple[str, str]]:
-    """The findings as rows for the terminal: what, and how it is."""
-    packages = found["packages"]
+def summary(state: dict[str, Any]) -> list[tuple[str, str]]:
+    """The result of `examine` as rows (label, value) for the terminal."""
+    packages = state["packages"]
     rows = [
-        ("scan3d", f"{found['scan3d']}, Python {found['python']}, {found['platform']}"),
-        ("scans", _works(found["scan"]["works"], found["scan"]["why_not"])),
-        ("pictures", _works(found["rendering"], "nothing can render off screen")),
-        ("open3d", _works(found["open3d"]["works"], found["open3d"]["why_not"], "works", "doesn't work")),
-        ("recordings", ", ".join(ending for ending, works in found["recordings"].items() if works) or "none"),
+        ("scan3d", f"{state['scan3d']}, Python {state['python']}, {state['platform']}"),
+        ("scans", _works(state["scan"]["works"], state["scan"]["why_not"])),
+        ("pictures", _works(state["rendering"], "nothing can render off screen")),
+        ("open3d", _works(state["open3d"]["works"], state["open3d"]["why_not"], "works", "doesn't work")),
+        ("recordings", ", ".join(ending for ending, works in state["recordings"].items() if works) or "none"),
         ("packages", ", ".join(f"{name} {number}" for name, number in packages.items() if number)),
     ]
-    for one in found["missing"]:
-        cure = f": {one['command']}" if one["command"] else ""
-        rows.append(("missing", f"{one['what']} ({one['why']}), for {one['for']}{cure}"))
-    if not found["missing"]:
+    for item in state["missing"]:
+        command = f": {item['command']}" if item["command"] else ""
+        rows.append(("missing", f"{item['what']} ({item['why']}), for {item['for']}{command}"))
+    if not state["missing"]:
         rows.append(("missing", "nothing"))
     return rows
 
@@ -86,56 +93,56 @@ def _missing(what: str, use: str, why: str, command: str | None) -> dict[str, st
 
 
 def _version(name: str) -> str | None:
-    # open3d comes under two names
-    for one in (name, f"{name}-cpu"):
+    # open3d is distributed under two names
+    for distribution in (name, f"{name}-cpu"):
         try:
-            return version(one)
+            return version(distribution)
         except PackageNotFoundError:
             continue
     return None
 
 
 def _pip(name: str) -> str:
-    """The command that installs a package, in the version asked for by this one."""
-    wanted = name
+    """The command that installs a package in the version that scan3d requires."""
+    requirement = name
     if name == "open3d" and sys.platform == "linux" and platform.machine() == "x86_64":
-        wanted = "open3d-cpu"
+        requirement = "open3d-cpu"
     elif name != "open3d":
-        found = [re.match(rf"{name}\b[^;\s]*", line) for line in requires("scan3d") or ()]
-        wanted = next((match[0] for match in found if match), name)
-    return shlex.join([sys.executable, "-m", "pip", "install", wanted])
+        matches = [re.match(rf"{name}\b[^;\s]*", line) for line in requires("scan3d") or ()]
+        requirement = next((match[0] for match in matches if match), name)
+    return shlex.join([sys.executable, "-m", "pip", "install", requirement])
 
 
 def _apt(packages: str) -> str | None:
     return f"apt-get install {packages}" if sys.platform == "linux" else None
 
 
-def _trouble(code: str) -> str | None:
-    """What goes wrong when a child process runs the code, in its last words; None if nothing does."""
+def _error_of(code: str) -> str | None:
+    """The last line of the error message of a child process that runs the code; None if it succeeds."""
     try:
-        tried = subprocess.run(
+        completed = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    if tried.returncode == 0:
+    if completed.returncode == 0:
         return None
-    lines = [line.strip() for line in tried.stderr.splitlines() if line.strip()]
-    if tried.returncode < 0:
-        return f"killed by signal {-tried.returncode}"
-    return lines[-1] if lines else f"exit code {tried.returncode}"
+    lines = [line.strip() for line in completed.stderr.splitlines() if line.strip()]
+    if completed.returncode < 0:
+        return f"killed by signal {-completed.returncode}"
+    return lines[-1] if lines else f"exit code {completed.returncode}"
 
 
 def _can_render() -> bool:
     try:
-        from scan3d.pictures import rendering
+        from scan3d.pictures import rendering, views  # noqa: F401 - a picture needs what these import
     except ImportError:
         return False
     return rendering.can_render()
 
 
 def _recordings() -> dict[str, str | None]:
-    """What goes wrong with recordings of each ending that this version knows, None if nothing does."""
+    """The error message for recordings of each ending that this version knows; None if writing and reading succeed."""
     try:
         import numpy as np
 
@@ -145,7 +152,7 @@ def _recordings() -> dict[str, str | None]:
         from scan3d.rods import Rod
     except ImportError as error:
         return {".csv": str(error)}
-    one = Recording(
+    recording = Recording(
         sweep=np.zeros(1, np.int64),
         position_m=np.zeros((1, 3)),
         quaternion=np.array([[1.0, 0, 0, 0]]),
@@ -153,17 +160,19 @@ def _recordings() -> dict[str, str | None]:
         moment_Nm=np.zeros(1),
         rod=Rod(1.0, 1.0),
     )
-    found: dict[str, str | None] = {}
-    with TemporaryDirectory() as place:
+    errors: dict[str, str | None] = {}
+    with TemporaryDirectory() as folder:
         for ending in _RECORDINGS:
-            path = Path(place) / f"log{ending}"
+            path = Path(folder) / f"log{ending}"
             try:
                 check_path(path)
             except InputError:
                 continue
             try:
-                write_recording(one, path)
-                found[ending] = None if len(read_recording(path)) == 1 else "what is written isn't read back"
+                write_recording(recording, path)
+                errors[ending] = (
+                    None if len(read_recording(path)) == 1 else "the recording is not read back as it was written"
+                )
             except (InputError, ImportError) as error:
-                found[ending] = str(error)
-    return found
+                errors[ending] = str(error)
+    return errors

@@ -1,8 +1,12 @@
-"""The command line's arguments.  Nothing here needs a numerical library, so that ``scan3d --help`` is quick."""
+"""The arguments of the command line.
+
+This module does not import a numerical library, so that ``scan3d --help`` takes a fraction of a second.
+"""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any, NoReturn
 
@@ -11,20 +15,20 @@ from scan3d.cli.settings import Settings
 from scan3d.units import UNITS_M
 
 _DESCRIPTION = """\
-Seeing by touch: sweep a flexible rod along a body, and rebuild the body from the reactions at its clamp.
+Seeing by touch: sweep a flexible rod along a body, and reconstruct the body from the reactions at the rod's clamp.
 
-  scan3d scan meshes/egg.stl --out out                     the whole way, with pictures and a report
-  scan3d scan part.stl --out out --friction 0.0:0.4        every sample with a friction of its own
+  scan3d scan meshes/egg.stl --out out                     all steps, with pictures and a report
+  scan3d scan part.stl --out out --friction 0.0:0.4        the friction is drawn separately for every sample
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
-  scan3d reconstruct log.csv --out out --truth part.stl    only the way back
+  scan3d reconstruct log.csv --out out --truth part.stl    only the reconstruction, compared with the true body
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
-  scan3d show out                                          a window to turn it in; --html and --screenshot for files
+  scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
-  scan3d doctor                                            what works here, and how to mend the rest
+  scan3d doctor                                            what works on this machine, and how to install the rest
 
-'scan3d COMMAND --help' says more about each.
+'scan3d COMMAND --help' describes each command.
 """
-# What stands under a command's help.
+# Examples that are printed below the help of a command.
 _EXAMPLES = {
     "scan": """\
   scan3d scan meshes/egg.stl --out out
@@ -58,7 +62,8 @@ _EXAMPLES = {
   eval "$(scan3d completion zsh)"
   scan3d completion fish > ~/.config/fish/completions/scan3d.fish""",
 }
-# What the shell offers for options whose values are judged later.
+# Values that the shell completes for options that the parser itself does not restrict, because settings from a file are
+# checked by the same rules.
 VALUES = {
     "spacing": SPACINGS,
     "standoff": STANDOFFS,
@@ -66,67 +71,80 @@ VALUES = {
     "method": METHODS,
     "axis": ("x", "y", "z", "xyz"),
 }
-# name, placeholder, what it is; types and defaults are those of `Settings`
+
+
+def one_of(values: Sequence[str]) -> str:
+    """The values as a list in a sentence: ``a, b or c``."""
+    return f"{', '.join(values[:-1])} or {values[-1]}"
+
+
+_METHOD = f"surface from the contacts: {one_of(METHODS)}; bracket estimates it between the certified bounds"
+# Name, placeholder and description of each setting; types and defaults are those of `Settings`.
 _OPTIONS = (
     ("slices", "N", "number of slices"),
-    ("spacing", "HOW", "heights of the slices: cosine (dense at the ends), uniform, or adaptive"),
+    ("spacing", "RULE", f"heights of the slices: {one_of(SPACINGS)}; cosine is dense at the ends"),
     ("axis", "AXIS", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0"),
     ("sweeps", "N", "sweeps per slice, or auto: as many as its contour needs"),
     ("samples", "N", "samples per sweep"),
-    ("friction", "MU", "coefficient of friction, or a range such as 0.0:0.4 to draw from for every sample"),
-    ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that suits the body"),
+    ("friction", "MU", "coefficient of friction, or a range such as 0.0:0.4 from which every sample draws its own"),
+    ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"),
     ("clearance", "X", "distance of the base line from the slice, in rod lengths"),
-    ("standoff", "HOW", "follow: the base line follows every slice; fixed: it keeps clear of the widest"),
-    ("tolerance", "X", "adaptive spacing stops at this certified bound, relative to the diagonal"),
+    ("standoff", "RULE", f"{one_of(STANDOFFS)}: whether the base line follows every slice or clears the widest one"),
+    ("tolerance", "X", "certified bound at which adaptive spacing stops, relative to the diagonal"),
     ("noise", "SIGMA", "standard deviation of force and moment, in EI/L² and EI/L"),
-    ("seed", "N", "seed of all that is random; the same seed gives the same files"),
-    ("unit", "UNIT", "what the mesh's numbers mean: mm, cm, m, um, in"),
-    ("method", "METHOD", "surface from the contacts: auto, hull, bracket, support, poisson or ball-pivoting"),
+    ("seed", "N", "seed of the random numbers; the same seed gives the same files"),
+    ("unit", "UNIT", f"unit of the mesh's coordinates: {one_of(tuple(UNITS_M))}"),
+    ("method", "METHOD", _METHOD),
 )
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, and where to read on."""
+    """A parser whose error messages are one line, which ends with a reference to the help."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"scan3d: {message}; see '{self.prog} --help'\n")
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser; the arguments that it returns have the name of the verb in `command`."""
+    """The parser; the arguments that it returns have the name of the command in `command`."""
     top = _Parser(prog="scan3d", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-    scan = commands.add_parser("scan", help="simulate, reconstruct, surface, compare: everything")
+    scan = commands.add_parser("scan", help="all steps: simulate, reconstruct, build the surface, compare")
     scan.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
     scan.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     _add_settings(scan)
     scan.set_defaults(command="scan")
 
-    simulate = commands.add_parser("simulate", help="step 1 alone: a recording of a simulated scan")
+    simulate = commands.add_parser("simulate", help="step 1 only: a recording of a simulated scan")
     simulate.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
     simulate.add_argument(
-        "--out", required=True, metavar="FILE", help="the recording, a .csv; a .toml is written beside it"
+        "--out",
+        required=True,
+        metavar="FILE",
+        help="the recording, a .csv; a .toml of the same name is written as well",
     )
     _add_settings(simulate)
     simulate.set_defaults(command="simulate")
 
-    reconstruct = commands.add_parser("reconstruct", help="step 2 from a recording, simulated or measured")
-    reconstruct.add_argument("recording", metavar="REC", help="a recording's .csv, its .toml beside it")
+    reconstruct = commands.add_parser("reconstruct", help="step 2 only, from a simulated or measured recording")
+    reconstruct.add_argument(
+        "recording", metavar="REC", help="the .csv of a recording; its .toml is in the same folder"
+    )
     reconstruct.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
-    reconstruct.add_argument("--truth", metavar="MESH", help="the true body, to compare with")
+    reconstruct.add_argument("--truth", metavar="MESH", help="mesh of the true body, to compare the surface with")
     reconstruct.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
     reconstruct.add_argument(
         "--method",
         metavar="METHOD",
-        default="auto",
-        help="surface from the contacts: auto, hull, bracket, support, poisson...",
+        default=METHODS[0],
+        help=f"{_METHOD} (default {METHODS[0]})",
     )
     _add_output(reconstruct)
     reconstruct.set_defaults(command="reconstruct")
 
-    compare = commands.add_parser("compare", help="Hausdorff distance and companions of two meshes")
+    compare = commands.add_parser("compare", help="Hausdorff distance and other measures of two meshes")
     compare.add_argument("first", metavar="A", help="a mesh, such as a reconstructed surface")
     compare.add_argument("second", metavar="B", help="the mesh to compare with, such as the truth")
     compare.add_argument(
@@ -135,56 +153,69 @@ def parser() -> argparse.ArgumentParser:
     _add_output(compare)
     compare.set_defaults(command="compare")
 
-    show = commands.add_parser("show", help="look at a scan: in a window, or in a picture, a page or a movie")
+    show = commands.add_parser("show", help="show a scan in a window, a picture, a page or a movie")
     show.add_argument(
         "path", metavar="DIR|FILE", help="a scan's folder, a recording (.csv), a cloud or surface (.ply), a mesh"
     )
     show.add_argument("--screenshot", metavar="FILE", help="a picture, .png or .pdf, instead of a window")
-    show.add_argument("--html", metavar="FILE", help="a page that turns in any browser, without network")
+    show.add_argument(
+        "--html", metavar="FILE", help="an interactive page for any browser; it does not need the network"
+    )
     show.add_argument("--movie", metavar="FILE", help="a .gif, or an .mp4 (needs imageio-ffmpeg)")
     show.add_argument(
         "--view",
         choices=VIEWS,
         metavar="VIEW",
-        help=f"what the picture shows: {', '.join(VIEWS)} (default surface, with --color cloud)",
+        help=f"what the picture shows: {one_of(VIEWS)} (default surface, with --color cloud)",
     )
     show.add_argument(
         "--color",
         choices=COLORS,
         metavar="WHAT",
-        help=f"colour of the contacts in a picture or the window: {', '.join(COLORS)} (default force)",
+        help=f"colour of the contacts in a picture or the window: {one_of(COLORS)} (default force)",
     )
-    show.add_argument("--movie-of", choices=MOVIES, metavar="WHAT", help="sweep (default) or growth")
     show.add_argument(
-        "--truth", metavar="MESH", help="the true body; by default the one that the report names, if found"
+        "--movie-of",
+        choices=MOVIES,
+        metavar="WHAT",
+        help=f"what the movie shows: {one_of(MOVIES)} (default {MOVIES[0]})",
+    )
+    show.add_argument(
+        "--truth",
+        metavar="MESH",
+        help="mesh of the true body; by default the mesh that the report names, if it is found",
     )
     show.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
-    show.add_argument("--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="of a mesh (default mm)")
+    show.add_argument(
+        "--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="unit of a mesh (default mm)"
+    )
     _add_output(show)
     show.set_defaults(command="show", misuse=show.error)
 
     export = commands.add_parser(
         "export",
-        help="cloud or surface in another format, by file ending",
+        help="write the cloud or the surface in another format",
         description="Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn and .csv, surfaces to .stl, .ply, .obj, .vtp\n"
-        "and .glb (in metres). Unit, frame, normals and scalars stay wherever a format can hold them.",
+        "and .glb (in metres). Unit, frame, normals and scalars are kept where the format can contain them.",
     )
     export.add_argument("source", metavar="DIR", help="folder of a scan, or one of its PLY files")
-    export.add_argument("--to", required=True, metavar="FILE", help="the file to write; its ending says the format")
+    export.add_argument(
+        "--to", required=True, metavar="FILE", help="the file to write; its ending determines the format"
+    )
     export.add_argument(
         "--what",
         choices=EXPORTS,
-        help="for .ply and .vtp, which hold either (default surface, unless DIR is a file with a cloud)",
+        help=f"{one_of(EXPORTS)}, for .ply and .vtp (default {EXPORTS[0]}, unless DIR is a file with a cloud)",
     )
     _add_output(export)
     export.set_defaults(command="export")
 
-    doctor = commands.add_parser("doctor", help="what works here, what is missing and the command that installs it")
+    doctor = commands.add_parser("doctor", help="what works on this machine, what is missing, and how to install it")
     _add_output(doctor)
     doctor.set_defaults(command="doctor")
 
-    completion = commands.add_parser("completion", help="a script that makes the shell complete this command")
-    completion.add_argument("shell", metavar="SHELL", choices=SHELLS, help="bash, zsh or fish")
+    completion = commands.add_parser("completion", help="print a completion script for a shell")
+    completion.add_argument("shell", metavar="SHELL", choices=SHELLS, help=one_of(SHELLS))
     completion.set_defaults(command="completion")
 
     for name, text in _EXAMPLES.items():
@@ -194,7 +225,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when asked."""
+    """Prints the version, which is looked up only when it is needed."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version
@@ -205,7 +236,8 @@ class _Version(argparse.Action):
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
     defaults = {field.name: field.default for field in fields(Settings)}
-    group = parser.add_argument_group("settings", "Command line over --config over defaults.")
+    precedence = "The command line takes precedence over --config, and --config over the defaults."
+    group = parser.add_argument_group("settings", precedence)
     for name, placeholder, text in _OPTIONS:
         group.add_argument(
             f"--{name}",
@@ -218,11 +250,11 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--hull",
         action="store_true",
         default=argparse.SUPPRESS,
-        help="scan the convex hull of a body that isn't convex",
+        help="scan the convex hull of a body that is not convex",
     )
     group.add_argument("--config", metavar="FILE", help="settings from a TOML file")
     group.add_argument(
-        "--print-config", action="store_true", help="print the settings in force as such a file, and exit"
+        "--print-config", action="store_true", help="print the resulting settings as such a file, and exit"
     )
     _add_output(parser)
 

@@ -1,4 +1,7 @@
-"""Settings of the commands: defaults, a TOML file over them, the command line over both."""
+"""Settings of the commands.
+
+Settings from a TOML file take precedence over the defaults, and those of the command line over the file.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,13 @@ from scan3d.rods import parse_rod
 if TYPE_CHECKING:
     from scan3d.planning.plan import Plan
 
+# The types of settings as error messages name them.
 _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All that `scan3d scan` can be told, as it stands in a TOML file."""
+    """The settings of `scan3d scan`, in the types that a TOML file has."""
 
     slices: int = 64
     spacing: str = "cosine"
@@ -43,15 +47,15 @@ class Settings:
             raise InputError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
 
     def plan(self) -> Plan:
-        """The plan they describe.  Raises InputError naming the setting that doesn't make sense."""
-        # imported here so that `scan3d --help`, which needs only the defaults, does without numpy
+        """The plan that the settings describe.  Raises InputError that names the invalid setting."""
+        # imported here because `scan3d --help` needs the defaults only, and numpy would make it slow
         from scan3d.planning.plan import Plan
 
         return Plan(
             slices=self.slices,
             spacing=self.spacing,
             axis=_axis(self.axis),
-            sweeps=None if self.sweeps == "auto" else _whole("sweeps", self.sweeps),
+            sweeps=None if self.sweeps == "auto" else _integer("sweeps", self.sweeps),
             samples=self.samples,
             friction=_friction(self.friction),
             clearance=self.clearance,
@@ -65,10 +69,13 @@ class Settings:
 
 
 def settings(given: Mapping[str, Any], config: str | Path | None = None) -> Settings:
-    """Defaults, then the file's settings, then those given."""
+    """The defaults, replaced by the settings of the file `config` and then by those in `given`.
+
+    Raises InputError for a file that cannot be read, for unknown settings and for values of the wrong type.
+    """
     merged: Settings = Settings()
+    known = {field.name: type(field.default) for field in fields(Settings)}
     for source, values in ((config, {} if config is None else _read(config)), ("the command line", given)):
-        known = {field.name: type(field.default) for field in fields(Settings)}
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise InputError(f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}")
@@ -86,7 +93,7 @@ def _read(path: str | Path) -> dict[str, Any]:
 
 
 def _typed(source: str, name: str, value: Any, wanted: type) -> Any:
-    """A file's value in the type of the setting; lists are written as on the command line."""
+    """A file's value in the type of the setting; a list becomes text as on the command line."""
     if wanted is str and isinstance(value, list):
         value = (":" if name == "friction" else ",").join(str(item) for item in value)
     if wanted is str and isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -119,7 +126,7 @@ def _axis(text: str) -> str | tuple[float, ...]:
         raise InputError(f"axis must be x, y, z or three numbers, such as 1,1,0; got {text!r}") from None
 
 
-def _whole(name: str, text: str) -> int:
+def _integer(name: str, text: str) -> int:
     try:
         return int(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Summaries on the terminal: a table where somebody reads it, colour where it is supported, plain text everywhere else."""
+"""Summaries: a table on a terminal, coloured where the terminal supports it, and plain text in a pipe or a file."""
 
 from __future__ import annotations
 
@@ -8,30 +8,34 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-# Characters of a label.
+# Characters of a label: the longest label, "Hausdorff distance", fits exactly.
 _LABEL = 18
-# The most important part of a value: everything before the first comma or bracket.
+# The key figure of a value: the text before the first comma or parenthesis.
 _KEY = re.compile(r"[^,(]*[^,( ]")
+# Control sequences of ANSI terminals (ECMA-48): bold, dim, and back to normal.
 _BOLD, _DIM, _OFF = "\x1b[1m", "\x1b[2m", "\x1b[0m"
 
 
 def is_terminal(stream: Any, environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether the stream is a terminal that can do more than print lines."""
+    """Whether the stream is a terminal that can move its cursor."""
     return stream is not None and stream.isatty() and environment.get("TERM") != "dumb"
 
 
 def is_colourful(stream: Any, environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether the stream's terminal supports colour: not where NO_COLOR is set (no-color.org), nor in Windows' old console."""
-    old = sys.platform == "win32" and "WT_SESSION" not in environment
-    return is_terminal(stream, environment) and not environment.get("NO_COLOR") and not old
+    """Whether the stream is a terminal that supports colour.
+
+    Colour is switched off by NO_COLOR (no-color.org), and is not supported by the old console of Windows.
+    """
+    old_console = sys.platform == "win32" and "WT_SESSION" not in environment
+    return is_terminal(stream, environment) and not environment.get("NO_COLOR") and not old_console
 
 
 def table(
     heading: str, rows: Iterable[tuple[str, str]], stream: Any, environment: Mapping[str, str] = os.environ
 ) -> str:
-    """Rows (label, value) under a heading, which may be empty, as far as the stream's terminal can show them.
+    """Rows (label, value) under a heading, which may be empty, as text for the stream.
 
-    On a terminal the key figures are bold, and a rule stands under the heading and between label and value.
+    On a terminal the key figures are bold, and there is a rule under the heading and between label and value.
     """
     plain = [f"{label:{_LABEL}} {value}" for label, value in rows]
     if not is_terminal(stream, environment):

@@ -1,6 +1,7 @@
-"""What each command does: from parsed arguments to an exit code.
+"""The commands: each function takes parsed arguments and returns an exit code.
 
-Numerical libraries are imported inside the functions, so that ``scan3d --help`` and ``scan3d doctor`` do without them.
+Numerical libraries are imported inside the functions, so that ``scan3d --help`` is quick and ``scan3d doctor`` runs where they
+are missing.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from scan3d.errors import InputError
 
 
 def scan(arguments: Namespace) -> int:
-    """Simulate, reconstruct, surface, compare: everything, into a folder."""
+    """All steps, with the results written into a folder."""
     from scan3d import workflow
-    from scan3d.files.whole import folder
+    from scan3d.files.atomic import folder
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
@@ -32,13 +33,13 @@ def scan(arguments: Namespace) -> int:
     start = time.perf_counter()
     body = load_mesh(arguments.mesh, hull=chosen.hull)
     loaded = time.perf_counter()
-    with folder(arguments.out) as place:
+    with folder(arguments.out) as path:
         recording = _with_origin(simulate_scan(body, plan, _progress(arguments)), body)
         seconds = {"load": loaded - start, "simulate": time.perf_counter() - loaded}
         analysis = workflow.analyse(recording, body, chosen.method)
         data = workflow.write(
             analysis,
-            place,
+            path,
             settings=dataclasses.asdict(chosen),
             with_recording=True,
             seconds=seconds,
@@ -48,18 +49,18 @@ def scan(arguments: Namespace) -> int:
 
 
 def simulate(arguments: Namespace) -> int:
-    """Step 1 alone: a recording."""
+    """Step 1 only: write the recording of a simulated scan."""
     import numpy as np
 
+    from scan3d.files.atomic import folder
     from scan3d.files.recordings import check_path, write_recording
-    from scan3d.files.whole import folder
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
     chosen = _settings(arguments)
     if arguments.print_config:
         return _print_config(chosen)
-    _keep_config(arguments)
+    _check_config(arguments)
     check_path(arguments.out)
     plan = chosen.plan()
     body = load_mesh(arguments.mesh, hull=chosen.hull)
@@ -76,10 +77,10 @@ def simulate(arguments: Namespace) -> int:
 
 
 def reconstruct(arguments: Namespace) -> int:
-    """Step 2 from a recording, with a comparison if the truth is given."""
+    """Step 2 only: write the results of a recording, compared with the true body if it is given."""
     from scan3d import workflow
+    from scan3d.files.atomic import folder
     from scan3d.files.recordings import read_recording
-    from scan3d.files.whole import folder
     from scan3d.simulation.bodies import load_mesh
 
     chosen = settings({"hull": arguments.hull, "method": arguments.method})
@@ -87,16 +88,16 @@ def reconstruct(arguments: Namespace) -> int:
     recording = read_recording(arguments.recording)
     body = load_mesh(arguments.truth, hull=chosen.hull) if arguments.truth else None
     seconds = {"load": time.perf_counter() - start}
-    # the other settings are those of a simulation
+    # the remaining settings concern the simulation
     used = {"method": chosen.method, "hull": chosen.hull}
-    with folder(arguments.out) as place:
+    with folder(arguments.out) as path:
         analysis = workflow.analyse(recording, body, chosen.method)
-        data = workflow.write(analysis, place, settings=used, with_recording=False, seconds=seconds, notify=_say)
+        data = workflow.write(analysis, path, settings=used, with_recording=False, seconds=seconds, notify=_say)
     return _print_report(arguments, data)
 
 
 def compare(arguments: Namespace) -> int:
-    """Hausdorff distance and its companions of two mesh files, convex or not."""
+    """Print the Hausdorff distance and other measures of two mesh files, convex or not."""
     from scan3d.comparison import compare as compare_meshes
     from scan3d.report import comparison_summary
     from scan3d.simulation.bodies import read_mesh
@@ -107,15 +108,15 @@ def compare(arguments: Namespace) -> int:
 
 
 def show(arguments: Namespace) -> int:
-    """Show a scan's folder, a recording, a cloud or a mesh: in the files that are named, or else in a window."""
+    """Show a scan's folder, a recording, a cloud or a mesh in files, or in a window if no file is named."""
     _check_show(arguments)
-    from scan3d.files.whole import whole, write_whole
+    from scan3d.files.atomic import atomic, write_atomic
     from scan3d.pictures import movie, page, views, window
 
     screenshot, html, film = arguments.screenshot, arguments.html, arguments.movie
     if not (screenshot or html or film) and not window.can_open():
         raise InputError(window.NO_DISPLAY)
-    # before the work
+    # file names are checked before the work
     if screenshot:
         views.check_path(screenshot)
     if film:
@@ -123,15 +124,15 @@ def show(arguments: Namespace) -> int:
     scene = _scene(Path(arguments.path), arguments.truth, arguments.hull, arguments.unit)
     files = []
     if html:
-        write_whole(html, page.page(scene))
+        write_atomic(html, page.page(scene))
         files.append(html)
     if film:
-        with whole(film) as file:
+        with atomic(film) as file:
             movie.movie(scene, file, arguments.movie_of or "sweep")
         files.append(film)
     if screenshot:
         default = "cloud" if arguments.color or scene.surface is None else "surface"
-        with whole(screenshot) as file:
+        with atomic(screenshot) as file:
             views.picture(scene, file, arguments.view or default, arguments.color or "force")
         files.append(screenshot)
     if not files:
@@ -142,7 +143,7 @@ def show(arguments: Namespace) -> int:
 
 
 def _check_show(arguments: Namespace) -> None:
-    """Exit with a usage error for options that would change nothing."""
+    """Exit with a usage error for options that would have no effect."""
     if arguments.view and not arguments.screenshot:
         arguments.misuse("--view says what a picture shows: give --screenshot FILE as well")
     if arguments.color and not arguments.screenshot and (arguments.html or arguments.movie):
@@ -156,7 +157,7 @@ def _check_show(arguments: Namespace) -> None:
 
 
 def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
-    """What a path shows, with the true body if it is named or found."""
+    """The scene of a path, with the true body if it is named or found."""
     from scan3d.pictures import stored
     from scan3d.pictures.scene import Scene
     from scan3d.simulation.bodies import load_mesh, read_mesh
@@ -179,7 +180,7 @@ def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
 
 
 def _recording_scene(path: Path) -> Any:
-    """A recording's contacts, and their surface where they span a body."""
+    """The scene of a recording: its contacts, and their surface where they span a body."""
     from scan3d import workflow
     from scan3d.files.recordings import read_recording
     from scan3d.pictures.scene import of_cloud
@@ -188,29 +189,32 @@ def _recording_scene(path: Path) -> Any:
     recording = read_recording(path)
     try:
         scene = workflow.to_scene(workflow.analyse(recording))
-    except InputError:  # contacts in one plane do not span a body, and are still worth a look
+    except InputError:  # contacts in one plane do not span a body, but can be shown
         return of_cloud(reconstruct_recording(recording), name=path.stem, recording=recording)
     return dataclasses.replace(scene, name=path.stem)
 
 
 def export(arguments: Namespace) -> int:
-    """Cloud or surface in another format."""
+    """Write the cloud or the surface in another format."""
     from scan3d.files.exports import export as export_shape
 
-    done = export_shape(arguments.source, arguments.to, arguments.what)
-    cloud, surface = f"{done['points']} contacts", f"a surface of {done['points']} vertices and {done['faces']} faces"
-    shape = cloud if done["what"] == "cloud" else surface
-    return _print(arguments, done, f"{shape} in {done['unit']}, written to {done['file']}")
+    written = export_shape(arguments.source, arguments.to, arguments.what)
+    cloud, surface = (
+        f"{written['points']} contacts",
+        f"a surface of {written['points']} vertices and {written['faces']} faces",
+    )
+    shape = cloud if written["what"] == "cloud" else surface
+    return _print(arguments, written, f"{shape} in {written['unit']}, written to {written['file']}")
 
 
 def doctor(arguments: Namespace) -> int:
-    """What works on this machine, and what is missing."""
+    """Print what works on this machine, and what is missing."""
     import json
 
     from scan3d.cli.doctor import examine, summary
 
     state = examine()
-    # without `files.text`, which needs numpy: that may be what is missing
+    # `files.text` is not used here, because it needs numpy, which may be missing
     if arguments.json:
         print(json.dumps(state, indent=2))
     elif not arguments.quiet:
@@ -219,7 +223,7 @@ def doctor(arguments: Namespace) -> int:
 
 
 def completion(arguments: Namespace) -> int:
-    """A completion script for a shell."""
+    """Print a completion script for a shell."""
     from scan3d.cli.completion import script
     from scan3d.cli.parser import VALUES, parser
 
@@ -246,24 +250,26 @@ def _settings(arguments: Namespace) -> Settings:
 
 
 def _with_origin(recording: Any, body: Any) -> Any:
-    """The recording with the mesh that it was made from in its source."""
+    """The recording, with the file name and the hash of its mesh added to the source."""
     origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
     return dataclasses.replace(recording, source={**recording.source, **origin})
 
 
-def _keep_config(arguments: Namespace) -> None:
-    """Raises InputError if the recording's own TOML file would overwrite that of the settings."""
+def _check_config(arguments: Namespace) -> None:
+    """Raise InputError if the TOML file of the recording would overwrite that of the settings."""
     from scan3d.files.recordings import sidecar
 
     beside = sidecar(arguments.out)
     if arguments.config is not None and beside.resolve() == Path(arguments.config).resolve():
-        raise InputError(f"{beside.name} holds the settings, and the recording's rod goes there; choose another --out")
+        raise InputError(
+            f"{beside.name} contains the settings and would be overwritten by the rod of the recording; choose another --out"
+        )
 
 
 def _print_config(chosen: Settings) -> int:
     from scan3d.files.text import to_toml
 
-    chosen.plan()  # a file with settings that do not make sense is of no use
+    chosen.plan()  # invalid settings are an error here as well
     print(to_toml(dataclasses.asdict(chosen)), end="")
     return 0
 
@@ -294,12 +300,12 @@ def _say(sentence: str) -> None:
 
 
 def _progress(arguments: Namespace) -> Callable[[int, int], None]:
-    """A line on stderr that counts the slices and vanishes; nothing where stderr is not a terminal."""
+    """Shows a line on stderr that counts the slices and is erased at the end; nothing if stderr is not a terminal."""
     if arguments.quiet or not is_terminal(sys.stderr):
         return lambda *_: None
 
-    def show_progress(done: int, of: int) -> None:
-        end = f"\r{'':40}\r" if done >= of else ""
-        print(f"\rsimulate {done}/{of} slices{end}", end="", file=sys.stderr, flush=True)
+    def show_progress(done: int, total: int) -> None:
+        end = f"\r{'':40}\r" if done >= total else ""
+        print(f"\rsimulate {done}/{total} slices{end}", end="", file=sys.stderr, flush=True)
 
     return show_progress

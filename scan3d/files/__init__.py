@@ -1,1 +1,1 @@
-"""Files that are read and written: recordings, clouds, surfaces, settings and exports."""
+"""Reading and writing of files: recordings, clouds, surfaces, settings and exports."""

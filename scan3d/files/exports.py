@@ -1,12 +1,13 @@
 """Clouds and surfaces in the formats of other programs, by file ending.
 
-Points keep their coordinates: the world's, in the recording's unit.  The one exception is GLB, which is in metres by its
-specification.  Normals and scalars go along wherever a format has a place for them; unit and frame are said in the file
-where it allows a remark.  docs/formats.md says which program reads what.
+Points keep their world coordinates in the recording's unit; only GLB is in metres, by its specification.  Normals and
+scalars are written where the format can contain them, unit and frame where the format allows comments.  docs/formats.md
+lists which program reads which format.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,31 +17,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array
+from scan3d.choices import EXPORTS
 from scan3d.errors import InputError
+from scan3d.files.atomic import atomic, folder
 from scan3d.files.ply import ply, read_ply
-from scan3d.files.whole import folder, whole
 from scan3d.units import UNITS_M
 
 CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv")
 SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
-# In the order of preference, where a file could hold both.
-_ENDINGS = {"surface": SURFACE_ENDINGS, "cloud": CLOUD_ENDINGS}
-WHAT = tuple(_ENDINGS)
+# The formats of each of `EXPORTS`, the default first.
+_ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
 
 _FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 _POINT, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
-# Scalars that have a unit: lengths are in the file's.
+# Scalars that have a unit: lengths are in the unit of the file, forces in newtons.
 _LENGTHS, _FORCES = ("quality", "bound"), ("force",)
+# The layout of binary STL: 80 bytes of header, then one row per triangle.
 _STL_HEADER = 80
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A cloud or a surface as it stands in a PLY written by scan3d."""
+    """A cloud or a surface as in a PLY file written by scan3d."""
 
     rows: NDArray[Any]
-    """(n,) structured: x, y, z, nx, ny, nz, then scalars."""
+    """(n,) structured: x, y, z, nx, ny, nz, then the scalars."""
     faces: NDArray[np.int32] | None
     """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
     unit: str
@@ -67,27 +69,28 @@ class Shape:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a file should say about its numbers."""
+        """Comments for the file: what it contains, its unit and its frame."""
         return f"scan3d {self.what}", f"unit {self.unit}", f"frame {_FRAME}"
 
 
 def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[str, Any]:
     """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
 
-    The ending of `to` says which; where it could hold both (.ply, .vtp) `what` decides, 'cloud' or 'surface' (the default,
-    unless `source` is a cloud itself).  Returns what was written.  Raises InputError for endings and sources that are
-    unknown or don't go together, and for normals that are missing where the format needs them.
+    The ending of `to` determines the format.  Where the format can contain either (.ply, .vtp) `what` is 'cloud' or
+    'surface'; the default is the surface, unless `source` is a cloud.  Returns what was written, as plain values.  Raises
+    InputError for unknown endings and sources, for sources that cannot be written in the format, and for missing normals
+    that the format needs.
     """
     source, to = Path(source), Path(to)
     ending = to.suffix.lower()
-    able = _able(ending, what)
-    shape = _read(source, able[0])
-    if shape.what not in able:
+    contents = _contents(ending, what)
+    shape = _read(source, contents[0])
+    if shape.what not in contents:
         raise InputError(
-            f"{source.name} holds a {shape.what}, where a {able[0]} is wanted; a {shape.what} goes to "
+            f"{source.name} holds a {shape.what}, where a {contents[0]} is wanted; a {shape.what} goes to "
             f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
-    with folder(to.parent, option="--to"), whole(to, option="--to") as file:
+    with folder(to.parent, option="--to"), atomic(to, option="--to") as file:
         if ending == ".vtp":
             _write_vtp(shape, file)
         else:
@@ -97,25 +100,25 @@ def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[
     return {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
 
 
-def _able(ending: str, what: str | None) -> list[str]:
-    """What may go to files of this ending, what is preferred first."""
-    if what not in (None, *WHAT):
-        raise InputError(f"what to export must be one of {', '.join(WHAT)}, got {what!r}")
-    able = [kind for kind, endings in _ENDINGS.items() if ending in endings]
-    if not able:
+def _contents(ending: str, what: str | None) -> list[str]:
+    """What a file with this ending can contain, the default first; only `what` if it is given."""
+    if what not in (None, *EXPORTS):
+        raise InputError(f"what to export must be one of {', '.join(EXPORTS)}, got {what!r}")
+    contents = [kind for kind, endings in _ENDINGS.items() if ending in endings]
+    if not contents:
         raise InputError(
             f"can't export to files ending in {ending or 'nothing'!r}: a cloud goes to {_listed(CLOUD_ENDINGS)}, "
             f"a surface to {_listed(SURFACE_ENDINGS)}"
         )
     if what is None:
-        return able
-    if what not in able:
+        return contents
+    if what not in contents:
         raise InputError(f"{ending} holds no {what}: a {what} goes to {_listed(_ENDINGS[what])}")
     return [what]
 
 
 def _read(source: Path, wanted: str) -> Shape:
-    """The wanted part of a scan's folder, or whatever a single file holds."""
+    """The wanted part of a scan's folder, or the contents of a single file."""
     if not source.exists():
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
     if source.is_dir():
@@ -128,15 +131,17 @@ def _read(source: Path, wanted: str) -> Shape:
 
 
 def read_shape(path: str | Path) -> Shape:
-    """Read a cloud or a surface from a PLY written by scan3d.  Raises InputError if it isn't one."""
+    """Read a cloud or a surface from a PLY file written by scan3d.  Raises InputError for other files."""
     rows, faces, comments = read_ply(path)
     missing = [name for name in _POINT + _NORMAL if name not in (rows.dtype.names or ())]
     if missing:
-        raise InputError(f"{Path(path).name} is no PLY written by scan3d: its vertices lack {', '.join(missing)}")
+        raise InputError(
+            f"{Path(path).name} is not a PLY file written by scan3d: its vertices lack {', '.join(missing)}"
+        )
     units = [words[1] for words in (line.split() for line in comments) if words[:1] == ["unit"] and len(words) == 2]
     if len(units) != 1 or units[0] not in UNITS_M:
         raise InputError(
-            f"{Path(path).name} is no PLY written by scan3d: expected a comment such as 'unit mm', "
+            f"{Path(path).name} is not a PLY file written by scan3d: expected a comment such as 'unit mm', "
             f"with one of {', '.join(UNITS_M)}"
         )
     return Shape(rows, faces, units[0])
@@ -147,7 +152,7 @@ def _ply(shape: Shape) -> bytes:
 
 
 def _pcd(shape: Shape) -> bytes:
-    """The point cloud library's format, in the fields of its PointNormal; all in float32, as its readers expect."""
+    """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
     names = shape.rows.dtype.names or ()
     fields = [f"normal_{name[1:]}" if name in _NORMAL else name for name in names]
     count = len(fields)
@@ -175,7 +180,9 @@ def _xyz(shape: Shape) -> bytes:
 
 
 def _xyzn(shape: Shape) -> bytes:
-    _need_normals(shape, ".xyzn", "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which may hold none")
+    _need_normals(
+        shape, ".xyzn", "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which allow missing normals"
+    )
     return _lines(_columns(shape, _POINT + _NORMAL), " ")
 
 
@@ -187,17 +194,17 @@ def _csv(shape: Shape) -> bytes:
 
 
 def _stl(shape: Shape) -> bytes:
-    """Binary STL, float32; its only place for a remark are the 80 bytes before the triangles."""
+    """Binary STL, float32; the unit and the frame are in its header of 80 bytes."""
     assert shape.faces is not None
     corners = shape.points[shape.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(across, axis=1, keepdims=True)
     rows = np.zeros(len(corners), _STL_ROW)
-    # a triangle without area has no normal, which STL writes as zeros
+    # a triangle without area has no normal; STL then has zeros
     rows["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
     rows["corners"] = corners
     header = f"scan3d surface, unit {shape.unit}, frame world, outward".encode().ljust(_STL_HEADER)
-    return header + np.uint32(len(rows)).astype("<u4").tobytes() + rows.tobytes()
+    return header + struct.pack("<I", len(rows)) + rows.tobytes()
 
 
 def _obj(shape: Shape) -> bytes:
@@ -217,13 +224,13 @@ def _obj(shape: Shape) -> bytes:
 
 
 def _glb(shape: Shape) -> bytes:
-    """Binary glTF, in metres by its specification, float32; the axes stay, so that z needn't be glTF's y, which is up."""
+    """Binary glTF, float32, in metres by its specification; the axes are kept, although the vertical axis of glTF is y."""
     from trimesh import Scene, Trimesh
     from trimesh.exchange.gltf import export_glb
 
     _need_normals(shape, ".glb", "choose .stl or .ply")
     scale = UNITS_M[shape.unit]
-    # glTF has neither NaN nor infinity: a scalar that isn't known everywhere stays out
+    # glTF has neither NaN nor infinity: a scalar with unknown values is left out
     known = {name: column.astype(np.float32) for name, column in shape.scalars.items() if np.isfinite(column).all()}
     mesh = Trimesh(
         shape.points * scale,
@@ -241,14 +248,14 @@ def _glb(shape: Shape) -> bytes:
         "frame": f"{_FRAME}; axes not turned to glTF's y up",
     }
 
-    def say(tree: dict[str, Any]) -> None:
+    def add_extras(tree: dict[str, Any]) -> None:
         tree["asset"]["extras"] = extras
 
-    return bytes(export_glb(Scene({"surface": mesh}), include_normals=True, tree_postprocessor=say))
+    return bytes(export_glb(Scene({"surface": mesh}), include_normals=True, tree_postprocessor=add_extras))
 
 
 def _write_vtp(shape: Shape, file: Path) -> None:
-    """VTK's XML of polygons: every column in its own precision, unit and frame as field data."""
+    """VTK's XML format of polygons: every column in its own precision, unit and frame as field data."""
     import pyvista
 
     if shape.faces is None:
@@ -282,7 +289,7 @@ def _columns(shape: Shape, names: Iterable[str]) -> list[NDArray[Any]]:
 
 
 def _lines(columns: list[NDArray[Any]], separator: str, start: str = "") -> bytes:
-    """Text of columns (n,), numbers as short as gives the same bits back."""
+    """Text of columns (n,), with as few digits as are needed to read the same bits back."""
     rows = zip(*(map(str, column) for column in columns), strict=True)
     return "".join(f"{start}{separator.join(row)}\n" for row in rows).encode()
 
@@ -291,7 +298,7 @@ def _need_normals(shape: Shape, ending: str, instead: str) -> None:
     normals = shape.normals
     missing = int((~(np.linalg.norm(normals, axis=1) > 0)).sum())
     if missing:
-        raise InputError(f"{missing} of {len(normals)} points have no normal, which {ending} can't say; {instead}")
+        raise InputError(f"{missing} of {len(normals)} points have no normal, which {ending} requires; {instead}")
 
 
 def _listed(endings: tuple[str, ...]) -> str:

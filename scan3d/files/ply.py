@@ -1,4 +1,4 @@
-"""Binary PLY files, as the results are written."""
+"""Binary PLY files: the format of the clouds and surfaces that scan3d writes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 
 from scan3d.errors import InputError
 
+# Types of PLY by the codes of numpy; only those that the tables of scan3d need.
 _PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
 _PLY_CODES = {name: code for code, name in _PLY_TYPES.items()}
 _PLY_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+# Bytes in which the end of the header is searched.  Shorter, long comments would not fit; longer, a large file that is no
+# PLY would be searched in vain.
 _PLY_HEADER_LIMIT = 1 << 16
 
 
 def ply(vertices: NDArray[Any], faces: NDArray[np.integer] | None = None, comments: tuple[str, ...] = ()) -> bytes:
-    """Binary PLY of a structured array (n,), field by field in its own precision, and triangles (m, 3) if given."""
+    """Binary PLY of a structured array (n,), each field in its own precision, and of triangles (m, 3) if given."""
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
     header.append(f"element vertex {len(vertices)}")
     assert vertices.dtype.fields is not None
@@ -33,10 +36,10 @@ def ply(vertices: NDArray[Any], faces: NDArray[np.integer] | None = None, commen
 
 
 def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
-    """A binary PLY as `ply` writes it: vertices as a structured array (n,), triangles (m, 3) or None, the comments.
+    """Read a binary PLY as `ply` writes it: vertices as a structured array (n,), triangles (m, 3) or None, and comments.
 
-    Raises InputError for a file that can't be read, that isn't such a PLY, that is cut off, or whose triangles name
-    vertices it doesn't have.
+    Raises InputError for a file that cannot be read, that is not such a PLY, that is incomplete, or whose triangles refer to
+    vertices that do not exist.
     """
     path = Path(path)
     try:
@@ -46,11 +49,11 @@ def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, 
     try:
         return _parse_ply(data)
     except ValueError as error:
-        raise InputError(f"{path.name} is no PLY as scan3d writes it: {error}") from None
+        raise InputError(f"{path.name} is not a PLY file as scan3d writes it: {error}") from None
 
 
 def _parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
-    """Raises ValueError with what is wrong."""
+    """Parse the bytes of a PLY file.  Raises ValueError with a description of the error."""
     end = data.find(b"\nend_header\n", 0, _PLY_HEADER_LIMIT)
     if not data.startswith(b"ply\n") or end < 0:
         raise ValueError("it lacks the header from 'ply' to 'end_header'")
@@ -58,7 +61,7 @@ def _parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tup
     if first != "format binary_little_endian 1.0":
         raise ValueError(f"expected the format binary_little_endian 1.0, got {first!r}")
     comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
-    # vertices of scalar columns first, then triangles, and nothing else
+    # the header must have vertices of scalar columns, then optionally triangles, and nothing else
     words = [line.split() for line in lines if not line.startswith("comment")]
     rest = next((k for k, word in enumerate(words) if k > 0 and word[:1] != ["property"]), len(words))
     for word in words[1:rest]:
@@ -72,20 +75,20 @@ def _parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tup
             raise ValueError("expected faces as lists of vertex_indices, uchar and int, and nothing after them")
     body = data[end + len(b"\nend_header\n") :]
     if len(body) != sum(sizes):
-        raise ValueError(f"its header promises {sum(sizes)} bytes of numbers, it has {len(body)}")
+        raise ValueError(f"its header announces {sum(sizes)} bytes of numbers, but it has {len(body)}")
     points = np.frombuffer(body[: sizes[0]], row)
     if len(sizes) == 1:
         return points, None, comments
     faces = np.frombuffer(body[sizes[0] :], _PLY_TRIANGLE)
     if (faces["count"] != 3).any():
-        raise ValueError("it has faces that are no triangles")
+        raise ValueError("it has faces that are not triangles")
     if len(faces) and not 0 <= faces["corners"].min() <= faces["corners"].max() < len(points):
-        raise ValueError(f"its faces name vertices beyond the {len(points)} it has")
+        raise ValueError(f"its faces refer to vertices beyond its {len(points)}")
     return points, faces["corners"].astype(np.int32), comments
 
 
 def _ply_count(lines: list[list[str]], name: str) -> int:
-    """How many of an element there are; `lines` holds its line of the header, or none."""
+    """The number of an element; `lines` has its line of the header, or is empty."""
     if [line[:2] for line in lines] != [["element", name]] or len(lines[0]) != 3 or not lines[0][2].isdecimal():
         raise ValueError(f"expected 'element {name} COUNT', got {' '.join(lines[0]) if lines else 'nothing'!r}")
     return int(lines[0][2])

@@ -1,6 +1,6 @@
-"""Recordings on disk: a CSV with the columns `COLUMNS`, and beside it a TOML file of the same name.
+"""Files of recordings: a CSV file with the columns `COLUMNS`, and a TOML file of the same name in the same folder.
 
-The TOML file holds the rod, the noise and where the data came from.
+The TOML file contains the rod, the noise and the source of the data.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.files.atomic import write_together
 from scan3d.files.text import to_toml
-from scan3d.files.whole import write_together
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm")
-# Numbers of sweeps stay below, so that they fit 32 bits.
-_MOST_SWEEPS = 2**31
+# Numbers of sweeps are smaller, so that they fit into 32 bits, as in the columns of a cloud.
+_SWEEP_LIMIT = 2**31
 
 
 def sidecar(path: str | Path) -> Path:
-    """The TOML file beside a recording's table."""
+    """Path of the TOML file that belongs to the table of a recording."""
     return Path(path).with_suffix(".toml")
 
 
 def check_path(path: str | Path) -> None:
-    """Raises InputError unless a recording can bear the name."""
+    """Raise InputError unless the path has the ending of a recording."""
     if Path(path).suffix != ".csv":
         raise InputError(f"a recording is written as .csv, got {Path(path).name!r}")
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
-    """Write the table and the TOML beside it; numbers in full, so that reading gives the same bits."""
+    """Write the table and its TOML file; numbers have all digits, so that reading gives the same bits."""
     path = Path(path)
     check_path(path)
     values = [recording.position_m, recording.quaternion, recording.force_N, recording.moment_Nm[:, None]]
@@ -55,12 +55,12 @@ def write_recording(recording: Recording, path: str | Path) -> None:
         "noise": {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm},
         "source": dict(recording.source),
     }
-    # both or none: a table beside another table's rod would be read without a murmur
+    # both files or neither: a table with the rod of another one would be read without a warning
     write_together({sidecar(path): to_toml(meta).encode(errors="replace"), path: ("\n".join(lines) + "\n").encode()})
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording's table and the TOML beside it.  Raises InputError naming the file and what is wrong in it."""
+    """Read the table of a recording and its TOML file.  Raises InputError with the name of the file and the error in it."""
     path = Path(path)
     table = _read_table(path)
     meta = _read_sidecar(path)
@@ -70,7 +70,7 @@ def read_recording(path: str | Path) -> Recording:
         raise InputError(f"{sidecar(path).name}: unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
     try:
         return Recording(
-            sweep=_whole(table["sweep"]),
+            sweep=_integers(table["sweep"]),
             position_m=np.stack([table[name] for name in ("x_m", "y_m", "z_m")], axis=1),
             quaternion=np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
             force_N=np.stack([table["fx_N"], table["fy_N"]], axis=1),
@@ -86,9 +86,9 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _read_table(path: Path) -> dict[str, Array]:
-    """The columns (n,) that a recording needs, by name; others may hold what they like."""
+    """The columns (n,) that a recording needs, by name; other columns are ignored."""
     try:
-        # spreadsheets put a byte order mark before the header
+        # spreadsheets write a byte order mark before the header
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = list(enumerate(csv.reader(file), start=1))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -100,9 +100,11 @@ def _read_table(path: Path) -> dict[str, Array]:
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
             f"(scan3d simulate writes such a table)"
         )
-    twice = [name for name in COLUMNS if header.count(name) > 1]
-    if twice:
-        raise InputError(f"{path.name}: its header has {', '.join(twice)} more than once; keep one column of each name")
+    repeated = [name for name in COLUMNS if header.count(name) > 1]
+    if repeated:
+        raise InputError(
+            f"{path.name}: its header has {', '.join(repeated)} more than once; keep one column of each name"
+        )
     body = [(number, line) for number, line in lines[1:] if line]
     for number, line in body:
         if len(line) != len(header):
@@ -162,8 +164,8 @@ def _number(section: Mapping[str, Any], name: str, default: float = float("nan")
     return float(value)
 
 
-def _whole(values: Array) -> NDArray[np.int64]:
-    bad = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= _MOST_SWEEPS)
-    if bad.any():
-        raise InputError(f"the column sweep must hold whole numbers, got {values[np.argmax(bad)]}")
+def _integers(values: Array) -> NDArray[np.int64]:
+    invalid = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= _SWEEP_LIMIT)
+    if invalid.any():
+        raise InputError(f"the column sweep must hold whole numbers, got {values[np.argmax(invalid)]}")
     return values.astype(np.int64)

@@ -55,7 +55,7 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_toml_key(key)} = {_toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, str):
-        # JSON's strings are TOML's basic strings, but for one control character
+        # JSON strings are basic strings of TOML, except for one control character
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    # repr gives a float in full, str a date as TOML has it
+    # repr gives all digits of a float, str the date format of TOML
     return repr(value) if isinstance(value, (int, float)) else str(value)

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from scan3d.errors import InputError
 
 
 @contextmanager
-def whole(path: str | Path, option: str = "--out") -> Iterator[Path]:
-    """A temporary file beside the path, with its ending, to write to; in the end it takes the path's place.
+def atomic(path: str | Path, option: str = "--out") -> Iterator[Path]:
+    """Path of a temporary file in the same folder and with the same ending, which is renamed to `path` at the end.
 
-    If the writing fails, what stood there before stays.  `option` is where the user gave the path.
+    If writing fails, an earlier file at `path` is kept.  `option` is the option in which the user gave the path; it is named in
+    the InputError that is raised if the file cannot be written.
     """
     path = Path(path)
     try:
@@ -32,16 +33,16 @@ def whole(path: str | Path, option: str = "--out") -> Iterator[Path]:
         raise InputError(f"can't write {path}: {error.strerror or error}; choose another place with {option}") from None
 
 
-def write_whole(path: str | Path, data: bytes) -> None:
-    """Write a file so that no reader ever sees a part of it."""
+def write_atomic(path: str | Path, data: bytes) -> None:
+    """Write a file so that no reader ever sees an incomplete one."""
     write_together({path: data})
 
 
 def write_together(files: Mapping[str | Path, bytes]) -> None:
-    """Write files that belong together: none takes its place before all of them are on the disk."""
+    """Write files that belong together: none is renamed to its path before all of them are on the disk."""
     with ExitStack() as stack:
         for path, data in files.items():
-            stack.enter_context(whole(path)).write_bytes(data)
+            stack.enter_context(atomic(path)).write_bytes(data)
 
 
 def _umask() -> int:
@@ -52,15 +53,16 @@ def _umask() -> int:
 
 @contextmanager
 def folder(path: str | Path, option: str = "--out") -> Iterator[Path]:
-    """The folder, made if missing and proven writable.  Raises InputError if it can't be; `option` is where it was given.
+    """The folder, which is created if it is missing.
 
-    If the work in it fails before anything is written there, folders that were made for it go again.
+    Raises InputError if it cannot be created or written into; `option` is the option in which the user gave the path.  If the
+    work in the folder fails before anything is written there, the folders that were created are removed again.
     """
     path = Path(path)
-    made: list[Path] = []
+    created: list[Path] = []
     try:
         try:
-            made = [one for one in (path, *path.parents) if not one.exists()]
+            created = [parent for parent in (path, *path.parents) if not parent.exists()]
             path.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=path):
                 pass
@@ -70,7 +72,7 @@ def folder(path: str | Path, option: str = "--out") -> Iterator[Path]:
             ) from None
         yield path
     except BaseException:
-        for one in made:
-            with suppress(OSError):  # not empty, or never made
-                one.rmdir()
+        for parent in created:
+            with suppress(OSError):  # the folder is not empty, or was never created
+                parent.rmdir()
         raise

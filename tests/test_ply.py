@@ -1,0 +1,134 @@
+"""Binary PLY files: what is written is read back, by other readers and by our own."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan3d import InputError
+from scan3d.files.ply import ply
+from scan3d.files.ply import read_ply as read_our_ply
+
+ROWS = np.dtype(
+    [(name, "f8") for name in "xyz"]
+    + [("nx", "f4"), ("phase", "u1"), ("slice", "i4"), ("sweep", "u4"), ("a", "i1"), ("b", "i2")]
+)
+
+
+def rows(n=7):
+    table = np.zeros(n, ROWS)
+    rng = np.random.default_rng(1)
+    for name in "xyz":
+        table[name] = rng.standard_normal(n) / 3
+    table["x"][0], table["y"][0], table["nx"][1] = math.nan, 1e-300, math.nan
+    table["nx"][2:] = rng.standard_normal(n - 2)
+    table["phase"], table["slice"], table["sweep"] = 2, -5, 2**32 - 1
+    table["a"], table["b"] = -100, -30000
+    return table
+
+
+FACES = np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]])
+
+
+def test_ply_is_read_back_bit_for_bit(tmp_path, read_ply):
+    (tmp_path / "a.ply").write_bytes(ply(rows(), FACES, comments=("unit mm", "two")))
+    vertices, faces, comments = read_ply(tmp_path / "a.ply")
+    assert vertices.tobytes() == rows().tobytes()
+    assert vertices.dtype.names == ROWS.names
+    assert np.array_equal(faces, FACES)
+    assert comments == ["unit mm", "two"]
+
+
+def test_ply_without_faces_and_of_big_endian_rows(tmp_path, read_ply):
+    big = rows().astype([(name, ROWS[name].newbyteorder(">")) for name in ROWS.names])
+    (tmp_path / "a.ply").write_bytes(ply(big))
+    vertices, faces, _ = read_ply(tmp_path / "a.ply")
+    assert vertices.tobytes() == rows().tobytes()
+    assert faces is None
+
+
+def test_ply_against_trimesh(tmp_path):
+    table = rows()
+    table["x"][0] = 1.25
+    (tmp_path / "a.ply").write_bytes(ply(table, FACES))
+    mesh = trimesh.load_mesh(tmp_path / "a.ply", process=False)
+    assert np.array_equal(mesh.faces, FACES)
+    assert np.array_equal(mesh.vertices, np.stack([table["x"], table["y"], table["z"]], axis=1))
+    data = mesh.metadata["_ply_raw"]["vertex"]["data"]
+    assert all(np.array_equal(data[name].reshape(-1), table[name], equal_nan=True) for name in ROWS.names)
+
+
+# --- the reader of our PLY files ---
+
+
+def test_a_ply_is_read_as_it_was_written(tmp_path):
+    kinds = ("f8", "f4", "i4", "u4", "i2", "u1", "i1")
+    rows = np.zeros(5, [(kind, kind) for kind in kinds])
+    for kind in kinds:
+        rows[kind] = np.arange(5) + 1
+    faces = np.array([[0, 1, 2], [2, 3, 4]])
+    for corners in (None, faces, faces[:0]):
+        (tmp_path / "a.ply").write_bytes(ply(rows, corners, ("unit mm", "end_header of a poem")))
+        found, triangles, comments = read_our_ply(tmp_path / "a.ply")
+        assert found.dtype == rows.dtype
+        assert np.array_equal(found, rows)
+        assert (triangles is None) if corners is None else np.array_equal(triangles, corners)
+        assert comments == ("unit mm", "end_header of a poem")
+
+
+HEAD = "ply\nformat binary_little_endian 1.0\n"
+POINT = "element vertex 1\nproperty float x\n"
+FACE = "element face 1\nproperty list uchar int vertex_indices\n"
+END = "end_header\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        ("", "it lacks the header from 'ply' to 'end_header'"),
+        (HEAD + POINT, "it lacks the header"),
+        (
+            "ply\nformat ascii 1.0\n" + POINT + END + "1\n",
+            "expected the format binary_little_endian 1.0, got 'format ascii",
+        ),
+        (HEAD + END, "expected 'element vertex COUNT', got 'nothing'"),
+        (HEAD + "element edge 1\n" + END, "expected 'element vertex COUNT', got 'element edge 1'"),
+        (
+            HEAD + "element vertex -1\nproperty float x\n" + END,
+            "expected 'element vertex COUNT', got 'element vertex -1'",
+        ),
+        (
+            HEAD + "element vertex 1\nproperty quad x\n" + END,
+            "expected vertices of numbers only, got 'property quad x'",
+        ),
+        (HEAD + "element vertex 1\n" + "property float x\n" * 2 + END, "more than once"),
+        (HEAD + POINT + END + "abc", "its header announces 4 bytes of numbers, but it has 3"),
+        (HEAD + POINT + END + "abcde", "its header announces 4 bytes of numbers, but it has 5"),
+        (HEAD + POINT + "element edge 1\n" + END, "expected 'element face COUNT', got 'element edge 1'"),
+        (
+            HEAD + POINT + "element face 1\nproperty list uchar uint corners\n" + END,
+            "expected faces as lists of vertex_indices",
+        ),
+        (
+            HEAD + POINT + FACE + POINT + END,
+            "expected faces as lists of vertex_indices, uchar and int, and nothing after",
+        ),
+        (HEAD + POINT + FACE + END + "1234" + "\x04" + "\0" * 12, "it has faces that are not triangles"),
+        (
+            HEAD + POINT + FACE + END + "1234" + "\x03" + "\0" * 8 + "\1\0\0\0",
+            "its faces refer to vertices beyond its 1",
+        ),
+    ],
+)
+def test_a_ply_that_scan3d_does_not_write(tmp_path, data, sentence):
+    (tmp_path / "a.ply").write_bytes(data.encode())
+    with pytest.raises(InputError, match=rf"a\.ply is not a PLY file as scan3d writes it: .*{re.escape(sentence)}"):
+        read_our_ply(tmp_path / "a.ply")
+
+
+def test_a_ply_that_can_not_be_read(tmp_path):
+    for path, why in ((tmp_path / "missing.ply", "No such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError, match=rf"can't read .*: {why}.*; give a PLY written by scan3d"):
+            read_our_ply(path)
