@@ -1,4 +1,4 @@
-"""Sweep a flexible rod along a contour, and find the contour again from the reactions at its clamp.
+"""Sweep a flexible rod along a contour, and reconstruct the contour from the reactions at the rod's clamp.
 
 Units (1): lengths in rod lengths ``L``, forces in ``EI/L²``, moments in ``EI/L``; angles in radians.  Frame: the rod is
 clamped at ``(x0, 0)`` and points up, the object lies above, the base moves in -x.

@@ -1,36 +1,43 @@
-"""Object contours: what the rod is swept along.
+"""Contours of the objects along which the rod is swept.
 
 A contour lies above the base line ``y = 0``.  The rod, clamped on that line and moved in -x, touches its lower side and
 passes it from right to left: the slope angle ``α̃`` falls from ``π/2`` (right) through 0 (lowest point) to ``-π/2`` (left).
 ``t = (cos α̃, sin α̃)`` is the tangent and ``n = (sin α̃, -cos α̃)`` the outward normal.
 
-A strictly convex contour is parametrised by its slope.  A convex polygon is the limit: along an edge the slope is fixed and
-the point moves, at a vertex the point is fixed and the slope turns through the vertex's cone.  Both become one `Path` of
-pieces, each with a parameter in [0, 1], so that polygons need no smoothing.
+A strictly convex contour is parametrised by its slope, a convex polygon by its edges and vertices (`planar.paths`).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from planar.arrays import Array
+from planar.paths import Path, polygon_paths, smooth_path
 
-# Pieces are short enough for the base position along one of them to be smooth with at most one extremum.
-_LONGEST_PIECE = 0.05
-_WIDEST_PIECE = np.radians(4.0)
-# Step in slope over which a curve's radius of curvature is differenced: rounding and truncation are both about 1e-10.
+# Step in slope over which a curve's radius of curvature is differenced.  Truncation grows with the square of the step,
+# rounding with its inverse; here both are about 1e-10.
 _DIFFERENCE = 1e-5
-# Corners that stand out by less than this share of the polygon's size are rounding.
+# Corners that protrude by less than this fraction of the polygon's size are dropped.  A larger one drops corners that are
+# meant; a smaller one keeps corners made by rounding, whose edges have arbitrary directions and may turn inwards.
 _COLLINEAR = 1e-13
-# What the straight rod's tip would graze no deeper than this, in rod lengths, it passes: rounding hides the force.
-_GRAZE = 1e-13
+# Slopes at which the search for the nearest point of a smooth contour starts.  Fewer may start it beside another local
+# minimum; more take more memory and time.
+_SEARCH_SLOPES = 721
+# Steps of the iterations for a foot point: bisection halves the error in each, so that fewer are not exact to rounding,
+# and more only cost time.
+_FOOT_POINT_STEPS = 60
+# Slopes at which a curve is checked for convexity.  Fewer overlook short dents; more delay the construction.
+_CHECKED_SLOPES = 257
+# Pairs of points and edges whose distances are computed at once.  More take more memory, fewer more calls.
+_PAIRS_AT_ONCE = 2_000_000
+# Deviation, in radians, of the sum of a polygon's turns from 2π.  It only has to lie between rounding and 2π.
+_FULL_TURN_ROUNDING = 1e-6
 
 
 class Contour(ABC):
@@ -57,45 +64,22 @@ class SmoothContour(Contour):
         """Radius of curvature (n,) at the slope angles (n,), in rod lengths."""
 
     def path(self) -> Path:
-        lowest = self.points(np.zeros(1))[0, 1]
-        _check_height(lowest)
-
-        def above_tip(slope: float) -> float:
-            return float(self.points(np.array([slope]))[0, 1] - 1.0)
-
-        first, last = np.pi / 2, -np.pi / 2
-        if above_tip(first) > 0:
-            first = scipy.optimize.brentq(above_tip, 0.0, first, xtol=1e-16, rtol=1e-15)
-        if above_tip(last) > 0:
-            last = scipy.optimize.brentq(above_tip, last, 0.0, xtol=1e-16, rtol=1e-15)
-        slope = np.linspace(first, last, 2 + int((first - last) / _WIDEST_PIECE))
-        while True:
-            chord = np.linalg.norm(np.diff(self.points(slope), axis=0), axis=1)
-            long = chord > _LONGEST_PIECE
-            if not long.any() or len(slope) > 100_000:
-                break
-            middle = (slope[:-1] + slope[1:]) / 2
-            slope = np.sort(np.concatenate([slope, middle[long]]))[::-1]
-        points = self.points(slope)
-        if above_tip(np.pi / 2) > 0:
-            # x0 leaves touch-down with the root of the height, and rounding would leave with it
-            points[0, 1] = 1.0
-        return Path(
-            slope[:-1], np.diff(slope), points[:-1], np.diff(points, axis=0), np.array([0, len(slope) - 1]), self
-        )
+        return smooth_path(self)
 
     def distance(self, points: ArrayLike) -> Array:
         """Distance (n,) of points (n, 2) to the contour's lower side, slopes from -π/2 to π/2."""
         points = np.asarray(points, dtype=float)
-        slope = np.linspace(-np.pi / 2, np.pi / 2, 721)
+        slope = np.linspace(-np.pi / 2, np.pi / 2, _SEARCH_SLOPES)
         nearest = slope[scipy.spatial.cKDTree(self.points(slope)).query(points)[1]]
-        low, high = nearest - np.pi / 720, nearest + np.pi / 720
-        for _ in range(60):  # the foot point, where the offset is normal to the contour, by bisection
+        spacing = np.pi / (_SEARCH_SLOPES - 1)
+        low, high = nearest - spacing, nearest + spacing
+        for _ in range(_FOOT_POINT_STEPS):  # the foot point, where the offset is normal to the contour, by bisection
             middle = (low + high) / 2
             offset = points - self.points(middle)
             ahead = offset[:, 0] * np.cos(middle) + offset[:, 1] * np.sin(middle) > 0
             low, high = np.where(ahead, middle, low), np.where(ahead, high, middle)
-        return np.linalg.norm(points - self.points(np.clip(low, -np.pi / 2, np.pi / 2)), axis=1)
+        foot = self.points(np.clip(low, -np.pi / 2, np.pi / 2))
+        return np.asarray(np.linalg.norm(points - foot, axis=1))
 
 
 @dataclass(frozen=True)
@@ -110,7 +94,7 @@ class Curve(SmoothContour):
     curvature_radius: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
-        slope = np.linspace(-np.pi / 2, np.pi / 2, 257)
+        slope = np.linspace(-np.pi / 2, np.pi / 2, _CHECKED_SLOPES)
         points, radius = np.asarray(self.points(slope)), self.radius_of_curvature(slope)
         if points.shape != (len(slope), 2) or not np.isfinite(points).all():
             raise ValueError(f"a curve must give finite points (n, 2) for slopes (n,), got the shape {points.shape}")
@@ -122,7 +106,7 @@ class Curve(SmoothContour):
             )
         chords = np.diff(points, axis=0)
         lag = np.arctan2(chords[:, 1], chords[:, 0]) - (slope[:-1] + slope[1:]) / 2
-        if np.abs(lag).max() > np.pi / 256:
+        if np.abs(lag).max() > np.pi / (_CHECKED_SLOPES - 1):
             raise ValueError(
                 "the curve's points must be given by their slope angle: their chords have other directions"
             )
@@ -145,7 +129,7 @@ class Curve(SmoothContour):
         return cls(place, lambda slope: support(slope) + second_derivative(slope))
 
     def points(self, slope: ArrayLike) -> Array:
-        return self.place(np.asarray(slope, dtype=float))
+        return np.asarray(self.place(np.asarray(slope, dtype=float)))
 
     def radius_of_curvature(self, slope: ArrayLike) -> Array:
         slope = np.asarray(slope, dtype=float)
@@ -155,17 +139,17 @@ class Curve(SmoothContour):
         low, high = np.maximum(slope - _DIFFERENCE, -np.pi / 2), np.minimum(slope + _DIFFERENCE, np.pi / 2)
         chord = self.points(high) - self.points(low)
         middle = (low + high) / 2
-        return (chord[..., 0] * np.cos(middle) + chord[..., 1] * np.sin(middle)) / (high - low)
+        return np.asarray((chord[..., 0] * np.cos(middle) + chord[..., 1] * np.sin(middle)) / (high - low))
 
 
 @dataclass(frozen=True)
 class Mirrored(SmoothContour):
-    """The mirror image of a smooth contour, x → -x: what a sweep in +x meets."""
+    """The mirror image of a smooth contour, x → -x: a sweep in +x along the one is a sweep in -x along the other."""
 
     image: SmoothContour
 
     def points(self, slope: ArrayLike) -> Array:
-        return self.image.points(-np.asarray(slope, dtype=float)) * np.array([-1.0, 1.0])
+        return np.asarray(self.image.points(-np.asarray(slope, dtype=float)) * np.array([-1.0, 1.0]))
 
     def radius_of_curvature(self, slope: ArrayLike) -> Array:
         return self.image.radius_of_curvature(-np.asarray(slope, dtype=float))
@@ -215,14 +199,14 @@ class Ellipse(SmoothContour):
         a, b = self.semi_axes
         # Foot point (a cos θ, b sin θ): alternating between the foot and the centre of curvature there converges fast.
         u, v = np.full_like(x, np.sqrt(0.5)), np.full_like(x, np.sqrt(0.5))
-        for _ in range(60):
+        for _ in range(_FOOT_POINT_STEPS):
             ex, ey = (a * a - b * b) * u**3 / a, (b * b - a * a) * v**3 / b
             scale = np.hypot(a * u - ex, b * v - ey) / np.maximum(np.hypot(x - ex, y - ey), np.finfo(float).tiny)
             u = np.clip(((x - ex) * scale + ex) / a, 0.0, 1.0)
             v = np.clip(((y - ey) * scale + ey) / b, 0.0, 1.0)
             norm = np.hypot(u, v)
             u, v = u / norm, v / norm
-        return np.hypot(x - a * u, y - b * v)
+        return np.asarray(np.hypot(x - a * u, y - b * v))
 
 
 @dataclass(frozen=True)
@@ -271,14 +255,14 @@ class Polygon(Contour):
         object.__setattr__(self, "vertices", vertices)
 
     def path(self) -> Path:
-        return polygon_paths([self])
+        return polygon_paths([self.vertices])
 
     def distance(self, points: ArrayLike) -> Array:
         points = np.asarray(points, dtype=float)
         edges = np.roll(self.vertices, -1, axis=0) - self.vertices
         squared = (edges**2).sum(axis=1)
         nearest = np.empty(len(points))
-        rows = max(1, 2_000_000 // len(edges))
+        rows = max(1, _PAIRS_AT_ONCE // len(edges))
         for start in range(0, len(points), rows):
             offset = points[start : start + rows, None] - self.vertices
             along = np.clip((offset * edges).sum(axis=-1) / squared, 0.0, 1.0)
@@ -287,103 +271,10 @@ class Polygon(Contour):
         return nearest
 
 
-@dataclass(frozen=True)
-class Path:
-    """Contours as the rod passes them: rows of pieces, those of contour i from `offsets[i]` to `offsets[i + 1]`.
-
-    On a polygon's piece slope and point are linear in the parameter t in [0, 1]; a smooth contour gives them itself.
-    """
-
-    slope: Array
-    """(p,) slope angle at the start of each piece, falling along the path."""
-    turn: Array
-    """(p,) change of slope over the piece, at most 0."""
-    point: Array
-    """(p, 2) contour point at the start."""
-    move: Array
-    """(p, 2) change of the point over the piece."""
-    offsets: Index
-    """(contours + 1,) first piece of each contour."""
-    smooth: SmoothContour | None = None
-
-    def at(self, piece: Index, t: Array) -> tuple[Array, Array, Array]:
-        """Slope, x and y of the contour at parameter t (n,) of the pieces (n,)."""
-        slope = self.slope[piece] + t * self.turn[piece]
-        if self.smooth is not None:
-            points = self.smooth.points(slope)
-            return slope, points[:, 0], np.where(slope == self.slope[0], self.point[0, 1], points[:, 1])
-        point, move = self.point[piece], self.move[piece]
-        return slope, point[:, 0] + t * move[:, 0], point[:, 1] + t * move[:, 1]
-
-    def arc_rate(self, piece: Index, slope: Array) -> Array:
-        """Signed arc length along the tangent per unit of t: at most 0, for the path runs against the tangent."""
-        if self.smooth is not None:
-            return self.smooth.radius_of_curvature(slope) * self.turn[piece]
-        return -np.hypot(self.move[piece, 0], self.move[piece, 1])
-
-
-def polygon_paths(polygons: Sequence[Polygon]) -> Path:
-    """One path over many polygons, which are swept together."""
-    parts = [_polygon_pieces(polygon.vertices) for polygon in polygons]
-    offsets = np.cumsum([0] + [len(part[0]) for part in parts])
-    slope, turn, point, move = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Path(slope, turn, point, move, offsets)
-
-
-def _polygon_pieces(vertices: Array) -> tuple[Array, Array, Array, Array]:
-    """Slope, turn, point and move of the pieces on the lower side of a counter-clockwise convex polygon."""
-    _check_height(vertices[:, 1].min())
-    edges = np.roll(vertices, -1, axis=0) - vertices
-    # The lower side: edges that run to the right.  Vertical edges stay out, the rod stands parallel to them without force.
-    lower = np.flatnonzero(edges[:, 0] > 0)
-    gap = np.flatnonzero(np.diff(lower) != 1)
-    if len(gap):
-        lower = np.roll(lower, -(gap[0] + 1))
-    corners = vertices[np.append(lower, (lower[-1] + 1) % len(vertices))][::-1]
-    angles = np.arctan2(edges[lower, 1], edges[lower, 0])[::-1]
-
-    # vertex, edge, vertex, ..., vertex: the slope turns at the vertices, the point moves along the edges
-    count = 2 * len(angles) + 1
-    slope, turn = np.empty(count), np.zeros(count)
-    point, move = np.repeat(corners, 2, axis=0)[:-1], np.zeros((count, 2))
-    bounds = np.concatenate([[np.pi / 2], angles, [-np.pi / 2]])
-    slope[0::2], slope[1::2] = bounds[:-1], angles
-    turn[0::2] = np.diff(bounds)
-    move[1::2] = np.diff(corners, axis=0)
-
-    # What the tip of the upright rod can't reach stays out: y <= 1 is one stretch of the path, y being convex along it.
-    ends = point + move
-    inside = np.minimum(point[:, 1], ends[:, 1]) <= 1.0
-    inside &= (turn != 0) | (np.abs(move).sum(axis=1) > 0)
-    slope, turn, point, move, ends = slope[inside], turn[inside], point[inside], move[inside], ends[inside]
-    if point[0, 1] > 1.0:
-        cut = (point[0, 1] - 1.0) / (point[0, 1] - ends[0, 1])
-        point[0] = point[0, 0] + cut * move[0, 0], 1.0
-        move[0] = ends[0] - point[0]
-    if ends[-1, 1] > 1.0:
-        move[-1] *= (1.0 - point[-1, 1]) / (ends[-1, 1] - point[-1, 1])
-
-    parts = np.maximum(np.hypot(*move.T) / _LONGEST_PIECE, np.abs(turn) / _WIDEST_PIECE)
-    parts = np.maximum(np.ceil(parts), 1).astype(np.intp)
-    row = np.repeat(np.arange(len(parts)), parts)
-    step = (np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
-    turn, move = turn[row] / parts[row], move[row] / parts[row, None]
-    return slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move
-
-
 def check_contour(contour: object) -> None:
-    """Raise TypeError for what is no contour, such as bare vertices."""
+    """Raise TypeError for anything that is not a contour, such as an array of vertices."""
     if not isinstance(contour, Contour):
         raise TypeError(f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}")
-
-
-def _check_height(lowest: float) -> None:
-    if lowest <= 0:
-        raise ValueError(f"the object must lie above the base line y = 0, its lowest point is at y = {lowest:.6g}")
-    if lowest > 1 - _GRAZE:
-        raise ValueError(
-            f"the object is out of the rod's reach: its lowest point is at y = {lowest:.6g} rod lengths, the tip at 1"
-        )
 
 
 def _tidy(vertices: Array) -> Array:
@@ -400,7 +291,7 @@ def _tidy(vertices: Array) -> Array:
         / 2
     )
     if abs(area) <= _COLLINEAR * size**2:
-        raise ValueError("a polygon needs an area, its vertices all lie on one line")
+        raise ValueError("a polygon needs an area: its vertices lie on one line, or the polygon crosses itself")
     if area < 0:
         kept = kept[::-1]
     while True:
@@ -408,7 +299,7 @@ def _tidy(vertices: Array) -> Array:
         cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         chord = np.maximum(np.hypot(*(before + after).T), np.finfo(float).tiny)
         straight = (np.abs(cross) <= _COLLINEAR * size * chord) & ((before * after).sum(axis=1) > 0)
-        # never two neighbours at once: the chord must stay within rounding of what it replaces
+        # never two neighbours at once: the chord must stay within rounding of the edges that it replaces
         even = np.arange(len(kept)) % 2 == 0
         even[-1] &= len(kept) % 2 == 0
         straight &= even | ~(np.roll(straight, 1) | np.roll(straight, -1))
@@ -422,7 +313,7 @@ def _tidy(vertices: Array) -> Array:
             f"the polygon must be convex: at ({kept[worst, 0]:.6g}, {kept[worst, 1]:.6g}) it turns inwards by "
             f"{np.degrees(-turn[worst]):.3g}°; pass its convex hull (scipy.spatial.ConvexHull) if that is what you mean"
         )
-    if abs(turn.sum() - 2 * np.pi) > 1e-6:
+    if abs(turn.sum() - 2 * np.pi) > _FULL_TURN_ROUNDING:
         raise ValueError(
             f"the polygon must not cross itself: it turns {turn.sum() / (2 * np.pi):.0f} times instead of once"
         )

@@ -23,14 +23,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ellipe, ellipeinc, ellipj, ellipk, elliprd, elliprf
 
-Array = NDArray[np.float64]
+from planar.arrays import Array
 
-# Duplications that bring the arguments of Carlson's integrals together for all but moduli next to 1, and how far apart, in
-# shares of their mean, they may be for a series of 7th order to be exact to rounding.
+# Duplications, each of which brings the arguments of Carlson's integrals four times closer together.  More of them cost
+# time for all rods; fewer leave more moduli near 1 to scipy's functions, which take three times as long.
 _DUPLICATIONS = 5
+# Distance of the largest argument from the mean, as a fraction of the mean, up to which the series of 7th order is used.
+# Beyond 0.02 its truncation exceeds rounding; a smaller reach leaves more moduli to scipy's functions.
 _SERIES_REACH = 0.02
 
 
@@ -60,13 +61,13 @@ class ShapeSlopes(NamedTuple):
 def bend(alpha: Array, q: Array) -> Shape:
     """Shape of the rod under a force in direction ``alpha`` with ``q = m0z / (2 √f)``.
 
-    Both in the same shape, ``q >= 0``, ``sin²(α/2) + q² <= 1`` (NaN beyond: no such rod exists).
+    Both in the same shape, ``q >= 0``, ``sin²(α/2) + q² <= 1`` (NaN beyond: such a rod does not exist).
     """
     return bend_by_half_angle(np.sin(alpha / 2), np.cos(alpha / 2), q)[0]
 
 
 def bend_with_slopes(alpha: Array, q: Array) -> ShapeSlopes:
-    """`bend` with the partial derivatives of the shape.  ``α = q = 0`` (no rod: any small bow is one) gives NaN."""
+    """`bend` with the partial derivatives of the shape.  ``α = q = 0`` gives NaN, because the shape is undetermined there."""
     s, c = np.sin(alpha / 2), np.cos(alpha / 2)
     shape, first, second = bend_by_half_angle(s, c, q)
     m = s * s + q * q
@@ -101,34 +102,34 @@ def bend_by_half_angle(s: Array, c: Array, q: Array) -> tuple[Shape, Array, Arra
     m = s * s + q * q
     complement = c * c - q * q
     # Legendre's integrals in Carlson's form, scaled by (c k)² so that amplitude and modulus need no roots.
-    rf, rd = _carlson(complement * s * s, complement * m, c * c * m)
+    rf, rd = carlson_integrals(complement * s * s, complement * m, c * c * m)
     first = q * rf
-    lost = m * q * q * q / 3 * rd
-    second = first - lost
+    difference = m * q * q * q / 3 * rd  # F - E
+    second = first - difference
     beyond = s < 0  # u' > π/2
     if beyond.any():
         first[beyond] = 2 * ellipk(m[beyond]) - first[beyond]
         second[beyond] = 2 * ellipe(m[beyond]) - second[beyond]
-        lost = first - second
+        difference = first - second
     # along and across the force; m sin u0 sin u' = q tan(α/2)
-    along = first - 2 * (lost + q * (s / c))
+    along = first - 2 * (difference + q * (s / c))
     across = 2 * q
     cos_alpha, sin_alpha = (c - s) * (c + s), 2 * s * c
     shape = Shape(first, across * cos_alpha - along * sin_alpha, across * sin_alpha + along * cos_alpha)
     return shape, first, second
 
 
-def _carlson(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Carlson's integrals R_F and R_D of ``0 <= x, y <= z``, both by one run of his duplication; NaN for negative x or y.
+def carlson_integrals(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    """Carlson's integrals R_F and R_D of ``0 <= x, y <= z``, both by one sequence of duplications; NaN for negative x or y.
 
-    The duplication brings the arguments together, and a series in what is left of their differences does the rest
+    The duplication brings the arguments together, and a series in their remaining differences gives the integrals
     (https://dlmf.nist.gov/19.36).  A third of the time of scipy's two functions, at the same accuracy of some 1e-15.
     """
-    given = x, y, z
+    arguments = x, y, z
     x, y, z = x.copy(), y.copy(), z.copy()
-    carried = np.zeros_like(z)
+    rd_sum = np.zeros_like(z)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for step in range(_DUPLICATIONS):  # in place: the time goes into moving memory
+        for step in range(_DUPLICATIONS):  # in place, because moving memory takes most of the time
             root_x, root_y, root_z = np.sqrt(x), np.sqrt(y), np.sqrt(z)
             shift = root_x * root_y
             root_x += root_y
@@ -138,7 +139,7 @@ def _carlson(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
             y += shift
             z += shift
             root_z *= z
-            carried += np.divide(2.0**step, root_z, out=root_z)
+            rd_sum += np.divide(2.0**step, root_z, out=root_z)
         scale = 2.0**_DUPLICATIONS
 
         mean = (x + y + z) / 3
@@ -153,7 +154,8 @@ def _carlson(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         rf = scale * series / np.sqrt(mean)
         distant = dz < -_SERIES_REACH
 
-        # the differences to R_D's mean (x + y + 3z)/5; its share is some 4^-5, so that the 6th order is enough
+        # the differences to R_D's mean (x + y + 3z)/5; the series' part of R_D is about 4^-5, so that the 6th order
+        # suffices
         weight = 1 / (1 - 0.4 * dz)
         mean /= weight
         dz *= 0.6 * weight
@@ -172,14 +174,14 @@ def _carlson(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
         series += e3 * (1 / 6 + 3 / 40 * e3)
         series -= 3 / 22 * e4
         series += 3 / 26 * e5
-        rd = scale * series / (mean * np.sqrt(mean)) + 3 * carried
+        rd = scale * series / (mean * np.sqrt(mean)) + 3 * rd_sum
     if distant.any():  # moduli near 1
-        rf[distant], rd[distant] = elliprf(*(v[distant] for v in given)), elliprd(*(v[distant] for v in given))
+        rf[distant], rd[distant] = elliprf(*(v[distant] for v in arguments)), elliprd(*(v[distant] for v in arguments))
     return rf, rd
 
 
 def partial_shape(alpha: Array, q: Array, remaining: Array) -> tuple[Array, Array]:
-    """The part of a bent rod before its contact: x and y over which it still runs, times √f.
+    """The part of a bent rod between a point and its contact: its extents in x and y, times √f.
 
     `remaining` is ``√f (s1 - s)``; negative values continue the same elastica past the contact.
     """
@@ -191,13 +193,13 @@ def partial_shape(alpha: Array, q: Array, remaining: Array) -> tuple[Array, Arra
 
 
 def tangential_q(slope: Array, friction_angle: Array) -> Array:
-    """``q`` of a rod that lies tangentially on a contour: ``φ1 = α̃``, hence ``ψ1 = -ζ`` (7) and ``α = α̃ + ζ``.
+    """``q`` of a rod in tangential contact with a contour: ``φ1 = α̃``, hence ``ψ1 = -ζ`` (7) and ``α = α̃ + ζ``.
 
     ``q² = (sin ζ + cos α)/2``, written as a product so that it keeps its precision near a vertical slope.
     """
     steepness = np.maximum(np.pi / 2 - slope, 0.0)
     product = np.sin(steepness / 2) * np.cos(friction_angle - steepness / 2)
-    return np.sqrt(np.maximum(product, 0.0))
+    return np.asarray(np.sqrt(np.maximum(product, 0.0)))
 
 
 def unbowed_height(alpha: Array) -> Array:
@@ -207,4 +209,4 @@ def unbowed_height(alpha: Array) -> Array:
     """
     m = np.sin(np.minimum(alpha, 0.0) / 2) ** 2
     height = np.cos(alpha) * (2 * ellipe(m) / ellipk(m) - 1)
-    return np.where(alpha >= 0, 1.0, height)
+    return np.asarray(np.where(alpha >= 0, 1.0, height))

@@ -1,8 +1,8 @@
 """Equilibria of the rod at given places of a contour: tangential contact (7) and tip contact (6).
 
 A place is a slope angle ``α̃`` and a point ``(ξ, η)``; with the friction angle ``ζ`` the contact force has the direction
-``α = α̃ + ζ`` (2).  The base position ``x0`` follows from the place, not the other way round, so that nothing has to be
-marched: tangential contact is explicit, tip contact one scalar root.
+``α = α̃ + ζ`` (2).  The base position ``x0`` follows from the place, not the other way round, so that no continuation
+in ``x0`` is needed: tangential contact is explicit, tip contact one scalar root.
 """
 
 from __future__ import annotations
@@ -10,18 +10,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planar.elastica import Array, ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
+from planar.arrays import Array, Mask
+from planar.elastica import ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
 
-# Below this angle to the vertical the rod is straight to rounding, and its limit is used.
+# Upper bound of the steps of Newton's method or bisection for a tip contact.  In 300,000 random contacts at most 32 were
+# needed: a smaller bound leaves roots inexact, a larger one is not reached.
+_MAX_STEPS = 100
+# Angle to the vertical, in radians, below which the limit of the straight rod is used.  A larger one lets the error of
+# the limit show, which grows with the angle; with a smaller one the closed form loses digits in 0/0.
 _UPRIGHT = 1e-7
-# Residual of y1 = η, in rod lengths, at which the root of a tip contact is as good as double precision lets it be.
+# Residual of y1 = η, in rod lengths, at which the iteration for a tip contact ends.  A larger one gives digits away; a
+# smaller one is below rounding, so that the iteration would run until its interval has shrunk to a point.
 _HEIGHT_ROUNDING = 4 * np.finfo(float).eps
 
 
 class State(NamedTuple):
-    """Equilibria (n,), dimensionless; NaN where there is none."""
+    """Equilibria (n,), dimensionless; NaN where no equilibrium exists."""
 
     x0: Array
     """Base position."""
@@ -37,13 +42,13 @@ class State(NamedTuple):
     """Change of x0 with the arc length along the tangent at a fixed slope, as on an edge."""
 
 
-def lies_tangentially(slope: Array, y: Array, friction_angle: Array) -> NDArray[np.bool_]:
-    """Whether the rod touches the place tangentially (``s1 <= 1``) or can only touch it with its tip."""
+def is_tangential(slope: Array, y: Array, friction_angle: Array) -> Mask:
+    """Whether the rod is long enough to touch the place tangentially (``s1 <= 1``); otherwise only its tip can touch it."""
     return overhang(slope, y, friction_angle) <= 0
 
 
 def overhang(slope: Array, y: Array, friction_angle: Array) -> Array:
-    """How much higher the place is than a rod reaches that touches it tangentially with its tip, in rod lengths."""
+    """Height of the place above that of a rod whose tip touches tangentially, in rod lengths: positive in tip contact."""
     shape = bend(slope + friction_angle, tangential_q(slope, friction_angle))
     with np.errstate(invalid="ignore"):
         height = np.where(slope > np.pi / 2 - _UPRIGHT, 1.0, shape.y / shape.length)
@@ -83,15 +88,15 @@ def tip(slope: Array, x: Array, y: Array, friction_angle: Array, q: Array | None
     q[unknown] = _tip_root(alpha[unknown], y[unknown], tangential_q(slope, friction_angle)[unknown])
     with np.errstate(divide="ignore", invalid="ignore"):
         bent = bend_with_slopes(alpha, q)
-        lean, lean_alpha, lean_q, _, height_alpha, height_q = tip_ratios(bent)
-        x0_height = -lean_q / height_q
+        ratios = tip_ratios(bent)
+        x0_height = -ratios.lean_q / ratios.height_q
     straight = (q == 0) & (alpha > 0)
-    lean = np.where(straight, 0.0, lean)
-    lean_alpha = np.where(straight, 0.0, lean_alpha)
+    lean = np.where(straight, 0.0, ratios.lean)
+    lean_alpha = np.where(straight, 0.0, ratios.lean_alpha)
     root_f = np.where(straight, 0.0, bent.shape.length)
-    # at touch-down x0 leaves with the root of the height: an infinite rate
+    # at touch-down x0 varies with the square root of the height: an infinite rate
     x0_height = np.where(straight, np.inf, x0_height)
-    height_alpha = np.where(straight, 0.0, height_alpha)
+    height_alpha = np.where(straight, 0.0, ratios.height_alpha)
     with np.errstate(invalid="ignore"):
         x0_slope = np.where(straight, 0.0, -lean_alpha - height_alpha * x0_height)
         x0_arc = np.cos(slope) + np.where(np.sin(slope) == 0, 0.0, np.sin(slope) * x0_height)
@@ -99,67 +104,80 @@ def tip(slope: Array, x: Array, y: Array, friction_angle: Array, q: Array | None
     return State(x - lean, q, root_f, s1, x0_slope, x0_arc)
 
 
-def of_kind(
-    tangential_contact: NDArray[np.bool_],
+def states(
+    tangential_contact: Mask,
     slope: Array,
     x: Array,
     y: Array,
     friction_angle: Array,
     q: Array | None = None,
 ) -> State:
-    """`tangential` where the mask says so, else `tip` (with the q that are given and not NaN)."""
-    whole = State._make(np.full(len(slope), np.nan) for _ in State._fields)
+    """`tangential` where the mask is set, else `tip` (with q as known where it is given and not NaN)."""
+    combined = State._make(np.full(len(slope), np.nan) for _ in State._fields)
     for mask in (tangential_contact, ~tangential_contact):
         if not mask.any():
             continue
         place = (slope[mask], x[mask], y[mask], friction_angle[mask])
         part = tangential(*place) if mask is tangential_contact else tip(*place, None if q is None else q[mask])
-        for column, values in zip(whole, part, strict=True):
+        for column, values in zip(combined, part, strict=True):
             column[mask] = values
-    return whole
+    return combined
 
 
-def tip_ratios(bent: ShapeSlopes) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """``(x1 - x0)/s1`` and ``y1/s1`` of a rod, each followed by its derivatives in ``α`` and ``q``."""
+class TipRatios(NamedTuple):
+    """Place of a rod's contact relative to its clamp, over ``s1``, and the partial derivatives in ``α`` and ``q``."""
+
+    lean: Array
+    """``(x1 - x0)/s1``"""
+    lean_alpha: Array
+    lean_q: Array
+    height: Array
+    """``y1/s1``"""
+    height_alpha: Array
+    height_q: Array
+
+
+def tip_ratios(bent: ShapeSlopes) -> TipRatios:
+    """The ratios of bent rods: with ``s1 = 1`` in tip contact they are the place of the tip itself."""
     shape = bent.shape
     lean, height = shape.x / shape.length, shape.y / shape.length
-    return (
-        lean,
-        (bent.x_alpha - lean * bent.length_alpha) / shape.length,
-        (bent.x_q - lean * bent.length_q) / shape.length,
-        height,
-        (bent.y_alpha - height * bent.length_alpha) / shape.length,
-        (bent.y_q - height * bent.length_q) / shape.length,
+    return TipRatios(
+        lean=lean,
+        lean_alpha=(bent.x_alpha - lean * bent.length_alpha) / shape.length,
+        lean_q=(bent.x_q - lean * bent.length_q) / shape.length,
+        height=height,
+        height_alpha=(bent.y_alpha - height * bent.length_alpha) / shape.length,
+        height_q=(bent.y_q - height * bent.length_q) / shape.length,
     )
 
 
-def _tip_root(alpha: Array, height: Array, q_most: Array) -> Array:
-    """Root q of ``y1/s1 = height`` in [0, q_most]: Newton in q², in which the height is nearly linear, kept in a bracket."""
+def _tip_root(alpha: Array, height: Array, q_upper: Array) -> Array:
+    """Root q of ``y1/s1 = height`` in [0, q_upper]: Newton in q², in which the height is nearly linear, else bisection."""
     top = unbowed_height(alpha)
-    shape = bend(alpha, q_most)
+    shape = bend(alpha, q_upper)
     with np.errstate(divide="ignore", invalid="ignore"):
         bottom = shape.y / shape.length
-        guess = q_most**2 * (top - height) / (top - bottom)
+        estimate = q_upper**2 * (top - height) / (top - bottom)
     root = np.full(alpha.shape, np.nan)
-    touching = (alpha > 0) & (np.abs(height - 1.0) <= _HEIGHT_ROUNDING)
-    root[touching] = 0.0
-    at_transition = ~touching & (np.abs(height - bottom) <= _HEIGHT_ROUNDING)
-    root[at_transition] = q_most[at_transition]
-    rows = np.flatnonzero(~touching & ~at_transition & (height < top) & (height > bottom))
-    alpha, height, value = alpha[rows], height[rows], guess[rows]
-    low, high = np.zeros(len(rows)), q_most[rows] ** 2
-    for _ in range(100):
+    straight = (alpha > 0) & (np.abs(height - 1.0) <= _HEIGHT_ROUNDING)
+    root[straight] = 0.0
+    at_transition = ~straight & (np.abs(height - bottom) <= _HEIGHT_ROUNDING)
+    root[at_transition] = q_upper[at_transition]
+    rows = np.flatnonzero(~straight & ~at_transition & (height < top) & (height > bottom))
+    alpha, height, value = alpha[rows], height[rows], estimate[rows]
+    low, high = np.zeros(len(rows)), q_upper[rows] ** 2
+    for _ in range(_MAX_STEPS):
         if not len(rows):
             break
         q = np.sqrt(value)
         with np.errstate(divide="ignore", invalid="ignore"):
-            _, _, _, reached, _, reached_q = tip_ratios(bend_with_slopes(alpha, q))
-            excess = reached - height
+            ratios = tip_ratios(bend_with_slopes(alpha, q))
+            excess = ratios.height - height
             low, high = np.where(excess > 0, value, low), np.where(excess > 0, high, value)
-            following = value - excess * 2 * q / reached_q
+            following = value - excess * 2 * q / ratios.height_q
         following = np.where((following > low) & (following < high), following, (low + high) / 2)
         root[rows] = q
-        going = (np.abs(excess) > _HEIGHT_ROUNDING) & (high - low > _HEIGHT_ROUNDING * high)
-        rows, alpha, height = rows[going], alpha[going], height[going]
-        low, high, value = low[going], high[going], following[going]
+        active = (np.abs(excess) > _HEIGHT_ROUNDING) & (high - low > _HEIGHT_ROUNDING * high)
+        rows, alpha, height = rows[active], alpha[active], height[active]
+        low, high, value = low[active], high[active], following[active]
     return root

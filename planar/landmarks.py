@@ -1,20 +1,23 @@
-"""What happens in a sweep with constant friction: touch-down, transitions, snaps, snap-off."""
+"""The events of a sweep with constant friction: touch-down, transitions, snaps, snap-off."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planar import segments
-from planar.contours import Array, Contour, Polygon, check_contour, polygon_paths
+from planar.arrays import Array, Index
+from planar.contours import Contour, check_contour
+from planar.paths import Path
 from planar.sweeping import mirrored
 
 
 class EventKind(IntEnum):
-    """What happens; `reason` says it to people."""
+    """Kind of event; `reason` explains it."""
 
     TOUCH_DOWN = 0
     TO_TANGENTIAL = 1
@@ -29,10 +32,10 @@ class EventKind(IntEnum):
 
 _REASONS = {
     EventKind.TOUCH_DOWN: "the straight rod touches the contour",
-    EventKind.TO_TANGENTIAL: "the contact leaves the tip: the rod lies along the contour",
+    EventKind.TO_TANGENTIAL: "the contact leaves the tip and becomes tangential",
     EventKind.TO_TIP: "the contact reaches the tip",
     EventKind.SNAP: "the equilibrium ends in a fold: the contact jumps along the contour to the next one",
-    EventKind.SNAP_OFF: "the equilibrium ends in a fold, and there is none further along: the rod leaves the contour",
+    EventKind.SNAP_OFF: "the equilibrium ends in a fold, and no other exists further along: the rod leaves the contour",
 }
 
 
@@ -58,7 +61,7 @@ class Events:
 
     def of(self, kind: EventKind) -> Array:
         """Base positions of the events of one kind."""
-        return self.x0[self.kind == kind]
+        return np.asarray(self.x0[self.kind == kind])
 
 
 def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> Events:
@@ -74,17 +77,17 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     check_contour(contour)
     side = -direction
     contour = contour if side == 1 else mirrored(contour)
-    path = polygon_paths([contour]) if isinstance(contour, Polygon) else contour.path()
+    path = contour.path()
     pieces = np.arange(path.offsets[-1])
     table = segments.cut(path, np.zeros_like(pieces), pieces, np.full(len(pieces), np.arctan(friction)))
 
-    # rows that bring the base further than all before them; the others are jumped over
+    # rows on which x0 falls below all of its values before; a snap skips the others
     end = np.nan_to_num(table.x0[:, 1], nan=np.inf)
-    before = np.minimum.accumulate(np.concatenate([table.x0[:1, 0], end[:-1]]))
-    rows = np.flatnonzero(end < before)
+    lowest_before = np.minimum.accumulate(np.concatenate([table.x0[:1, 0], end[:-1]]))
+    rows = np.flatnonzero(end < lowest_before)
     left, entered = rows[:-1], rows[1:]
     snapped = entered != left + 1
-    # a fold and the rise behind it are one row further; a jump over rows without progress is a snap
+    # a snap skips at least the row that rises behind the fold
     changed = ~snapped & (table.tangential[left] != table.tangential[entered])
     kind = np.where(
         snapped, EventKind.SNAP, np.where(table.tangential[entered], EventKind.TO_TANGENTIAL, EventKind.TO_TIP)
@@ -93,19 +96,37 @@ def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> E
     left, entered, kind = left[happens], entered[happens], kind[happens]
 
     x0 = np.concatenate([table.x0[:1, 0], table.x0[left, 1], table.x0[rows[-1:], 1]])
-    row_before, row_after = np.append(left, rows[-1]), np.insert(entered, 0, rows[0])
-    states = []
-    for row, at in ((row_before, x0[1:]), (row_after, x0[:-1])):
-        t, state = segments.solve(path, table, row, at)
-        slope, x, y = path.at(table.piece[row], t)
-        states.append(np.stack([slope, x, y, state.root_f**2, 2 * state.q * state.root_f]))
-    nothing = np.array([[np.nan], [np.nan], [np.nan], [0.0], [0.0]])
-    both = np.stack([np.hstack([nothing, states[0]]), np.hstack([states[1], nothing])], axis=2)
+    before = _states(path, table, np.append(left, rows[-1]), x0[1:])
+    after = _states(path, table, np.insert(entered, 0, rows[0]), x0[:-1])
+    # without contact there is no place, no force and no moment: before touch-down and after the rod has left
+    slope, x, y = (_paired(getattr(before, name), getattr(after, name), np.nan) for name in ("slope", "x", "y"))
+    force, m0z = (_paired(getattr(before, name), getattr(after, name), 0.0) for name in ("force", "m0z"))
     return Events(
         kind=np.concatenate([[EventKind.TOUCH_DOWN], kind, [EventKind.SNAP_OFF]]).astype(np.int8),
         x0=side * x0,
-        slope=side * both[0],
-        point=np.stack([side * both[1], both[2]], axis=-1),
-        force=both[3],
-        m0z=side * both[4],
+        slope=side * slope,
+        point=np.stack([side * x, y], axis=-1),
+        force=force,
+        m0z=side * m0z,
     )
+
+
+class _States(NamedTuple):
+    """Contacts (n,) in a sweep in -x."""
+
+    slope: Array
+    x: Array
+    y: Array
+    force: Array
+    m0z: Array
+
+
+def _states(path: Path, table: segments.Segments, row: Index, x0: Array) -> _States:
+    t, state = segments.solve(path, table, row, x0)
+    slope, x, y = path.at(table.piece[row], t)
+    return _States(slope, x, y, state.root_f**2, 2 * state.q * state.root_f)
+
+
+def _paired(before: Array, after: Array, without_contact: float) -> Array:
+    """(e, 2) values before and after each event, from those (e - 1,) in contact."""
+    return np.stack([np.insert(before, 0, without_contact), np.append(after, without_contact)], axis=1)

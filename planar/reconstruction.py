@@ -1,17 +1,7 @@
 """Step 2: from the support reactions back to the contact.
 
 Force and moment at the clamp fix the bent rod: ``f``, ``α`` and ``κ0`` from (9); the contact is where the curvature
-vanishes.  Three methods find it:
-
-``closed-form``
-    The elastica in closed form (`planar.elastica`) with ``q = m0z / (2 √f)``.  Friction turns the force, and the force is
-    measured: the contact does not depend on it.
-``scholz-rahn``
-    Numerical integration of (3) with the event ``κ = 0`` (G. R. Scholz, C. D. Rahn, "Profile sensing with an actuated
-    whisker", 2004).  Friction invariant as well; the reference, and slow.
-``will``
-    Equation (10) (C. Will, "Continuum models for biologically inspired tactile sensors", 2018), clipped to 1.  It takes the
-    rod for tangential to the force, which holds for ``μ = 0`` only.
+vanishes.  The methods that find it are those of `planar.inverses`.
 
 Friction and normal come from (12)-(15): ``β = arcsin((m0z² - 2 f0y) / (2 f)) = arcsin(2k² - 1)`` equals the friction angle
 ``ζ`` in tangential contact (14); in tip contact only ``β < ζ`` follows.
@@ -19,29 +9,29 @@ Friction and normal come from (12)-(15): ``β = arcsin((m0z² - 2 f0y) / (2 f)) 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from planar.display import some_rows, table_html
-from planar.elastica import Array, bend, bend_by_half_angle, partial_shape, tangential_q
+from planar.arrays import Array, Mask
+from planar.inverses import METHODS, RodContacts, Rods
+from planar.reactions import Reactions, checked_reactions
 from planar.sweeping import Phase
+from planar.tables import selected_rows, table_html
 
-# Differences to the tip, and friction angles below zero, that are rounding: the closed form holds them to some 1e-13.
+# Differences to the tip, in rod lengths, and friction angles below zero, in radians, that count as rounding; the closed
+# form is exact to some 1e-13.  With a larger tolerance tangential contacts near the tip become tip contacts and lose
+# their normals; with a smaller one rounding turns tip contacts into tangential ones.
 TOLERANCE = 1e-9
-# Rows worked off at once: they and what is computed of them stay in the processor's cache.
+# Rows processed at once.  More of them and their intermediate results leave the processor's cache; fewer cost more calls.
 _BLOCK = 16384
-# Relative and absolute tolerance of the integration, and how far past the tip it looks for the event.
-_RTOL, _ATOL, _LONGEST = 1e-10, 1e-12, 2.0
 
 
 class Status(IntEnum):
-    """Why a row of reactions gives a contact or none; `sentence` says it to people."""
+    """Whether a row of reactions gives a contact, and if not, why; `sentence` explains it."""
 
     OK = 0
     NO_FORCE = 1
@@ -73,14 +63,14 @@ class NormalSource(IntEnum):
 
     NONE = 0
     TANGENTIAL = 1
-    """(14): the rod lies along the contour."""
+    """(14): the contact is tangential."""
     FRICTION = 2
-    """A friction angle that was given."""
+    """The coefficient of friction was given."""
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Contacts (n,) recovered from support reactions, dimensionless; NaN where nothing is known."""
+    """Contacts (n,) recovered from support reactions, dimensionless; NaN where a value is unknown."""
 
     point: Array
     """(n, 2) contact point."""
@@ -105,9 +95,9 @@ class Contacts:
         return len(self.s1)
 
     def _repr_html_(self) -> str:
-        names, rows = ("s1", "force", "slope", "friction"), some_rows(len(self))
+        names, rows = ("s1", "force", "slope", "friction"), selected_rows(len(self))
         point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
-        status = {"status": [Status(one).sentence for one in self.status[rows]]}
+        status = {"status": [Status(code).sentence for code in self.status[rows]]}
         columns = {**point, **{name: getattr(self, name)[rows] for name in names}, **status}
         return table_html("Contacts", self.phase, Phase, columns)
 
@@ -119,7 +109,7 @@ class Contacts:
     @property
     def friction(self) -> Array:
         """(n,) coefficient of friction ``μ = tan ζ``; NaN in tip contact."""
-        return np.tan(self.friction_angle)
+        return np.asarray(np.tan(self.friction_angle))
 
     @property
     def normal(self) -> Array:
@@ -135,7 +125,7 @@ class Contacts:
     def tangential_force(self) -> Array:
         """(n, 2) tangential component of the contact force on the rod (15)."""
         tangent = np.stack([np.cos(self.slope), np.sin(self.slope)], axis=1)
-        return (self.force * np.sin(self.force_angle - self.slope))[:, None] * tangent
+        return np.asarray((self.force * np.sin(self.force_angle - self.slope))[:, None] * tangent)
 
 
 def reconstruct(
@@ -154,23 +144,19 @@ def reconstruct(
     method
         'closed-form', 'scholz-rahn' or 'will'.
     friction
-        coefficient of friction, one number or (n,), if known: gives tip contacts their slope and normal too.
+        coefficient of friction, one number or (n,), if known: tip contacts have a slope and a normal only if it is given.
     tolerance
-        what counts as equal: ``s1 < 1 - tolerance`` is tangential contact, and friction angles down to minus it (in
-        radians) are zero.  Under noise give some standard deviations of s1.
+        differences that count as zero: ``s1 < 1 - tolerance`` is tangential contact, and friction angles down to
+        ``-tolerance`` (in radians) are admissible.  For noisy reactions give some standard deviations of s1.
     direction
         -1 or 1, the sign of the base's motion along x.
 
-    A row without a contact says why in `status`.  Raises ValueError for arrays of different lengths and for a method,
+    `status` says why a row has no contact.  Raises ValueError for arrays of different lengths and for a method,
     friction, tolerance or direction out of range.
     """
-    columns = [np.atleast_1d(np.asarray(column, dtype=float)) for column in (x0, f0x, f0y, m0z)]
-    if any(column.shape != columns[0].shape or column.ndim != 1 for column in columns):
-        raise ValueError(
-            f"x0, f0x, f0y and m0z must have one shape (n,), got {', '.join(str(c.shape) for c in columns)}"
-        )
-    if method not in _METHODS:
-        raise ValueError(f"method must be one of {', '.join(_METHODS)}, got {method!r}")
+    reactions = checked_reactions(x0, f0x, f0y, m0z)
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if direction not in (-1, 1):
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
     if not 0 <= tolerance < 1:
@@ -178,11 +164,21 @@ def reconstruct(
     zeta = None
     if friction is not None:
         zeta = np.arctan(np.asarray(friction, dtype=float))
-        if zeta.shape not in ((), columns[0].shape) or not (np.isfinite(zeta).all() and (zeta >= 0).all()):
+        if zeta.shape not in ((), reactions.x0.shape) or not (np.isfinite(zeta).all() and (zeta >= 0).all()):
             raise ValueError("friction must be one number >= 0 or one for each sample")
 
-    count = len(columns[0])
-    whole = Contacts(
+    contacts = _empty(len(reactions.x0))
+    for first in range(0, len(contacts), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        block = Contacts(**{column.name: getattr(contacts, column.name)[rows] for column in fields(contacts)})
+        zeta_block = zeta[rows] if zeta is not None and zeta.ndim else zeta
+        _fill(block, Reactions(*(column[rows] for column in reactions)), method, zeta_block, tolerance, -direction)
+    return contacts
+
+
+def _empty(count: int) -> Contacts:
+    """Contacts whose arrays are allocated but not filled."""
+    return Contacts(
         point=np.empty((count, 2)),
         s1=np.empty(count),
         phase=np.empty(count, dtype=np.int8),
@@ -193,93 +189,114 @@ def reconstruct(
         slope=np.empty(count),
         normal_source=np.empty(count, dtype=np.int8),
     )
-    for first in range(0, count, _BLOCK):
-        part = slice(first, first + _BLOCK)
-        given = zeta[part] if zeta is not None and zeta.ndim else zeta
-        _fill(whole, part, [column[part] for column in columns], method, given, tolerance, -direction)
-    return whole
+
+
+class _Measured(NamedTuple):
+    """What the reactions (n,) say before the contact is found; force and moment as in a sweep in -x."""
+
+    force: Array
+    q: Array
+    """``m0z / (2 √f)``, of any sign"""
+    complement: Array
+    """``1 - k²``: negative where the moment is larger than the force can balance"""
+    exists: Mask
+    """where there is a rod with these reactions"""
+    beta: Array
+    rods: Rods
+
+
+def _measured(f0x: Array, f0y: Array, m0z: Array) -> _Measured:
+    force, s, c = _polar(f0x, f0y)
+    root_f = np.sqrt(force)
+    q = m0z / (2 * root_f)
+    square = q * q
+    m, complement = s * s + square, c * c - square
+    beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
+    exists = (complement >= 0) & (q > 0)
+    rods = Rods(2 * np.arctan2(s, c), s, c, q if exists.all() else np.where(exists, q, np.nan), root_f)  # α of (9)
+    return _Measured(force, q, complement, exists, beta, rods)
 
 
 def _fill(
-    whole: Contacts,
-    part: slice,
-    columns: list[Array],
-    method: str,
-    zeta: Array | None,
-    tolerance: float,
-    side: int,
+    contacts: Contacts, reactions: Reactions, method: str, zeta: Array | None, tolerance: float, side: int
 ) -> None:
-    """Reconstruct some rows into the arrays of `whole`."""
-    x0, fx, fy, moment = columns
-    # a sweep in +x is the mirror image of one in -x
+    """Reconstruct the rows of `reactions` into the arrays of `contacts`; `side` is 1 for sweeps in -x, -1 in +x."""
+    x0, f0x, f0y, m0z = reactions
+    # a sweep in +x is the mirror image of a sweep in -x
     if side < 0:
-        fx, moment = -fx, -moment
+        f0x, m0z = -f0x, -m0z
     with np.errstate(divide="ignore", invalid="ignore"):
-        f, s, c = _polar(fx, fy)
-        root_f = np.sqrt(f)
-        q = moment / (2 * root_f)
-        square = q * q
-        m, complement = s * s + square, c * c - square
-        beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
-        known = (complement >= 0) & (q > 0)
-        rods = _Rods(2 * np.arctan2(s, c), s, c, q if known.all() else np.where(known, q, np.nan), root_f)  # α of (9)
-        s1, x, y, undefined = _METHODS[method](rods)
-        x = x0 + x if side > 0 else x0 - x
+        measured = _measured(f0x, f0y, m0z)
+        rods, beta = measured.rods, measured.beta
+        solved = METHODS[method](rods)
+        x = x0 + solved.x if side > 0 else x0 - solved.x
 
-        lying = s1 < 1 - tolerance
+        tangential = solved.s1 < 1 - tolerance
         pulled = beta < -tolerance
-        pulled &= lying
+        pulled &= tangential
         if method == "will":
             pulled[:] = False  # (10) errs in s1, so that nothing follows from its s1 < 1
-        good = (s1 <= 1 + tolerance) & np.isfinite(x)
-        good &= known
-        good &= ~pulled
-        if undefined is not None:
-            good &= ~undefined
-    lying &= good
-    tip = good & ~lying
+        valid = (solved.s1 <= 1 + tolerance) & np.isfinite(x)
+        valid &= measured.exists
+        valid &= ~pulled
+        if solved.undefined is not None:
+            valid &= ~solved.undefined
+    tangential &= valid
+    tip = valid & ~tangential
     slope = rods.alpha - beta
     if zeta is not None:
         np.copyto(slope, rods.alpha - zeta, where=tip)
     else:
         slope[tip] = np.nan
 
-    whole.point[part, 0], whole.point[part, 1] = x, y
-    whole.s1[part], whole.force[part], whole.friction_angle_bound[part] = s1, f, beta
-    np.multiply(rods.alpha, side, out=whole.force_angle[part])
-    np.multiply(slope, side, out=whole.slope[part])
-    whole.phase[part] = Phase.TANGENTIAL * lying.view(np.int8) + Phase.TIP * tip.view(np.int8)
-    whole.normal_source[part] = NormalSource.TANGENTIAL * lying.view(np.int8)
+    contacts.point[:, 0], contacts.point[:, 1] = x, solved.y
+    contacts.s1[:], contacts.force[:], contacts.friction_angle_bound[:] = solved.s1, measured.force, beta
+    np.multiply(rods.alpha, side, out=contacts.force_angle)
+    np.multiply(slope, side, out=contacts.slope)
+    contacts.phase[:] = Phase.TANGENTIAL * tangential.view(np.int8) + Phase.TIP * tip.view(np.int8)
+    contacts.normal_source[:] = NormalSource.TANGENTIAL * tangential.view(np.int8)
     if zeta is not None:
-        whole.normal_source[part][tip] = NormalSource.FRICTION
-    status = whole.status[part]
-    status[:] = Status.OK
-    if good.all():
-        return
-    for mask, code in (
-        (good if undefined is None else undefined, Status.UNDEFINED),
-        (pulled, Status.INFLECTION),
-        (s1 > 1 + tolerance, Status.BEYOND_TIP),
-        (complement < 0, Status.NO_ROD),
-        (q <= 0, Status.WRONG_SIDE),
-        (~(f > 0) | ~np.isfinite(x0 + f + moment), Status.NO_FORCE),
-    ):
-        status[mask & ~good] = code
+        contacts.normal_source[tip] = NormalSource.FRICTION
+    contacts.status[:] = Status.OK
+    if not valid.all():
+        present = (measured.force > 0) & np.isfinite(x0 + measured.force + m0z)
+        _mask(contacts, ~valid, _reasons(measured, solved, pulled, present, tolerance))
+
+
+def _reasons(
+    measured: _Measured, solved: RodContacts, pulled: Mask, present: Mask, tolerance: float
+) -> list[tuple[Status, Mask]]:
+    """Why rows give no contact, and which rows; where several reasons apply, the last one counts."""
+    undefined = np.zeros(len(present), dtype=bool) if solved.undefined is None else solved.undefined
+    return [
+        (Status.UNDEFINED, undefined),
+        (Status.INFLECTION, pulled),
+        (Status.BEYOND_TIP, solved.s1 > 1 + tolerance),
+        (Status.NO_ROD, measured.complement < 0),
+        (Status.WRONG_SIDE, measured.q <= 0),
+        (Status.NO_FORCE, ~present),
+    ]
+
+
+def _mask(contacts: Contacts, invalid: Mask, reasons: list[tuple[Status, Mask]]) -> None:
+    """Give invalid rows the reason as their status and NaN as their values."""
+    for status, rows in reasons:
+        contacts.status[rows & invalid] = status
     for column in (
-        whole.point,
-        whole.s1,
-        whole.force,
-        whole.force_angle,
-        whole.friction_angle_bound,
-        whole.slope,
+        contacts.point,
+        contacts.s1,
+        contacts.force,
+        contacts.force_angle,
+        contacts.friction_angle_bound,
+        contacts.slope,
     ):
-        column[part][~good] = np.nan
+        column[invalid] = np.nan
 
 
 def _polar(fx: Array, fy: Array) -> tuple[Array, Array, Array]:
     """Size f of the contact force, sine and cosine of ``α/2``, from ``sin α = -f0x/f`` and ``cos α = f0y/f`` (9).
 
-    By algebra, a tenth of the time of hypot, sin and cos; ``cos α/2 >= 0``.
+    By algebra, in a tenth of the time of hypot, sin and cos; ``cos α/2 >= 0``.
     """
     across, along = np.abs(fx), np.abs(fy)
     largest = np.maximum(across, along)
@@ -292,70 +309,3 @@ def _polar(fx: Array, fy: Array) -> tuple[Array, Array, Array]:
     if not forward.all():
         s, c = np.where(forward, smaller, larger), np.where(forward, larger, smaller)
     return largest * size, np.copysign(s, -fx), c
-
-
-class _Rods(NamedTuple):
-    """Rods (n,) as their reactions bend them."""
-
-    alpha: Array
-    half_sine: Array
-    """sin(α/2)"""
-    half_cosine: Array
-    q: Array
-    """NaN where no rod has the reactions."""
-    root_f: Array
-
-
-# A method returns s1, the contact relative to the clamp, and where it has no answer (None: it always has one).
-_Method = Callable[[_Rods], tuple[Array, Array, Array, NDArray[np.bool_] | None]]
-
-
-def _closed_form(rods: _Rods) -> tuple[Array, Array, Array, None]:
-    shape, _, _ = bend_by_half_angle(rods.half_sine, rods.half_cosine, rods.q)
-    return shape.length / rods.root_f, shape.x / rods.root_f, shape.y / rods.root_f, None
-
-
-def _scholz_rahn(rods: _Rods) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    alpha, q, root_f = rods.alpha, rods.q, rods.root_f
-    found = np.full((3, len(q)), np.nan)
-    for i in np.flatnonzero(np.isfinite(q) & (root_f > 0)):
-        found[:, i] = _integrate(alpha[i], root_f[i] ** 2, 2 * q[i] * root_f[i])
-    return found[0], found[1], found[2], np.isfinite(q) & np.isnan(found[0])
-
-
-def _integrate(alpha: float, f: float, moment: float) -> tuple[float, float, float]:
-    """s, x and y at which the rod, integrated from its clamp, loses its curvature; NaN if it does not."""
-
-    def rod(_: float, state: Array) -> list[float]:  # (3)
-        return [np.cos(state[2]), np.sin(state[2]), state[3], f * np.cos(state[2] - alpha)]
-
-    def curvature(_: float, state: Array) -> float:
-        return float(state[3])
-
-    curvature.terminal = True  # type: ignore[attr-defined]
-    start = [0.0, 0.0, np.pi / 2, -moment]  # (5)
-    run = scipy.integrate.solve_ivp(
-        rod, (0.0, _LONGEST), start, method="DOP853", events=curvature, rtol=_RTOL, atol=_ATOL
-    )
-    if not len(run.t_events[0]):
-        return np.nan, np.nan, np.nan
-    return run.t_events[0][0], run.y_events[0][0][0], run.y_events[0][0][1]
-
-
-def _will(rods: _Rods) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    alpha, q, root_f = rods.alpha, rods.q, rods.root_f
-    # ERRATUM: (10) as printed has α̃ in its integrand; it stands for α.  The integral is that of a frictionless rod.
-    undefined = np.abs(alpha) > np.pi / 2
-    frictionless = bend(alpha, np.where(undefined, np.nan, tangential_q(alpha, np.zeros(len(alpha)))))
-    s1 = np.minimum(frictionless.length / root_f, 1.0)
-    # the point at s1 of the rod that the reactions bend
-    shape = bend(alpha, q)
-    x, y = partial_shape(alpha, q, shape.length - s1 * root_f)
-    return s1, (shape.x - x) / root_f, (shape.y - y) / root_f, undefined
-
-
-_METHODS: dict[str, _Method] = {
-    "closed-form": _closed_form,
-    "scholz-rahn": _scholz_rahn,
-    "will": _will,
-}

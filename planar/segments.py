@@ -2,7 +2,7 @@
 
 Along the path the base position ``x0`` of the equilibria falls, but not everywhere: it has local minima (folds), and its
 rate jumps where tip and tangential contact change into each other.  The path is cut there and at the ends of its pieces.
-Everything runs over flat arrays: the rows of many sweeps, told apart by their owner.
+All computations run over flat arrays: the rows of many sweeps, distinguished by their owner.
 """
 
 from __future__ import annotations
@@ -11,44 +11,53 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planar import equilibria
-from planar.contours import Array, Index, Path
+from planar.arrays import Array, Index, Mask
 from planar.elastica import bend_with_slopes
+from planar.paths import Path
 
 _EPS = float(np.finfo(float).eps)
+# Roots are found to rounding: larger tolerances move transitions and folds, smaller ones are never met.
 _TO_ROUNDING = dict(xatol=0.0, xrtol=4 * _EPS, fatol=0.0, frtol=0.0)
+# Rounding of x0, relative to the lengths that it is computed from, at which Newton's method ends.  A larger one gives
+# digits away; with a smaller one more samples go on to the slower bracketing.
+_X0_ROUNDING = 8 * _EPS
+# Steps of Newton's method.  More of them are spent on samples that do not converge; with fewer, more samples go on to
+# bracketing.
 _NEWTON_STEPS = 8
-# Each parabola is eight times narrower than the last, and the overhang nearly one to begin with.
+# Factor by which the bend q may at most shrink in a step of Newton's method.  With a larger one a step too far leaves q
+# next to 0, where Newton's method is slow; a smaller one takes more steps to small bends.
+_LARGEST_SHRINKAGE = 4
+# Parabolas through the overhang, each eight times narrower than the previous one.  More cost time; fewer leave the
+# minimum inexact, so that short tangential contacts are overlooked.
 _PARABOLAS = 4
-
-Mask = NDArray[np.bool_]
+_NARROWING = 8
 
 
 class Segments(NamedTuple):
     """Rows (m,) sorted by owner and along the path; columns (m, 2) hold the values at both ends."""
 
     owner: Index
-    """Sweep, or single sample with friction of its own, that the row belongs to."""
+    """Sweep, or sample with a separate coefficient of friction, that the row belongs to."""
     piece: Index
     tangential: Mask
     friction_angle: Array
     t: Array
     """(m, 2) parameter of the piece."""
     x0: Array
-    """(m, 2) base position; NaN where there is no equilibrium."""
+    """(m, 2) base position; NaN where no equilibrium exists."""
     rate: Array
     """(m, 2) change of x0 with t."""
     q: Array
     """(m, 2) ``m0z / (2 √f)``."""
 
 
-def _find_root(function: Callable[..., Array], bracket: tuple[Array, Array], args: tuple[Any, ...]) -> Any:
-    """Roots of many functions at once, to rounding."""
-    from scipy.optimize import elementwise  # here, for `import planar` to be quick
+def _find_root(function: Callable[..., Array], interval: tuple[Array, Array], args: tuple[Any, ...]) -> Any:
+    """Roots of many functions at once, to rounding, in intervals at whose ends the signs differ."""
+    from scipy.optimize import elementwise  # imported late, so that `import planar` stays quick
 
-    return elementwise.find_root(function, bracket, args=args, tolerances=_TO_ROUNDING)
+    return elementwise.find_root(function, interval, args=args, tolerances=_TO_ROUNDING)
 
 
 def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segments:
@@ -59,8 +68,8 @@ def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segmen
     at_end = np.insert(row[1:] == row[:-1], 0, False)
     start = np.flatnonzero(~at_end)
     slope, x, y = path.at(piece[row], at_end.astype(float))
-    tangential = equilibria.lies_tangentially(slope, y, friction_angle[row])
-    state = equilibria.of_kind(tangential, slope, x, y, friction_angle[row])
+    tangential = equilibria.is_tangential(slope, y, friction_angle[row])
+    state = equilibria.states(tangential, slope, x, y, friction_angle[row])
     segments = Segments(
         owner,
         piece,
@@ -73,7 +82,7 @@ def cut(path: Path, owner: Index, piece: Index, friction_angle: Array) -> Segmen
         ),
         np.stack([state.q[start], state.q[start + 1]], axis=1),
     )
-    segments, tangential_at_end = _cut_at_grazes(path, segments, tangential[start + 1])
+    segments, tangential_at_end = _cut_at_short_tangencies(path, segments, tangential[start + 1])
     segments = _cut_at_transitions(path, segments, tangential_at_end)
     return _cut_at_folds(path, segments)
 
@@ -97,9 +106,9 @@ def _cut_rows(segments: Segments, rows: Index, t: Array, x0: Array, rate: Array,
     return parts
 
 
-def _cut_at_grazes(path: Path, segments: Segments, tangential_at_end: Mask) -> tuple[Segments, Mask]:
-    """Cut tip contacts where the rod lies tangentially for less than a piece, as on small contours near the tip's height."""
-    if path.smooth is None:  # along edges and at vertices the contact changes its kind but once
+def _cut_at_short_tangencies(path: Path, segments: Segments, tangential_at_end: Mask) -> tuple[Segments, Mask]:
+    """Cut tip contacts with a tangential contact shorter than the piece between them, as on small contours near y = 1."""
+    if path.smooth is None:  # along an edge or at a vertex the kind of contact changes at most once
         return segments, tangential_at_end
     rows = np.flatnonzero(~segments.tangential & ~tangential_at_end)
     piece, zeta = segments.piece[rows], segments.friction_angle[rows]
@@ -108,16 +117,16 @@ def _cut_at_grazes(path: Path, segments: Segments, tangential_at_end: Mask) -> t
         slope, _, y = path.at(piece, t)
         return equilibria.overhang(slope, y, zeta)
 
-    # the lowest point of the parabola through three points, then of narrower ones about it
+    # the minimum of the overhang, from parabolas through three points about the previous estimate
     t, width = np.full(len(rows), 0.5), 0.5
     for _ in range(_PARABOLAS):
         before, here, after = overhang(t - width), overhang(t), overhang(t + width)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = (before - after) / (before + after - 2 * here) / 2
-        t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / 8
+        t, width = t + width * np.nan_to_num(np.clip(step, -1.0, 1.0)), width / _NARROWING
         t = np.clip(t, width, 1 - width)
-    lies = overhang(t) < 0
-    rows, t, piece, zeta = rows[lies], t[lies], piece[lies], zeta[lies]
+    touches = overhang(t) < 0
+    rows, t, piece, zeta = rows[touches], t[touches], piece[touches], zeta[touches]
     slope, x, y = path.at(piece, t)
     state = equilibria.tangential(slope, x, y, zeta)
     rate = _rate(path, piece, slope, state.x0_slope, state.x0_arc)
@@ -140,18 +149,18 @@ def _cut_at_transitions(path: Path, segments: Segments, tangential_at_end: Mask)
     low, high = segments.t[rows].T
     t = _find_root(overhang, (low, high), args=(piece, zeta)).x
     slope, x, y = path.at(piece, t)
-    lying = equilibria.tangential(slope, x, y, zeta)
-    standing = equilibria.tip(slope, x, y, zeta, lying.q)
-    rate = np.stack([_rate(path, piece, slope, s.x0_slope, s.x0_arc) for s in (lying, standing)], axis=1)
-    lies_first = segments.tangential[rows]
-    rate[~lies_first] = rate[~lies_first, ::-1]
-    parts = _cut_rows(segments, rows, t, lying.x0, rate, lying.q)
-    parts.tangential[rows + np.arange(len(rows)) + 1] = ~lies_first
+    tangential = equilibria.tangential(slope, x, y, zeta)
+    tip = equilibria.tip(slope, x, y, zeta, tangential.q)
+    rate = np.stack([_rate(path, piece, slope, state.x0_slope, state.x0_arc) for state in (tangential, tip)], axis=1)
+    tangential_first = segments.tangential[rows]
+    rate[~tangential_first] = rate[~tangential_first, ::-1]
+    parts = _cut_rows(segments, rows, t, tangential.x0, rate, tangential.q)
+    parts.tangential[rows + np.arange(len(rows)) + 1] = ~tangential_first
     return parts
 
 
 def _cut_at_folds(path: Path, segments: Segments) -> Segments:
-    """Cut where x0 stops falling: at its minimum, which comes before any place where the equilibria end."""
+    """Cut where x0 stops falling: at its minimum, which precedes any place where the equilibria end."""
     ends_rising = (segments.rate[:, 1] > 0) | np.isnan(segments.x0[:, 1])
     rows = np.flatnonzero((segments.rate[:, 0] < 0) & ends_rising)
     if not len(rows):
@@ -161,103 +170,106 @@ def _cut_at_folds(path: Path, segments: Segments) -> Segments:
 
     def rate(t: Array, piece: Index, zeta: Array, kind: Mask, low: Array, high: Array) -> Array:
         slope, x, y = path.at(piece, t)
-        state = equilibria.of_kind(kind, slope, x, y, zeta)
-        # infinite at touch-down, and no number past the end of the equilibria: only the sign matters there
+        state = equilibria.states(kind, slope, x, y, zeta)
+        # infinite at touch-down, NaN beyond the end of the equilibria: only the sign matters there
         value = np.clip(np.nan_to_num(_rate(path, piece, slope, state.x0_slope, state.x0_arc), nan=1.0), -1.0, 1.0)
-        # the signs at the ends are known, and must not get lost to rounding
+        # the signs at the ends are known, and rounding must not change them
         return np.where(t == low, -1.0, np.where(t == high, 1.0, value))
 
-    found = _find_root(rate, (low, high), args=(piece, zeta, kind, low, high))
-    t = np.where(found.f_x > 0, found.bracket[0], found.x)  # never on the side on which x0 rises
-    state = equilibria.of_kind(kind, *path.at(piece, t), zeta)
+    root = _find_root(rate, (low, high), args=(piece, zeta, kind, low, high))
+    # Equilibria on the side on which x0 rises are unstable: the cut lies on the other side of the minimum.
+    t = np.where(root.f_x > 0, root.bracket[0], root.x)
+    state = equilibria.states(kind, *path.at(piece, t), zeta)
     return _cut_rows(segments, rows, t, state.x0, np.zeros((len(rows), 2)), state.q)
 
 
 def solve(path: Path, segments: Segments, row: Index, target: Array) -> tuple[Array, equilibria.State]:
     """Parameter t (n,) and state (n,) at which x0 has come down to `target` (n,) on the segments `row` (n,).
 
-    Newton's method in the place t, for tip contact together with the bend q, from interpolation; what does not
-    converge is solved by bracketing.
+    Newton's method in the place t, for tip contact together with the bend q, starting from an interpolation; samples
+    for which it does not converge are solved by bracketing.
     """
     piece, zeta, kind = segments.piece[row], segments.friction_angle[row], segments.tangential[row]
     low, high = segments.t[row].T
     t, q = _interpolate(segments, row, target)
-    tolerance = 8 * _EPS * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
+    tolerance = _X0_ROUNDING * (1.0 + np.abs(target) + np.abs(path.point[piece, 0]))
 
-    going = np.arange(len(row))
+    active = np.arange(len(row))
     for _ in range(_NEWTON_STEPS):
-        slope, x, y = path.at(piece[going], t[going])
-        t_step, q_step, miss = _newton_step(
-            path, piece[going], kind[going], slope, x, y, zeta[going], q[going], target[going]
+        slope, x, y = path.at(piece[active], t[active])
+        t_step, q_step, residual = _newton_step(
+            path, piece[active], kind[active], slope, x, y, zeta[active], q[active], target[active]
         )
-        unfinished = ~(miss <= tolerance[going])
-        going, t_step, q_step = going[unfinished], t_step[unfinished], q_step[unfinished]
-        if not len(going):
+        unfinished = ~(residual <= tolerance[active])
+        active, t_step, q_step = active[unfinished], t_step[unfinished], q_step[unfinished]
+        if not len(active):
             break
-        t[going] = np.clip(t[going] + t_step, low[going], high[going])
+        t[active] = np.clip(t[active] + t_step, low[active], high[active])
         # the step is one in q², in which height and lean are nearly linear
-        q[going] = np.sqrt(np.maximum(q[going] * (q[going] + 2 * q_step), q[going] ** 2 / 16))
-    if len(going):
-        t[going] = _bracketed(path, piece[going], kind[going], zeta[going], low[going], high[going], target[going])
-        q[going] = np.nan
+        q[active] = np.sqrt(np.maximum(q[active] * (q[active] + 2 * q_step), q[active] ** 2 / _LARGEST_SHRINKAGE**2))
+    if len(active):
+        t[active] = _bracketed(
+            path, piece[active], kind[active], zeta[active], low[active], high[active], target[active]
+        )
+        q[active] = np.nan
 
     for end in (0, 1):
-        there = target == segments.x0[row, end]
-        t = np.where(there, segments.t[row, end], t)
-        q = np.where(there, segments.q[row, end], q)
-    return t, equilibria.of_kind(kind, *path.at(piece, t), zeta, q)
+        at_end = target == segments.x0[row, end]
+        t = np.where(at_end, segments.t[row, end], t)
+        q = np.where(at_end, segments.q[row, end], q)
+    return t, equilibria.states(kind, *path.at(piece, t), zeta, q)
 
 
 def _newton_step(
     path: Path, piece: Index, kind: Mask, slope: Array, x: Array, y: Array, zeta: Array, q: Array, target: Array
 ) -> tuple[Array, Array, Array]:
-    """Steps in t and q, and how far x0 and (at the tip) y1 miss their targets."""
+    """Steps in t and q, and the residual: of x0, in tip contact the larger one of x0 and y1."""
     turn, arc = path.turn[piece], path.arc_rate(piece, slope)
-    t_step, q_step, miss = np.empty(len(piece)), np.zeros(len(piece)), np.empty(len(piece))
+    t_step, q_step, residual = np.empty(len(piece)), np.zeros(len(piece)), np.empty(len(piece))
     with np.errstate(divide="ignore", invalid="ignore"):
         if kind.any():
             state = equilibria.tangential(slope[kind], x[kind], y[kind], zeta[kind])
             excess = state.x0 - target[kind]
             t_step[kind] = -excess / (state.x0_slope * turn[kind] + state.x0_arc * arc[kind])
-            miss[kind] = np.abs(excess)
+            residual[kind] = np.abs(excess)
         tip = ~kind
         if tip.any():
             slope, turn, arc = slope[tip], turn[tip], arc[tip]
             bent = bend_with_slopes(slope + zeta[tip], q[tip])
-            lean, lean_alpha, lean_q, height, height_alpha, height_q = equilibria.tip_ratios(bent)
-            excess, short = x[tip] - lean - target[tip], height - y[tip]
+            ratios = equilibria.tip_ratios(bent)
             # two equations, x0 = target and y1 = η, in t and q
-            excess_t = np.cos(slope) * arc - lean_alpha * turn
-            short_t = height_alpha * turn - np.sin(slope) * arc
-            determinant = excess_t * height_q + lean_q * short_t
-            t_step[tip] = -(excess * height_q + lean_q * short) / determinant
-            q_step[tip] = (excess * short_t - excess_t * short) / determinant
-            miss[tip] = np.maximum(np.abs(excess), np.abs(short))
-    return t_step, q_step, miss
+            excess, height_excess = x[tip] - ratios.lean - target[tip], ratios.height - y[tip]
+            excess_t = np.cos(slope) * arc - ratios.lean_alpha * turn
+            height_excess_t = ratios.height_alpha * turn - np.sin(slope) * arc
+            determinant = excess_t * ratios.height_q + ratios.lean_q * height_excess_t
+            t_step[tip] = -(excess * ratios.height_q + ratios.lean_q * height_excess) / determinant
+            q_step[tip] = (excess * height_excess_t - excess_t * height_excess) / determinant
+            residual[tip] = np.maximum(np.abs(excess), np.abs(height_excess))
+    return t_step, q_step, residual
 
 
 def _interpolate(segments: Segments, row: Index, target: Array) -> tuple[Array, Array]:
-    """Start values: t by a monotone inverse cubic in x0 and q² linear in t; at folds and touch-down their leading terms."""
+    """Start values: t by a monotone inverse cubic in x0 and q² linear in t; next to folds and touch-down the leading terms."""
     (t0, t1), (x0, x1) = segments.t[row].T, segments.x0[row].T
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.clip((target - x0) / (x1 - x0), 0.0, 1.0)
-        slopes = np.clip((x1 - x0) / (t1 - t0) / segments.rate[row].T, 0.0, 3.0)
+        slopes = np.clip((x1 - x0) / (t1 - t0) / segments.rate[row].T, 0.0, 3.0)  # up to 3 the cubic is monotone
     u, slopes = np.nan_to_num(u), np.nan_to_num(slopes, nan=1.0)
-    share = u * u * (3 - 2 * u) + u * (1 - u) * (slopes[0] * (1 - u) - slopes[1] * u)
+    fraction = u * u * (3 - 2 * u) + u * (1 - u) * (slopes[0] * (1 - u) - slopes[1] * u)
     q0, q1 = segments.q[row].T
-    # x0 leaves touch-down with the root of t and with q², and comes to a fold with the square of t
+    # next to touch-down x0 varies with the square root of t and with q², next to a fold with the square of t
     touch_down, fold = np.isinf(segments.rate[row, 0]), segments.rate[row, 1] == 0
-    share = np.where(touch_down, u * u, np.where(fold, 1 - np.sqrt(1 - u), share))
-    q = np.sqrt(np.maximum(q0**2 + np.where(touch_down, u, share) * (q1**2 - q0**2), 0.0))
-    return t0 + share * (t1 - t0), np.where(np.isfinite(q), q, q0)
+    fraction = np.where(touch_down, u * u, np.where(fold, 1 - np.sqrt(1 - u), fraction))
+    q = np.sqrt(np.maximum(q0**2 + np.where(touch_down, u, fraction) * (q1**2 - q0**2), 0.0))
+    return t0 + fraction * (t1 - t0), np.where(np.isfinite(q), q, q0)
 
 
 def _bracketed(path: Path, piece: Index, kind: Mask, zeta: Array, low: Array, high: Array, target: Array) -> Array:
     """The parameter t between `low` and `high` at which x0 equals `target`."""
 
     def excess(t: Array, piece: Index, kind: Mask, zeta: Array, target: Array) -> Array:
-        return equilibria.of_kind(kind, *path.at(piece, t), zeta).x0 - target
+        return equilibria.states(kind, *path.at(piece, t), zeta).x0 - target
 
-    found = _find_root(excess, (low, high), args=(piece, kind, zeta, target))
-    # at an end that is a fold both signs may be lost to rounding: that end is the root
-    return np.where(found.status == -1, high, found.x)
+    root = _find_root(excess, (low, high), args=(piece, kind, zeta, target))
+    # next to a fold rounding may change the sign at the end, so that no interval is left: then that end is the root
+    return np.asarray(np.where(root.status == -1, high, root.x))

@@ -1,42 +1,55 @@
-"""The paper's boundary value problems, solved the paper's way: shooting.  Only for tests and benchmarks.
+"""The paper's boundary value problems, solved by shooting as in the paper.  Only for tests and benchmarks.
 
 For a given base position the rod (3) with the clamp (5) and the conditions of tip (6) or tangential contact (7) is a
 two-point boundary value problem.  It is integrated numerically from the clamp, and its unknowns are corrected until the
 conditions hold: ``f``, ``κ0`` and the place on the contour, and for tangential contact ``s1``.  L. Merker, J. Steigenberger,
 C. Behn, "Friction invariant object reconstruction using a vibrissa-inspired tactile sensor concept", Section II-A.
 
-Nothing here knows the closed form of `planar.elastica`, so that agreement with it means something.  What shooting finds
-depends on where it starts: it has no notion of folds, branches or inflections.  `planar.sweep` has.
+This module does not use the closed form of `planar.elastica`, so that the two are independent.  The solution that shooting
+finds depends on its start: unlike `planar.sweep`, shooting does not distinguish folds, branches or inflections.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planar.arrays import Array
 from planar.contours import SmoothContour
 from planar.sweeping import Phase
 
-Array = NDArray[np.float64]
 Place = Callable[[float], tuple[float, Array]]
 """Slope angle and point (2,) of a contour as functions of one path parameter."""
 
-# As exact as double precision lets the integration be, and the root with it.
+# Relative and absolute tolerance of the integration, and the tolerance of the unknowns.  Larger ones give digits away;
+# smaller ones are below rounding, so that the solvers would not end.
 _RTOL, _ATOL = 1e-13, 1e-15
 _XTOL = 1e-13
-# Meshes are refined, never coarsened: warm starts hand their nodes on.
+# Upper bound of the nodes of a collocation mesh.  Each solution starts from its neighbour's mesh, which is refined but
+# never coarsened: a smaller bound ends a sequence of solutions sooner, a larger one lets its time and memory grow.
 _MAX_NODES = 20_000
-# What counts as solved, in rod lengths, radians and EI/L.
+# Residual, in rod lengths, radians and EI/L, up to which the conditions are solved.  A larger one accepts inaccurate
+# solutions; a smaller one rejects solutions of stiff rods, whose residual is amplified rounding.
 _SOLVED = 1e-9
+
+
+class Unknowns(NamedTuple):
+    """The unknowns of one boundary value problem."""
+
+    f: float
+    kappa0: float
+    s1: float
+    parameter: float
 
 
 @dataclass(frozen=True)
 class ShootingState:
-    """One equilibrium of the rod, dimensionless; its unknowns are the start for the next one."""
+    """One equilibrium of the rod, dimensionless; a start for the next one."""
 
     x0: float
     phase: Phase
@@ -49,7 +62,7 @@ class ShootingState:
     s1: float
     """Contact along the rod."""
     parameter: float
-    """Place on the contour: its slope on smooth contours, else what the `Place` takes."""
+    """Place on the contour: the parameter of the `Place`, the slope angle on smooth contours."""
     slope: float
     point: Array
     """(2,) contact point."""
@@ -57,7 +70,7 @@ class ShootingState:
     f0y: float
     m0z: float
     residual: float
-    """Largest miss of a boundary condition."""
+    """Largest residual of a boundary condition."""
     success: bool
 
 
@@ -71,30 +84,30 @@ class Collocation:
 
 
 def integrate(
-    x0: ArrayLike, f: ArrayLike, alpha: ArrayLike, kappa0: ArrayLike, s1: ArrayLike, shares: ArrayLike = (1.0,)
+    x0: ArrayLike, f: ArrayLike, alpha: ArrayLike, kappa0: ArrayLike, s1: ArrayLike, fractions: ArrayLike = (1.0,)
 ) -> Array:
-    """``x, y, φ, κ`` (4, n, k) of rods (n,), integrated (3) from their clamps (5), at rising shares (k,) of their s1.
+    """``x, y, φ, κ`` (4, n, k) of rods (n,), integrated (3) from their clamps (5), at rising fractions (k,) of their s1.
 
-    All rods run in one system, each over its own s1, with DOP853 at a relative tolerance of 1e-13.  All NaN if some
-    numbers are, or run away.
+    All rods run in one system, each over its own s1, with DOP853 at a relative tolerance of 1e-13.  If a number
+    is not finite, or the integration fails, all results are NaN.
     """
     x0, f, alpha, kappa0, s1 = np.broadcast_arrays(
-        *(np.atleast_1d(v).astype(float) for v in (x0, f, alpha, kappa0, s1))
+        *(np.atleast_1d(column).astype(float) for column in (x0, f, alpha, kappa0, s1))
     )
     start = np.stack([x0, np.zeros_like(x0), np.full_like(x0, np.pi / 2), kappa0])
 
     def rods(_: float, values: Array) -> Array:
         return np.asarray(s1 * _derivative(values.reshape(start.shape), f, alpha)).ravel()
 
-    shares = np.asarray(shares, dtype=float)
-    if not all(np.isfinite(v).all() for v in (f, alpha, s1, start)):
-        return np.full((*start.shape, len(shares)), np.nan)  # solve_ivp would never return
+    fractions = np.asarray(fractions, dtype=float)
+    if not all(np.isfinite(column).all() for column in (f, alpha, s1, start)):
+        return np.full((*start.shape, len(fractions)), np.nan)  # solve_ivp would never return
     run = scipy.integrate.solve_ivp(
-        rods, (0.0, 1.0), start.ravel(), method="DOP853", t_eval=shares, rtol=_RTOL, atol=_ATOL
+        rods, (0.0, 1.0), start.ravel(), method="DOP853", t_eval=fractions, rtol=_RTOL, atol=_ATOL
     )
     if not run.success:
-        return np.full((*start.shape, len(shares)), np.nan)
-    return np.asarray(run.y).reshape(*start.shape, len(shares))
+        return np.full((*start.shape, len(fractions)), np.nan)
+    return np.asarray(run.y).reshape(*start.shape, len(fractions))
 
 
 def along(contour: SmoothContour) -> Place:
@@ -103,10 +116,10 @@ def along(contour: SmoothContour) -> Place:
 
 
 def on_edge(start: ArrayLike, end: ArrayLike) -> Place:
-    """Place on a polygon's edge between two points (2,), the left one first: the parameter is the share of it in [0, 1]."""
+    """Place on a polygon's edge between two points (2,), the left one first: the parameter is the fraction of its length."""
     start, move = np.asarray(start, dtype=float), np.subtract(end, start, dtype=float)
     slope = float(np.arctan2(move[1], move[0]))
-    return lambda share: (slope, start + share * move)
+    return lambda fraction: (slope, start + fraction * move)
 
 
 def at_vertex(point: ArrayLike) -> Place:
@@ -118,18 +131,19 @@ def at_vertex(point: ArrayLike) -> Place:
 def shoot(place: Place, friction: float, x0: float, phase: Phase, start: ShootingState | ArrayLike) -> ShootingState:
     """Solve (3) with (5) and (6) (tip) or (7) (tangential) by shooting, from a state or from ``f, κ0, s1, parameter``.
 
-    The residual and `success` say whether that found an equilibrium; nothing raises if it did not.
+    `residual` and `success` tell whether the result is an equilibrium; failure raises no error.
     """
-    guess, tip = _guess(start), _is_tip(phase)
+    first, tip = _unknowns(start), _is_tip(phase)
 
-    def miss(unknowns: Array) -> Array:
-        f, kappa0, s1, parameter = _spread(unknowns, tip)
+    def residuals(values: Array) -> Array:
+        f, kappa0, s1, parameter = _from_solver(values, tip)
         slope, point = place(parameter)
         end = integrate(x0, f, slope + np.arctan(friction), kappa0, s1)[:, 0, 0]
         return _conditions(end, slope, point, tip)
 
-    found = scipy.optimize.root(miss, guess[[0, 1, 3]] if tip else guess, method="hybr", options=dict(xtol=_XTOL))
-    return _state(place, friction, x0, phase, _spread(found.x, tip), float(np.abs(found.fun).max()))
+    start_values = [first.f, first.kappa0, first.parameter] if tip else list(first)
+    solution = scipy.optimize.root(residuals, start_values, method="hybr", options=dict(xtol=_XTOL))
+    return _state(place, friction, x0, phase, _from_solver(solution.x, tip), float(np.abs(solution.fun).max()))
 
 
 def solve_by_collocation(
@@ -144,32 +158,31 @@ def solve_by_collocation(
 ) -> Collocation:
     """Solve the same problem by collocation, `scipy.integrate.solve_bvp`, starting from a neighbour's mesh and values.
 
-    From a `ShootingState` the rod is integrated for a start on `nodes` even nodes.
+    From a `ShootingState` the rod is integrated to start with `nodes` evenly spaced nodes.
     """
     tip = _is_tip(phase)
     if isinstance(start, Collocation):
-        guess, mesh, values = _guess(start.state), start.mesh, start.values
+        first, mesh, values = _unknowns(start.state), start.mesh, start.values
     else:
-        guess, mesh = _guess(start), np.linspace(0.0, 1.0, nodes)
+        first, mesh = _unknowns(start), np.linspace(0.0, 1.0, nodes)
         values = integrate(start.x0, start.f, start.alpha, start.kappa0, start.s1, mesh)[:, 0]
 
     def rod(_: Array, values: Array, unknowns: Array) -> Array:
-        f, s1, parameter = _spread_bvp(unknowns, tip)
+        f, s1, parameter = _from_collocation(unknowns, tip)
         alpha = place(parameter)[0] + np.arctan(friction)
         return s1 * _derivative(values, f, alpha)
 
     def conditions(clamp: Array, end: Array, unknowns: Array) -> Array:
-        slope, point = place(_spread_bvp(unknowns, tip)[2])
+        slope, point = place(_from_collocation(unknowns, tip)[2])
         return np.concatenate([clamp[:3] - [x0, 0.0, np.pi / 2], _conditions(end, slope, point, tip)])
 
-    unknowns = guess[[0, 3]] if tip else guess[[0, 2, 3]]
-    found = scipy.integrate.solve_bvp(rod, conditions, mesh, values, unknowns, tol=tol, max_nodes=_MAX_NODES)
-    f, s1, parameter = _spread_bvp(found.p, tip)
-    missed = float(
-        max(np.abs(conditions(found.y[:, 0], found.y[:, -1], found.p)).max(), 0.0 if found.success else np.inf)
-    )
-    state = _state(place, friction, x0, phase, np.array([f, found.y[3, 0], s1, parameter]), missed)
-    return Collocation(state, found.x, found.y)
+    start_values = [first.f, first.parameter] if tip else [first.f, first.s1, first.parameter]
+    solution = scipy.integrate.solve_bvp(rod, conditions, mesh, values, start_values, tol=tol, max_nodes=_MAX_NODES)
+    f, s1, parameter = _from_collocation(solution.p, tip)
+    residual = np.abs(conditions(solution.y[:, 0], solution.y[:, -1], solution.p)).max() if solution.success else np.inf
+    unknowns = Unknowns(f, solution.y[3, 0], s1, parameter)
+    state = _state(place, friction, x0, phase, unknowns, float(residual))
+    return Collocation(state, solution.x, solution.y)
 
 
 def _is_tip(phase: Phase) -> bool:
@@ -178,18 +191,19 @@ def _is_tip(phase: Phase) -> bool:
     return phase == Phase.TIP
 
 
-def _guess(start: ShootingState | ArrayLike) -> Array:
+def _unknowns(start: ShootingState | ArrayLike) -> Unknowns:
     if isinstance(start, ShootingState):
-        return np.array([start.f, start.kappa0, start.s1, start.parameter])
-    return np.array(start, dtype=float)
+        return Unknowns(start.f, start.kappa0, start.s1, start.parameter)
+    return Unknowns(*np.array(start, dtype=float))
 
 
-def _spread(unknowns: Array, tip: bool) -> Array:
-    """``f, κ0, s1, parameter``: at the tip s1 is known."""
-    return np.insert(unknowns, 2, 1.0) if tip else unknowns
+def _from_solver(values: Array, tip: bool) -> Unknowns:
+    """The unknowns from the vector of the root finder, which leaves out s1 = 1 in tip contact."""
+    return Unknowns(*(np.insert(values, 2, 1.0) if tip else values))
 
 
-def _spread_bvp(unknowns: Array, tip: bool) -> tuple[float, float, float]:
+def _from_collocation(unknowns: Array, tip: bool) -> tuple[float, float, float]:
+    """f, s1 and parameter from the vector of `solve_bvp`, which leaves out κ0 and, in tip contact, s1 = 1."""
     return (unknowns[0], 1.0, unknowns[1]) if tip else (unknowns[0], unknowns[1], unknowns[2])
 
 
@@ -200,13 +214,15 @@ def _derivative(values: Array, f: Array | float, alpha: Array | float) -> Array:
 
 
 def _conditions(end: Array, slope: float, point: Array, tip: bool) -> Array:
-    """Misses of (6) or (7): the place is touched without a moment, and tangentially if not with the tip."""
+    """Residuals of (6) or (7): the place is touched without a moment, and tangentially unless with the tip."""
     x, y, phi, kappa = end
-    misses = [x - point[0], y - point[1], kappa]
-    return np.array(misses if tip else [*misses, phi - slope])
+    residuals = [x - point[0], y - point[1], kappa]
+    return np.array(residuals if tip else [*residuals, phi - slope])
 
 
-def _state(place: Place, friction: float, x0: float, phase: Phase, solution: Array, residual: float) -> ShootingState:
+def _state(
+    place: Place, friction: float, x0: float, phase: Phase, solution: Unknowns, residual: float
+) -> ShootingState:
     f, kappa0, s1, parameter = (float(value) for value in solution)
     slope, point = place(parameter)
     alpha = slope + float(np.arctan(friction))

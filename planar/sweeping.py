@@ -3,7 +3,7 @@
 The contact moves forward along the contour's path while the base moves.  Where the base position ``x0`` of the equilibria
 has a local minimum along the path (a fold), the equilibrium ends, and the rod snaps to the next one further along at the
 same ``x0``, or leaves the object.  So the state at a base position is the first one on the path whose ``x0`` has come down
-to it.  Marching in ``x0`` by Newton's method or shooting would fail at the folds.
+to it.  Continuation in ``x0`` by Newton's method or shooting would fail at the folds.
 """
 
 from __future__ import annotations
@@ -11,18 +11,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import segments
-from planar.contours import Array, Contour, Index, Mirrored, Path, Polygon, SmoothContour, check_contour, polygon_paths
-from planar.display import some_rows, table_html
+from planar.arrays import Array, Index
+from planar.contours import Contour, Mirrored, Polygon, SmoothContour, check_contour
+from planar.paths import Path, polygon_paths
 from planar.segments import Segments
+from planar.tables import selected_rows, table_html
 
-# Friction that differs from sample to sample: a sample's place is bracketed by the sweeps at this many coefficients.
+# Coefficients at which a sweep with friction per sample is tabulated; a sample is searched between its places at two of
+# them.  More coefficients cost a table each, fewer leave longer intervals to search for every sample.
 _BRACKETING_SWEEPS = 3
-# Samples worked off at once, to bound the memory and stay in the processor's cache.
+# Samples processed at once.  More of them take more memory and leave the processor's cache; fewer cost more calls.
 _BLOCK = 8192
 
 
@@ -36,7 +40,7 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True)
 class Sweep:
-    """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where nothing touches."""
+    """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where the rod does not touch."""
 
     x0: Array
     """(n,) base positions."""
@@ -61,7 +65,7 @@ class Sweep:
         return len(self.x0)
 
     def _repr_html_(self) -> str:
-        names, rows = ("x0", "f0x", "f0y", "m0z", "s1", "slope", "friction"), some_rows(len(self))
+        names, rows = ("x0", "f0x", "f0y", "m0z", "s1", "slope", "friction"), selected_rows(len(self))
         point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
         return table_html("Sweep", self.phase, Phase, {**{name: getattr(self, name)[rows] for name in names}, **point})
 
@@ -79,13 +83,13 @@ def sweep(
     contour
         convex, above the base line ``y = 0``, with its lowest point within the rod's reach ``y <= 1``.
     friction
-        coefficient ``μ >= 0``, one number or one per sample.  A sample with a coefficient of its own is in the state that a
-        sweep with that coefficient has at its base position, as in the paper.
+        coefficient ``μ >= 0``, one number or one per sample.  With one per sample, each sample is in the state
+        that a sweep with its coefficient has at its base position, as in the paper.
     base, samples
-        the base positions (n,), falling (rising for +x), or how many to spread evenly from touch-down to the end of the
+        the base positions (n,), falling (rising for +x), or their number, evenly spaced from touch-down to the end of the
         sweep (with several coefficients: the end for the lowest of them).
 
-    Raises ValueError for friction, base or samples out of their range and for a contour that can't be swept.
+    Raises ValueError for friction, base or samples out of their range and for a contour outside the rod's reach.
     Source: the equilibria (3) with (5)-(7) of the paper, in closed form.
     """
     if direction not in (-1, 1):
@@ -124,19 +128,14 @@ def sweep_all(
     samples: int | None = None,
     shares: ArrayLike | None = None,
 ) -> list[Sweep]:
-    """Many sweeps in one go: `sweep` for every contour with its friction and, unless `samples` is given, its base.
+    """Many sweeps at once: `sweep` for every contour with its friction and, unless `samples` is given, its base.
 
-    `shares` (n,), rising from 0 to 1, spreads base positions over the way from touch-down to the sweep's end otherwise than
-    evenly, in the place of `samples`.
+    `shares` (n,), fractions rising from 0 to 1, are used instead of `samples` for base positions that are not evenly spaced
+    over the travel from touch-down to the end of the sweep.  Raises ValueError as `sweep` does.
     """
     if (base is None) + (samples is None) + (shares is None) != 2:
         raise ValueError("a sweep needs either its base positions (base=) or their number (samples=), and not both")
-    whole = isinstance(samples, int | np.integer) and not isinstance(samples, bool)
-    if samples is not None and not (whole and samples >= 1):
-        raise ValueError(f"samples must be a whole number of at least 1, got {samples!r}")
-    spread = np.linspace(0.0, 1.0, samples or 1) if shares is None else np.asarray(shares, dtype=float)
-    if spread.ndim != 1 or not len(spread) or not (spread[0] >= 0 and spread[-1] <= 1 and (np.diff(spread) >= 0).all()):
-        raise ValueError("shares must be numbers of shape (n,) that rise from 0 to 1")
+    spread = _checked_spread(samples, shares)
     if len(friction) != len(contours) or (base is not None and len(base) != len(contours)):
         raise ValueError(f"{len(contours)} contours need as many frictions and base positions")
     for contour in contours:
@@ -144,93 +143,136 @@ def sweep_all(
     frictions = [_checked_friction(mu) for mu in friction]
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
 
-    done: dict[int, Sweep] = {}
-    polygons = {i: contour for i, contour in enumerate(contours) if isinstance(contour, Polygon)}
+    sweeps: dict[int, Sweep] = {}
+    polygons = {i: contour.vertices for i, contour in enumerate(contours) if isinstance(contour, Polygon)}
     groups = [(list(polygons), polygon_paths(list(polygons.values())))] if polygons else []
-    groups += [([i], contour.path()) for i, contour in enumerate(contours) if not isinstance(contour, Polygon)]
-    for group, path in groups:
-        swept = _sweep_path(path, [frictions[i] for i in group], [bases[i] for i in group], spread)
-        done.update(zip(group, swept, strict=True))
-    return [done[i] for i in range(len(contours))]
+    groups += [([i], contour.path()) for i, contour in enumerate(contours) if i not in polygons]
+    for members, path in groups:
+        swept = _sweep_path(path, [frictions[i] for i in members], [bases[i] for i in members], spread)
+        sweeps.update(zip(members, swept, strict=True))
+    return [sweeps[i] for i in range(len(contours))]
+
+
+def _checked_spread(samples: int | None, shares: ArrayLike | None) -> Array:
+    """Fractions of the travel from touch-down to the sweep's end."""
+    is_integer = isinstance(samples, int | np.integer) and not isinstance(samples, bool)
+    if samples is not None and not (is_integer and samples >= 1):
+        raise ValueError(f"samples must be a whole number of at least 1, got {samples!r}")
+    spread = np.linspace(0.0, 1.0, samples or 1) if shares is None else np.asarray(shares, dtype=float)
+    if spread.ndim != 1 or not len(spread) or not (spread[0] >= 0 and spread[-1] <= 1 and (np.diff(spread) >= 0).all()):
+        raise ValueError("shares must be numbers of shape (n,) that rise from 0 to 1")
+    return spread
 
 
 def _checked_friction(friction: ArrayLike) -> Array:
     mu = np.asarray(friction, dtype=float)
     if mu.ndim > 1 or not (np.isfinite(mu).all() and (mu >= 0).all()):
-        raise ValueError(f"friction must be one number >= 0 or one for each base position, got {_shown(mu)}")
+        raise ValueError(f"friction must be one number >= 0 or one for each base position, got {_shortened(mu)}")
     return mu
 
 
 def _checked_base(base: ArrayLike) -> Array:
     x0 = np.asarray(base, dtype=float)
     if x0.ndim != 1 or not np.isfinite(x0).all():
-        raise ValueError(f"base positions must be finite numbers of shape (n,), got {_shown(x0)}")
+        raise ValueError(f"base positions must be finite numbers of shape (n,), got {_shortened(x0)}")
     if (np.diff(x0) > 0).any():
         raise ValueError("base positions must follow the sweep: fall from sample to sample in -x, rise in +x")
     return x0
 
 
-def _shown(values: Array) -> str:
+def _shortened(values: Array) -> str:
     return np.array2string(values, threshold=6, precision=6)
 
 
-def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array) -> list[Sweep]:
-    # A table of every sweep at the coefficients that bracket its samples': a single one where friction is constant.
+class _Tables(NamedTuple):
+    """Segments of every sweep of a path at some coefficients of friction: a single one where its friction is constant."""
+
+    segments: Segments
+    levels: list[Array]
+    """the coefficients of each sweep, rising"""
+    rows: list[list[slice]]
+    """rows of `segments` for each sweep and coefficient"""
+
+
+def _tables(path: Path, frictions: list[Array]) -> _Tables:
+    """Tables at the coefficients between which the samples of each sweep lie."""
     levels = [
         np.unique(np.linspace(mu.min(), mu.max(), _BRACKETING_SWEEPS)) if mu.size else np.zeros(1) for mu in frictions
     ]
-    owner = np.repeat(np.arange(len(levels)), [len(level) for level in levels])
-    table, bounds = _table(path, path.offsets[owner], path.offsets[owner + 1], np.arctan(np.concatenate(levels)))
-    parts = [slice(first, stop) for first, stop in zip(bounds[:-1], bounds[1:], strict=True)]
-    own = [[parts[k] for k in np.flatnonzero(owner == i)] for i in range(len(levels))]
+    sweep_of_level = np.repeat(np.arange(len(levels)), [len(level) for level in levels])
+    first, stop = path.offsets[sweep_of_level], path.offsets[sweep_of_level + 1]
+    table, bounds = _table(path, first, stop, np.arctan(np.concatenate(levels)))
+    slices = [slice(start, end) for start, end in zip(bounds[:-1], bounds[1:], strict=True)]
+    rows = [[slices[k] for k in np.flatnonzero(sweep_of_level == i)] for i in range(len(levels))]
+    return _Tables(table, levels, rows)
 
-    x0 = [_spread(table, part[0], spread) if given is None else given for part, given in zip(own, bases, strict=True)]
+
+def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array) -> list[Sweep]:
+    tables = _tables(path, frictions)
+    table = tables.segments
+    x0 = [
+        _spread(table, rows[0], spread) if base is None else base for rows, base in zip(tables.rows, bases, strict=True)
+    ]
     for mu, base in zip(frictions, x0, strict=True):
         if mu.ndim and mu.shape != base.shape:
             raise ValueError(
                 f"friction must be one number or one for each of the {len(base)} base positions, got {mu.size}"
             )
     sweep_of = np.repeat(np.arange(len(x0)), [len(base) for base in x0])
-    samples_x0 = np.concatenate(x0)
-    samples_mu = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
+    friction = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
+    swept = _empty(np.concatenate(x0), friction)
 
-    swept = _empty(samples_x0, samples_mu)
-    rows = [np.stack([_first_row(table, part, base) for part in ours]) for ours, base in zip(own, x0, strict=True)]
-    touched = np.concatenate([row[0] >= 0 for row in rows])
-    alone = np.array([len(ours) == 1 for ours in own], dtype=bool)[sweep_of]
-    row = np.concatenate([r[0] for r in rows])
-    stop = np.array([ours[0].stop for ours in own])[sweep_of]
-    for block in _blocks(np.flatnonzero(touched & alone & (row < stop))):
+    # first rows (coefficients, n) on which the samples of each sweep come to rest
+    first_rows = [
+        np.stack([_first_row(table, part, base) for part in rows]) for rows, base in zip(tables.rows, x0, strict=True)
+    ]
+    touched = np.concatenate([rows[0] >= 0 for rows in first_rows])
+    constant = np.array([len(level) == 1 for level in tables.levels], dtype=bool)[sweep_of]
+    row = np.concatenate([rows[0] for rows in first_rows])
+    stop = np.array([rows[0].stop for rows in tables.rows])[sweep_of]
+    for block in _blocks(np.flatnonzero(touched & constant & (row < stop))):
         _solve(path, table, row[block], block, swept)
 
-    # Friction of its own: each sample searches the stretch of path between its places at the neighbouring coefficients.
-    several = [i for i, ours in enumerate(own) if len(ours) > 1]
-    if several:
-        window = np.zeros((2, len(samples_x0)), dtype=np.intp)
-        for i in several:
-            pieces = np.stack(
-                [
-                    np.where(r < part.stop, table.piece[np.clip(r, 0, part.stop - 1)], path.offsets[i + 1] - 1)
-                    for r, part in zip(rows[i], own[i], strict=True)
-                ]
-            )
-            here = sweep_of == i
-            above = np.clip(np.searchsorted(levels[i], samples_mu[here]), 1, len(levels[i]) - 1)
-            both = np.take_along_axis(pieces, np.stack([above - 1, above]), axis=0)
-            window[0, here] = np.maximum(both.min(axis=0) - 1, path.offsets[i])
-            window[1, here] = np.minimum(both.max(axis=0) + 2, path.offsets[i + 1])
-        mine = np.flatnonzero(touched & ~alone)
-        whole = np.stack([path.offsets[sweep_of], path.offsets[sweep_of + 1]])
-        for stretch in (window, whole):
-            missed = [_search_each(path, block, stretch[:, block], swept) for block in _blocks(mine)]
-            mine = np.concatenate([*missed, np.empty(0, dtype=np.intp)])
+    if not constant.all():
+        # Friction per sample: each sample searches the interval of the path between its places at the neighbouring
+        # coefficients, and where it is not there, the whole path.
+        intervals = _search_intervals(path, tables, first_rows, sweep_of, friction)
+        whole_paths = np.stack([path.offsets[sweep_of], path.offsets[sweep_of + 1]])
+        pending = np.flatnonzero(touched & ~constant)
+        for interval in (intervals, whole_paths):
+            missed = [_search_each(path, block, interval[:, block], swept) for block in _blocks(pending)]
+            pending = np.concatenate([*missed, np.empty(0, dtype=np.intp)])
 
     ends = np.cumsum([len(base) for base in x0])
     parts = [slice(end - len(base), end) for end, base in zip(ends, x0, strict=True)]
     sweeps = [Sweep(**{name: column[part] for name, column in vars(swept).items()}) for part in parts]
-    for one in sweeps:
-        _end(one)
+    for finished in sweeps:
+        _end(finished)
     return sweeps
+
+
+def _search_intervals(path: Path, tables: _Tables, first_rows: list[Index], sweep_of: Index, friction: Array) -> Index:
+    """First piece and stop (2, n) of the path between a sample's places at the neighbouring coefficients of its table."""
+    interval = np.zeros((2, len(friction)), dtype=np.intp)
+    for i, levels in enumerate(tables.levels):
+        if len(levels) == 1:
+            continue
+        pieces = np.stack(
+            [
+                np.where(
+                    row < part.stop,
+                    tables.segments.piece[np.clip(row, 0, part.stop - 1)],
+                    path.offsets[i + 1] - 1,
+                )
+                for row, part in zip(first_rows[i], tables.rows[i], strict=True)
+            ]
+        )
+        samples = sweep_of == i
+        above = np.clip(np.searchsorted(levels, friction[samples]), 1, len(levels) - 1)
+        neighbours = np.take_along_axis(pieces, np.stack([above - 1, above]), axis=0)
+        interval[0, samples] = np.maximum(neighbours.min(axis=0) - 1, path.offsets[i])
+        interval[1, samples] = np.minimum(neighbours.max(axis=0) + 2, path.offsets[i + 1])
+    return interval
 
 
 def _blocks(samples: Index) -> list[Index]:
@@ -238,14 +280,14 @@ def _blocks(samples: Index) -> list[Index]:
 
 
 def _empty(x0: Array, friction: Array) -> Sweep:
-    """Samples that touch nothing yet."""
+    """Samples without contact, to be filled in."""
     nothing = {name: np.full(len(x0), np.nan) for name in ("f0x", "f0y", "m0z", "s1", "slope")}
     phase = np.full(len(x0), Phase.NONE, dtype=np.int8)
     return Sweep(x0=x0, point=np.full((len(x0), 2), np.nan), phase=phase, friction=friction, **nothing)
 
 
 def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep) -> None:
-    """Fill in the states of some samples that come to rest on the given rows."""
+    """Fill in the states of the samples, which lie on the given rows."""
     t, state = segments.solve(path, table, row, swept.x0[samples])
     slope, x, y = path.at(table.piece[row], t)
     alpha, f = slope + table.friction_angle[row], state.root_f**2
@@ -257,10 +299,10 @@ def _solve(path: Path, table: Segments, row: Index, samples: Index, swept: Sweep
 
 
 def _end(swept: Sweep) -> None:
-    """Once the rod has left the object, it does not come back, whatever the friction of later samples."""
+    """Once the rod has left the object, it does not touch it again, whatever the friction of later samples."""
     touching = swept.phase != Phase.NONE
-    begun = np.maximum.accumulate(touching)
-    left = begun & ~np.logical_and.accumulate(touching | ~begun)
+    has_touched = np.maximum.accumulate(touching)
+    left = has_touched & ~np.logical_and.accumulate(touching | ~has_touched)
     for column in (swept.f0x, swept.f0y, swept.m0z, swept.s1, swept.slope, swept.point):
         column[left] = np.nan
     swept.phase[left] = Phase.NONE
@@ -275,25 +317,25 @@ def _table(path: Path, first: Index, stop: Index, friction_angle: Array) -> tupl
     return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
 
 
-def _spread(table: Segments, part: slice, shares: Array) -> Array:
+def _spread(table: Segments, part: slice, fractions: Array) -> Array:
     """Base positions from touch-down (0) to the end of the sweep (1)."""
     start, end = table.x0[part.start, 0], np.nanmin(table.x0[part])
-    return np.where(shares == 1, end, start + shares * (end - start))
+    return np.asarray(np.where(fractions == 1, end, start + fractions * (end - start)))
 
 
 def _first_row(table: Segments, part: slice, x0: Array) -> Index:
-    """First row of the part on which the base position comes down to x0 (n,): -1 before touch-down, its stop after the end."""
+    """First row of the part on which the base position falls to x0 (n,): -1 before touch-down, `part.stop` after the end."""
     reached = np.minimum.accumulate(np.nan_to_num(table.x0[part, 1], nan=np.inf))
     row = part.start + np.searchsorted(-reached, -x0)
-    return np.where(x0 > table.x0[part.start, 0], -1, row)
+    return np.asarray(np.where(x0 > table.x0[part.start, 0], -1, row))
 
 
-def _search_each(path: Path, samples: Index, stretch: Index, swept: Sweep) -> Index:
-    """Solve samples that are each swept on a stretch (2, n) of the path of their own; returns those not found there."""
+def _search_each(path: Path, samples: Index, interval: Index, swept: Sweep) -> Index:
+    """Solve samples on separate intervals (2, n) of the path, each with its friction; returns those that are not in theirs."""
     x0 = swept.x0[samples]
-    table, bounds = _table(path, stretch[0], stretch[1], np.arctan(swept.friction[samples]))
+    table, bounds = _table(path, interval[0], interval[1], np.arctan(swept.friction[samples]))
     rows = np.where(table.x0[:, 1] <= x0[table.owner], np.arange(len(table.owner)), len(table.owner))
     row = np.minimum.reduceat(rows, bounds[:-1])
     inside = (row < len(table.owner)) & (table.x0[bounds[:-1], 0] >= x0)
     _solve(path, table, row[inside], samples[inside], swept)
-    return samples[~inside]
+    return np.asarray(samples[~inside])

@@ -17,32 +17,40 @@ from scan3d.shown import Shown
 if TYPE_CHECKING:
     import trimesh
 
-SAMPLES = 20_000  # per direction, for the averages
-AVERAGE_GAP = 0.05  # of the distance: certain for each point of an average; in fact it is about its square
-F_SCORE_RADIUS = 0.01  # of the mesh's diagonal
+# Largest number of points per surface over which averages are taken.  More take longer; fewer make the averages less
+# accurate.
+SAMPLES = 20_000
+# Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).  Larger, the
+# averages are less accurate; smaller, more points need the slower search for the nearest face.
+AVERAGE_GAP = 0.05
+# Distance, in diagonals of the mesh, within which area counts as agreeing in the F-score.  Larger, all F-scores are near 1;
+# smaller, near 0.
+F_SCORE_RADIUS = 0.01
 
 
 @dataclass(frozen=True)
 class Comparison(Shown):
     """Distances between a surface and a mesh, in the meshes' own unit unless said otherwise."""
 
-    hausdorff: float  #: two-sided; attained at `worst_point`, so never above the truth
+    hausdorff: float  #: two-sided; attained at `worst_point`, so never larger than the true distance
     surface_to_mesh: float  #: one-sided, attained
     mesh_to_surface: float
     lower: float  #: certified bounds of the two-sided distance; both are `hausdorff` if `exact`
     upper: float
     surface_to_mesh_upper: float  #: certified upper bounds of the one-sided distances
     mesh_to_surface_upper: float
-    exact: bool  #: both closed and convex (to 1e-9 of the diagonal): `hausdorff` is the distance itself
+    exact: bool  #: both meshes are closed and convex (to 1e-9 of the diagonal), and `hausdorff` is the distance itself
     worst_point: Array  #: (3,) where the distance is attained
-    worst_on: Literal["surface", "mesh"]  #: on which of the two that point lies
+    worst_on: Literal["surface", "mesh"]  #: the one of the two on which that point lies
     diagonal: float  #: of the mesh's bounding box
     relative: float  #: hausdorff / diagonal
     mean: float  #: over the area, half the weight to either direction
     rms: float  #: likewise
     p95: float  #: 95 % of the area, weighted likewise, is no farther than this
     chamfer: float  #: sum of the two directions' means
-    f_score: float  #: 0..1: harmonic mean of the shares of area within 1 % of the diagonal of the other
+    f_score: (
+        float  #: 0..1, harmonic mean of the fractions of either area within 1 % of the diagonal of the other surface
+    )
     normal_median_deg: float  #: angle between the faces' normals at nearest points, over the area as above
     normal_p95_deg: float
     volume_error: float  #: (surface - mesh) / mesh; NaN unless both are closed
@@ -51,10 +59,10 @@ class Comparison(Shown):
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     """Compare a reconstructed surface with the true mesh.
 
-    Either may be open, non-convex or in several parts.  Averages are taken over at most 20 000 points a side, spread by
-    area and without chance: the same meshes give the same figures.  Normals point where the faces' winding says.
-    Raises InputError if either has no faces, coordinates that aren't finite, or no extent.
-    Method: see the module's docstring.
+    Either may be open, non-convex or in several parts.  Averages are taken over at most 20 000 points of each surface, spread
+    by area and not at random, so that the same meshes give the same numbers.  The winding of the faces gives the direction of
+    their normals.  Raises InputError if either has no faces, coordinates that aren't finite, or no extent.  The methods are
+    described in `scan3d.geometry.hausdorff`.
     """
     boxes = np.array([bounding_box(surface, "surface"), bounding_box(mesh, "mesh")])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
@@ -111,9 +119,9 @@ class _Samples(NamedTuple):
 
 
 def _spread(corners: Array) -> _Samples:
-    """Points spread evenly over triangles (m, 3, 3), without chance."""
+    """Points spread evenly over triangles (m, 3, 3), not at random."""
     pieces, owner = corners, np.arange(len(corners))
-    while True:  # cut the long ones
+    while True:  # halve the pieces with long edges
         length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
         long = length > length.max() / 2
         if len(pieces) + np.count_nonzero(long) > SAMPLES:
@@ -121,30 +129,35 @@ def _spread(corners: Array) -> _Samples:
         pieces = np.concatenate([pieces[~long], halve(pieces[long])[0]])
         owner = np.concatenate([owner[~long], owner[long], owner[long]])
     area = areas(pieces)
-    share = np.cumsum(area if area.any() else np.ones(len(pieces)))
-    share /= share[-1]
+    covered = np.cumsum(area if area.any() else np.ones(len(pieces)))
+    covered /= covered[-1]
     if len(pieces) <= SAMPLES:
-        return _Samples(pieces.mean(axis=1), owner, np.diff(share, prepend=0.0))
-    # One out of every so much area; which one follows the golden ratio, so as not to fall in step with the mesh.
-    at = np.searchsorted(share, (np.arange(SAMPLES) + np.arange(SAMPLES) * 0.5 * (np.sqrt(5) - 1) % 1) / SAMPLES)
-    return _Samples(pieces[at].mean(axis=1), owner[at], np.full(SAMPLES, 1 / SAMPLES))
+        return _Samples(pieces.mean(axis=1), owner, np.diff(covered, prepend=0.0))
+    # One piece for each of equal parts of the area.  Its place in the part follows the golden ratio, because a regular choice
+    # could coincide with a regularity of the mesh.
+    number = np.arange(SAMPLES)
+    chosen = np.searchsorted(covered, (number + number * 0.5 * (np.sqrt(5) - 1) % 1) / SAMPLES)
+    return _Samples(pieces[chosen].mean(axis=1), owner[chosen], np.full(SAMPLES, 1 / SAMPLES))
 
 
 def _deviations(source: Body, target: Body, samples: _Samples) -> tuple[Array, Array]:
-    """At the source's samples, distance to the target and angle between the normals in degrees, NaN where there is none."""
-    distance, face, least = target.search.near(samples.points)
-    # Far away a near face will do: thousands are almost as near as the nearest, and the averages wouldn't change.
-    doubtful = distance - least > AVERAGE_GAP * distance
-    distance[doubtful], face[doubtful] = target.search.nearest(samples.points[doubtful])
+    """Distances (q,) of the source's samples from the target, and angles (q,) between the normals there, in degrees.
+
+    An angle is NaN where either face has no area.
+    """
+    distance, face, lower = target.search.near(samples.points)
+    # For samples far away any face nearby will do, because thousands are almost as near as the nearest one.
+    uncertain = distance - lower > AVERAGE_GAP * distance
+    distance[uncertain], face[uncertain] = target.search.nearest(samples.points[uncertain])
     a, b = source.normals[samples.faces], target.normals[face]
     angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), dot(a, b)))
     return distance, np.where(a.any(axis=1) & b.any(axis=1), angle, np.nan)
 
 
-def _quantile(values: Array, weights: Array, share: float) -> float:
-    """The value that `share` of the weight doesn't exceed; NaN values don't count."""
+def _quantile(values: Array, weights: Array, fraction: float) -> float:
+    """The value that a fraction of the weight does not exceed; NaN values don't count."""
     order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]
     if len(order) == 0:
         return np.nan
     total = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(total, share * total[-1])]])
+    return float(values[order[np.searchsorted(total, fraction * total[-1])]])

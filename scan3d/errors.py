@@ -1,8 +1,9 @@
-"""What goes wrong with what a user gives, in words a user can act on."""
+"""Errors in a user's input."""
 
 
 class InputError(ValueError):
-    """What the user gave can't be used.
+    """An input that can't be used.
 
-    The message is one sentence: what was expected, what came, what to do. The command line prints it and exits with 1.
+    The message is one sentence that says what was expected, what was given, and what to do.  The command line prints it and
+    exits with 1.
     """

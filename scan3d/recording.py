@@ -1,8 +1,9 @@
-"""The seam between the two steps: a log of poses and wrenches, as a robot with a force-torque sensor writes it.
+"""Recordings, which separate the two steps: logs of poses and wrenches, as a robot with a force-torque sensor writes them.
 
-One row a sample, in SI units.  The pose is the clamp's in the world: its y axis is the undeformed rod, its x axis the line
-of the sweep (the base moves in -x), its z axis the normal of the slice.  The wrench is the support reaction (8) in that
-frame.  Rows without contact stay in: a sweep that finds nothing is data.
+A recording has one row per sample, in SI units.  The pose is that of the clamp in the world: its y axis is along the undeformed
+rod, its x axis along the line of the sweep (the base moves in -x), and its z axis is the normal of the slice.  The wrench is
+the support reaction (8) in the clamp's frame.  Rows without contact are part of the recording, because a sweep without contact
+is evidence that nothing is there.
 """
 
 from __future__ import annotations
@@ -21,28 +22,34 @@ from scan3d.rods import Rod
 from scan3d.shown import Shown
 from scan3d.units import UNITS_M
 
-# Quaternions further from unit length are taken for an error, not for rounding.
+# Largest error of a quaternion's length.  Larger, errors in a log would be taken for rounding; smaller, quaternions written
+# with three digits would be refused.
 _QUATERNION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class Recording(Shown):
-    """A pose-and-wrench log of n samples.  Raises InputError for columns that don't belong together or make no sense."""
+    """A log of poses and wrenches with n samples.
+
+    Raises InputError for columns of different lengths, numbers that aren't finite, quaternions without unit length, an unknown
+    unit or an impossible noise.
+    """
 
     sweep: NDArray[np.int64]
-    """(n,) number of the sweep, one straight line each."""
+    """(n,) number of the sweep; the clamp moves on one straight line in each."""
     position_m: Array
-    """(n, 3) clamp in the world."""
+    """(n, 3) position of the clamp in the world."""
     quaternion: Array
-    """(n, 4) orientation of the clamp, w first, unit length."""
+    """(n, 4) orientation of the clamp, w first, of unit length."""
     force_N: Array
     """(n, 2) support reaction along the clamp's x and y axes."""
     moment_Nm: Array
     """(n,) clamping moment about its z axis."""
     rod: Rod
     noise_force_N: float = 0.0
-    """Standard deviation of a force component, 0 if there is none."""
+    """Standard deviation of each force component; 0 if there is no noise, or if it is not known."""
     noise_moment_Nm: float = 0.0
+    """Standard deviation of the moment, likewise."""
     unit: str = "mm"
     """Unit in which clouds and surfaces made from this recording are written."""
     source: Mapping[str, Any] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Real rods: stiffness, and the units (1) that turn measured reactions into dimensionless ones."""
+"""Real rods: bending stiffness, and the units (1) that make measured reactions dimensionless."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from scan3d.errors import InputError
 
-# Young's moduli in Pa of what whisker sensors are made of.
+# Young's moduli in Pa of the materials that whisker sensors are made of.
 MODULI_PA = {"steel": 210e9, "nitinol": 75e9, "carbon": 120e9, "nylon": 3e9}
-# Diameter of a rod that is not chosen, over its length: a 0.3 mm wire of 50 mm.
+# Diameter of the rod that is taken by default, relative to its length: that of a 0.3 mm wire of 50 mm.  A thicker rod has
+# larger forces for the same shape, a thinner one forces closer to a sensor's noise; contacts do not depend on it.
 SLENDERNESS = 0.006
 
 
@@ -46,12 +47,15 @@ class Rod:
 
     @classmethod
     def of_length(cls, length_m: float) -> Rod:
-        """The steel wire taken where only the length matters."""
+        """The steel wire that is taken by default where only the length of the rod is known."""
         return cls.wire(length_m, SLENDERNESS * length_m, MODULI_PA["steel"])
 
 
 def parse_rod(text: str) -> Rod | None:
-    """Rod from ``MATERIAL:DIAMETERxLENGTH`` in mm (``steel:0.3x50``), or None for ``auto``."""
+    """The rod named by ``MATERIAL:DIAMETERxLENGTH`` in mm (``steel:0.3x50``), or None for ``auto``.
+
+    Raises InputError for any other text.
+    """
     if text == "auto":
         return None
     match = re.fullmatch(r"(\w+):([0-9.eE+-]+)x([0-9.eE+-]+)", text)

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 class Shown:
     """A result that has a picture and a table in HTML.
 
-    Both are made by `scan3d.pictures.notebook`, which is imported only when one of them is asked for: results stand below
-    the pictures, and this is the only import upwards.
+    Both are made by `scan3d.pictures.notebook`, which is imported only when a picture or a table is asked for, because the
+    modules of results may not depend on those of pictures.  This is the only import of a higher wing.
     """
 
     def plot(self, **options: Any) -> Image:

@@ -1,18 +1,22 @@
-"""Scans of a moment, for the tests of what is shown."""
+"""Small scans for the tests of pictures, pages, windows and movies."""
 
 import functools
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import scan3d
-from scan3d import scenes
-from scan3d.bracket import bracket, certificate
-from scan3d.comparison import distances
-from scan3d.surfaces import surface
+from scan3d.cli import main
+from scan3d.geometry.distance import distances
+from scan3d.pictures import rendering
+from scan3d.pictures.scene import of_cloud
+from scan3d.surfaces import certificate, enclosure, surface
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 CUBE, EGG = FOLDER / "cube.stl", FOLDER / "egg.stl"
+FEW = ("--slices", "4", "--sweeps", "4", "--samples", "8", "--quiet")
+"""Options of a scan that takes a moment."""
 
 
 @functools.cache
@@ -23,19 +27,28 @@ def scanned(path, **plan):
         mesh, scan3d.Plan(**{**dict(slices=8, sweeps=6, samples=16, friction=(0.1, 0.4)), **plan})
     )
     cloud = scan3d.reconstruct(recording)
-    found = surface(cloud, "hull")
-    return scenes.of_cloud(
+    hull = surface(cloud, "hull")
+    return of_cloud(
         cloud,
         distances(cloud.points, mesh),
         name=path.stem,
-        surface=found,
-        bound=certificate(bracket(cloud), found)[1].astype(np.float32),
+        surface=hull,
+        bound=certificate(enclosure(cloud), hull).at_vertices.astype(np.float32),
         truth=mesh,
         recording=recording,
-        figures=(
+        key_figures=(
             ("contacts", str(len(cloud))),
             ("Hausdorff distance", "0.1 mm"),
             ("friction", "0.25"),
             ("size", "40 mm"),
         ),
     )
+
+
+def scanned_folder(place):
+    """The folder of an egg's scan in `place`, as the command makes it without pictures, beside its mesh."""
+    (place / "egg.stl").write_bytes(EGG.read_bytes())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendering, "can_render", lambda: False)
+        assert main(["scan", str(place / "egg.stl"), "--out", str(place / "out"), *FEW]) == 0
+    return place / "out"

@@ -2,7 +2,7 @@
 problems analysed by means of elliptic integrals", Int. J. Numer. Meth. Eng. 17 (1981) 145-153.
 
 The load keeps its direction across the undeformed rod, ``α = π/2``, and acts at the tip, ``s1 = 1``.  The table has five
-decimals; half of the last one is the tolerance.
+decimals; half a unit of the last one is the tolerance.
 """
 
 import numpy as np
@@ -43,14 +43,13 @@ def test_reconstruction_from_the_load(load, across, along, method):
     contacts = planar.reconstruct([0.0], [-load], [0.0], [2 * q * np.sqrt(load)], method)
     assert abs(contacts.s1[0] - 1) < 1e-8
     assert np.abs(contacts.point[0] - (across, 1 - along)).max() <= HALF_A_DIGIT
-    for known, angle in TIP_ANGLE.items():
-        if known == load:
-            # π/2 - φ1 = π/2 - α + β (12)
-            assert abs(contacts.friction_angle_bound[0] - angle) <= HALF_A_DIGIT
+    if load in TIP_ANGLE:
+        # π/2 - φ1 = π/2 - α + β (12)
+        assert abs(contacts.friction_angle_bound[0] - TIP_ANGLE[load]) <= HALF_A_DIGIT
 
 
 def test_the_root_of_the_moment_balance():
-    # the clamp holds the load at its lever arm, the height of the tip: an equation the closed form does not use
+    # the clamp holds the load at its lever arm, the height of the tip: an equation that the closed form does not use
     for load, _, along in TABLE:
         q, _ = bend_under(load)
         assert abs(2 * q * np.sqrt(load) / load - (1 - along)) <= HALF_A_DIGIT

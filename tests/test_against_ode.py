@@ -1,8 +1,10 @@
 """The closed form agrees with the differential equations (3), integrated from the clamp by scipy's DOP853.
 
-The authority knows the reactions and nothing else: no elliptic integral, no contour.  It runs at a relative tolerance of
-1e-13, and its error grows with the forces, here up to 700; what is left of it and of the closed form's rounding is 1e-13.
+The integration starts from the reactions alone: it uses neither elliptic integrals nor the contour.  It runs at a relative
+tolerance of 1e-13, and its error grows with the forces, here up to 700; together with the closed form's rounding it is 1e-13.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from planar import equilibria, shooting
 from planar.elastica import bend
 
 AGREES = 1e-12
-# Rods of similar stiffness share their steps, which the stiffest of them dictates.
+# Rods integrated in one system: the stiffest one determines the steps, so that rods of similar stiffness are grouped.
 TOGETHER = 500
 
 
@@ -21,14 +23,40 @@ def integrate(x0, f, alpha, m0z, s1):
     """x, y, φ, κ (4, n) of the rods at s1."""
     order = np.argsort(f * s1**2)
     ends = np.empty((4, len(f)))
-    for some in np.array_split(order, -(-len(order) // TOGETHER)):
-        ends[:, some] = shooting.integrate(x0[some], f[some], alpha[some], -m0z[some], s1[some])[:, :, 0]
+    for group in np.array_split(order, -(-len(order) // TOGETHER)):
+        ends[:, group] = shooting.integrate(x0[group], f[group], alpha[group], -m0z[group], s1[group])[:, :, 0]
     return ends
 
 
+class Equilibria(NamedTuple):
+    """Contacts (n,) and their states."""
+
+    slope: np.ndarray
+    zeta: np.ndarray
+    point: np.ndarray
+    tangential: np.ndarray
+    state: equilibria.State
+
+    @property
+    def alpha(self):
+        return self.slope + self.zeta
+
+    @property
+    def f(self):
+        return self.state.root_f**2
+
+    @property
+    def m0z(self):
+        return 2 * self.state.q * self.state.root_f
+
+    def __getitem__(self, rows):
+        state = equilibria.State._make(column[rows] for column in self.state)
+        return Equilibria(self.slope[rows], self.zeta[rows], self.point[rows], self.tangential[rows], state)
+
+
 @pytest.fixture(scope="module")
-def equilibria_at_random():
-    """10,000 equilibria: slope, friction angle, point, phase, and reactions."""
+def random_equilibria():
+    """10,000 equilibria, 5,000 of each kind of contact."""
     rng = np.random.default_rng(20)
     count = 40_000
     slope = rng.uniform(-np.pi / 2, np.pi / 2, count)
@@ -38,57 +66,52 @@ def equilibria_at_random():
     x, y = rng.normal(size=count), rng.uniform(0.05, 1.0, count)
     close = np.arange(count) % 8 == 1  # the same for tip contact
     y[close] = 1 - 10 ** rng.uniform(-12, -1, close.sum())
-    lies = equilibria.lies_tangentially(slope, y, zeta)
-    state = equilibria.of_kind(lies, slope, x, y, zeta)
-    # as many of either phase as there are
+    tangential = equilibria.is_tangential(slope, y, zeta)
+    state = equilibria.states(tangential, slope, x, y, zeta)
     exists = np.isfinite(state.x0) & (state.root_f > 0)
-    chosen = np.concatenate([np.flatnonzero(exists & lies)[:5000], np.flatnonzero(exists & ~lies)[:5000]])
+    chosen = np.concatenate([np.flatnonzero(exists & tangential)[:5000], np.flatnonzero(exists & ~tangential)[:5000]])
     assert len(chosen) == 10_000
-    state = equilibria.State._make(column[chosen] for column in state)
-    return slope[chosen], zeta[chosen], np.stack([x, y], axis=1)[chosen], lies[chosen], state
+    return Equilibria(slope, zeta, np.stack([x, y], axis=1), tangential, state)[chosen]
 
 
-def test_the_equilibria_cover_the_corners(equilibria_at_random):
-    slope, zeta, _, lies, state = equilibria_at_random
-    alpha = slope + zeta
-    for kind in (lies, ~lies):
-        assert (alpha[kind] > np.pi / 2).sum() > 100
-        assert (alpha[kind] < 0).sum() > 100
-        assert (state.root_f[kind] ** 2 < 1e-4).sum() > 100
-        assert (state.root_f[kind] ** 2 > 8).sum() > 30
-    assert (zeta == 0).sum() > 1000
-    assert (np.tan(zeta) > 1.9).sum() > 100
+def test_the_equilibria_cover_extreme_cases(random_equilibria):
+    contacts = random_equilibria
+    for kind in (contacts.tangential, ~contacts.tangential):
+        assert (contacts.alpha[kind] > np.pi / 2).sum() > 100
+        assert (contacts.alpha[kind] < 0).sum() > 100
+        assert (contacts.f[kind] < 1e-4).sum() > 100
+        assert (contacts.f[kind] > 8).sum() > 30
+    assert (contacts.zeta == 0).sum() > 1000
+    assert (np.tan(contacts.zeta) > 1.9).sum() > 100
 
 
-def test_rods_end_where_the_equilibrium_says_without_curvature(equilibria_at_random):
-    slope, zeta, point, lies, state = equilibria_at_random
-    f, m0z = state.root_f**2, 2 * state.q * state.root_f
-    x, y, phi, kappa = integrate(state.x0, f, slope + zeta, m0z, state.s1)
-    assert np.abs(x - point[:, 0]).max() < AGREES
-    assert np.abs(y - point[:, 1]).max() < AGREES
+def test_rods_end_where_the_equilibrium_says_without_curvature(random_equilibria):
+    contacts = random_equilibria
+    state, tangential = contacts.state, contacts.tangential
+    x, y, phi, kappa = integrate(state.x0, contacts.f, contacts.alpha, contacts.m0z, state.s1)
+    assert np.abs(x - contacts.point[:, 0]).max() < AGREES
+    assert np.abs(y - contacts.point[:, 1]).max() < AGREES
     assert np.abs(kappa).max() < 10 * AGREES  # curvatures go up to 50
-    assert np.abs(phi - slope)[lies].max() < AGREES  # (7)
-    assert (phi - slope)[~lies].min() > -AGREES  # (6)
-    assert (phi - slope)[~lies].max() < np.pi
+    rise = phi - contacts.slope
+    assert np.abs(rise)[tangential].max() < AGREES  # (7)
+    assert rise[~tangential].min() > -AGREES  # (6)
+    assert rise[~tangential].max() < np.pi
 
 
 # scholz-rahn integrates at a tolerance of 1e-10 itself, and one rod at a time
 @pytest.mark.parametrize(("method", "agrees", "step"), [("closed-form", AGREES, 1), ("scholz-rahn", 1e-8, 50)])
-def test_reconstruction_finds_their_ends(equilibria_at_random, method, agrees, step):
-    slope, zeta, point, lies, state = equilibria_at_random
-    few = slice(None, None, step)
-    slope, zeta, point, lies = slope[few], zeta[few], point[few], lies[few]
-    x0, q, root_f, s1 = (column[few] for column in state[:4])
-    f, alpha = root_f**2, slope + zeta
-    contacts = planar.reconstruct(x0, -f * np.sin(alpha), f * np.cos(alpha), 2 * q * root_f, method)
+def test_reconstruction_finds_their_ends(random_equilibria, method, agrees, step):
+    expected = random_equilibria[::step]
+    f, alpha, s1 = expected.f, expected.alpha, expected.state.s1
+    contacts = planar.reconstruct(expected.state.x0, -f * np.sin(alpha), f * np.cos(alpha), expected.m0z, method)
     assert (contacts.status == planar.Status.OK).all()
     assert np.abs(contacts.s1 - s1).max() < agrees
-    assert np.abs(contacts.point - point).max() < agrees
-    assert np.abs(contacts.friction_angle - zeta)[lies & (s1 < 1 - 1e-6)].max() < agrees
+    assert np.abs(contacts.point - expected.point).max() < agrees
+    assert np.abs(contacts.friction_angle - expected.zeta)[expected.tangential & (s1 < 1 - 1e-6)].max() < agrees
 
 
-def test_bend_up_to_the_moment_that_the_force_can_hardly_hold():
-    # k -> 1: the rod comes close to its asymptote, and errors grow as 1/(1 - k²)
+def test_bend_up_to_the_largest_moment_that_the_force_can_balance():
+    # k -> 1: the rod approaches its asymptote, and errors grow as 1/(1 - k²)
     rng = np.random.default_rng(21)
     alpha = rng.uniform(-1.2, 2.5, 1000)
     rest = 10 ** rng.uniform(-4, -0.5, 1000)
@@ -97,21 +120,20 @@ def test_bend_up_to_the_moment_that_the_force_can_hardly_hold():
     shape = bend(alpha, q)
     x, y, _, kappa = integrate(np.zeros_like(q), np.ones_like(q), alpha, 2 * q, shape.length)
     assert rest.min() < 2e-4
-    for miss in (x - shape.x, y - shape.y, kappa):
-        assert (np.abs(miss) < AGREES + 1e-15 / rest).all()
+    for residual in (x - shape.x, y - shape.y, kappa):
+        assert (np.abs(residual) < AGREES + 1e-15 / rest).all()
 
 
-def test_the_authority_agrees_with_itself_one_rod_at_a_time(equilibria_at_random):
-    # rods in one system share an error norm; alone, each is held to the tolerance
-    slope, zeta, _, _, state = equilibria_at_random
-    some = np.arange(0, len(slope), 200)
-    f, alpha, m0z = state.root_f[some] ** 2, (slope + zeta)[some], (2 * state.q * state.root_f)[some]
-    ends = integrate(state.x0[some], f, alpha, m0z, state.s1[some])
-    for i, row in enumerate(some):
+def test_the_integration_of_many_rods_agrees_with_that_of_one_rod_at_a_time(random_equilibria):
+    # rods in one system are controlled by a common error norm; a single rod is held to the tolerance itself
+    contacts = random_equilibria[::200]
+    x0, s1 = contacts.state.x0, contacts.state.s1
+    ends = integrate(x0, contacts.f, contacts.alpha, contacts.m0z, s1)
+    for i, (f, alpha, m0z) in enumerate(zip(contacts.f, contacts.alpha, contacts.m0z, strict=True)):
 
-        def rod(_, values, i=i):
-            return [np.cos(values[2]), np.sin(values[2]), values[3], f[i] * np.cos(values[2] - alpha[i])]
+        def rod(_, values, f=f, alpha=alpha):
+            return [np.cos(values[2]), np.sin(values[2]), values[3], f * np.cos(values[2] - alpha)]
 
-        start = [state.x0[row], 0, np.pi / 2, -m0z[i]]
-        alone = solve_ivp(rod, (0, state.s1[row]), start, method="DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
-        assert np.abs(alone - ends[:, i]).max() < AGREES
+        start = [x0[i], 0, np.pi / 2, -m0z]
+        end = solve_ivp(rod, (0, s1[i]), start, method="DOP853", rtol=3e-14, atol=1e-15).y[:, -1]
+        assert np.abs(end - ends[:, i]).max() < AGREES

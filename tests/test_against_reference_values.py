@@ -1,8 +1,10 @@
-"""Sweeps over the paper's circle, r = 0.9 at (0, 1.3), agree with reference values of it.
+"""Sweeps over the paper's circle, r = 0.9 at (0, 1.3), agree with reference values.
 
-The values were derived twice independently, by shooting on (3) with (5)-(7) and by elliptic integrals, and are printed to
-the digits on which both agree; half of the last one is the tolerance.
+The values were derived twice independently, by shooting on (3) with (5)-(7) and by elliptic integrals, and are given to
+the digits on which both agree; half a unit of the last one is the tolerance.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,16 +14,27 @@ from planar import EventKind, Phase, Status
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 
-# μ: tip -> tangential x0; tangential -> tip x0, f, m0z; snap-off x0, slope in degrees; largest m0z
+
+class Reference(NamedTuple):
+    to_tangential_x0: float
+    to_tip_x0: float
+    to_tip_force: float
+    to_tip_m0z: float
+    snap_off_x0: float
+    snap_off_slope_deg: float
+    largest_m0z: float
+
+
+# by coefficient of friction
 TABLE = {
-    0.0: (0.5804765, -0.8616545, 3.691511, 2.711033, -1.2187178, -39.28, 3.250),
-    0.2: (0.5796126, -0.8528981, 3.499250, 2.884743, -1.2602951, -44.23, 3.386),
-    0.4: (0.5787763, -0.8453763, 3.471328, 3.029600, -1.2816569, -47.27, 3.504),
-    0.6: (0.5779661, -0.8387693, 3.557457, 3.154076, -1.2913050, -48.53, 3.609),
+    0.0: Reference(0.5804765, -0.8616545, 3.691511, 2.711033, -1.2187178, -39.28, 3.250),
+    0.2: Reference(0.5796126, -0.8528981, 3.499250, 2.884743, -1.2602951, -44.23, 3.386),
+    0.4: Reference(0.5787763, -0.8453763, 3.471328, 3.029600, -1.2816569, -47.27, 3.504),
+    0.6: Reference(0.5779661, -0.8387693, 3.557457, 3.154076, -1.2913050, -48.53, 3.609),
 }
 
 
-def half_of_the_last(decimals):
+def half_a_unit(decimals):
     return 0.5 * 10.0**-decimals * (1 + 1e-6)
 
 
@@ -38,42 +51,42 @@ def test_order_of_events(friction):
 @pytest.mark.parametrize("friction", TABLE)
 def test_touch_down(friction):
     events = planar.events(CIRCLE, friction)
-    assert abs(events.x0[0] - 0.848528) <= half_of_the_last(6)
+    assert abs(events.x0[0] - 0.848528) <= half_a_unit(6)
     assert abs(events.x0[0] - 0.9 * np.sqrt(8 / 9)) < 1e-12  # the circle at y = 1
-    assert abs(np.degrees(events.slope[0, 1]) - 70.5288) <= half_of_the_last(4)
+    assert abs(np.degrees(events.slope[0, 1]) - 70.5288) <= half_a_unit(4)
     assert events.force[0].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize("friction", TABLE)
 def test_transitions(friction):
-    to_tangential, to_tip, f, m0z, *_ = TABLE[friction]
+    reference = TABLE[friction]
     events = planar.events(CIRCLE, friction)
-    assert abs(events.of(EventKind.TO_TANGENTIAL)[0] - to_tangential) <= half_of_the_last(7)
-    assert abs(events.of(EventKind.TO_TIP)[0] - to_tip) <= half_of_the_last(7)
-    # nothing jumps there
-    assert np.abs(events.force[2] - f).max() <= half_of_the_last(6)
-    assert np.abs(events.m0z[2] - m0z).max() <= half_of_the_last(6)
+    assert abs(events.of(EventKind.TO_TANGENTIAL)[0] - reference.to_tangential_x0) <= half_a_unit(7)
+    assert abs(events.of(EventKind.TO_TIP)[0] - reference.to_tip_x0) <= half_a_unit(7)
+    # force and moment are continuous there
+    assert np.abs(events.force[2] - reference.to_tip_force).max() <= half_a_unit(6)
+    assert np.abs(events.m0z[2] - reference.to_tip_m0z).max() <= half_a_unit(6)
 
 
 @pytest.mark.parametrize("friction", TABLE)
 def test_snap_off(friction):
-    *_, x0, slope, _ = TABLE[friction]
+    reference = TABLE[friction]
     events = planar.events(CIRCLE, friction)
-    assert abs(events.x0[-1] - x0) <= half_of_the_last(7)
-    assert abs(np.degrees(events.slope[-1, 0]) - slope) <= half_of_the_last(2)
-    assert 4 < events.force[-1, 0] < 8  # the rod does not slip off gently
+    assert abs(events.x0[-1] - reference.snap_off_x0) <= half_a_unit(7)
+    assert abs(np.degrees(events.slope[-1, 0]) - reference.snap_off_slope_deg) <= half_a_unit(2)
+    assert 4 < events.force[-1, 0] < 8  # the force does not vanish before the rod leaves
     assert events.force[-1, 1] == 0
 
 
 @pytest.mark.parametrize("friction", TABLE)
 def test_largest_moment(friction):
     swept = planar.sweep(CIRCLE, friction, samples=2000)
-    assert abs(swept.m0z.max() - TABLE[friction][-1]) <= half_of_the_last(3)
+    assert abs(swept.m0z.max() - TABLE[friction].largest_m0z) <= half_a_unit(3)
 
 
 @pytest.mark.parametrize("friction", TABLE)
-def test_sweep_changes_its_phase_where_the_table_says(friction):
-    to_tangential, to_tip, *_ = TABLE[friction]
+def test_sweep_changes_its_phase_at_the_transitions_of_the_table(friction):
+    to_tangential, to_tip = TABLE[friction].to_tangential_x0, TABLE[friction].to_tip_x0
     base = np.array([to_tangential + 1e-6, to_tangential - 1e-6, to_tip + 1e-6, to_tip - 1e-6])
     swept = planar.sweep(CIRCLE, friction, base=base)
     assert swept.phase.tolist() == [Phase.TIP, Phase.TANGENTIAL, Phase.TANGENTIAL, Phase.TIP]
@@ -84,11 +97,11 @@ def will(friction):
     return swept, planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, "will")
 
 
-def test_equation_10_takes_tips_for_tangential_contacts_only_at_the_very_end():
+def test_equation_10_mistakes_tip_contacts_for_tangential_ones_only_at_the_end():
     swept, contacts = will(0.0)
     mistaken = (swept.phase == Phase.TIP) & (contacts.s1 < 1 - 1e-9)
     step = swept.x0[0] - swept.x0[1]
-    assert abs(swept.x0[mistaken].max() - -1.1587) <= half_of_the_last(4) + step
+    assert abs(swept.x0[mistaken].max() - -1.1587) <= half_a_unit(4) + step
     assert mistaken[swept.x0 < -1.1587 - step].all()
 
 

@@ -1,7 +1,7 @@
-"""Sweeps agree with the paper's way to compute them: its boundary value problems (3) with (5)-(7), solved by shooting.
+"""Sweeps agree with the paper's method: its boundary value problems (3) with (5)-(7), solved by shooting.
 
-The authority, `planar.shooting`, integrates (3) numerically and shares no formula with the closed form.  Both hold their
-conditions to some 1e-14; 1e-10 leaves room for places next to folds, where the root of an error counts.
+The reference, `planar.shooting`, integrates (3) numerically and shares no formula with the closed form.  Both satisfy their
+conditions to some 1e-14; 1e-10 allows for places next to folds, where errors are square roots of those.
 """
 
 import numpy as np
@@ -26,8 +26,8 @@ def assert_agree(state, swept, i, tolerance=AGREES):
     assert np.abs(state.point - swept.point[i]).max() < tolerance
 
 
-def march(contour, friction, swept):
-    """States at the sweep's base positions, each found from the one before, the first from a cantilever's deflection."""
+def states_by_continuation(contour, friction, swept):
+    """States at the sweep's base positions, each starting from the previous state, the first from a cantilever's deflection."""
     touch_down = planar.events(contour, friction)
     slope = touch_down.slope[0, 1]
     deflection = touch_down.x0[0] - swept.x0[0]
@@ -44,7 +44,7 @@ def test_smooth_contours(contour, friction):
     events = planar.events(contour, friction)
     swept = planar.sweep(contour, friction, base=np.linspace(events.x0[0] - 0.01, events.x0[-1] + 0.005, 24))
     assert set(swept.phase) == {planar.Phase.TIP, planar.Phase.TANGENTIAL}
-    for i, state in enumerate(march(contour, friction, swept)):
+    for i, state in enumerate(states_by_continuation(contour, friction, swept)):
         assert_agree(state, swept, i)
 
 
@@ -56,7 +56,7 @@ def test_a_polygon_of_seven_sides(friction):
     slopes = np.arctan2(edges[:, 1], edges[:, 0])
     rng = np.random.default_rng(40)
     seen = set()
-    # touch-down has no force, and at the end x0 has its minimum: neither is a regular solution
+    # there is no force at touch-down, and x0 has its minimum at the end: neither is a regular solution
     for i in range(1, len(swept) - 1):
         at = np.linalg.norm(vertices - swept.point[i], axis=1) < 1e-9
         on = np.abs(slopes - swept.slope[i]) < 1e-9
@@ -66,9 +66,9 @@ def test_a_polygon_of_seven_sides(friction):
             first, last = vertices[on][0], vertices[np.flatnonzero(on)[0] + 1 - len(vertices)]
             place = shooting.on_edge(first, last)
             parameter = np.linalg.norm(swept.point[i] - first) / np.linalg.norm(last - first)
-        # Across snaps nothing can be marched: start next to the answer, but not at it.
-        off = 1 + rng.uniform(-0.02, 0.02, 4)
-        start = off * [np.hypot(swept.f0x[i], swept.f0y[i]), -swept.m0z[i], swept.s1[i], parameter]
+        # Continuation fails at snaps: every solution starts next to the expected state, but not at it.
+        perturbation = 1 + rng.uniform(-0.02, 0.02, 4)
+        start = perturbation * [np.hypot(swept.f0x[i], swept.f0y[i]), -swept.m0z[i], swept.s1[i], parameter]
         phase = planar.Phase(swept.phase[i])
         state = shooting.shoot(place, friction, swept.x0[i], phase, start)
         assert_agree(state, swept, i)
@@ -77,26 +77,26 @@ def test_a_polygon_of_seven_sides(friction):
 
 
 def test_collocation():
-    # the same problems by scipy.integrate.solve_bvp: its 1e-8 is for the defect, which leaves reactions some digits worse
+    # the same problems by scipy.integrate.solve_bvp: its tolerance of 1e-8 holds for the defect; reactions are less accurate
     events = planar.events(CIRCLE, 0.3)
     swept = planar.sweep(CIRCLE, 0.3, base=np.linspace(events.x0[0] - 0.05, events.x0[-1] + 0.1, 12))
     previous = None
-    for i, state in enumerate(march(CIRCLE, 0.3, swept)):
+    for i, state in enumerate(states_by_continuation(CIRCLE, 0.3, swept)):
         start = previous if previous and previous.state.phase == state.phase else state
         previous = shooting.solve_by_collocation(shooting.along(CIRCLE), 0.3, swept.x0[i], state.phase, start, tol=1e-8)
         assert previous.values.shape == (4, len(previous.mesh))
         assert_agree(previous.state, swept, i, tolerance=1e-7)
 
 
-def test_what_is_no_solution_says_so():
+def test_failed_shooting_is_reported():
     place = shooting.along(CIRCLE)
-    missed = shooting.shoot(place, 0.0, 3.0, planar.Phase.TIP, [1.0, -1.0, 1.0, 1.0])  # out of the rod's reach
-    assert not missed.success
-    assert missed.residual > 0.1
-    astray = shooting.shoot(place, 0.0, 0.5, planar.Phase.TIP, [np.nan, -1.0, 1.0, 1.0])
-    assert not astray.success
+    out_of_reach = shooting.shoot(place, 0.0, 3.0, planar.Phase.TIP, [1.0, -1.0, 1.0, 1.0])
+    assert not out_of_reach.success
+    assert out_of_reach.residual > 0.1
+    undefined = shooting.shoot(place, 0.0, 0.5, planar.Phase.TIP, [np.nan, -1.0, 1.0, 1.0])
+    assert not undefined.success
 
 
-def test_no_contact_has_no_boundary_conditions():
+def test_shooting_needs_a_kind_of_contact():
     with pytest.raises(ValueError, match=r"Phase.TIP or Phase.TANGENTIAL"):
         shooting.shoot(shooting.along(CIRCLE), 0.0, 0.5, planar.Phase.NONE, [1.0, -1.0, 1.0, 1.0])

@@ -1,13 +1,15 @@
-"""Rods with an inflection between clamp and contact: solutions of the same equations that no sweep comes to.
+"""Rods with an inflection between clamp and contact: solutions of the same equations that do not occur in sweeps.
 
 A tip contact has further solutions, on which the curvature vanishes inside the rod before it does at the tip.  They are
-made here by the differential equations (3): integrated beyond the first zero of the curvature to the second, a rod of that
-length carries no moment at its tip either.  The sweep keeps to ``κ < 0`` on ``[0, s1)``, and the reconstruction, which
-stops at the first zero, must not take them for tangential contacts.
+computed here by the differential equations (3): integrated beyond the first zero of the curvature to the second, a rod of that
+length carries no moment at its tip either.  The sweep is restricted to ``κ < 0`` on ``[0, s1)``, and the reconstruction,
+which stops at the first zero, must not mistake them for tangential contacts.
 
-Admissible is what the object can push: ``α̃ < φ1 < α̃ + π`` at the tip.  For a tip behind one inflection that means
-``β < -ζ``, so that the sign of ``β`` tells.
+The object can only push the rod: ``α̃ < φ1 < α̃ + π`` at the tip.  For a tip beyond one inflection this means ``β < -ζ``, so
+that the sign of ``β`` distinguishes these rods.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,14 +17,14 @@ import pytest
 import planar
 from planar import Phase, Status, shooting
 
-SHARES = np.linspace(0.0, 1.0, 201)
+FRACTIONS = np.linspace(0.0, 1.0, 201)
 
 
 def curvatures(swept):
     """κ (n, 201) from the clamp to the contact, by the differential equations."""
     f = np.hypot(swept.f0x, swept.f0y)
     alpha = np.arctan2(-swept.f0x, swept.f0y)
-    return shooting.integrate(swept.x0, f, alpha, -swept.m0z, swept.s1, SHARES)[3]
+    return shooting.integrate(swept.x0, f, alpha, -swept.m0z, swept.s1, FRACTIONS)[3]
 
 
 def contours():
@@ -46,14 +48,14 @@ def test_sweeps_have_no_inflections(friction):
         bent = planar.Sweep(**{name: column[1:] for name, column in vars(swept).items()})  # without touch-down
         assert (bent.m0z > 0).all()
         kappa = curvatures(bent)
-        # a moment that vanishes at the contact and nowhere before
+        # the moment vanishes at the contact and nowhere before
         assert (kappa[:, :-1] < 0).all(), contour
         assert np.abs(kappa[:, -1]).max() < 1e-9 * (1 + bent.m0z.max())
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 1.0, 5.0])
 def test_tips_are_pushed_and_not_pulled(friction):
-    met = 0
+    tips = 0
     for contour in contours():
         swept = planar.sweep(contour, friction, samples=40)
         tip = np.flatnonzero((swept.phase == Phase.TIP) & (swept.m0z > 0))
@@ -62,11 +64,11 @@ def test_tips_are_pushed_and_not_pulled(friction):
         rise = end - swept.slope[tip]
         assert (rise > -1e-9).all(), contour
         assert (rise < np.pi).all(), contour
-        met += len(tip)
-    assert met > 100
+        tips += len(tip)
+    assert tips > 100
 
 
-def test_elastic_lines_of_sweeps_turn_one_way_only():
+def test_elastic_lines_of_sweeps_turn_in_one_direction_only():
     for contour in contours():
         swept = planar.sweep(contour, 0.3, samples=10)
         lines = planar.elastic_lines(swept.x0[1:], swept.f0x[1:], swept.f0y[1:], swept.m0z[1:], points=50)
@@ -75,67 +77,78 @@ def test_elastic_lines_of_sweeps_turn_one_way_only():
         assert (turn < 1e-15).all(), contour
 
 
+class InflectedRods(NamedTuple):
+    """Rods (n,) with s1 = 1 whose curvature vanishes once before the tip."""
+
+    alpha: np.ndarray
+    f: np.ndarray
+    m0z: np.ndarray
+    inflection: np.ndarray
+    """arc length at which the curvature vanishes"""
+    tip_slope: np.ndarray
+
+    def reconstruct(self, side=1):
+        f0x, f0y = -self.f * np.sin(self.alpha), self.f * np.cos(self.alpha)
+        return planar.reconstruct(np.zeros_like(self.f), f0x, f0y, side * self.m0z)
+
+
 @pytest.fixture(scope="module")
-def with_an_inflection():
-    """α, f, m0z of rods with s1 = 1 whose curvature vanishes once inside, where it does, and their slope at the tip."""
+def inflected_rods():
     rng = np.random.default_rng(61)
     alpha = rng.uniform(-1.2, 2.4, 300)
     q = np.cos(alpha / 2) * rng.uniform(0.05, 0.95, 300)
-    # f = 1, and as long as it takes: past the first zero of κ on to the second, where it is cut off
-    length, shares = 25.0, np.linspace(0.0, 1.0, 20_001)
-    _, _, phi, kappa = shooting.integrate(np.zeros(300), 1.0, alpha, -2 * q, length, shares)
+    # with f = 1, integrated past the first zero of κ to the second, where the rod ends
+    length, fractions = 25.0, np.linspace(0.0, 1.0, 20_001)
+    _, _, phi, kappa = shooting.integrate(np.zeros(300), 1.0, alpha, -2 * q, length, fractions)
     first, second, tip_slope = np.full((3, 300), np.nan)
     for i in range(300):
         zeros = np.flatnonzero(kappa[i, :-1] * kappa[i, 1:] <= 0)
         if len(zeros) > 1:
-            at = shares[zeros] + np.diff(shares)[0] * kappa[i, zeros] / (kappa[i, zeros] - kappa[i, zeros + 1])
-            (first[i], second[i]), tip_slope[i] = length * at[:2], np.interp(at[1], shares, phi[i])
-    found = np.isfinite(second)
-    alpha, q, first, second, tip_slope = (column[found] for column in (alpha, q, first, second, tip_slope))
-    assert found.sum() > 250
-    return alpha, second**2, 2 * q * second, first / second, tip_slope
+            at = fractions[zeros] + np.diff(fractions)[0] * kappa[i, zeros] / (kappa[i, zeros] - kappa[i, zeros + 1])
+            (first[i], second[i]), tip_slope[i] = length * at[:2], np.interp(at[1], fractions, phi[i])
+    rods = InflectedRods(alpha, second**2, 2 * q * second, first / second, tip_slope)
+    has_two_zeros = np.isfinite(second)
+    assert has_two_zeros.sum() > 250
+    return InflectedRods(*(column[has_two_zeros] for column in rods))
 
 
-def test_they_are_solutions_of_the_equations(with_an_inflection):
-    alpha, f, m0z, first, tip_slope = with_an_inflection
-    shares = np.linspace(0, 1, 101)
-    _, _, phi, kappa = shooting.integrate(np.zeros_like(f), f, alpha, -m0z, 1.0, shares)
+def test_inflected_rods_are_solutions_of_the_equations(inflected_rods):
+    alpha, f, m0z, inflection, tip_slope = inflected_rods
+    fractions = np.linspace(0, 1, 101)
+    _, _, phi, kappa = shooting.integrate(np.zeros_like(f), f, alpha, -m0z, 1.0, fractions)
     assert (np.abs(kappa[:, -1]) < 1e-4 * np.abs(kappa).max(axis=1)).all()  # no moment at the tip (6)
     assert np.abs(phi[:, -1] - tip_slope).max() < 1e-4
-    bows_first_one_way, then_the_other = shares < first[:, None] - 0.01, shares > first[:, None] + 0.01
-    assert (kappa[bows_first_one_way] < 0).all()
-    assert (kappa[:, :-1][then_the_other[:, :-1]] > 0).all()
+    before, after = fractions < inflection[:, None] - 0.01, fractions > inflection[:, None] + 0.01
+    assert (kappa[before] < 0).all()
+    assert (kappa[:, :-1][after[:, :-1]] > 0).all()
 
 
-def test_reconstruction_flags_every_one_that_an_object_could_push(with_an_inflection):
-    alpha, f, m0z, _, tip_slope = with_an_inflection
-    # α̃ = α - ζ < φ1 < α̃ + π: with some friction ζ >= 0 an object can push the tip so if φ1 < α + π, and else with none.
-    pushed = tip_slope < alpha + np.pi - 1e-6
-    contacts = planar.reconstruct(np.zeros_like(f), -f * np.sin(alpha), f * np.cos(alpha), m0z)
-    assert 50 < pushed.sum() < len(f) - 50
+def test_reconstruction_rejects_all_that_an_object_could_push(inflected_rods):
+    # α̃ = α - ζ < φ1 < α̃ + π: an object can push the tip for some friction angle ζ >= 0 if and only if φ1 < α + π
+    pushed = inflected_rods.tip_slope < inflected_rods.alpha + np.pi - 1e-6
+    contacts = inflected_rods.reconstruct()
+    assert 50 < pushed.sum() < len(pushed) - 50
     assert (contacts.status[pushed] == Status.INFLECTION).all()
     assert (contacts.phase[pushed] == Phase.NONE).all()
     assert np.isnan(contacts.point[pushed]).all()
     assert np.isnan(contacts.s1[pushed]).all()
 
 
-def test_nothing_with_an_inflection_is_taken_for_a_tip(with_an_inflection):
-    # The others are no equilibria with any object; their first zero is that of a tangential contact with the same reactions.
-    alpha, f, m0z, first, _ = with_an_inflection
-    contacts = planar.reconstruct(np.zeros_like(f), -f * np.sin(alpha), f * np.cos(alpha), m0z)
+def test_inflected_rods_are_not_mistaken_for_tip_contacts(inflected_rods):
+    # Rods that cannot be pushed are not equilibria with any object; the first zero of their curvature is the contact point
+    # of a tangential contact with the same reactions.
+    contacts = inflected_rods.reconstruct()
     assert (contacts.phase != Phase.TIP).all()
     tangential = contacts.phase == Phase.TANGENTIAL
-    assert np.abs(contacts.s1 - first)[tangential].max() < 1e-5
+    assert np.abs(contacts.s1 - inflected_rods.inflection)[tangential].max() < 1e-5
 
 
-def test_they_take_more_force_than_the_papers_sweep_ever_sees(with_an_inflection):
-    _, f, *_ = with_an_inflection
+def test_inflected_rods_need_more_force_than_occurs_in_the_papers_sweeps(inflected_rods):
     sweeps = [planar.sweep(planar.Circle(0.9, (0, 1.3)), mu, samples=50) for mu in (0, 0.6)]
-    assert max(np.hypot(swept.f0x, swept.f0y).max() for swept in sweeps) < f.min()
+    assert max(np.hypot(swept.f0x, swept.f0y).max() for swept in sweeps) < inflected_rods.f.min()
 
 
-def test_reconstruction_flags_rods_that_bow_against_the_sweep(with_an_inflection):
-    alpha, f, m0z, *_ = with_an_inflection
-    contacts = planar.reconstruct(np.zeros_like(f), -f * np.sin(alpha), f * np.cos(alpha), -m0z)
+def test_reconstruction_rejects_rods_bent_against_the_sweep(inflected_rods):
+    contacts = inflected_rods.reconstruct(side=-1)
     assert (contacts.status == Status.WRONG_SIDE).all()
     assert np.isnan(contacts.point).all()

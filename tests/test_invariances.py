@@ -1,7 +1,7 @@
-"""What must not change the answer: mirrors, shifts, scales, other words for the same contour, order and choice of samples.
+"""Invariances: mirror images, shifts, scales, other parameters of the same contour, order and choice of samples.
 
-Over random contours and friction.  1e-9 rod lengths is the tolerance where both sides are computed: next to folds the root
-of double precision counts, and no sample lies closer to one than some 1e-6.
+Over random contours and friction.  1e-9 rod lengths is the tolerance where both sides are computed: next to folds errors are
+the square root of rounding, and no sample lies closer to a fold than some 1e-6.
 """
 
 import numpy as np
@@ -12,8 +12,8 @@ import planar
 from planar import Phase, equilibria
 
 AGREES = 1e-9
-few = settings(max_examples=20, deadline=None)
-fewer = settings(max_examples=8, deadline=None)
+twenty_examples = settings(max_examples=20, deadline=None)
+eight_examples = settings(max_examples=8, deadline=None)
 
 frictions = st.one_of(st.just(0.0), st.floats(0.01, 2.0))
 angles = st.floats(-np.pi, np.pi)
@@ -54,12 +54,12 @@ def inner_base(contour, friction, count=20, **options):
     return base[~near.any(axis=1)]
 
 
-def assert_same(one, other):
-    assert np.array_equal(one.phase, other.phase)
+def assert_same(first, second):
+    assert np.array_equal(first.phase, second.phase)
     for name in ("x0", "f0x", "f0y", "m0z", "s1", "slope", "point"):
-        here, there = getattr(one, name), getattr(other, name)
+        expected, actual = getattr(second, name), getattr(first, name)
         # reactions reach a thousand where the object is close to the base line
-        np.testing.assert_allclose(here, there, rtol=AGREES, atol=AGREES, err_msg=name)
+        np.testing.assert_allclose(actual, expected, rtol=AGREES, atol=AGREES, err_msg=name)
 
 
 def mirror(contour):
@@ -68,7 +68,7 @@ def mirror(contour):
     return planar.Ellipse(contour.semi_axes, (-contour.center[0], contour.center[1]), -contour.angle)
 
 
-@few
+@twenty_examples
 @given(contours, frictions)
 def test_mirror(contour, friction):
     base = inner_base(contour, friction)
@@ -84,38 +84,38 @@ def test_mirror(contour, friction):
     np.testing.assert_allclose(to_the_right.point, to_the_left.point * [-1, 1], atol=AGREES)
 
 
-@few
+@twenty_examples
 @given(contours, frictions)
 def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
     swept = planar.sweep(contour, friction, base=inner_base(contour, friction))
-    there = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, friction=friction)
-    back = planar.reconstruct(-swept.x0, -swept.f0x, swept.f0y, -swept.m0z, friction=friction, direction=1)
-    assert np.array_equal(there.status, back.status)
-    assert np.array_equal(there.phase, back.phase)
+    leftward = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, friction=friction)
+    rightward = planar.reconstruct(-swept.x0, -swept.f0x, swept.f0y, -swept.m0z, friction=friction, direction=1)
+    assert np.array_equal(leftward.status, rightward.status)
+    assert np.array_equal(leftward.phase, rightward.phase)
     for name in ("slope", "force_angle"):
-        np.testing.assert_array_equal(getattr(back, name), -getattr(there, name))
+        np.testing.assert_array_equal(getattr(rightward, name), -getattr(leftward, name))
     for name in ("s1", "force", "friction_angle"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(there, name))
+        np.testing.assert_array_equal(getattr(rightward, name), getattr(leftward, name))
     for name in ("point", "normal", "normal_force", "tangential_force"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(there, name) * [-1, 1])
+        np.testing.assert_array_equal(getattr(rightward, name), getattr(leftward, name) * [-1, 1])
     lines = planar.elastic_lines(swept.x0, swept.f0x, swept.f0y, swept.m0z, points=7)
     mirrored = planar.elastic_lines(-swept.x0, -swept.f0x, swept.f0y, -swept.m0z, points=7)
     np.testing.assert_allclose(mirrored.curved, lines.curved * [-1, 1], atol=1e-14)
     np.testing.assert_allclose(mirrored.straight, lines.straight * [-1, 1], atol=1e-14)
 
 
-@few
+@twenty_examples
 @given(contours, frictions)
 def test_events_of_the_mirror_image(contour, friction):
-    there, back = planar.events(contour, friction), planar.events(mirror(contour), friction, direction=1)
-    assert np.array_equal(there.kind, back.kind)
-    # a snap off a fold: the place has the root of double precision, its base position all of it
-    np.testing.assert_allclose(back.x0, -there.x0, atol=1e-9)
-    np.testing.assert_allclose(back.slope, -there.slope, atol=1e-5)
-    np.testing.assert_allclose(back.m0z, -there.m0z, rtol=1e-5, atol=1e-6)
+    leftward, rightward = planar.events(contour, friction), planar.events(mirror(contour), friction, direction=1)
+    assert np.array_equal(leftward.kind, rightward.kind)
+    # at a fold the error of the place is the square root of rounding, that of the base position is rounding
+    np.testing.assert_allclose(rightward.x0, -leftward.x0, atol=1e-9)
+    np.testing.assert_allclose(rightward.slope, -leftward.slope, atol=1e-5)
+    np.testing.assert_allclose(rightward.m0z, -leftward.m0z, rtol=1e-5, atol=1e-6)
 
 
-@fewer
+@eight_examples
 @given(contours, frictions, st.floats(-5.0, 5.0))
 def test_shift(contour, friction, shift):
     base = inner_base(contour, friction)
@@ -123,41 +123,44 @@ def test_shift(contour, friction, shift):
         shifted = planar.Polygon(contour.vertices + np.array([shift, 0]))
     else:
         shifted = planar.Ellipse(contour.semi_axes, (contour.center[0] + shift, contour.center[1]), contour.angle)
-    here, there = planar.sweep(contour, friction, base=base), planar.sweep(shifted, friction, base=base + shift)
-    assert np.array_equal(here.phase, there.phase)
-    # shifting rounds x0, and the reactions with it, most where they change fastest
-    np.testing.assert_allclose(there.point - [shift, 0], here.point, atol=1e-7)
-    np.testing.assert_allclose(there.m0z, here.m0z, rtol=1e-7, atol=1e-7)
+    swept = planar.sweep(contour, friction, base=base)
+    shifted_sweep = planar.sweep(shifted, friction, base=base + shift)
+    assert np.array_equal(swept.phase, shifted_sweep.phase)
+    # shifting rounds x0 and with it the reactions, by more where they change faster
+    np.testing.assert_allclose(shifted_sweep.point - [shift, 0], swept.point, atol=1e-7)
+    np.testing.assert_allclose(shifted_sweep.m0z, swept.m0z, rtol=1e-7, atol=1e-7)
 
 
-@few
+@twenty_examples
 @given(st.floats(0.05, 1.0), st.floats(-1.3, 1.5), st.floats(0.05, 0.9), frictions)
 def test_lengths_forces_and_moments_scale_with_the_rod(scale, slope, y, friction):
     # (1): a rod of λ L in the same shape has λ times the lengths, 1/λ² of the force, 1/λ of the moment
     slope, x, zeta = np.array([slope]), np.array([0.3]), np.arctan([friction])
-    whole = equilibria.tangential(slope, x, np.array([y]), zeta)
-    part = equilibria.tangential(slope, scale * x, np.array([scale * y]), zeta)
-    np.testing.assert_allclose(part.x0, scale * whole.x0, atol=1e-13)
-    np.testing.assert_allclose(part.s1, scale * whole.s1, rtol=1e-13)
-    np.testing.assert_allclose(part.root_f, whole.root_f / scale, rtol=1e-13)
-    np.testing.assert_array_equal(part.q, whole.q)
+    full = equilibria.tangential(slope, x, np.array([y]), zeta)
+    scaled = equilibria.tangential(slope, scale * x, np.array([scale * y]), zeta)
+    np.testing.assert_allclose(scaled.x0, scale * full.x0, atol=1e-13)
+    np.testing.assert_allclose(scaled.s1, scale * full.s1, rtol=1e-13)
+    np.testing.assert_allclose(scaled.root_f, full.root_f / scale, rtol=1e-13)
+    np.testing.assert_array_equal(scaled.q, full.q)
 
 
-@few
+@twenty_examples
 @given(contours, frictions, st.floats(0.05, 1.0))
 def test_contacts_scale_with_the_reactions(contour, friction, scale):
     swept = planar.sweep(contour, friction, base=inner_base(contour, friction))
-    lies = swept.phase == Phase.TANGENTIAL
-    reactions = (swept.x0[lies], swept.f0x[lies], swept.f0y[lies], swept.m0z[lies])
-    whole = planar.reconstruct(*reactions)
-    part = planar.reconstruct(*(v * scale**power for v, power in zip(reactions, (1, -2, -2, -1), strict=True)))
-    assert (part.status == planar.Status.OK).all()
-    np.testing.assert_allclose(part.point, scale * whole.point, atol=1e-12)
-    np.testing.assert_allclose(part.s1, scale * whole.s1, atol=1e-12)
-    np.testing.assert_allclose(part.friction_angle_bound, whole.friction_angle_bound, atol=1e-11)
+    tangential = swept.phase == Phase.TANGENTIAL
+    reactions = (swept.x0[tangential], swept.f0x[tangential], swept.f0y[tangential], swept.m0z[tangential])
+    full = planar.reconstruct(*reactions)
+    scaled = planar.reconstruct(
+        *(column * scale**power for column, power in zip(reactions, (1, -2, -2, -1), strict=True))
+    )
+    assert (scaled.status == planar.Status.OK).all()
+    np.testing.assert_allclose(scaled.point, scale * full.point, atol=1e-12)
+    np.testing.assert_allclose(scaled.s1, scale * full.s1, atol=1e-12)
+    np.testing.assert_allclose(scaled.friction_angle_bound, full.friction_angle_bound, atol=1e-11)
 
 
-@fewer
+@eight_examples
 @given(ellipses(), frictions)
 def test_an_ellipse_by_other_parameters(ellipse, friction):
     (a, b), base = ellipse.semi_axes, inner_base(ellipse, friction)
@@ -168,9 +171,9 @@ def test_an_ellipse_by_other_parameters(ellipse, friction):
         assert_same(planar.sweep(other, friction, base=base), swept)
 
 
-@fewer
+@eight_examples
 @given(st.floats(0.02, 3.0), st.floats(0.05, 0.9), frictions)
-def test_a_circle_by_other_names(radius, gap, friction):
+def test_a_circle_by_other_classes(radius, gap, friction):
     center = (0.1, gap + radius)
     circle = planar.Circle(radius, center)
     base = inner_base(circle, friction)
@@ -194,7 +197,7 @@ def test_a_circle_by_other_names(radius, gap, friction):
         assert_same(planar.sweep(other, friction, base=base), swept)
 
 
-@few
+@twenty_examples
 @given(st.floats(0.1, 1.5), st.floats(0.1, 0.9), frictions)
 def test_a_circle_by_its_polygon(radius, gap, friction):
     count = 2000
@@ -202,7 +205,7 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
     circle = planar.Circle(radius, (0.0, gap + radius))
     vertices = circle.center + radius * np.stack([np.cos(around), np.sin(around)], axis=1)
     base = inner_base(circle, friction)
-    # the circle's snap-off is the last thing the polygon can follow
+    # next to the snap-off of the circle the two differ by more
     base = base[base > base[-1] + 0.05]
     smooth, faceted = (
         planar.sweep(circle, friction, base=base),
@@ -210,7 +213,7 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
     )
     sagitta, edge = radius * (1 - np.cos(np.pi / count)), 2 * np.pi / count
     assert circle.distance(faceted.point).max() <= sagitta * (1 + 1e-9)
-    # the slope is that of the edge next to it, and a tip rests where on the edge it can
+    # the slope is that of a neighbouring edge, and the tip touches somewhere on it
     assert np.abs(faceted.slope - smooth.slope).max() < edge
     assert np.linalg.norm(faceted.point - smooth.point, axis=1).max() < radius * edge
     same = faceted.phase == smooth.phase
@@ -218,9 +221,9 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
     assert np.abs(faceted.m0z - smooth.m0z)[same].max() < 0.02
 
 
-@few
+@twenty_examples
 @given(contours, frictions, st.integers(0, 2**32 - 1))
-def test_reconstruction_takes_every_row_by_itself(contour, friction, seed):
+def test_reconstruction_treats_every_row_separately(contour, friction, seed):
     swept = planar.sweep(contour, friction, base=inner_base(contour, friction))
     columns = (swept.x0, swept.f0x, swept.f0y, swept.m0z)
     order = np.random.default_rng(seed).permutation(len(swept))
@@ -230,17 +233,17 @@ def test_reconstruction_takes_every_row_by_itself(contour, friction, seed):
         np.testing.assert_allclose(getattr(shuffled, name), getattr(in_order, name)[order], rtol=1e-13, atol=1e-13)
 
 
-@few
+@twenty_examples
 @given(contours, frictions, st.integers(2, 7))
 def test_a_sweep_does_not_depend_on_its_samples(contour, friction, step):
     base = inner_base(contour, friction, count=40)
-    swept, some = planar.sweep(contour, friction, base=base), planar.sweep(contour, friction, base=base[::step])
-    assert np.array_equal(some.phase, swept.phase[::step])
+    swept, selected = planar.sweep(contour, friction, base=base), planar.sweep(contour, friction, base=base[::step])
+    assert np.array_equal(selected.phase, swept.phase[::step])
     for name in ("f0x", "f0y", "m0z", "s1", "slope", "point"):
-        np.testing.assert_allclose(getattr(some, name), getattr(swept, name)[::step], rtol=AGREES, atol=AGREES)
+        np.testing.assert_allclose(getattr(selected, name), getattr(swept, name)[::step], rtol=AGREES, atol=AGREES)
 
 
-@few
+@twenty_examples
 @given(contours, frictions)
 def test_the_same_friction_for_every_sample(contour, friction):
     base = inner_base(contour, friction)
@@ -248,9 +251,9 @@ def test_the_same_friction_for_every_sample(contour, friction):
     assert_same(planar.sweep(contour, np.full(len(base), friction), base=base), swept)
 
 
-@fewer
+@eight_examples
 @given(contours, st.integers(0, 2**32 - 1))
-def test_friction_of_its_own_puts_a_sample_where_a_sweep_with_it_is(contour, seed):
+def test_friction_per_sample_gives_the_state_of_a_sweep_with_that_friction(contour, seed):
     rng = np.random.default_rng(seed)
     # the bases of the sweep that ends first
     base = inner_base(contour, 0.0, count=6)
@@ -263,7 +266,7 @@ def test_friction_of_its_own_puts_a_sample_where_a_sweep_with_it_is(contour, see
         np.testing.assert_allclose(swept.m0z[i], alone.m0z[0], rtol=AGREES, atol=AGREES)
 
 
-@fewer
+@eight_examples
 @given(st.lists(contours, min_size=1, max_size=4), frictions)
 def test_sweeping_together_is_sweeping_alone(several, friction):
     bases = [inner_base(contour, friction, count=8) for contour in several]

@@ -1,7 +1,8 @@
-"""The page: whole in itself, the same for the same scan, and in a real browser it shows the body and turns."""
+"""The page: complete in one file, the same for the same scan; in a browser it shows the body and turns."""
 
 import base64
 import fcntl
+import fnmatch
 import io
 import json
 import os
@@ -19,11 +20,12 @@ from PIL import Image
 from small_scans import CUBE, scanned
 
 import scan3d
-from scan3d import pages, scenes
-from scan3d.bodies import load_mesh
+from scan3d.pictures.page import page as html_page
+from scan3d.pictures.scene import Scene
 
 WIDTH, HEIGHT = 900, 600
 SECONDS = 60.0
+"""A browser on a busy machine may take this long to answer."""
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def data_of(page):
 
 
 def layer(page, name):
-    return next(one for one in data_of(page)["layers"] if one["name"] == name)
+    return next(layer for layer in data_of(page)["layers"] if layer["name"] == name)
 
 
 def floats(text):
@@ -47,14 +49,14 @@ def floats(text):
 
 
 def test_the_page_holds_the_scan(cube):
-    page = pages.page(cube)
+    page = html_page(cube)
     data = data_of(page)
-    names = [one["name"] for one in data["layers"]]
+    names = [layer["name"] for layer in data["layers"]]
     assert names == ["surface", "contacts", "normals", "slices", "rod in one sweep", "truth"]
     contacts = layer(page, "contacts")
     points = floats(contacts["position"]).reshape(-1, 3) + data["center"]
     assert points == pytest.approx(cube.points, abs=1e-5)
-    assert [one["title"] for one in contacts["colors"]] == [
+    assert [scale["title"] for scale in contacts["colors"]] == [
         "kind of contact",
         "contact force in mN",
         "coefficient of friction",
@@ -62,28 +64,28 @@ def test_the_page_holds_the_scan(cube):
     ]
     assert floats(contacts["colors"][1]["values"]) == pytest.approx(1e3 * cube.column("force"), rel=1e-6)
     surface = layer(page, "surface")
-    assert [one["title"] for one in surface["colors"]] == ["signed deviation in mm", "certified bound in mm"]
-    off = surface["colors"][0]
-    assert off["low"] == -off["high"]  # symmetric
+    assert [scale["title"] for scale in surface["colors"]] == ["signed deviation in mm", "certified bound in mm"]
+    deviation = surface["colors"][0]
+    assert deviation["low"] == -deviation["high"]  # symmetric
     faces = np.frombuffer(base64.b64decode(surface["index"]), "<u4").reshape(-1, 3)
     assert faces.max() < len(floats(surface["position"])) / 3
-    for what, much in cube.figures:
-        assert f"<th>{what}</th><td>{much}</td>" in page.decode()
+    for quantity, value in cube.key_figures:
+        assert f"<th>{quantity}</th><td>{value}</td>" in page.decode()
 
 
-def test_the_page_needs_nothing_from_elsewhere(cube):
-    text = pages.page(cube).decode()
+def test_the_page_needs_no_other_file(cube):
+    text = html_page(cube).decode()
     assert not re.findall(r"https?:|//cdn|@import|\bfetch\(|XMLHttpRequest|\bsrc=", text)
     assert "default-src 'none'" in text
 
 
 def test_the_same_scene_gives_the_same_page(cube):
-    assert pages.page(cube) == pages.page(scanned(CUBE))
+    assert html_page(cube) == html_page(scanned(CUBE))
 
 
 def test_names_that_look_like_code_stay_text(cube):
     name = "</script><b>@DATA@ & \\1"
-    text = pages.page(replace(cube, name=name)).decode()
+    text = html_page(replace(cube, name=name)).decode()
     assert "<b>" not in text
     assert "&lt;/script&gt;&lt;b&gt;@DATA@ &amp; \\1" in text
     assert data_of(text.encode())["unit"] == "mm"
@@ -91,27 +93,32 @@ def test_names_that_look_like_code_stay_text(cube):
 
 @pytest.mark.parametrize("what", ["contacts", "surface"])
 def test_a_page_of_a_part_shows_that_part(cube, what):
-    part = scenes.Scene("part", "um", **{what: getattr(cube, what)})
-    page = pages.page(part)
-    names = {one["name"] for one in data_of(page)["layers"]}
+    part = Scene("part", "um", **{what: getattr(cube, what)})
+    page = html_page(part)
+    names = {layer["name"] for layer in data_of(page)["layers"]}
     assert names == ({"contacts", "normals", "slices"} if what == "contacts" else {"surface"})
     assert data_of(page)["unit"] == "µm"
 
 
-def test_the_package_brings_the_blank_page():
-    """And all else beside its modules: what no pattern names would be missing from a wheel."""
-    root = Path(pages.__file__).parents[1]
+def test_the_package_contains_the_empty_page():
+    """And every other file beside its modules: files that no pattern matches would be missing from a wheel."""
+    root = Path(__file__).parents[1]
     tool = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    for package in tool["packages"]:
-        named = {path for pattern in tool["package-data"][package] for path in (root / package).glob(pattern)}
-        there = {one for one in (root / package).iterdir() if one.is_file() and one.suffix not in (".py", ".pyc")}
-        assert named == there
-    assert root / "scan3d" / "page.html" in named
+    folders = {module.parent for package in ("planar", "scan3d") for module in (root / package).rglob("*.py")}
+    matched = set()
+    for folder in folders:
+        name = ".".join(folder.relative_to(root).parts)
+        assert (folder / "__init__.py").is_file()
+        assert any(fnmatch.fnmatch(name, pattern) for pattern in tool["packages"]["find"]["include"])
+        data = {path for pattern in tool["package-data"].get(name, ()) for path in folder.glob(pattern)}
+        assert data == {path for path in folder.iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
+        matched |= data
+    assert root / "scan3d" / "pictures" / "page.html" in matched
 
 
 def test_a_page_of_nothing():
     with pytest.raises(scan3d.InputError, match="void has nothing to show: neither contacts nor a surface"):
-        pages.page(scenes.Scene("void", "mm"))
+        html_page(Scene("void", "mm"))
 
 
 # --- in a browser ---
@@ -146,7 +153,7 @@ class Tab:
             self(f"{domain}.enable")
         self("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
         self("Page.navigate", url=path.as_uri())
-        while not any(one["method"] == "Page.loadEventFired" for one in self.events):
+        while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.receive()
 
     def __call__(self, method, **params):
@@ -190,27 +197,27 @@ class Tab:
 
     def drag(self, start, end):
         self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
-        for share in (0.5, 1.0):
-            self.mouse(
-                "mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)), button="left", buttons=1
-            )
+        for part in (0.5, 1.0):
+            at = (a + part * (b - a) for a, b in zip(start, end, strict=True))
+            self.mouse("mouseMoved", *at, button="left", buttons=1)
         self.mouse("mouseReleased", *end, button="left", clickCount=1)
 
     def complaints(self):
-        """Console errors and warnings of the page's own, exceptions, and requests for anything but the page."""
-        found = []
-        for one in self.events:
-            params = one["params"]
-            if one["method"] == "Runtime.exceptionThrown":
-                found.append(params)
-            if one["method"] == "Runtime.consoleAPICalled":
-                found.append(params["args"])
-            if one["method"] == "Log.entryAdded" and params["entry"]["level"] == "error":
-                found.append(params["entry"])
-            if one["method"] == "Network.requestWillBeSent":
+        """Messages that the page writes to the console, errors, exceptions, and requests for anything but the page."""
+        complaints = []
+        for event in self.events:
+            method, params = event["method"], event["params"]
+            if method == "Runtime.exceptionThrown":
+                complaints.append(params)
+            if method == "Runtime.consoleAPICalled":
+                complaints.append(params["args"])
+            if method == "Log.entryAdded" and params["entry"]["level"] == "error":
+                complaints.append(params["entry"])
+            if method == "Network.requestWillBeSent":
                 url = params["request"]["url"]
-                found += [] if url.startswith(("file:///", "data:,")) and url.endswith(("page.html", ",")) else [url]
-        return found
+                if not (url.startswith(("file:///", "data:,")) and url.endswith(("page.html", ","))):
+                    complaints.append(url)
+        return complaints
 
     def close(self):
         self.session = None
@@ -227,13 +234,13 @@ class Tab:
 @pytest.fixture(scope="module")
 def tab(browser_path, cube, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    (folder / "page.html").write_bytes(pages.page(cube))
-    found = Tab(browser_path, folder / "profile")
+    (folder / "page.html").write_bytes(html_page(cube))
+    tab = Tab(browser_path, folder / "profile")
     try:
-        found.open(folder / "page.html")
-        yield found
+        tab.open(folder / "page.html")
+        yield tab
     finally:
-        found.close()
+        tab.close()
 
 
 def blue(image):
@@ -250,12 +257,12 @@ def drawn(image):
 def test_the_page_in_a_browser(tab, cube):
     first = tab.picture()
     assert first.shape == (HEIGHT, WIDTH, 3)
-    # the body, in the middle of what the panel leaves; paper around it
+    # the body, in the middle of the space right of the panel, on a white page
     assert 0.2 < drawn(first).mean() < 0.8
     assert drawn(first)[250:350, 240:340].all()
     assert not drawn(first)[:, -20:].any()
     assert blue(first[:, 320:]).mean() > 0.03
-    assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.figures))
+    assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.key_figures))
 
     # it turns with the mouse: the top goes out of sight when it is looked at from the side
     tab.drag((600, 250), (640, 193))
@@ -271,7 +278,7 @@ def test_the_page_in_a_browser(tab, cube):
         tab.mouse("mouseReleased", 880, 20, button="left", clickCount=count)
     assert (np.abs(tab.picture() - first).max(axis=2) > 20).mean() < 1e-3
 
-    # no errors, no network, all the while
+    # meanwhile no errors, and no access to the network
     assert tab.complaints() == []
 
 
@@ -302,13 +309,13 @@ def test_layers_and_colours_in_a_browser(tab):
 
 
 @pytest.mark.browser
-def test_a_click_tells_what_was_felt(tab, cube):
-    said = "document.getElementById('told')"
+def test_a_click_shows_what_was_measured(tab, cube):
+    panel = "document.getElementById('picked')"
     tab.mouse("mousePressed", 880, 300, button="left", buttons=1, clickCount=1)
     tab.mouse("mouseReleased", 880, 300, button="left", clickCount=1)
-    assert tab.run(said + ".hidden") is True
+    assert tab.run(panel + ".hidden") is True
     place = """(() => {
-      const p = data.layers.find(one => one.kind === "points").points, m = turned(), {w, h, scale, shift} = measures();
+      const p = data.layers.find(layer => layer.kind === "points").points, m = turned(), {w, h, scale, shift} = measures();
       let best = 0, front = -1e9;
       for (let k = 0; k < p.length; k += 3) {
         const d = m[2] * p[k] + m[5] * p[k + 1] + m[8] * p[k + 2];
@@ -320,14 +327,14 @@ def test_a_click_tells_what_was_felt(tab, cube):
     contact, x, y = tab.run(place)
     tab.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
     tab.mouse("mouseReleased", x, y, button="left", clickCount=1)
-    text = tab.run(said + ".textContent")
+    text = tab.run(panel + ".textContent")
     assert text.startswith(f"contact {contact}\n")
     assert f"sweep {cube.column('sweep')[contact]:.0f}\n" in text
-    told = [float(one) for one in re.findall(r"[xyz] = (\S+) mm", text)]
-    assert told == pytest.approx(cube.points[contact], abs=1e-3)
+    point = [float(coordinate) for coordinate in re.findall(r"[xyz] = (\S+) mm", text)]
+    assert point == pytest.approx(cube.points[contact], abs=1e-3)
 
 
 def test_the_truth_is_that_of_the_mesh(cube):
-    truth = layer(pages.page(cube), "truth")
+    truth = layer(html_page(cube), "truth")
     size = np.ptp(floats(truth["position"]).reshape(-1, 3), axis=0)
-    assert size == pytest.approx(load_mesh(CUBE).extents, rel=1e-6)
+    assert size == pytest.approx(scan3d.load_mesh(CUBE).extents, rel=1e-6)

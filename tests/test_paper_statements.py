@@ -1,7 +1,7 @@
-"""What the paper says about its circle, r = 0.9 at (0, 1.3), statement by statement.
+"""The paper's statements about its circle, r = 0.9 at (0, 1.3), one by one.
 
 L. Merker, J. Steigenberger, C. Behn, "Friction invariant object reconstruction using a vibrissa-inspired tactile sensor
-concept", Section III.  Where the paper reads numbers off figures, the bounds here are what it would have read.
+concept", Section III.  Where the paper reads numbers off figures, the bounds here are as wide as such a reading allows.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ FRICTIONS = (0.0, 0.2, 0.4, 0.6)
 INVARIANT = ("closed-form", "scholz-rahn")
 # The paper's errors of the invariant method are "within numerical boundaries"; scholz-rahn integrates to 1e-10.
 NUMERICAL = 1e-9
-# Past the touch-down, where nothing has a force yet, to just before the first of the snap-offs.
+# From just after touch-down, where the force is still 0, to just before the first of the snap-offs.
 BASE = np.linspace(0.845, -1.218, 200)
 
 
@@ -84,14 +84,14 @@ def test_friction_shifts_the_contacts_along_the_contour():
 
 
 def test_friction_slightly_enlarges_s1():
-    lying = [sweep(mu) for mu in FRICTIONS]
-    always = np.all([swept.phase == Phase.TANGENTIAL for swept in lying], axis=0)
-    s1 = np.stack([swept.s1[always] for swept in lying])
+    sweeps = [sweep(mu) for mu in FRICTIONS]
+    always = np.all([swept.phase == Phase.TANGENTIAL for swept in sweeps], axis=0)
+    s1 = np.stack([swept.s1[always] for swept in sweeps])
     assert np.ptp(s1, axis=0).max() < 0.02
     assert (np.diff(s1, axis=0) > 0).all()
 
 
-def test_equation_10_is_as_good_without_friction_but_for_the_end():
+def test_equation_10_is_as_exact_without_friction_except_at_the_end():
     swept = sweep(0.0)
     contacts = reconstruct(swept, "will")
     error = CIRCLE.distance(contacts.point)
@@ -123,13 +123,13 @@ def test_equation_10_is_undefined_for_some_clamping_positions_from_a_threshold_o
     for mu in FRICTIONS:
         undefined = reconstruct(sweep(mu), "will").status == Status.UNDEFINED
         assert undefined.any() == (mu >= 0.4)
-        # at the beginning of the sweep: one stretch, from the first sample
+        # at the beginning of the sweep: one interval, from the first sample
         assert (np.diff(undefined.astype(int)) <= 0).all()
         assert undefined[0] == (mu >= 0.4)
 
 
 def test_equation_10_is_no_criterion_for_the_kind_of_contact():
-    # μ = 0: s1 < 1 in tip contact at the very end; μ > 0: no information at all
+    # μ = 0: s1 < 1 in tip contact at the end of the sweep; μ > 0: no information
     swept = sweep(0.0)
     contacts = reconstruct(swept, "will")
     tip = swept.phase == Phase.TIP
@@ -146,7 +146,7 @@ def test_equation_10_is_no_criterion_for_the_kind_of_contact():
 
 @pytest.mark.parametrize("method", INVARIANT)
 @pytest.mark.parametrize("friction", [*FRICTIONS, "random"])
-def test_s1_tells_tip_from_tangential_contact_whatever_the_friction(method, friction):
+def test_s1_distinguishes_tip_from_tangential_contact_for_every_friction(method, friction):
     # the future work of the paper: (10) adapted to be friction invariant
     swept = sweep(random_friction() if friction == "random" else friction)
     contacts = reconstruct(swept, method, tolerance=1e-7 if method == "scholz-rahn" else planar.TOLERANCE)
@@ -161,11 +161,11 @@ def test_beta_is_the_friction_angle_in_tangential_contact_and_below_it_in_tip_co
     mu = random_friction() if friction == "random" else np.full(len(BASE), friction)
     swept = sweep(mu)
     contacts = reconstruct(swept)
-    lies = swept.phase == Phase.TANGENTIAL
-    assert np.abs(contacts.friction_angle_bound - np.arctan(mu))[lies].max() < NUMERICAL
-    assert (contacts.friction_angle_bound < np.arctan(mu))[~lies].all()
-    assert np.abs(contacts.friction - mu)[lies].max() < NUMERICAL
-    assert np.isnan(contacts.friction[~lies]).all()
+    tangential = swept.phase == Phase.TANGENTIAL
+    assert np.abs(contacts.friction_angle_bound - np.arctan(mu))[tangential].max() < NUMERICAL
+    assert (contacts.friction_angle_bound < np.arctan(mu))[~tangential].all()
+    assert np.abs(contacts.friction - mu)[tangential].max() < NUMERICAL
+    assert np.isnan(contacts.friction[~tangential]).all()
 
 
 def test_beta_is_what_12_says():
@@ -179,21 +179,21 @@ def test_beta_is_what_12_says():
 def test_the_contact_force_decomposes_into_its_normal_and_tangential_components(friction):
     mu = random_friction() if friction == "random" else np.full(len(BASE), friction)
     swept = sweep(mu)
-    lies = swept.phase == Phase.TANGENTIAL
+    is_tangential = swept.phase == Phase.TANGENTIAL
     contacts = reconstruct(swept)
     # the clamp holds against the contact: its reaction is the force's negative (8)
     force = -np.stack([swept.f0x, swept.f0y], axis=1)
     normal, tangential = contacts.normal_force, contacts.tangential_force
-    assert np.abs(normal + tangential - force)[lies].max() < 1e-12
-    assert np.abs((normal * tangential).sum(axis=1))[lies].max() < 1e-12
+    assert np.abs(normal + tangential - force)[is_tangential].max() < 1e-12
+    assert np.abs((normal * tangential).sum(axis=1))[is_tangential].max() < 1e-12
     ratio = np.linalg.norm(tangential, axis=1) / np.linalg.norm(normal, axis=1)
-    assert np.abs(ratio - mu)[lies].max() < NUMERICAL
-    # the object presses on the rod along its outward normal, away from its centre
+    assert np.abs(ratio - mu)[is_tangential].max() < NUMERICAL
+    # the object presses on the rod along its outward normal, away from the centre
     outward = (swept.point - CIRCLE.center) / CIRCLE.radius
-    assert np.abs(contacts.normal - outward)[lies].max() < NUMERICAL
-    assert ((normal * outward).sum(axis=1) > 0)[lies].all()
+    assert np.abs(contacts.normal - outward)[is_tangential].max() < NUMERICAL
+    assert ((normal * outward).sum(axis=1) > 0)[is_tangential].all()
     # in tip contact (15) would need the friction angle
-    assert np.isnan(normal[~lies]).all()
+    assert np.isnan(normal[~is_tangential]).all()
 
 
 @pytest.mark.parametrize("friction", [*FRICTIONS, "random"])

@@ -8,19 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scan3d import InputError, Plan
-from scan3d.layers import slice_frame
-from scan3d.planning import (
-    AIMED_SLOPE,
-    FIRST_SLICES,
-    OPEN_SHARE,
-    _parts,
-    base_shares,
-    first_directions,
-    first_heights,
-    further_directions,
-    heights,
-    next_heights,
-)
+from scan3d.geometry.sections import slice_frame
+from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
+from scan3d.planning.heights import FIRST_SLICES, _parts, first_heights, heights, heights_at_gaps
 
 
 def test_cosine_heights_are_chebyshevs_nodes():
@@ -66,15 +56,15 @@ def test_the_next_heights_are_those_of_the_worst_corners():
     slab, corners = np.array([1, 1, 2, 2]), np.array([0.3, 0.4, 0.6, 0.7])
     gaps, kinks = np.array([1.0, 3.0, 2.0, 0.5]), np.ones(4, dtype=bool)
     # one a slab, the widest first
-    assert next_heights(known, slab, corners, gaps, kinks, 4, 4).tolist() == [0.4, 0.6]
-    assert next_heights(known, slab, corners, gaps, kinks, 1, 4).tolist() == [0.4]
-    assert len(next_heights(known, slab, corners, np.zeros(4), kinks, 4, 4)) == 0
+    assert heights_at_gaps(known, slab, corners, gaps, kinks, 4, 4).tolist() == [0.4, 0.6]
+    assert heights_at_gaps(known, slab, corners, gaps, kinks, 1, 4).tolist() == [0.4]
+    assert len(heights_at_gaps(known, slab, corners, np.zeros(4), kinks, 4, 4)) == 0
     # a corner on an end slice tells no height: between it and its neighbour
-    on_end = next_heights(known, np.array([1]), known[1:2], np.ones(1), kinks[:1], 4, 4)
+    on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), kinks[:1], 4, 4)
     assert on_end == pytest.approx([0.35])
     # not where slices stand close enough
     close = np.array([0.0, 0.5, 0.5 + 1e-8, 1.0])
-    assert len(next_heights(close, np.array([1]), np.array([0.5]), np.ones(1), kinks[:1], 4, 4)) == 0
+    assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), kinks[:1], 4, 4)) == 0
 
 
 def test_a_slab_that_will_need_three_parts_gets_two_heights_at_once():
@@ -82,10 +72,10 @@ def test_a_slab_that_will_need_three_parts_gets_two_heights_at_once():
     slab, corners, gaps = np.array([1, 2]), np.array([0.14, 0.46]), np.array([9.0, 4.0])
     bent, kinked = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
     # three cuts make parts of 9/3² and 4/2²
-    assert next_heights(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.1, 0.2, 0.46])
-    assert next_heights(known, slab, corners, gaps, kinked, 3, 3) == pytest.approx([0.14, 0.46])
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.1, 0.2, 0.46])
+    assert heights_at_gaps(known, slab, corners, gaps, kinked, 3, 3) == pytest.approx([0.14, 0.46])
     # with one only, the worst slab's worst corner
-    assert next_heights(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.14])
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.14])
 
 
 def test_parts_make_the_widest_gap_as_small_as_cuts_can():
@@ -103,12 +93,12 @@ def test_an_end_that_is_not_known_is_halved():
     known = np.array([0.0, 1.0, 2.0, 3.0])
     for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
         slab, kinks = np.array([0 if corner == 0 else 2]), np.zeros(1, dtype=bool)
-        assert next_heights(known, slab, np.array([corner]), np.ones(1), kinks, 4, 4) == pytest.approx([middle])
+        assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), kinks, 4, 4) == pytest.approx([middle])
 
 
 @pytest.mark.parametrize("samples", [2, 3, 64])
 def test_samples_go_from_touch_down_to_the_end_denser_at_the_start(samples):
-    shares = base_shares(samples)
+    shares = base_fractions(samples)
     assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
     assert np.all(np.diff(shares) > 0)
     assert np.all(np.diff(shares, 2) > 0)
@@ -184,7 +174,7 @@ def test_a_corner_between_two_sides_that_were_seen_whole_leaves_nothing_open():
 
 def test_a_corner_that_was_not_reached_is_open():
     # its triangle is (1 - reach) / sqrt(2) high
-    closed, open_ = (1 - share * OPEN_SHARE * 2.0 * math.sqrt(2) for share in (0.9, 1.1))
+    closed, open_ = (1 - share * OPEN_FRACTION * 2.0 * math.sqrt(2) for share in (0.9, 1.1))
     assert len(further_directions(*square(closed), width=2.0)) == 0
     assert len(further_directions(*square(open_), width=2.0)) == 4
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import planar
 from scan3d import InputError, Recording, Rod, read_recording, reconstruct, write_recording
-from scan3d.recording import COLUMNS
+from scan3d.files.recordings import COLUMNS
 
 HEADER = "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm"
 ROW = "0,0.1,0.2,0.3,1,0,0,0,-0.01,0.02,0.0005"

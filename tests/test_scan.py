@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d import simulation
-from scan3d.cloud import contacts
-from scan3d.hulls import hull
-from scan3d.layers import slice_frame
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.sections import slice_frame
+from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
+from scan3d.simulation import scan as simulation
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
@@ -57,21 +57,10 @@ def segment_distances(points, segments):
     return np.linalg.norm(ap - along[:, :, None] * ab, axis=2).min(axis=1)
 
 
-def rows_of(cloud, recording):
-    """(n,) row of the recording behind each contact: the one of its sweep with its force."""
-    force = np.hypot(*recording.force_N.T)
-    rows, row = np.empty(len(cloud), dtype=int), 0
-    for i, (number, found) in enumerate(zip(cloud.sweep, cloud.force_N, strict=True)):
-        while recording.sweep[row] != number or abs(force[row] - found) > 1e-12 * found:
-            row += 1  # in the recording's order, and each row once
-        rows[i], row = row, row + 1
-    return rows
-
-
 def contour_errors(cloud, recording, vertices, faces):
     """(n,) distance of each contact to the contour in which its rod's plane cuts the body, in rod lengths."""
     scale = {"mm": 1e-3, "m": 1.0}[recording.unit]
-    rows = rows_of(cloud, recording)
+    rows = cloud.row
     # the clamp's z axis in the world
     normal = Rotation.from_quat(recording.quaternion[rows], scalar_first=True).apply([0.0, 0.0, 1.0])
     height = (recording.position_m[rows] / scale * normal).sum(axis=1)
@@ -134,7 +123,7 @@ def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(pat
     assert set(cloud.phase) == {TIP, TANGENTIAL}
 
     lying = cloud.phase == TANGENTIAL
-    drawn = drawn_friction(recording, rows_of(cloud, recording), watched_sweeps)
+    drawn = drawn_friction(recording, cloud.row, watched_sweeps)
     assert cloud.friction[lying] == pytest.approx(drawn[lying], abs=1e-9)
     assert cloud.friction[lying].min() < 0.01
     assert cloud.friction[lying].max() > 0.39
@@ -176,7 +165,7 @@ def corners_of(cloud, recording, vertices, faces):
     """(n,) whether a contact is a corner of its slice's contour, and (n,) of which: its number, or -1."""
     scale = {"mm": 1e-3, "m": 1.0}[recording.unit]
     normal = Rotation.from_quat(recording.quaternion[0], scalar_first=True).apply([0.0, 0.0, 1.0])
-    number, rows = np.full(len(cloud), -1), rows_of(cloud, recording)
+    number, rows = np.full(len(cloud), -1), cloud.row
     for one in np.unique(cloud.slice):
         here = np.flatnonzero(cloud.slice == one)
         height = recording.position_m[rows[here[0]]] / scale @ normal
@@ -259,7 +248,7 @@ def scan(folder, *arguments):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take longer than all the rest, and are tested elsewhere."""
-    monkeypatch.setattr("scan3d.views.can_render", lambda: False)
+    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
 
 
 def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
@@ -418,7 +407,7 @@ def test_noise_gives_errors_of_its_size():
     # 0.1 to 0.2 % of the rod's length across the contour
     assert 0.0005 < np.sqrt(np.mean(errors**2)) < 0.004
     assert np.median(errors) < 0.002
-    rows = rows_of(cloud, noisy), rows_of(truth, exact)
+    rows = cloud.row, truth.row
     both = np.intersect1d(*rows)
     assert len(both) > 0.97 * len(truth)  # the weakest forces are lost
     mine, its = (np.searchsorted(row, both) for row in rows)

@@ -1,4 +1,4 @@
-"""Step 1: states of a sweep, its events, its extremes; and what is refused, with the reason."""
+"""Step 1: states of a sweep, events, extreme contours; errors and their messages."""
 
 from dataclasses import FrozenInstanceError
 
@@ -34,16 +34,16 @@ every_contour = pytest.mark.parametrize("contour", CONTOURS.values(), ids=CONTOU
 
 
 def residual(swept):
-    """Largest miss of (5)-(7) by the states of a sweep, with (3) integrated from the clamp."""
-    some = swept.m0z > 0
-    f, alpha = np.hypot(swept.f0x, swept.f0y)[some], np.arctan2(-swept.f0x, swept.f0y)[some]
-    x, y, phi, kappa = shooting.integrate(swept.x0[some], f, alpha, -swept.m0z[some], swept.s1[some])[:, :, 0]
-    lies = swept.phase[some] == Phase.TANGENTIAL
-    assert (swept.s1[some][~lies] == 1).all()
-    assert (swept.s1[some][lies] <= 1).all()
-    assert ((phi - swept.slope[some])[~lies] > -1e-9).all()
-    misses = [x - swept.point[some, 0], y - swept.point[some, 1], kappa, (phi - swept.slope[some])[lies]]
-    return max(np.abs(miss).max() for miss in misses if len(miss))
+    """Largest residual of (5)-(7) in the states of a sweep, with (3) integrated from the clamp."""
+    loaded = swept.m0z > 0
+    f, alpha = np.hypot(swept.f0x, swept.f0y)[loaded], np.arctan2(-swept.f0x, swept.f0y)[loaded]
+    x, y, phi, kappa = shooting.integrate(swept.x0[loaded], f, alpha, -swept.m0z[loaded], swept.s1[loaded])[:, :, 0]
+    tangential = swept.phase[loaded] == Phase.TANGENTIAL
+    assert (swept.s1[loaded][~tangential] == 1).all()
+    assert (swept.s1[loaded][tangential] <= 1).all()
+    assert ((phi - swept.slope[loaded])[~tangential] > -1e-9).all()
+    residuals = [x - swept.point[loaded, 0], y - swept.point[loaded, 1], kappa, (phi - swept.slope[loaded])[tangential]]
+    return max(np.abs(values).max() for values in residuals if len(values))
 
 
 # States
@@ -55,7 +55,7 @@ def test_states_are_equilibria(contour, friction):
     swept = planar.sweep(contour, friction, samples=60)
     assert (swept.phase != Phase.NONE).all()
     assert contour.distance(swept.point).max() < 1e-12
-    # forces go up to some 10, and next to a fold a state is as good as the root of the rounding of x0
+    # forces go up to some 10, and next to a fold the error of a state is the square root of the rounding of x0
     assert residual(swept) < 1e-10
     # the contact force has the friction angle to the normal (2)
     alpha = np.arctan2(-swept.f0x, swept.f0y)
@@ -81,7 +81,7 @@ def test_states_with_random_friction_are_equilibria(contour):
 
 @every_contour
 @pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
-def test_contacts_never_go_back(contour, friction):
+def test_contacts_never_move_backwards(contour, friction):
     swept = planar.sweep(contour, friction, samples=400)
     # forward is to the left: along the lower side both fall
     assert np.diff(swept.slope).max() < 1e-9
@@ -91,15 +91,15 @@ def test_contacts_never_go_back(contour, friction):
 @every_contour
 @pytest.mark.parametrize("friction", [0.0, 0.4, 2.0])
 def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(contour, friction):
-    # against equilibria at many places, which know nothing of folds, transitions and rows
+    # against equilibria at many places, computed without folds, transitions and rows
     swept = planar.sweep(contour, friction, samples=50)
     path = contour.path()
     count = path.offsets[-1]
     piece, t = np.repeat(np.arange(count), 30), np.tile(np.linspace(0, 1, 30), count)
     slope, x, y = path.at(piece, t)
     zeta = np.full(len(slope), np.arctan(friction))
-    x0 = equilibria.of_kind(equilibria.lies_tangentially(slope, y, zeta), slope, x, y, zeta).x0
-    # no place before comes down so far, and when all are passed none is left
+    x0 = equilibria.states(equilibria.is_tangential(slope, y, zeta), slope, x, y, zeta).x0
+    # no earlier place comes down so far, and no place comes down further than the last sample
     for i in range(len(swept)):
         before = (slope > swept.slope[i] + 1e-9) | ((slope > swept.slope[i] - 1e-9) & (x > swept.point[i, 0] + 1e-9))
         assert np.nanmin(x0[before], initial=np.inf) > swept.x0[i] - 1e-9
@@ -111,22 +111,22 @@ def test_nothing_touches_before_touch_down_and_after_the_end():
     start, end = events.x0[0], events.x0[-1]
     base = np.array([5.0, start + 1e-9, start, start - 1e-9, end + 1e-9, end, end - 1e-9, -5.0])
     swept = planar.sweep(CIRCLE, 0.2, base=base)
-    none = np.array([True, True, False, False, False, False, True, True])
-    np.testing.assert_array_equal(swept.phase == Phase.NONE, none)
+    untouched = np.array([True, True, False, False, False, False, True, True])
+    np.testing.assert_array_equal(swept.phase == Phase.NONE, untouched)
     for name in STATE:
         column = getattr(swept, name)
-        assert np.isnan(column[none]).all(), name
-        assert np.isfinite(column[~none]).all(), name
+        assert np.isnan(column[untouched]).all(), name
+        assert np.isfinite(column[~untouched]).all(), name
     np.testing.assert_array_equal(swept.x0, base)
 
 
-def test_what_lies_beside_the_base_is_not_touched():
+def test_bases_on_either_side_of_the_sweep_have_no_contact():
     for base in ([2.0, 1.0], [-2.0, -3.0]):
         assert (planar.sweep(CIRCLE, 0.1, base=base).phase == Phase.NONE).all()
 
 
-def test_once_off_the_rod_does_not_come_back():
-    # much friction holds on where little has let go: but only who is still there
+def test_the_rod_does_not_touch_again_after_it_has_left():
+    # a sweep with more friction ends later, but a rod that has left with less friction does not touch again
     ends = [planar.events(CIRCLE, mu).x0[-1] for mu in (0.0, 0.6)]
     middle = sum(ends) / 2
     swept = planar.sweep(CIRCLE, [0.6, 0.6, 0.0, 0.6], base=[middle + 0.002, middle + 0.001, middle, middle - 0.001])
@@ -151,15 +151,15 @@ def test_samples_with_several_frictions_end_with_the_lowest():
     assert (swept.phase != Phase.NONE).all()
 
 
-def test_one_sample_and_none():
-    one = planar.sweep(CIRCLE, 0.2, samples=1)
-    assert len(one) == 1
-    assert one.x0[0] == planar.events(CIRCLE, 0.2).x0[0]
+def test_a_single_sample_and_empty_sweeps():
+    single = planar.sweep(CIRCLE, 0.2, samples=1)
+    assert len(single) == 1
+    assert single.x0[0] == planar.events(CIRCLE, 0.2).x0[0]
     for contour in (CIRCLE, SQUARE):
         for friction in (0.2, []):
-            none = planar.sweep(contour, friction, base=[])
-            assert len(none) == 0
-            assert none.point.shape == (0, 2)
+            empty = planar.sweep(contour, friction, base=[])
+            assert len(empty) == 0
+            assert empty.point.shape == (0, 2)
     assert planar.sweep_all([], [], samples=3) == []
 
 
@@ -176,13 +176,13 @@ def test_repeated_base_positions_give_repeated_states():
         assert (getattr(swept, name) == getattr(swept, name)[0]).all()
 
 
-def test_sweeps_are_values():
+def test_sweeps_are_immutable():
     swept = planar.sweep(CIRCLE, samples=3)
     with pytest.raises(FrozenInstanceError):
         swept.x0 = swept.m0z
 
 
-# Hard corners
+# Extreme contours
 
 
 @pytest.mark.parametrize("radius", [1e-3, 0.1, 1.0, 100.0])
@@ -199,8 +199,8 @@ def test_circles_of_all_sizes_at_all_heights(radius, lowest, friction):
     assert planar.events(circle, friction).kind[-1] == EventKind.SNAP_OFF
 
 
-def test_a_contour_that_the_tip_hardly_grazes():
-    # to 1e-12: the height of the contact is known to 1e-16, and the base position to the root of it
+def test_a_contour_only_just_within_reach():
+    # by 1e-12: the height of the contact is known to 1e-16, and the base position to the square root of that
     lowest = 1 - 1e-12
     triangle = planar.Polygon(np.array([[0.0, lowest], [0.5, 1.3], [-0.5, 1.2]]))
     for contour in (planar.Circle(0.5, (0.0, lowest + 0.5)), triangle):
@@ -227,7 +227,7 @@ def test_needles_at_all_angles(degrees, friction):
 
 
 def test_a_large_contour_far_away_touches_the_tip_exactly():
-    # rounding of its first point, 1e-15, would leave no equilibrium there, nor at any sample before a fold
+    # with its first point rounded by 1e-15, neither it nor any sample before a fold would have an equilibrium
     ellipse = planar.Ellipse((1.26211552264503, 14.908575396065405), (-1.13, 14.59812993542465), 0.34532702262609466)
     swept = planar.sweep(ellipse, 0.0, samples=50)
     assert (swept.phase != Phase.NONE).all()
@@ -237,7 +237,7 @@ def test_a_large_contour_far_away_touches_the_tip_exactly():
 @pytest.mark.parametrize("friction", [0.0, 5.0])
 @pytest.mark.parametrize("radius", [0.002, 0.01, 0.03, 0.3])
 def test_a_contour_whose_rightmost_point_is_at_the_tips_height(radius, friction):
-    # tip, tangential, tip within a few degrees of slope: between two places at which the rod stands on its tip
+    # tip, tangential, tip contact within a few degrees of slope: the tangential contact is shorter than a piece of the path
     for above in (-1e-9, 0.0, 1e-9, 1e-3):
         circle = planar.Circle(radius, (0.0, 1.0 + above * radius))
         swept = planar.sweep(circle, friction, samples=30)
@@ -258,19 +258,19 @@ def test_a_corner_at_the_tips_height():
 
 
 def test_touch_down_in_tangential_contact():
-    # The object's rightmost point is below the tip: the straight rod leans on it, s1 its height.
+    # The object's rightmost point is below the tip: the straight rod touches it at s1 equal to its height.
     for contour, height in ((planar.Circle(0.3, (0.0, 0.6)), 0.6), (CONTOURS["rectangle"], 0.6)):
         swept = planar.sweep(contour, 0.3, samples=2000)
         assert swept.phase[0] == Phase.TANGENTIAL
         assert swept.s1[0] == pytest.approx(height)
         assert swept.slope[0] == np.pi / 2
         assert swept.m0z[0] == 0
-        # from the first contact on the friction angle is there to be read, at the smallest of forces
+        # the friction angle follows from the first contact on, at the smallest forces
         contacts = planar.reconstruct(swept.x0[1:20], swept.f0x[1:20], swept.f0y[1:20], swept.m0z[1:20])
         assert np.abs(contacts.friction - 0.3).max() < 1e-9
 
 
-def test_the_force_is_in_tension_where_contact_is_steep_and_rough():
+def test_the_rod_is_in_tension_where_the_contour_is_steep_and_friction_large():
     swept = planar.sweep(CIRCLE, 0.6, samples=400)
     assert (swept.f0y[1:20] < 0).all()
     assert (planar.sweep(CIRCLE, 0.3, samples=400).f0y[1:20] > 0).all()
@@ -284,7 +284,7 @@ def test_a_flat_bottom():
         assert bottom.sum() > 20
         assert (swept.phase[bottom] == phase).all()
         assert (swept.point[bottom, 1] == height).all()
-        # the same rod all along the edge, carried with its base
+        # the shape of the rod stays the same along the edge, and the contact moves with the base
         assert np.ptp(swept.m0z[bottom]) < 1e-12
         np.testing.assert_allclose(np.diff(swept.x0[bottom]), np.diff(swept.point[bottom, 0]), atol=1e-12)
 
@@ -293,7 +293,7 @@ def test_a_flat_bottom():
 
 
 def test_events_on_a_square():
-    # the tip meets the right side, the rod lies down on it and around the lower corner, and snaps from there to the left
+    # tip contact on the right side, tangential contact there and around the lower vertex, and a snap from there to the left
     for friction in (0.0, 0.3):
         events = planar.events(SQUARE, friction)
         assert events.kind[0] == EventKind.TOUCH_DOWN
@@ -301,13 +301,13 @@ def test_events_on_a_square():
         snaps = events.kind == EventKind.SNAP
         assert snaps.sum() >= 1
         assert (np.diff(events.x0) <= 0).all()
-        # a snap leaves one place and comes to another further along, in another state
+        # a snap leads to a place further along, in another state
         before, after = events.slope[snaps].T
         assert (after < before).all()
         assert (np.linalg.norm(np.diff(events.point[snaps], axis=1), axis=2) > 1e-3).all()
         assert (np.abs(np.diff(events.m0z[snaps], axis=1)) > 0.01).all()
         assert SQUARE.distance(events.point[snaps].reshape(-1, 2)).max() < 1e-12
-        # the sweep does the same
+        # the sweep agrees
         x0 = events.x0[snaps][0]
         swept = planar.sweep(SQUARE, friction, base=[x0 + 1e-9, x0 - 1e-9])
         np.testing.assert_allclose(swept.point, events.point[snaps][0], atol=1e-3)
@@ -322,17 +322,17 @@ def test_a_tip_snaps_around_every_corner(sides, friction):
     events = planar.events(polygon, friction)
     snaps = np.flatnonzero(events.kind == EventKind.SNAP)
     for i in snaps:
-        # 1e-12 before a fold the contact is its root away from it, times the bend of x0 there
+        # 1e-12 before a fold the contact is about 1e-6 away from it, the square root
         swept = planar.sweep(polygon, friction, base=[events.x0[i] + 1e-12, events.x0[i] - 1e-12])
         np.testing.assert_allclose(swept.point, events.point[i], atol=1e-4)
         np.testing.assert_allclose(swept.slope, events.slope[i], atol=1e-4)
-    # on its last stretch the tip visits edge after edge, and comes to each by a snap, if not by ceasing to lie on it
+    # after the last tangential contact the tip touches one edge after another; it reaches each by a snap, or by a transition
     swept = planar.sweep(polygon, friction, samples=4000)
     begin = np.flatnonzero(swept.phase == Phase.TANGENTIAL)[-1] + 1
     edges = len(np.unique(np.round(swept.slope[begin:], 9)))
     last = events.x0 <= swept.x0[begin - 1]
-    comes = np.isin(events.kind[last], (EventKind.SNAP, EventKind.TO_TIP)).sum()
-    assert comes == edges
+    arrivals = np.isin(events.kind[last], (EventKind.SNAP, EventKind.TO_TIP)).sum()
+    assert arrivals == edges
 
 
 @every_contour
@@ -348,7 +348,7 @@ def test_events_agree_with_the_sweep(contour):
             assert (before, after) == (Phase.TANGENTIAL, Phase.TIP)
 
 
-def test_events_say_what_they_are():
+def test_events_have_kinds_and_reasons():
     events = planar.events(CIRCLE, 0.2)
     assert len(events) == 4
     assert events.of(EventKind.TO_TIP).shape == (1,)
@@ -399,7 +399,7 @@ def test_a_sweep_is_refused(options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (dict(friction=[0.1, 0.2], samples=3), "2 contours need as many|1 contours need as many"),
+        (dict(friction=[0.1, 0.2], samples=3), "1 contours need as many frictions"),
         (dict(friction=[0.1], base=[[0.5], [0.4]]), "1 contours need as many frictions and base positions"),
         (dict(friction=[0.1], shares=[0.5, 0.2]), "shares .* rise from 0 to 1"),
         (dict(friction=[0.1], shares=[-0.1, 1.0]), "shares .* rise from 0 to 1"),

@@ -1,1 +1,1 @@
-"""Triangle meshes, convex bodies and the distances between them: computational geometry that knows nothing of touch."""
+"""Computational geometry of triangle meshes and convex bodies; it knows nothing of rods and contacts."""

@@ -1,12 +1,12 @@
 """How far a mesh is from convex.
 
-Convexity is judged by depth, not by a flag: the *dent* of a mesh is the largest depth of its surface below the surface of
-its convex hull. A point inside a convex polyhedron lies as deep as its nearest facet plane is far, so depth is the least of
-many linear functions: concave on each triangle, and bounded from above by any of them. That makes the deepest dent a
-branch-and-bound search whose answer is certain, needs no neighbours (triangle soups are fine) and also finds an edge
-flipped the wrong way, where every vertex lies on the hull and the surface doesn't.
+Convexity is judged by depth: the *dent* of a mesh is the largest depth of its surface below the surface of its convex hull.
+The depth of a point inside a convex polyhedron is its distance from the nearest facet plane, so it is the minimum of linear
+functions, concave on each triangle and bounded from above by each of them.  The deepest dent is found by branch and bound,
+with a certain result.  The search does not use which triangles are neighbours, so triangle soups will do, and it also finds an
+edge flipped the wrong way, where every vertex lies on the hull and the surface does not.
 
-Everything is computed in float64 at unit size about the centre of the box, so no unit is too small or too large.
+Points are in float64 at unit size about the centre of the bounding box, so that the unit of length does not matter.
 """
 
 from __future__ import annotations
@@ -21,16 +21,27 @@ from scipy.spatial import ConvexHull, cKDTree
 from scan3d.arrays import Array, Index
 from scan3d.geometry.triangles import distinct_rows, halve, longest_first
 
-# All relative to the diagonal of the bounding box.
+# All depths are relative to the diagonal of the bounding box.
 DENT_TOLERANCE = 1e-5
-"""Deepest dent of a body that counts as convex: float32 files of fine meshes and CAD exports have dents of 1e-7 to 1e-6
-from rounding alone, and no rod feels a hundred-thousandth of the body."""
+"""Deepest dent of a body that counts as convex.  Larger, bodies would be replaced by hulls that touch can tell from them;
+smaller, float32 files of fine meshes and CAD exports, with dents of 1e-7 to 1e-6 from rounding alone, would be refused."""
 DENT_PRECISION = 1e-3
-"""A dent is known to this share of itself; one below `NEGLIGIBLE_DENT` is only known to be below it."""
+"""Relative error of the depth of a dent.  Larger, reports are less accurate; smaller, the search takes longer."""
 NEGLIGIBLE_DENT = 0.01 * DENT_TOLERANCE
-_PROBES = 2_000_000  # distances in one step of the search: tens of milliseconds, tens of megabytes
-_SPLITS = 4_000  # triangles halved in one step while no dent is known: takes as long
-_NEARBY = 0.02  # of the diagonal, and radians: planes farther off are left to the probes
+"""Depth below which a dent is not determined.  Larger, reports of convex bodies are less accurate; smaller, the search spends
+time on the dents of rounding."""
+# Distances of probes from planes in one step of the search.  More take more memory (8 bytes each) and improve the bounds less
+# often; fewer take more calls.
+_PROBES = 2_000_000
+# Smallest number of triangles that are probed in one step, where bodies have many planes.  Larger, a step takes more memory;
+# smaller, more steps are needed.
+_FEWEST_PROBED = 4
+# Triangles that are halved in one step while no dent is known, for which it takes as long as the probes.  More are halved in
+# vain; fewer take more calls.
+_SPLITS = 4_000
+# Distance, in diagonals, and angle, in radians, within which planes near a triangle are looked up.  Larger, the look-up takes
+# longer; smaller, more triangles are left to the probes.
+_NEARBY = 0.02
 
 
 @dataclass(frozen=True)
@@ -54,13 +65,14 @@ def outward_hull(points: Array) -> Hull:
     hull = ConvexHull(points)
     facets = hull.simplices.astype(np.int64)
     count = len(facets)
-    # Qhull orients facets at random, and the normal of a sliver is no guide. But two facets run through their common edge
-    # in opposite directions: that sorts facets and their mirror images into one outward and one inward surface.
+    # Qhull orients facets at random, and the normal of a sliver is rounding.  But two facets with the same orientation run
+    # through their common edge in opposite directions, which sorts facets and their mirror images into an outward and an
+    # inward surface.
     start, end = facets.T.ravel(), np.roll(facets, -1, axis=1).T.ravel()
     common = np.lexsort((np.maximum(start, end), np.minimum(start, end))).reshape(-1, 2)
-    one, other = common.T % count
-    other = np.where(start[common[:, 0]] != start[common[:, 1]], other, other + count)
-    ends = np.concatenate([one, one + count]), np.concatenate([other, (other + count) % (2 * count)])
+    facet, neighbour = common.T % count
+    neighbour = np.where(start[common[:, 0]] != start[common[:, 1]], neighbour, neighbour + count)
+    ends = np.concatenate([facet, facet + count]), np.concatenate([neighbour, (neighbour + count) % (2 * count)])
     links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
     surface = connected_components(links, directed=False)[1][:count]
     mirrored = surface != surface[0]
@@ -73,32 +85,33 @@ def outward_hull(points: Array) -> Hull:
 
 
 def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:
-    """Greatest depth of triangles (t, 3, 3) below their hull, from above, and a point that deep.
+    """Upper bound of the depth of triangles (t, 3, 3) below their hull, and the point (3,) where they are deepest.
 
-    Over a triangle the depth is at most the greatest depth of its corners below any one plane. Triangles that this can't
-    exclude are probed at their corners and centre; the planes nearest to the probes sharpen the bounds of all the rest,
-    and the probed triangles are halved until bound and probes agree. While no dent is known, many more are halved, and
-    bounded by the planes nearby: the dents of rounding are so many and so alike that probing each would take minutes.
+    The depth on a triangle is at most the largest depth of its corners below any one plane.  Triangles that this bound does
+    not exclude are probed at their corners and centres.  The planes nearest to the probes improve the bounds of all other
+    triangles, and the probed triangles are halved until bounds and probes agree.  While no dent is known, many more triangles
+    are halved and bounded by the planes nearby, because the dents of rounding are so many and so alike that probing each would
+    take minutes.
     """
     upper = _bounds(corners, hull)
-    found, excluded, where = 0.0, 0.0, corners[np.argmax(upper), 0]
+    deepest, excluded, where = 0.0, 0.0, corners[np.argmax(upper), 0]
     while True:
-        live = upper > max((1 + DENT_PRECISION) * found, NEGLIGIBLE_DENT)
-        excluded = max(excluded, float(upper[~live].max(initial=0.0)))
-        if not live.any():
-            return max(found, excluded), where
-        corners, upper = corners[live], upper[live]
+        remaining = upper > max((1 + DENT_PRECISION) * deepest, NEGLIGIBLE_DENT)
+        excluded = max(excluded, float(upper[~remaining].max(initial=0.0)))
+        if not remaining.any():
+            return max(deepest, excluded), where
+        corners, upper = corners[remaining], upper[remaining]
         order = np.argsort(-upper)
         corners, upper = corners[order], upper[order]
 
-        count = max(4, _PROBES // (4 * (len(hull.planes) + 3 * len(upper))))
+        count = max(_FEWEST_PROBED, _PROBES // (4 * (len(hull.planes) + 3 * len(upper))))
         probes = np.concatenate([corners[:count].reshape(-1, 3), corners[:count].mean(axis=1)])
         depths = _depths(probes, hull.planes)
         depth, nearest = depths.min(axis=1), np.unique(depths.argmin(axis=1))
-        if depth.max() > found:
-            found, where = float(depth.max()), probes[depth.argmax()]
+        if depth.max() > deepest:
+            deepest, where = float(depth.max()), probes[depth.argmax()]
 
-        shallow = found <= DENT_TOLERANCE
+        shallow = deepest <= DENT_TOLERANCE
         count = _SPLITS if shallow else count
         longest = longest_first(corners[:count])[:, :, None]
         halves = halve(np.take_along_axis(corners[:count], longest, axis=1))[0]
@@ -110,20 +123,20 @@ def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:
 
 
 def _depths(points: Array, planes: Array) -> Array:
-    """Depth of points (..., 3) below planes (p, 4): (..., p)."""
+    """Depths (..., p) of points (..., 3) below planes (p, 4)."""
     return -(points @ planes[:, :3].T + planes[:, 3])
 
 
 def _bounds(corners: Array, hull: Hull) -> Array:
-    """Upper bounds (t,) of the depth of triangles, from the planes nearest in place and nearest in direction."""
+    """Upper bounds (t,) of the depth of triangles, by the planes of the nearest facets and those with the nearest normals."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(np.float64).tiny)[:, None]
-    place = hull.by_place.query(corners.mean(axis=1), distance_upper_bound=_NEARBY)[1]
-    one, other = (
-        hull.by_direction.query(n, distance_upper_bound=_NEARBY)[1] for n in (normal, -normal)
-    )  # out is either
+    facet = hull.by_place.query(corners.mean(axis=1), distance_upper_bound=_NEARBY)[1]
+    # the triangle may be turned inwards
+    along, against = (hull.by_direction.query(n, distance_upper_bound=_NEARBY)[1] for n in (normal, -normal))
     bound = np.full(len(corners), np.inf)
-    for nearest in (np.append(hull.facet_plane, 0)[place], one % len(hull.planes), other % len(hull.planes)):
-        plane = hull.planes[nearest]  # where none is nearby the index is one too high: any plane will do
+    for nearest in (np.append(hull.facet_plane, 0)[facet], along % len(hull.planes), against % len(hull.planes)):
+        plane = hull.planes[nearest]  # where no plane is nearby the index is one too high, and any plane gives a bound
         np.minimum(bound, -(np.einsum("tcx,tx->tc", corners, plane[:, :3]) + plane[:, 3:]).min(axis=1), out=bound)
-    return np.maximum(bound, 0)
+    np.maximum(bound, 0, out=bound)
+    return bound

@@ -1,4 +1,4 @@
-"""Nearest points of triangle meshes, and the distances to them."""
+"""Nearest points of triangle meshes, and the distances from them."""
 
 from __future__ import annotations
 
@@ -10,16 +10,25 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.geometry.triangles import areas, distance_to, dot, least, longest_first, offset_from
+from scan3d.geometry.triangles import areas, distance_to, dot, longest_first, offset_from, row_minima
 
 if TYPE_CHECKING:
     import trimesh
 
 
-def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
-    """Distance (p,) of points (p, 3) to a convex mesh, negative inside, the face (p,) and the point (p, 3) nearest to them.
+# Faces that `Search.near` tries for each point: those whose middles are nearest.  More take longer; with fewer, the face that
+# is found is more often not the nearest one, and the bounds that rest on it are wider.
+_TRIED_FACES = 4
+# A triangle whose height is less than this fraction of its longest edge counts as degenerate.  Larger, thin triangles would
+# be replaced by their edge; smaller, VTK would pass over some without a warning.
+_DEGENERATE = 1e-14
 
-    Raises InputError as `compare`.
+
+def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
+    """Nearest points of a convex mesh.
+
+    Returns the distances (p,) of points (p, 3) from its surface, negative inside, and the nearest face (p,) and point (p, 3) of
+    the mesh.  Raises InputError as `scan3d.compare`.
     """
     box = bounding_box(mesh, "mesh")
     centre, scale = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
@@ -27,7 +36,7 @@ def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
     points = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre) / scale
     corners = vertices[faces]
     face, foot = locator(corners)(points)
-    # a point lies on the far side of its foot from the middle exactly if it is outside
+    # a point is outside exactly if it and the middle of the mesh lie on opposite sides of its nearest point
     outside = dot(points - foot, vertices.mean(axis=0) - foot) < 0
     offset = offset_from(points, corners[face])
     distance = np.where(outside, 1.0, -1.0) * np.linalg.norm(offset, axis=1)
@@ -35,17 +44,20 @@ def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
 
 
 def distances(points: Array, mesh: trimesh.Trimesh) -> Array:
-    """Distance (p,) of points (p, 3) to a mesh's surface, never negative."""
+    """Distances (p,) of points (p, 3) from a mesh's surface, never negative."""
     return np.abs(nearest(points, mesh)[0])
 
 
 def signed_distances(points: Array, mesh: trimesh.Trimesh) -> Array:
-    """Distance (p,) of points (p, 3) to a convex mesh, negative inside."""
+    """Distances (p,) of points (p, 3) from a convex mesh, negative inside."""
     return nearest(points, mesh)[0]
 
 
 def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
-    """Bounding box (2, 3) of a mesh's faces.  Raises InputError if they can't be compared."""
+    """Bounding box (2, 3) of a mesh's faces.
+
+    Raises InputError, in which the mesh is called `name`, if it has no faces, coordinates that aren't finite, or no extent.
+    """
     if len(mesh.faces) == 0:
         raise InputError(
             f"the {name} should have at least one triangle, but it has {len(mesh.vertices)} vertices and no faces; "
@@ -68,17 +80,20 @@ def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
 
 
 def welded(mesh: trimesh.Trimesh, centre: Array, scale: float) -> tuple[Array, Index]:
-    """A mesh's vertices (n, 3), brought to the common size and each there once, and faces (m, 3), longest edge first."""
+    """Distinct vertices (n, 3) of a mesh and its faces (m, 3), longest edge first.
+
+    The vertices are moved by ``-centre`` and divided by `scale`.
+    """
     used, faces = np.unique(mesh.faces, return_inverse=True)
     scaled = (np.asarray(mesh.vertices, dtype=np.float64)[used] - centre) / scale
-    vertices, welded = np.unique(scaled, axis=0, return_inverse=True)
-    faces = welded.ravel()[faces.reshape(-1, 3)]
+    vertices, number = np.unique(scaled, axis=0, return_inverse=True)
+    faces = number.ravel()[faces.reshape(-1, 3)]
     faces = np.take_along_axis(faces, longest_first(vertices[faces]), axis=1)
     return vertices, faces
 
 
 class Search:
-    """Nearest of triangles (m, 3, 3), longest edge first."""
+    """Search for the nearest of triangles (m, 3, 3), longest edge first."""
 
     def __init__(self, corners: Array) -> None:
         middles = corners.mean(axis=1)
@@ -88,50 +103,56 @@ class Search:
         self._locate = locator(corners)
 
     def near(self, points: Array) -> tuple[Array, Index, Array]:
-        """Distance (p,) of points (p, 3) to a triangle near by, which, and a lower bound of that to the nearest."""
-        to_middle, face = self._tree.query(points, k=[1, 2, 3, 4][: self._tree.n], workers=-1)
-        return *least(distance_to(points[:, None], self._corners[face]), face), to_middle[:, 0] - self._radius
+        """Quick estimates: distances (p,) of points (p, 3) from a triangle nearby, the number (p,) of that triangle, and lower
+        bounds (p,) of the distances from the nearest one."""
+        ranks = list(range(1, min(_TRIED_FACES, self._tree.n) + 1))
+        to_middle, face = self._tree.query(points, k=ranks, workers=-1)
+        return *row_minima(distance_to(points[:, None], self._corners[face]), face), to_middle[:, 0] - self._radius
 
     def nearest(self, points: Array) -> tuple[Array, Index]:
-        """Distance (p,) of points (p, 3) to the nearest triangle, to rounding, and which; slower."""
+        """Distances (p,) of points (p, 3) from the nearest triangle, and its number (p,); exact to rounding, and slower."""
         face, _ = self._locate(points)
         return distance_to(points, self._corners[face]), face
 
 
 def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
-    """A function from points (p, 3) to the nearest of some triangles, longest edge first, and the nearest points (p, 3)."""
+    """A function from points (p, 3) to the numbers (p,) of the nearest triangles and their nearest points (p, 3).
+
+    The triangles (m, 3, 3) have their longest edge first.
+    """
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import reference, vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkGenericCell, vtkPolyData, vtkStaticCellLocator
 
-    def cells(corners: Index) -> Any:
+    def cell_array(corners: Index) -> Any:
         array, starts = vtkCellArray(), np.arange(len(corners) + 1) * corners.shape[1]
         array.SetData(numpy_to_vtkIdTypeArray(starts, deep=True), numpy_to_vtkIdTypeArray(corners.ravel(), deep=True))
         return array
 
-    # VTK passes over triangles without area: they go in as their longest edge.  It counts lines before triangles.
+    # VTK passes over triangles without area, so they are represented by their longest edge.  It counts lines before
+    # triangles.
     length = np.linalg.norm(triangles[:, 1] - triangles[:, 0], axis=1)
-    flat = 2 * areas(triangles) <= 1e-14 * length**2
-    order = np.argsort(~flat, kind="stable")
+    degenerate = 2 * areas(triangles) <= _DEGENERATE * length**2
+    order = np.argsort(~degenerate, kind="stable")
     index = np.arange(3 * len(triangles)).reshape(-1, 3)
     points, data, locator = vtkPoints(), vtkPolyData(), vtkStaticCellLocator()
     points.SetDataTypeToDouble()
     points.SetData(numpy_to_vtk(triangles.reshape(-1, 3), deep=True))
     data.SetPoints(points)
-    data.SetLines(cells(index[flat, :2]))
-    data.SetPolys(cells(index[~flat]))
+    data.SetLines(cell_array(index[degenerate, :2]))
+    data.SetPolys(cell_array(index[~degenerate]))
     locator.SetDataSet(data)
     locator.BuildLocator()
 
     def nearest(queries: Array) -> tuple[Index, Array]:
-        found, feet = np.empty(len(queries), dtype=np.int64), np.empty((len(queries), 3))
-        closest, cell = [0.0] * 3, vtkGenericCell()
-        at: Any = reference(0)
+        cells, feet = np.empty(len(queries), dtype=np.int64), np.empty((len(queries), 3))
+        foot, work = [0.0] * 3, vtkGenericCell()
+        cell: Any = reference(0)
         part: Any = reference(0)
         squared: Any = reference(0.0)
         for i, query in enumerate(queries.tolist()):
-            locator.FindClosestPoint(query, closest, cell, at, part, squared)
-            found[i], feet[i] = at, closest
-        return order[found], feet
+            locator.FindClosestPoint(query, foot, work, cell, part, squared)
+            cells[i], feet[i] = cell, foot
+        return order[cells], feet
 
     return nearest

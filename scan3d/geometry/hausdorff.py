@@ -10,12 +10,13 @@ d(v, B) unless zero; likewise the other way.  So h(K, L) <= r, and r, taken at p
 at x.  L lies in K + h(K, L) * ball, so along u it reaches at most h(K, L) beyond x: the ray from x along u leaves L,
 through B, within h(K, L).  Hence r = h(A, B).  (Schneider, *Convex Bodies: The Brunn-Minkowski Theory*, lemma 1.8.1.)
 
-The smaller of the one-sided distances, and surfaces that aren't convex, have no such shortcut: the farthest point may lie
-inside a face.  There a triangle T of A is bounded by min_j max_v d(v, t_j), with v its corners and t_j any triangles of B,
-for the distance to a convex set is convex.  Where B is convex, its planes instead bound the points of T inside it, far
-more tightly, and the points outside never exceed the vertices.  Splitting the triangles with the largest bounds closes
-the gap.  A mesh convex but for rounding (a single-precision file) is held against its hull, and the bounds widened by
-``slack``, the distance between the two.
+The smaller of the one-sided distances, and the distances of surfaces that aren't convex, can't be computed from the vertices
+alone, because the farthest point may lie inside a face.  There the distance from a triangle T of A is bounded by
+min_j max_v d(v, t_j), with v the corners of T and t_j any triangles of B, because the distance from a convex set is convex.  If
+B is convex, its planes bound the distance from the points of T inside it far more tightly, and points outside are never farther
+than the vertices.  Splitting the triangles with the largest bounds brings the bounds together.  A mesh that is convex but for
+rounding (from a single-precision file) is replaced by its hull, and the bounds are widened by ``slack``, the distance between
+the two.
 
 Lengths in this module are in diagonals of the two meshes' common bounding box.
 """
@@ -30,16 +31,29 @@ import numpy as np
 from scan3d.arrays import Array, Index
 from scan3d.geometry.distance import Search
 from scan3d.geometry.hull_distance import against_hull, prepare_facets
-from scan3d.geometry.triangles import distance_to, halve, least
+from scan3d.geometry.triangles import distance_to, halve, row_minima
 
 if TYPE_CHECKING:
     import trimesh
 
-ROUNDING = 1e-15  # of the diagonal
-RELATIVE_GAP = 1e-3  # of the distance: certified bounds this close are close enough
-ABSOLUTE_GAP = 1e-9  # of the diagonal: likewise
-MAX_SPLITS = 40_000  # per direction, a fraction of a second; beyond it the bounds stay honest, only wider
+# Differences of distances below this are rounding.  Larger, the distance of convex bodies would lose digits; smaller,
+# vertices that are equally far would all be examined.
+ROUNDING = 1e-15
+# The bounds are not improved further where their difference is less than this fraction of the distance, or less than this
+# number of diagonals.  Larger, the bounds are wider; smaller, more triangles are split, which takes longer.
+RELATIVE_GAP, ABSOLUTE_GAP = 1e-3, 1e-9
+# Largest number of triangles that are split in one direction.  Larger, a comparison may take longer than a fraction of a
+# second; smaller, the bounds of some pairs remain wider than the gaps above, though still certain.
+MAX_SPLITS = 40_000
+# Triangles that are split at once.  More are split in vain, because bounds are improved after each batch; fewer take more
+# calls.
 BATCH = 4096
+# Vertices that are examined first; the number is doubled from batch to batch.  More are examined in vain; fewer take more
+# calls.
+_FIRST_VERTICES = 16
+# Fraction of the lower bound that the slack of a nearly convex target may reach.  Larger, the slack may widen the bounds by
+# more than `RELATIVE_GAP`; smaller, more targets are treated as not convex, which takes longer.
+_MAX_SLACK = RELATIVE_GAP / 10
 
 
 class Side(NamedTuple):
@@ -54,90 +68,107 @@ class Side(NamedTuple):
 class Body:
     """A triangle mesh ready for distance queries."""
 
-    vertices: Array  # (n, 3)
-    faces: Index  # (m, 3), longest edge first
-    corners: Array  # (m, 3, 3) vertices of the faces
-    normals: Array  # (m, 3), zero where a face has no area
-    volume: float  # NaN unless closed
-    planes: Array  # (m, 4) per face, n and c of a plane <n, x> = c that supports the hull
-    slack: float  # bound of the Hausdorff distance between this surface and its hull's; infinite if far from convex
+    vertices: Array
+    """(n, 3)"""
+    faces: Index
+    """(m, 3), longest edge first."""
+    corners: Array
+    """(m, 3, 3) vertices of the faces."""
+    normals: Array
+    """(m, 3) unit normals of the faces, zero where a face has no area."""
+    volume: float
+    """NaN unless the mesh is closed."""
+    planes: Array
+    """(m, 4) for each face, n and c of a plane <n, x> = c that supports the hull."""
+    slack: float
+    """Upper bound of the Hausdorff distance between this surface and that of its hull; may be infinite."""
     search: Search
+    """Of the faces."""
 
 
 def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
-    """Bring a mesh to the common size, judge its convexity and set up its distance queries."""
+    """A mesh moved by ``-centre`` and divided by `scale`, its distance from its hull, and the search for its nearest faces."""
     facets = prepare_facets(mesh, centre, scale)
     planes, slack = against_hull(facets)
     return Body(
-        facets.vertices,
-        facets.faces,
-        facets.corners,
-        facets.normals,
-        facets.volume,
-        planes,
-        slack,
-        Search(facets.corners),
+        vertices=facets.vertices,
+        faces=facets.faces,
+        corners=facets.corners,
+        normals=facets.normals,
+        volume=facets.volume,
+        planes=planes,
+        slack=slack,
+        search=Search(facets.corners),
     )
 
 
 def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> list[Side]:
-    """From each source to its target; the larger one without a gap if both are convex."""
+    """The one-sided distances from each pair's source to its target; if all bodies are convex (`exact`), the larger one of the
+    distances has equal bounds."""
     quick = [target.search.near(source.vertices)[:2] for source, target in pairs]
     known = [np.zeros(len(distance), dtype=bool) for distance, _ in quick]
 
     def settle(floor: float, gap: float) -> float:
-        """Replace quick distances by exact ones until none can exceed `floor` or, by `gap`, its side's largest."""
+        """The largest distance of a vertex.
+
+        Quick estimates are replaced by exact distances until none exceeds `floor` nor the largest exact distance of its side by
+        more than the fraction `gap`.
+        """
         largest = []
-        for (source, target), (distance, face), sure in zip(pairs, quick, known, strict=True):
-            some = 16
+        for (source, target), (distance, face), exactly in zip(pairs, quick, known, strict=True):
+            batch = _FIRST_VERTICES
             while True:
-                enough = max(floor, (1 + gap) * distance[sure].max(initial=0.0)) + ROUNDING
-                rest = np.flatnonzero(~sure & (distance > enough))
+                threshold = max(floor, (1 + gap) * distance[exactly].max(initial=0.0)) + ROUNDING
+                rest = np.flatnonzero(~exactly & (distance > threshold))
                 if len(rest) == 0:
                     break
-                part = rest[np.argsort(-distance[rest])[:some]]
-                better, face[part] = target.search.nearest(source.vertices[part])
-                distance[part] = np.minimum(better, distance[part])
-                sure[part] = True
-                some *= 2
-            largest.append(distance[sure].max(initial=0.0))
+                part = rest[np.argsort(-distance[rest])[:batch]]
+                improved, face[part] = target.search.nearest(source.vertices[part])
+                distance[part] = np.minimum(improved, distance[part])
+                exactly[part] = True
+                batch *= 2
+            largest.append(distance[exactly].max(initial=0.0))
         return float(max(largest))
 
     largest = settle(floor=settle(floor=0.0, gap=RELATIVE_GAP / 2), gap=0.0)
     slacks = [source.slack for source, _ in pairs]
-    cap = largest if exact else largest + sum(slacks) + max(slacks)
+    upper = largest if exact else largest + sum(slacks) + max(slacks)
     sides = []
-    for (source, target), (distance, face), sure in zip(pairs, quick, known, strict=True):
-        at = int(np.where(sure, distance, -1.0).argmax())
-        start = Side(float(distance[at]), source.vertices[at], float(distance.max()))
-        sides.append(_split(source, target, face, start, cap))
+    for (source, target), (distance, face), exactly in zip(pairs, quick, known, strict=True):
+        farthest = int(np.where(exactly, distance, -1.0).argmax())
+        start = Side(float(distance[farthest]), source.vertices[farthest], float(distance.max()))
+        sides.append(_split(source, target, face, start, upper))
     return sides
 
 
-def _split(source: Body, target: Body, near: Index, vertices: Side, cap: float) -> Side:
+def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float) -> Side:
     """The largest distance from any point of the source to the target, by splitting faces.
 
-    near (n,): a target face near each vertex of the source.  vertices: bounds of the largest distance at a vertex.
-    cap: an upper bound known otherwise.
+    near (n,)
+        a target face near each vertex of the source.
+    vertices
+        bounds of the largest distance at a vertex.
+    upper
+        an upper bound of the result that is already known.
     """
     lower, point, settled = vertices
-    convex = target.slack <= RELATIVE_GAP / 10 * lower
+    convex = target.slack <= _MAX_SLACK * lower
     slack = target.slack if convex else 0.0
 
     def bound(corners: Array, faces: Index) -> tuple[Array, Index]:
-        """Bound of the distance over triangles (m, 3, 3), from target faces (m, 4), and the face that gives it."""
+        """Upper bounds (m,) of the distance over triangles (m, 3, 3), and which of the target faces (m, k) give them."""
         if convex:
             plane = target.planes[faces]
             values = plane[..., 3, None] - np.einsum("mjx,mix->mji", plane[..., :3], corners)
         else:
             values = distance_to(corners[:, None], target.corners[faces][:, :, None])
-        return least(values.max(axis=2), faces)
+        return row_minima(values.max(axis=2), faces)
 
     def gap() -> float:
         return max(RELATIVE_GAP * lower, ABSOLUTE_GAP)
 
-    if cap - lower <= gap():
-        return Side(lower, point, cap)
+    if upper - lower <= gap():
+        return Side(lower, point, upper)
     corners, faces = source.corners, near[source.faces[:, [0, 1, 2, 0]]]
     above, faces[:, 3] = bound(corners, faces)
     loose = np.flatnonzero(above + slack > lower + gap())
@@ -145,13 +176,14 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, cap: float) 
     above[loose], faces[loose, 3] = bound(corners[loose], faces[loose])
     splits = 0
     while True:
-        # Let go of the triangles that can't matter; of the others, split those first that allow for most.
+        # Triangles whose bounds are too small to matter are dropped; of the others, those with the largest bounds are split
+        # first.
         matters = above + slack > lower + gap()
         settled = max(settled, float(above[~matters].max(initial=0.0)))
         corners, faces, above = corners[matters], faces[matters], above[matters]
-        if len(above) == 0 or splits >= MAX_SPLITS or cap - lower <= gap():
+        if len(above) == 0 or splits >= MAX_SPLITS or upper - lower <= gap():
             highest = max(lower, settled, float(above.max(initial=0.0)))
-            return Side(lower, point, max(lower, min(cap, highest + slack)))
+            return Side(lower, point, max(lower, min(upper, highest + slack)))
         order = np.argsort(-above)
         first, rest = order[:BATCH], order[BATCH:]
         middle = corners[first, :2].mean(axis=1)

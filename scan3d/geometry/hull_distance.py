@@ -1,10 +1,12 @@
-"""How far a triangle mesh is from its convex hull, for surfaces that are convex but for rounding."""
+"""Bounds of the distance between a triangle mesh and its convex hull, tight for meshes that are convex but for rounding."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
@@ -14,11 +16,27 @@ from scan3d.geometry.triangles import areas, dot
 if TYPE_CHECKING:
     import trimesh
 
-CONVEX_DEPTH = 1e-9  # of the diagonal: a dent less deep than this is rounding
-NEAR_CONVEX_DEPTH = 1e-4  # of the diagonal: a surface with a dent deeper than this is treated as not convex
-# Depth of a face, in diagonals, below which a closer look is not worth it where the distance to the hull is all that is
-# asked for: a hundredth of what counts as convex.
+# All depths are relative to the diagonal of the bounding box.
+# A surface less deep than this below its hull counts as convex.  Larger, real dents would be taken for rounding; smaller,
+# rounding for dents, which costs time and tight bounds.
+CONVEX_DEPTH = 1e-9
+# A surface with more faces deeper than this than can be examined counts as not convex.  Larger, its bound may be so wide that
+# the search that uses it gains nothing; smaller, single-precision files of fine meshes would lose their tight bounds.
+NEAR_CONVEX_DEPTH = 1e-4
+# Depth of a face below which it is not examined further where only the distance to the hull is wanted.  Larger, the bound of
+# a convex surface grows; smaller, faces are examined whose depth is rounding only.
 _PRECISION = 1e-11
+# Upper bound of the distances between faces and planes that are computed for one surface.  Larger, fine meshes that are not
+# convex take longer; smaller, the bounds of fine meshes that nearly are convex become wide or infinite.
+_MAX_DISTANCES = 200_000_000
+# Number of these distances that are computed at once.  More need more memory (8 bytes each); fewer take more calls.
+_DISTANCES_AT_ONCE = 4_000_000
+# Largest fraction of the full solid angle that may lack a surface.  Larger, holes would count that are seen as such; smaller,
+# the rounding of the solid angles of fine meshes would count as a hole.
+_MAX_HOLE = 1e-6
+# Rounding of that fraction, which is added to it in an open surface.  Larger, the bounds of open surfaces are wider; smaller,
+# they might not be certain.
+_HOLE_ROUNDING = 1e-14
 
 
 class Facets(NamedTuple):
@@ -52,18 +70,47 @@ def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets
 
 
 def distance_to_hull(mesh: trimesh.Trimesh) -> float:
-    """Upper bound of the Hausdorff distance between a mesh and its convex hull, in the mesh's unit.
+    """Upper bound of the Hausdorff distance between a mesh and the surface of its convex hull, in the mesh's unit.
 
-    Infinite if the mesh is flat, has a dent deeper than `NEAR_CONVEX_DEPTH`, or does not wind once around its middle.
-    Raises InputError as `scan3d.compare`.
+    It is infinite if the mesh is flat, if it does not wind once around its middle, or if more of its faces than can be examined
+    lie deeper than `NEAR_CONVEX_DEPTH`.  Raises InputError as `scan3d.compare`.
     """
     box = bounding_box(mesh, "surface")
     scale = float(np.linalg.norm(box[1] - box[0]))
-    return against_hull(prepare_facets(mesh, box.mean(axis=0), scale), _PRECISION)[1] * scale
+    facets = prepare_facets(mesh, box.mean(axis=0), scale)
+    if not facets.closed:
+        facets = _wound_alike(facets)
+    return against_hull(facets, _PRECISION)[1] * scale
+
+
+def _wound_alike(facets: Facets) -> Facets:
+    """A closed surface with all faces wound alike; facets unchanged if an edge is not of two faces, or in several parts.
+
+    The winding of a face without area, as Qhull makes them, is due to rounding, and would make a hull look open.
+    """
+    faces = facets.faces
+    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    faces, corners = faces[kept], facets.corners[kept]
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    edge = np.minimum(start, end) * len(facets.vertices) + np.maximum(start, end)
+    _, uses = np.unique(edge, return_counts=True)
+    if not (uses == 2).all():
+        return facets
+    first, second = np.argsort(edge, kind="stable").reshape(-1, 2).T
+    # each face stands twice in this graph, as it is and turned over; neighbours that are wound alike are joined
+    count, differs = len(faces), start[first] == start[second]
+    a, b = first // 3, second // 3
+    joined = np.concatenate([a, a + count]), np.concatenate([b + count * differs, b + count * ~differs])
+    parts, label = connected_components(coo_array((np.ones(len(joined[0])), joined), shape=(2 * count,) * 2), False)
+    if parts != 2 or (label[:count] == label[count:]).any():
+        return facets
+    turned = label[:count] != label[0]
+    faces[turned], corners[turned] = faces[turned, ::-1], corners[turned, ::-1]
+    return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True)
 
 
 def _planes(points: Array) -> Array:
-    """n and c (k, 4) of the planes <n, x> = c of points' convex hull, outward; none if the points are flat."""
+    """Planes (k, 4) of the convex hull of points: n and c with <n, x> = c, n outward; (0, 4) if the points are flat."""
     try:
         return np.unique(ConvexHull(points).equations, axis=0) * [1, 1, 1, -1]
     except (QhullError, ValueError):
@@ -71,18 +118,18 @@ def _planes(points: Array) -> Array:
 
 
 def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[Array, float]:
-    """A supporting plane (m, 4) for every face, and a bound of the distance between the surface and its hull's.
+    """A supporting plane (m, 4) for every face, and a bound of the distance between the surface and the surface of its hull.
 
-    Depth below the hull's surface is concave on a face and not negative, so nowhere more than three times that of the
-    face's middle.  If the surface winds once around a point c inside, every ray from c meets it, no deeper than that:
-    along the ray that is within depth * R / r of the hull's surface, r and R the least and largest distance of c to it.
-    A face known to be no deeper than `precision` is not looked at further.
+    The depth below the hull's surface is concave on a face and not negative, so it is nowhere more than three times that of the
+    face's middle.  If the surface winds once around a point c inside, every ray from c meets the surface, at no more than the
+    largest depth; along the ray the hull's surface is within depth * R / r, with r and R the smallest and the largest distance
+    of c from it.  Faces that are known to be no deeper than `precision` are not examined further.
     """
     vertices, _, corners, normals, closed, _ = facets
-    none = np.empty((0, 4)), np.inf
+    unbounded = np.empty((0, 4)), np.inf
     planes = _planes(vertices)
     if len(planes) == 0:
-        return none
+        return unbounded
     middles = corners.mean(axis=1)
     c = np.average(middles, axis=0, weights=areas(corners))
     r = float((planes[:, 3] - planes[:, :3] @ c).min())
@@ -94,21 +141,21 @@ def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[
     sines = dot(rays[:, 0], np.cross(rays[:, 1], rays[:, 2]))
     winding = float(np.arctan2(sines, length.prod(axis=1) + cosines).sum()) / (2 * np.pi)  # Van Oosterom, Strackee 1983
     missing = abs(abs(winding) - 1)
-    if r <= 0 or missing > 1e-6:
-        return none
-    # What an open surface leaves uncovered has room for a disc of this radius; a closed one leaves nothing.
-    hole = 0.0 if closed else 2 * np.sqrt(missing + 1e-14) * big_r
+    if r <= 0 or missing > _MAX_HOLE:
+        return unbounded
+    # The part that an open surface leaves uncovered has room for a disc of this radius; a closed surface covers everything.
+    hole = 0.0 if closed else 2 * np.sqrt(missing + _HOLE_ROUNDING) * big_r
 
     outward = normals * np.where(dot(middles - c, normals) < 0, -1, 1)[:, None]
     chosen = cKDTree(planes[:, :3], balanced_tree=False).query(outward, workers=-1)[1]
     depth = planes[chosen, 3] - dot(planes[chosen, :3], middles)
-    # A sliver's normal is rounding: try all planes on the deepest faces, as many as time allows.
+    # The normal of a sliver is rounding, and may choose a plane far away.  All planes are tried on the deepest faces.
     order = np.argsort(-depth)
-    trials = max(1, 200_000_000 // len(planes))
+    trials = max(1, _MAX_DISTANCES // len(planes))
     if depth[order[trials - 1 :]].max(initial=0.0) > NEAR_CONVEX_DEPTH:
-        return none
+        return unbounded
     deepest = order[:trials][depth[order[:trials]] > precision]
-    for some in np.array_split(deepest, 1 + len(deepest) * len(planes) // 4_000_000):
-        depths = planes[:, 3] - middles[some] @ planes[:, :3].T
-        chosen[some], depth[some] = depths.argmin(axis=1), depths.min(axis=1)
+    for part in np.array_split(deepest, 1 + len(deepest) * len(planes) // _DISTANCES_AT_ONCE):
+        depths = planes[:, 3] - middles[part] @ planes[:, :3].T
+        chosen[part], depth[part] = depths.argmin(axis=1), depths.min(axis=1)
     return planes[chosen], (3 * max(float(depth.max()), 0.0) + hole) * big_r / r

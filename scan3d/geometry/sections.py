@@ -13,11 +13,16 @@ from scan3d.arrays import Array, Index
 if TYPE_CHECKING:
     import trimesh
 
-_ROUNDING = 8 * np.finfo(np.float64).eps  # of a rotated coordinate, relative to its size
+# Rounding of a rotated coordinate, relative to its size.  Larger, short edges and shallow corners would be removed from
+# sections; smaller, rounding would decide on which side of a plane a vertex lies.
+_ROUNDING = 8 * np.finfo(np.float64).eps
+# Largest error of a rotation's rows from orthonormality.  Larger, sections would be distorted; smaller, rotations given with
+# ten digits would be refused.
+_ORTHONORMAL = 1e-9
 
 
 def slice_frame(axis: Array) -> Array:
-    """Rows: x, y and z axes (3, 3) of the slices' frame, z along `axis` (3,); the identity for the z axis."""
+    """The x, y and z axes of the slices' frame as rows (3, 3), z along `axis` (3,); the identity matrix for the z axis."""
     z = axis / np.linalg.norm(axis)
     helper = np.eye(3)[[2, 0, 1][int(np.argmax(np.abs(z)))]]
     x = np.cross(helper, z)
@@ -39,19 +44,21 @@ def extent_along(mesh: trimesh.Trimesh, axis: ArrayLike) -> tuple[float, float]:
 
 
 def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLike) -> list[Array]:
-    """Exact cross sections of a convex mesh, in the units of the mesh.
+    """Exact plane sections of a convex mesh, in the units of the mesh.
 
-    rotation: (3, 3), its rows are the slice frame's x, y and z axes in the world; the frame's origin is the world's.
-    heights: (n,) of the slices, along the frame's z axis, in any order.
+    rotation (3, 3)
+        its rows are the x, y and z axes of the slices' frame in the world; the origin of the frame is that of the world.
+    heights (n,)
+        heights of the slices along the frame's z axis, in any order.
 
-    Returns n convex polygons (m, 2), counter-clockwise in the frame's x and y, without duplicate or collinear vertices;
-    (0, 2) where the plane misses the body or touches it in a point or an edge only. A plane that holds a face of the
-    body, within rounding, gives that face. Vertices are exact to rounding of the body's size and place.
+    Returns n convex polygons (m, 2), counter-clockwise in the frame's x and y, without duplicate or collinear vertices; (0, 2)
+    where the plane misses the body or only touches it in a point or an edge.  The section by a plane that contains a face of
+    the body, within rounding, is that face.  Vertices are exact to rounding of the body's size and distance from the origin.
 
-    Raises ValueError unless the rotation's rows are orthonormal and the heights are (n,).
+    Raises ValueError unless the rotation's rows are orthonormal and the heights have the shape (n,).
     """
     rotation, heights = np.asarray(rotation, np.float64), np.asarray(heights, np.float64)
-    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9):
+    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ORTHONORMAL):
         raise ValueError(f"rotation must be (3, 3) with orthonormal rows, but it is {rotation.tolist()}")
     if heights.ndim != 1:
         raise ValueError(f"heights must be (n,), but their shape is {heights.shape}")
@@ -63,7 +70,7 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     order = np.argsort(heights)
     levels = heights[order] - origin[2]
 
-    # A vertex within rounding of the plane lies on it; an edge crosses it where its ends lie strictly on either side.
+    # A vertex within rounding of the plane lies on it; an edge crosses it if its ends lie strictly on opposite sides.
     z = points[:, 2]
     on, on_level = _pairs(np.searchsorted(levels, z - rounding), np.searchsorted(levels, z + rounding, side="right"))
     edges = mesh.edges_unique
@@ -86,26 +93,27 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
 
 
 def _pairs(first: Index, last: Index) -> tuple[Index, Index]:
-    """All (i, j) with first[i] <= j < last[i], as two arrays."""
+    """All pairs (i, j) with first[i] <= j < last[i], as two arrays."""
     count = np.maximum(last - first, 0)
     i = np.repeat(np.arange(len(count)), count)
     return i, np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)
 
 
 def _convex_polygon(points: Array, rounding: float) -> Array:
-    """Counter-clockwise hull (m, 2) of points (n, 2) without vertices that rounding can't tell from their neighbours."""
-    nothing = np.empty((0, 2))
+    """Counter-clockwise hull (m, 2) of points (n, 2), without vertices that bulge from it by no more than rounding."""
+    empty = np.empty((0, 2))
     if len(points) < 3 or (size := np.ptp(points, axis=0).max()) <= rounding:
-        return nothing
+        return empty
     try:
-        polygon = points[ConvexHull((points - points.mean(axis=0)) / size).vertices]
-    except QhullError:  # all on one line
-        return nothing
+        polygon: Array = points[ConvexHull((points - points.mean(axis=0)) / size).vertices]
+    except QhullError:  # the points lie on a line
+        return empty
+    # vertices are removed one at a time, so that of two that coincide one stays
     while len(polygon) >= 3:
         before, after = polygon - np.roll(polygon, 1, axis=0), np.roll(polygon, -1, axis=0) - polygon
         turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         bulge = turn / np.linalg.norm(before + after, axis=1)  # distance from the neighbours' chord
         if bulge.min() > rounding:
             return polygon
-        polygon = np.delete(polygon, bulge.argmin(), axis=0)  # one by one: of two that coincide one stays
-    return nothing
+        polygon = np.delete(polygon, bulge.argmin(), axis=0)
+    return empty

@@ -5,9 +5,9 @@ the outward normal u (h extended to all of space as homogeneous of degree 1).  I
 
     h(u) = Σ c_lm |u|^(1-l) R_lm(u),
 
-to the contacts' distances along their normals, and less strictly to their places.  Support functions follow affine maps,
-``h_{AK}(u) = h_K(Aᵀu)``; so the body is first mapped to one with the moments of inertia of the unit ball.  An ellipsoid, of
-any aspect, becomes the ball itself, and the series of every other smooth body converges much faster.
+to the contacts' distances along their normals, and with less weight to their positions along the surface.  Support functions
+follow affine maps, ``h_{AK}(u) = h_K(Aᵀu)``, so the body is first mapped to one with the moments of inertia of the unit ball.
+Every ellipsoid becomes the ball itself, and the series of every other smooth body converges much faster.
 
 Source: R. Schneider, *Convex Bodies: The Brunn-Minkowski Theory*, 1.7; the recurrences of the Racah-normalised solid
 harmonics and of their gradients are the standard ones, in Cartesian coordinates so that poles are ordinary points.
@@ -25,17 +25,24 @@ from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array
 
-# Contacts used for a fit: far more than coefficients, spread over all slices.
-_MOST_CONTACTS = 4000
-# Rounds in which the normals follow the fit; they converge by a factor of ten or more in each.
+# Largest number of contacts used for a fit, spread over all slices.  More take longer; fewer come close to the number of
+# coefficients, and the series follows their noise.
+_MAX_CONTACTS = 4000
+# Rounds in which the normals follow the fit.  Each improves them by a factor of ten or more and takes as long as the first;
+# with fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
-# Steps in which directions follow the fit, damped: where the body is flatter than the ball a full step would overshoot.
+# Steps in which directions follow the fit, and the damping of a step.  More steps take longer; fewer stop before the
+# directions have settled.  With less damping (a larger number) a step overshoots where the body is flatter than the ball;
+# with more, more steps are needed.
 _TURNS, _DAMPING = 3, 0.8
-# Weight of a contact's place along the surface against its distance from it: at first the normals are rough.
-_PLACE_WEIGHT = (0.1, 0.02)
-# Points that are evaluated at once, to bound the memory.
+# Weight of a contact's position along the surface relative to its distance from the surface, in the first round, where
+# normals are rough, and later.  Larger, errors of the position along the surface, which say little, distort the fit; smaller,
+# rough normals do.
+_POSITION_WEIGHT = (0.1, 0.02)
+# Points that are evaluated at once.  More need more memory; fewer take more calls.
 _BLOCK = 1000
-# Keeps coefficients that the contacts hardly determine from growing; far below rounding of anything they do determine.
+# Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.  Larger, it would distort what the
+# contacts determine; smaller, coefficients that they hardly determine could grow.
 _RIDGE = 1e-11
 
 
@@ -49,18 +56,19 @@ class SupportFit:
     shape: Array
     """(3, 3) symmetric: a point q of the mapped body is ``center + shape q`` in the world."""
     coefficients: Array
+    """((degree + 1)²,) of the harmonics, in the order of `harmonics`."""
     rms: float
-    """Root mean square distance of the contacts from the fitted body, in mean radii of the body."""
+    """Root mean square distance of the mapped contacts from the mapped body, whose mean radius is about 1."""
 
     def points(self, normals: Array) -> Array:
         """Points (n, 3) of the body with the outward normals (n, 3)."""
         return self.center + self._gradient(_unit(normals @ self.shape)) @ self.shape
 
     def normals(self, points: Array, start: Array) -> Array:
-        """Outward normals (n, 3) of the body at its points (n, 3), from rough ones."""
+        """Outward normals (n, 3) of the body at its points (n, 3), from rough normals `start` (n, 3)."""
         mapped = np.linalg.solve(self.shape, (points - self.center).T).T
-        found = _follow(self._gradient, mapped, _unit(start @ self.shape))
-        return _unit(np.linalg.solve(self.shape, found.T).T)
+        directions = _follow(self._gradient, mapped, _unit(start @ self.shape))
+        return _unit(np.linalg.solve(self.shape, directions.T).T)
 
     def _gradient(self, directions: Array) -> Array:
         parts = np.array_split(directions, max(1, len(directions) // _BLOCK))
@@ -70,12 +78,12 @@ class SupportFit:
 def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
     """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`."""
     center, shape = _inertia(points)
-    step = max(1, -(-len(points) // _MOST_CONTACTS))
+    step = max(1, -(-len(points) // _MAX_CONTACTS))
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
     directions = _unit(normals[::step] @ shape)
     coefficients = np.zeros((degree + 1) ** 2)
-    for round_ in range(_ROUNDS):
-        weight = _PLACE_WEIGHT[min(round_, 1)]
+    for rounds_done in range(_ROUNDS):
+        weight = _POSITION_WEIGHT[min(rounds_done, 1)]
         normal_matrix, right = np.zeros((len(coefficients),) * 2), np.zeros(len(coefficients))
         for first in range(0, len(mapped), _BLOCK):
             part = slice(first, first + _BLOCK)
@@ -125,7 +133,10 @@ def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
 
 
 def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) -> Array:
-    """Directions whose points on the fitted body lie closest below the given ones: near a ball the offset is the turn."""
+    """Directions (n, 3) whose points on the fitted body lie below the given points (n, 3), improved from `directions`.
+
+    Near the unit ball the offset of the points along the surface is the angle by which the direction must turn.
+    """
     for _ in range(_TURNS):
         offset = points - gradient(directions)
         offset -= (offset * directions).sum(axis=1, keepdims=True) * directions
@@ -134,7 +145,10 @@ def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) 
 
 
 def _inertia(points: Array) -> tuple[Array, Array]:
-    """Centroid and the symmetric map from the unit ball to the ball-like ellipsoid with the hull's moments of inertia."""
+    """Centroid (3,) and shape (3, 3) of the hull of points.
+
+    The shape is the symmetric map from the unit ball to the ellipsoid that has the hull's moments of inertia.
+    """
     middle = points.mean(axis=0)
     hull = ConvexHull(points - middle)
     corners = hull.points[hull.simplices]
@@ -149,9 +163,12 @@ def _inertia(points: Array) -> tuple[Array, Array]:
 
 
 def _tangents(u: Array) -> tuple[Array, Array]:
+    """Two unit vectors (n, 3) across each of the unit vectors u (n, 3) and across each other."""
     first = _unit(np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=1)]))
     return first, np.cross(u, first)
 
 
 def _unit(vectors: Any) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    """Vectors (n, 3) scaled to unit length."""
+    length: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / length

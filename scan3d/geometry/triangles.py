@@ -1,4 +1,4 @@
-"""Triangles (..., 3, 3), their areas and halves, and the distance of points to them."""
+"""Triangles (..., 3, 3): areas, halves, and the distances of points from them."""
 
 from __future__ import annotations
 
@@ -8,27 +8,36 @@ from scan3d.arrays import Array, Index
 
 
 def dot(a: Array, b: Array) -> Array:
-    return np.einsum("...x,...x->...", a, b)
+    """Scalar products (...) of vectors (..., 3)."""
+    products: Array = np.einsum("...x,...x->...", a, b)
+    return products
 
 
-def least(values: Array, labels: Index) -> tuple[Array, Index]:
-    """The least value of each row (m, k) and its label."""
-    best = values.argmin(axis=1)[:, None]
-    return np.take_along_axis(values, best, 1)[:, 0], np.take_along_axis(labels, best, 1)[:, 0]
+def row_minima(values: Array, labels: Index) -> tuple[Array, Index]:
+    """The smallest value (m,) of each row of values (m, k), and the label (m,) that stands at its place."""
+    column = values.argmin(axis=1)[:, None]
+    return np.take_along_axis(values, column, 1)[:, 0], np.take_along_axis(labels, column, 1)[:, 0]
 
 
 def areas(corners: Array) -> Array:
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    """Areas (m,) of triangles (m, 3, 3)."""
+    doubled: Array = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return doubled / 2
 
 
 def longest_first(corners: Array) -> Index:
     """Order (m, 3) of the corners of triangles (m, 3, 3) that puts the longest edge first and keeps the winding."""
     edges = np.roll(corners, -1, axis=1) - corners
-    return (dot(edges, edges).argmax(axis=1)[:, None] + np.arange(3)) % 3
+    longest: Index = dot(edges, edges).argmax(axis=1)
+    return (longest[:, None] + np.arange(3)) % 3
 
 
 def halve(corners: Array) -> tuple[Array, Index]:
-    """Triangles (m, 3, 3) cut across their longest edge: first halves, then second, (2m, 3, 3), and their new order."""
+    """Triangles (m, 3, 3), longest edge first, cut across that edge.
+
+    Returns the halves (2m, 3, 3), longest edge first, all first halves before all second ones, and the order (2m, 3) into
+    which their corners have been put.
+    """
     halves = np.concatenate([corners, corners])
     halves[: len(corners), 1] = halves[len(corners) :, 0] = corners[:, :2].mean(axis=1)
     turn = longest_first(halves)
@@ -36,20 +45,21 @@ def halve(corners: Array) -> tuple[Array, Index]:
 
 
 def distance_to(points: Array, corners: Array) -> Array:
-    """Distance of points (..., 3) to triangles (..., 3, 3), longest edge first, down to slivers and single points."""
-    return np.linalg.norm(offset_from(points, corners), axis=-1)
+    """Distances (...) of points (..., 3) from triangles (..., 3, 3), longest edge first, slivers and single points included."""
+    distance: Array = np.linalg.norm(offset_from(points, corners), axis=-1)
+    return distance
 
 
 def offset_from(points: Array, corners: Array) -> Array:
-    """Vectors to points (..., 3) from the nearest ones of triangles (..., 3, 3), longest edge first.
+    """Vectors (..., 3) to points (..., 3) from the nearest points of triangles (..., 3, 3), longest edge first.
 
-    Coordinates along the longest edge and across it: a sliver's normal would lose all digits.
+    They are computed in coordinates along the longest edge and across it, because the normal of a sliver has no correct digits.
     """
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
     r, e, f = points - a, b - a, c - a
 
     def ratio(x: Array, y: Array) -> Array:
-        """Component of x along y, 0 where y is."""
+        """Component of x along y, in lengths of y; 0 where y is 0."""
         return dot(x, y) / np.maximum(dot(y, y), np.finfo(np.float64).tiny)
 
     def to_edge(x: Array, y: Array) -> Array:
@@ -69,7 +79,10 @@ def offset_from(points: Array, corners: Array) -> Array:
 
 
 def distinct_rows(rows: Array) -> tuple[Index, Index]:
-    """Index of one of each distinct row (n,), and for every row (m,) which one it is. Several times np.unique's speed."""
+    """Index (n,) of one row for each of the n distinct rows, and for every row (m,) the number of its distinct row.
+
+    Several times as fast as np.unique.
+    """
     order = np.lexsort(rows.T)
     new = np.ones(len(rows), bool)
     new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)

@@ -1,1 +1,1 @@
-"""What is seen of a scan: pictures, pages, windows, movies, and tables in notebooks."""
+"""Pictures, pages, windows and movies of a scan, and tables of results in notebooks."""

@@ -12,32 +12,52 @@ from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures.parts import ShownSweep
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import INK, ROD, TANGENTIAL
+from scan3d.pictures.shading import BACKDROP, EDGE, INK, ROD, TANGENTIAL
 
-# Rendered so much larger and averaged: smooth edges on any renderer.
+# Images are rendered this many times larger and averaged: edges are smooth on any renderer.  Time and memory grow with its
+# square.
 _SUPERSAMPLING = 2
-# From above the front.
+# Toward the camera: three sides of a box are seen, and none of them hides another's contacts.
 DIRECTION = (1.0, -1.3, 0.8)
-# Corners that are drawn as edges, in degrees.
-_EDGE = 30.0
+# The size of a window, in pixels, which fits on the screens of laptops.
+WINDOW_SIZE = (1200, 900)
+# Fraction of an image that the corners fill; the rest is a margin for the size of points and lines.
+FILLED = 0.94
+# Edges between faces whose normals differ by more degrees are drawn: a smaller angle would draw the facets of smooth bodies,
+# a larger one would lose edges of polyhedra.
+_SHARP_DEG = 30.0
+# Edges and lines are moved toward the camera, and the body behind contacts away from it, by these fractions of the size: less,
+# and the faces they lie in would hide parts of them; more, and parts behind the body would show.
+_EDGES_FORWARD, _LINES_FORWARD, _BACKDROP_BACKWARD = 1e-3, 2e-3, 3e-3
+# Radius of rods, and the measure of clamps and contacts on them, as fractions of the size: they are seen in a picture 7 inches
+# wide, and neighbouring rods do not merge.
+_ROD_RADIUS, _MARK = 0.003, 0.006
+# Sides of a tube's and an arrow's circle: no corners are seen at this thickness.
+_TUBE_SIDES, _CONE_SIDES = 12, 24
+# Points of a line closer than this fraction of the size are one point: a tube has no direction between them.
+_SAME_POINT = 1e-6
+# Length of an arrow's head as a fraction of the size, and its radius as a fraction of its length.
+_HEAD, _HEAD_RADIUS = 0.05, 0.28
+# Distance of the camera in sizes: outside of any body that it sees.  In parallel projection nothing else depends on it.
+_CAMERA_DISTANCE = 3
 
 
 class Canvas:
-    """Bodies, points and lines before a camera that sees some corners (k, 3) whole, in parallel projection."""
+    """Bodies, points and lines before a camera in parallel projection, whose image contains the given corners (k, 3)."""
 
     def __init__(
         self, corners: Array, direction: Any = DIRECTION, up: Any = (0.0, 0.0, 1.0), *, off_screen: bool = True
     ) -> None:
         import pyvista
 
-        self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=[64, 64] if off_screen else [1200, 900])
-        self.dots = _SUPERSAMPLING if off_screen else 1
+        self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=[64, 64] if off_screen else [*WINDOW_SIZE])
+        self.pixel = _SUPERSAMPLING if off_screen else 1
         self.plotter.set_background("white")
-        self.plotter.suppress_rendering = off_screen  # until an image is asked for
+        self.plotter.suppress_rendering = off_screen  # until `image` is called
         if off_screen:
-            self.plotter.render_window.SetMultiSamples(0)  # the larger image does that
+            self.plotter.render_window.SetMultiSamples(0)  # the larger image replaces it
         self.corners = corners
-        self.size = float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0  # one point is as large as you please
+        self.size = float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0  # of a single point any size will do
         toward = np.asarray(direction, dtype=float)
         self.toward = toward / np.linalg.norm(toward)
         right = np.cross(np.asarray(up, dtype=float), self.toward)
@@ -45,7 +65,7 @@ class Canvas:
         self.up = np.cross(self.toward, self.right)
 
     def add_body(self, mesh: Any, color: Any, *, edges: Any = None, ambient: float = 0.45, opacity: float = 1.0) -> Any:
-        """A mesh in one colour or in one (v, 3) for each vertex, its sharp edges drawn.  Returns the mesh's actor."""
+        """Add a mesh in one colour, or one (v, 3) for each vertex, and the sharp edges of `edges`.  Returns its actor."""
         import pyvista
 
         shape = pyvista.wrap(mesh)
@@ -56,15 +76,15 @@ class Canvas:
             shape.point_data["rgb"] = color
             actor = self.plotter.add_mesh(shape, scalars="rgb", rgb=True, **light)
         sharp = pyvista.wrap(mesh if edges is None else edges).extract_feature_edges(
-            _EDGE, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
+            _SHARP_DEG, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
         )
         if sharp.n_cells and opacity == 1:
-            sharp.points = sharp.points + 1e-3 * self.size * self.toward  # before the faces
-            self.plotter.add_mesh(sharp, color="#4a4f55", line_width=self.dots)
+            sharp.points = sharp.points + _EDGES_FORWARD * self.size * self.toward
+            self.plotter.add_mesh(sharp, color=EDGE, line_width=self.pixel)
         return actor
 
-    def backdrop(self, scene: Scene) -> None:
-        """A body inside the contacts, so that those behind it do not shine through."""
+    def add_backdrop(self, scene: Scene) -> None:
+        """Add a pale body inside the contacts, which hides the contacts behind it."""
         body = scene.surface
         if body is None:
             try:
@@ -72,87 +92,92 @@ class Canvas:
             except InputError:  # contacts in a plane hide nothing
                 return
         body = body.copy()
-        body.vertices = body.vertices - 3e-3 * self.size * self.toward
-        self.add_body(body, "#eef0f3", ambient=0.6)
+        body.vertices = body.vertices - _BACKDROP_BACKWARD * self.size * self.toward
+        self.add_body(body, BACKDROP, ambient=0.6)
 
     def add_points(self, points: Array, color: Any, size: float) -> Any:
-        """Points (n, 3) as balls of so many pixels, in one colour or in their own (n, 3).  Returns their actor."""
+        """Add points (n, 3) as balls of `size` pixels, in one colour or in one (n, 3) for each.  Returns their actor."""
         import pyvista
 
         cloud = pyvista.PolyData(np.asarray(points))
-        how = dict(point_size=size * self.dots, render_points_as_spheres=True, ambient=0.6, diffuse=0.4)
+        options = dict(point_size=size * self.pixel, render_points_as_spheres=True, ambient=0.6, diffuse=0.4)
         if isinstance(color, str):
-            return self.plotter.add_mesh(cloud, color=color, **how)
+            return self.plotter.add_mesh(cloud, color=color, **options)
         cloud["rgb"] = color
-        return self.plotter.add_mesh(cloud, scalars="rgb", rgb=True, **how)
+        return self.plotter.add_mesh(cloud, scalars="rgb", rgb=True, **options)
 
     def add_lines(self, lines: Array, color: str, width: float) -> list[Any]:
-        """Lines (k, p, 3) of so many pixels.  Returns their actors."""
+        """Add lines (k, p, 3), `width` pixels wide.  Returns their actors."""
         import pyvista
 
         k, p = lines.shape[:2]
         if not k:
             return []
         cells = np.column_stack([np.full(k, p), np.arange(k * p).reshape(k, p)])
-        shape = pyvista.PolyData(lines.reshape(-1, 3) + 2e-3 * self.size * self.toward, lines=cells.ravel())
-        return [self.plotter.add_mesh(shape, color=color, line_width=width * self.dots, lighting=False)]
+        shape = pyvista.PolyData(lines.reshape(-1, 3) + _LINES_FORWARD * self.size * self.toward, lines=cells.ravel())
+        return [self.plotter.add_mesh(shape, color=color, line_width=width * self.pixel, lighting=False)]
 
     def add_tube(self, line: Array, color: str, radius: float) -> Any:
-        """A line (p, 3) of a thickness relative to the size.  Returns its actor."""
+        """Add a line (p, 3) as a tube; the radius is a fraction of the size.  Returns its actor."""
         import pyvista
 
         step = np.linalg.norm(np.diff(line, axis=0), axis=1)
-        distinct = line[np.insert(step > 1e-6 * self.size, 0, True)]
-        tube = pyvista.lines_from_points(distinct).tube(radius=radius * self.size, n_sides=12, capping=True)
+        distinct = line[np.insert(step > _SAME_POINT * self.size, 0, True)]
+        tube = pyvista.lines_from_points(distinct).tube(radius=radius * self.size, n_sides=_TUBE_SIDES, capping=True)
         return self.plotter.add_mesh(tube, color=color)
 
-    def add_rods(self, one: ShownSweep, states: NDArray[np.integer]) -> list[Any]:
-        """Bent rods with their clamps and contacts.  Returns their actors."""
+    def add_rods(self, sweep: ShownSweep, states: NDArray[np.integer]) -> list[Any]:
+        """Add the rods of some samples of a sweep with their clamps and contacts.  Returns their actors."""
         import pyvista
 
-        actors = []
-        thick = 0.006 * self.size
+        actors, rods = [], sweep.rods
+        mark = _MARK * self.size
         for k in states:
-            whole = np.concatenate([one.curved[k], one.straight[k, 1:]])
-            actors.append(self.add_tube(whole, ROD, 0.003))
-            clamp = pyvista.Cube(x_length=3 * thick, y_length=3 * thick, z_length=3 * thick)
-            clamp.points = one.base[k] + clamp.points @ one.axes - 1.5 * thick * one.axes[1]
+            actors.append(self.add_tube(rods[k], ROD, _ROD_RADIUS))
+            clamp = pyvista.Cube(x_length=3 * mark, y_length=3 * mark, z_length=3 * mark)
+            center = sweep.base[k] - 1.5 * mark * sweep.axes[1]  # the rod begins at the clamp's face
+            clamp.points = center + clamp.points @ sweep.axes
             actors.append(self.plotter.add_mesh(clamp, color=INK))
-            ball = pyvista.Sphere(radius=1.7 * thick, center=one.contact[k])
+            ball = pyvista.Sphere(radius=1.7 * mark, center=sweep.contact[k])
             actors.append(self.plotter.add_mesh(ball, color=TANGENTIAL))
         return actors
 
     def add_arrow(self, line: Array) -> None:
-        """A line (2, 3) with a head at its end."""
+        """Add a line (2, 3) with a head at its end."""
         import pyvista
 
         self.add_lines(line[None], INK, 2)
         along = line[1] - line[0]
-        head = 0.05 * self.size
-        cone = pyvista.Cone(center=line[1], direction=along, height=head, radius=0.28 * head, resolution=24)
+        head = _HEAD * self.size
+        cone = pyvista.Cone(
+            center=line[1], direction=along, height=head, radius=_HEAD_RADIUS * head, resolution=_CONE_SIDES
+        )
         self.plotter.add_mesh(cone, color=INK)
 
     def aim(self, width: int, height: int, floor: float = 0.0) -> float:
-        """Turn the camera so that the corners fill an image; returns the world's length that is as wide as the image."""
-        seen = self.corners @ np.stack([self.right, self.up], axis=1)
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        """Point the camera so that the corners fill an image of so many pixels, `floor` rows at the bottom left free.
+
+        Returns the width of the image as a length in the world.
+        """
+        projected = self.corners @ np.stack([self.right, self.up], axis=1)
+        low, high = projected.min(axis=0), projected.max(axis=0)
         middle = (low + high) / 2
         depth = self.corners @ self.toward
-        # a margin around, and so many pixels of room below
         free = height - floor
-        unit = min(0.94 * free / (high[1] - low[1] or 1.0), 0.94 * width / (high[0] - low[0] or 1.0))  # pixels
+        # pixels to the unit of length
+        unit = min(FILLED * free / (high[1] - low[1] or 1.0), FILLED * width / (high[0] - low[0] or 1.0))
         center = middle[0] * self.right + (middle[1] - floor / 2 / unit) * self.up + depth.mean() * self.toward
         camera = self.plotter.camera
         camera.parallel_projection = True
         camera.focal_point = center
-        camera.position = center + 3 * self.size * self.toward
+        camera.position = center + _CAMERA_DISTANCE * self.size * self.toward
         camera.up = self.up
         camera.parallel_scale = height / 2 / unit
         self.plotter.renderer.ResetCameraClippingRange()
         return float(width / unit)
 
     def image(self, width: int, height: int, floor: float = 0.0) -> tuple[NDArray[np.uint8], float]:
-        """(height, width, 3) what the camera sees, and the world's length that is as wide."""
+        """What the camera sees, (height, width, 3), and the width of the image as a length in the world."""
         from PIL import Image
 
         across = self.aim(width, height, floor)

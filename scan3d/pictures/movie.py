@@ -1,4 +1,4 @@
-"""Moving pictures: the rod along one sweep with its reactions, and the body growing slice by slice."""
+"""Movies: the rod along one sweep with its reactions, and the body growing slice by slice."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from scan3d.arrays import Array
 from scan3d.choices import MOVIES
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.figures import FONT, blank_figure, quiet
-from scan3d.pictures.parts import outlines, shown_sweep
+from scan3d.pictures.figures import FONT, REACTION_LABELS, blank_figure, quiet
+from scan3d.pictures.parts import evenly_chosen, outlines, shown_sweep
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
@@ -26,26 +26,35 @@ from scan3d.pictures.shading import (
     SLICE,
     TANGENTIAL,
 )
+from scan3d.pictures.words import unit_symbol
 
 ENDINGS = (".gif", ".mp4")
 NO_FFMPEG = (
     "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
 )
+# Frames of a movie, at most as many as samples or slices: five seconds, in a GIF of less than a megabyte.
 FRAMES = 60
 _PER_SECOND = 12
-# The last picture stays, in pictures.
+# The last frame is shown as long as this many frames, so that the result can be looked at before the movie starts again.
 _HELD = 18
-# Inches and dots to the inch: 980 by 560 pixels.
+# Inches and pixels to the inch: 980 by 560 pixels, even numbers, which video codecs need.
 _SIZE, _DPI = (7.0, 4.0), 140
+# Colours of a GIF, of at most 256: more make larger files, fewer show steps in the shading.
 _COLORS = 128
-# What is brighter is white.
+# Colours of a GIF's palette with all components at least this bright become white: paper is not grey.
 _WHITE = 245
+# Margins as fractions of what is drawn: points and lines at the border are seen entirely.
+_CURVE_MARGIN, _PLANE_MARGIN = 0.06, 0.05
+# Diameter of a contact in pixels, smaller than in pictures as frames are smaller.
+_CONTACT_SIZE = 3
+# Height of the rendered body as a fraction of the frame; the caption is below.
+_BODY_HEIGHT = 0.92
 
 Image = NDArray[np.uint8]
 
 
 def check_path(path: str | Path) -> Path:
-    """The path of a movie.  Raises InputError unless one can bear the name, and be written here."""
+    """The path of a movie.  Raises InputError for an ending other than those in `ENDINGS`, and for .mp4 without ffmpeg."""
     path = Path(path)
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"a movie is written as {' or '.join(ENDINGS)}, got {path.name!r}")
@@ -54,33 +63,38 @@ def check_path(path: str | Path) -> Path:
     return path
 
 
-def movie(scene: Scene, path: str | Path, of: str = "sweep", frames: int = FRAMES) -> None:
-    """Write a movie (.gif or .mp4) of the scene: its telling sweep, or its growth.
+def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = FRAMES) -> None:
+    """Write a movie (.gif or .mp4) of the scene: its most informative sweep, or the growth of the body.
 
-    Raises InputError for an unknown subject or ending, where the scene lacks what the movie shows, where no one can render
-    (growth), and for an .mp4 without imageio-ffmpeg.
+    subject
+        one of `scan3d.choices.MOVIES`.
+    frames
+        the number of frames, at most the number of samples or slices.
+
+    Raises InputError for an unknown subject or ending, where the scene lacks what the movie shows, where nothing can be
+    rendered (growth), and for an .mp4 without imageio-ffmpeg.
     """
     path = check_path(path)
-    if of not in MOVIES:
-        raise InputError(f"a movie is of {' or '.join(MOVIES)}, got {of!r}")
+    if subject not in MOVIES:
+        raise InputError(f"a movie is of {' or '.join(MOVIES)}, got {subject!r}")
     write = _gif if path.suffix.lower() == ".gif" else _mp4()
     with quiet():
-        write(path, _sweep(scene, frames) if of == "sweep" else _growth(scene, frames))
+        write(path, _sweep_frames(scene, frames) if subject == "sweep" else _growth_frames(scene, frames))
 
 
 def _gif(path: Path, images: Iterator[Image]) -> None:
     from PIL import Image as Pillow
 
-    pictures = [Pillow.fromarray(image) for image in images]
-    # the last one has all the colours
-    palette = pictures[-1].quantize(_COLORS, dither=Pillow.Dither.NONE)
-    mixed = np.array(palette.getpalette()).reshape(-1, 3)
-    mixed[(mixed >= _WHITE).all(axis=1)] = 255  # paper is white
-    palette.putpalette(mixed.ravel().tolist())
-    small = [one.quantize(palette=palette, dither=Pillow.Dither.NONE) for one in pictures]
-    each = 1000 // _PER_SECOND
-    times = [each] * (len(small) - 1) + [each * _HELD]
-    small[0].save(path, save_all=True, append_images=small[1:], duration=times, loop=0, optimize=False)
+    frames = [Pillow.fromarray(image) for image in images]
+    # the last frame has all the colours
+    palette = frames[-1].quantize(_COLORS, dither=Pillow.Dither.NONE)
+    colors = np.array(palette.getpalette()).reshape(-1, 3)
+    colors[(colors >= _WHITE).all(axis=1)] = 255
+    palette.putpalette(colors.ravel().tolist())
+    quantized = [frame.quantize(palette=palette, dither=Pillow.Dither.NONE) for frame in frames]
+    duration_ms = 1000 // _PER_SECOND
+    times = [duration_ms] * (len(quantized) - 1) + [duration_ms * _HELD]
+    quantized[0].save(path, save_all=True, append_images=quantized[1:], duration=times, loop=0, optimize=False)
 
 
 def _mp4() -> Any:
@@ -90,7 +104,7 @@ def _mp4() -> Any:
         raise InputError(NO_FFMPEG) from None
 
     def write(path: Path, images: Iterator[Image]) -> None:
-        size = tuple(round(one * _DPI) for one in _SIZE)
+        size = tuple(round(inches * _DPI) for inches in _SIZE)
         writer = ffmpeg.write_frames(str(path), size, fps=_PER_SECOND, macro_block_size=2, ffmpeg_log_level="error")
         writer.send(None)
         for image in images:
@@ -102,113 +116,116 @@ def _mp4() -> Any:
     return write
 
 
-def _sheet() -> Any:
+def _blank_frame() -> Any:
     figure = blank_figure(_SIZE[1], _DPI)
     assert figure.get_size_inches()[0] == _SIZE[0]
     return figure
 
 
-def _shot(figure: Any) -> Image:
+def _pixels(figure: Any) -> Image:
     """(height, width, 3) the figure as it is now."""
     figure.canvas.draw()
     return np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3])
 
 
-def _sweep(scene: Scene, frames: int) -> Iterator[Image]:
-    """The plane of a slice: contour, clamp, rod and contacts so far; beside it the reactions."""
-    one = shown_sweep(scene)
+def _sweep_frames(scene: Scene, frames: int) -> Iterator[Image]:
+    """The plane of a slice with contour, clamp, rod and contacts so far; beside it the reactions over the clamp travel."""
+    sweep = shown_sweep(scene)
     assert scene.recording is not None
-    rod, unit = scene.recording.rod, scene.unit.replace("um", "µm")
-    origin, plane = one.base[0], one.axes[:2]
+    rod, origin, plane = scene.recording.rod, sweep.base[0], sweep.axes[:2]
 
-    def flat(points: Array) -> Array:
-        return (points - origin) @ plane.T
+    def in_plane(points: Array) -> Array:
+        coordinates: Array = (points - origin) @ plane.T
+        return coordinates
 
-    way = -flat(one.base)[:, 0]
-    reactions = one.reactions * [rod.force_unit_N * 1e3, rod.force_unit_N * 1e3, rod.moment_unit_Nm * 1e6]
-    figure = _sheet()
-    scene_axes = figure.add_axes((0.01, 0.10, 0.56, 0.84))
-    curves = figure.subplots(
+    base, contacts, rods = in_plane(sweep.base), in_plane(sweep.contact), in_plane(sweep.rods)
+    outline = in_plane(next(line for line, number in outlines(scene) if number == sweep.slice))
+    travel = -base[:, 0]
+    reactions = sweep.reactions * [rod.force_unit_N * 1e3, rod.force_unit_N * 1e3, rod.moment_unit_Nm * 1e6]
+    figure = _blank_frame()
+    axes = _plane_axes(figure, outline, rods, base)
+    curves = _reaction_axes(figure, travel, reactions, unit_symbol(scene.unit))
+    caption = f"{scene.name}, slice {sweep.slice}, sweep {sweep.number}"
+    figure.text(0.02, 0.03, caption, fontsize=FONT - 1, va="center")
+    trace = axes.plot([], [], ".", color=TANGENTIAL, ms=4)[0]
+    bent = axes.plot([], [], color=ROD, lw=2.5, solid_capstyle="round")[0]
+    clamp = axes.plot([], [], "s", color=INK, ms=9)[0]
+    contact = axes.plot([], [], "o", color=TANGENTIAL, ms=7)[0]
+    for k in evenly_chosen(len(travel), frames):
+        bent.set_data(*rods[k].T)
+        trace.set_data(*contacts[: k + 1].T)
+        clamp.set_data(*base[k : k + 1].T)
+        contact.set_data(*contacts[k : k + 1].T)
+        for (curve, mark), values in zip(curves, reactions.T, strict=True):
+            curve.set_data(travel[: k + 1], values[: k + 1])
+            mark.set_data(travel[k : k + 1], values[k : k + 1])
+        yield _pixels(figure)
+
+
+def _reaction_axes(figure: Any, travel: Array, reactions: Array, unit: str) -> list[tuple[Any, Any]]:
+    """Axes of the reactions (k, 3) in mN and mN mm, in grey; returns the coloured curve and mark of each, still empty."""
+    all_axes = figure.subplots(
         3, 1, sharex=True, gridspec_kw=dict(left=0.68, right=0.975, top=0.95, bottom=0.14, hspace=0.2)
     )
-    lines, marks = [], []
-    for axes, values, name in zip(
-        curves, reactions.T, ("$f_{0x}$ in mN", "$f_{0y}$ in mN", "$m_{0z}$ in mN mm"), strict=True
-    ):
-        margin = 0.06 * (np.ptp(values) or 1.0)
+    curves = []
+    for axes, values, label in zip(all_axes, reactions.T, REACTION_LABELS, strict=True):
+        margin = _CURVE_MARGIN * (np.ptp(values) or 1.0)
         axes.set_ylim(values.min() - margin, values.max() + margin)
-        axes.set_xlim(way[0], way[-1])
-        axes.set_ylabel(name, fontsize=FONT - 1)
+        axes.set_xlim(travel[0], travel[-1])
+        axes.set_ylabel(label, fontsize=FONT - 1)
         axes.tick_params(labelsize=FONT - 3)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.plot(way, values, color="#dddddd", lw=1)
-        lines.append(axes.plot([], [], color=ROD, lw=2)[0])
-        marks.append(axes.plot([], [], "o", color=ROD, ms=5)[0])
-    figure.align_ylabels(curves)
-    curves[-1].set_xlabel(f"way of the clamp in {unit}", fontsize=FONT - 1)
-
-    ring = next(ring for ring, mine in outlines(scene) if mine == one.slice)
-    outline, base = flat(ring), flat(one.base)
-    shapes = [flat(np.concatenate([a, b[1:]])) for a, b in zip(one.curved, one.straight, strict=True)]
-    scene_axes.fill(*outline.T, facecolor=BODY, edgecolor=SLICE, lw=1)
-    scene_axes.plot(base[[0, -1], 0], base[[0, -1], 1], color=INK, lw=0.8)
-    everything = np.concatenate([outline, *shapes])
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    room = 0.05 * np.ptp(everything, axis=0).max()
-    scene_axes.set_xlim(low[0] - room, high[0] + room)
-    scene_axes.set_ylim(low[1] - room, high[1] + room)
-    scene_axes.set_aspect("equal")
-    scene_axes.set_axis_off()
-    figure.text(0.02, 0.03, f"{scene.name}, slice {one.slice}, sweep {one.number}", fontsize=FONT - 1, va="center")
-    trace = scene_axes.plot([], [], ".", color=TANGENTIAL, ms=4)[0]
-    bent = scene_axes.plot([], [], color=ROD, lw=2.5, solid_capstyle="round")[0]
-    clamp = scene_axes.plot([], [], "s", color=INK, ms=9)[0]
-    contact = scene_axes.plot([], [], "o", color=TANGENTIAL, ms=7)[0]
-    touched = flat(one.contact)
-    for k in _some(len(way), frames):
-        bent.set_data(*shapes[k].T)
-        trace.set_data(*touched[: k + 1].T)
-        clamp.set_data(*base[k : k + 1].T)
-        contact.set_data(*touched[k : k + 1].T)
-        for line, mark, values in zip(lines, marks, reactions.T, strict=True):
-            line.set_data(way[: k + 1], values[: k + 1])
-            mark.set_data(way[k : k + 1], values[k : k + 1])
-        yield _shot(figure)
+        axes.plot(travel, values, color="#dddddd", lw=1)
+        curves.append((axes.plot([], [], color=ROD, lw=2)[0], axes.plot([], [], "o", color=ROD, ms=5)[0]))
+    figure.align_ylabels(all_axes)
+    all_axes[-1].set_xlabel(f"clamp travel in {unit}", fontsize=FONT - 1)
+    return curves
 
 
-def _growth(scene: Scene, frames: int) -> Iterator[Image]:
+def _plane_axes(figure: Any, outline: Array, rods: Array, base: Array) -> Any:
+    """Axes of the slice's plane with its outline (p, 2) and the base line, wide enough for all rods (k, p, 2)."""
+    axes = figure.add_axes((0.01, 0.10, 0.56, 0.84))
+    axes.fill(*outline.T, facecolor=BODY, edgecolor=SLICE, lw=1)
+    axes.plot(base[[0, -1], 0], base[[0, -1], 1], color=INK, lw=0.8)
+    points = np.concatenate([outline, *rods])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _PLANE_MARGIN * np.ptp(points, axis=0).max()
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    return axes
+
+
+def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
     """The hull of the contacts of more and more slices."""
     from scan3d.geometry.hulls import hull
 
-    numbers = scene.column("slice")
-    if numbers is None:
+    slices = scene.column("slice")
+    if slices is None:
         raise InputError(
             f"{scene.name} does not say which slices its contacts lie in; show a scan's folder, or a recording"
         )
     need_renderer()
-    order, points = np.unique(numbers), scene.points
-    figure = _sheet()
+    numbers, points = np.unique(slices), scene.points
+    figure = _blank_frame()
     canvas = Canvas(points)
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
-    axes = None
-    for k in _some(len(order), frames):
-        mine = points[numbers <= order[k]]
-        actors = [canvas.add_points(mine, TANGENTIAL, 3)]
+    width, height = round(_SIZE[0] * _DPI), round(_BODY_HEIGHT * _SIZE[1] * _DPI)
+    shown = None
+    for k in evenly_chosen(len(numbers), frames):
+        selected = points[slices <= numbers[k]]
+        actors = [canvas.add_points(selected, TANGENTIAL, _CONTACT_SIZE)]
         with suppress(InputError):  # the contacts of one slice span no body yet
-            actors.append(canvas.add_body(hull(mine), BODY))
-        image = canvas.image(*(round(share * one * _DPI) for share, one in zip((1.0, 0.92), _SIZE, strict=True)))[0]
+            actors.append(canvas.add_body(hull(selected), BODY))
+        image, _ = canvas.image(width, height)
         for actor in actors:
             canvas.plotter.remove_actor(actor, render=False)
-        if axes is None:
-            axes = figure.add_axes((0, 0.08, 1, 0.92))
+        if shown is None:
+            axes = figure.add_axes((0, 1 - _BODY_HEIGHT, 1, _BODY_HEIGHT))
             axes.set_axis_off()
             shown = axes.imshow(image, interpolation="nearest", aspect="auto")
         shown.set_data(image)
-        caption.set_text(f"{scene.name}: {k + 1} of {len(order)} slices, {len(mine)} contacts")
-        yield _shot(figure)
+        caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} slices, {len(selected)} contacts")
+        yield _pixels(figure)
     canvas.plotter.close()
-
-
-def _some(count: int, frames: int) -> NDArray[np.integer]:
-    """So many of the numbers below `count`, evenly, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(frames, count)).round().astype(int))

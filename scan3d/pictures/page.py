@@ -1,6 +1,6 @@
-"""A page of its own that shows a scan in any browser: one file, no network, WebGL 2 and nothing else.
+"""A page that shows a scan in any browser: one file, which needs WebGL 2 and no access to the network.
 
-`page.html` beside this module is the page without a scan: ``@NAME@``, ``@FIGURES@`` and ``@DATA@`` are filled in here.
+`page.html` beside this module is the page without a scan: ``@NAME@``, ``@KEYFIGURES@`` and ``@DATA@`` are filled in here.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from typing import Any
 
 import numpy as np
 
+import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.figures import quiet
-from scan3d.pictures.parts import normal_lines, outlines, shown_surface, shown_sweep
+from scan3d.pictures.parts import evenly_chosen, normal_lines, outlines, shown_surface, shown_sweep
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
+    BODY,
     INK,
     NORMAL,
     ROD,
@@ -28,12 +30,14 @@ from scan3d.pictures.shading import (
     TIP,
     shade_contacts,
 )
+from scan3d.pictures.words import unit_symbol
 
-# Colours of a scale that the page gets; it interpolates between them.
+# Colours of a scale in the page, which interpolates between them: the difference to the exact scale is not visible.
 _STOPS = 33
-# Bent states of the rod, and points on each.
-_STATES = 9
-_ROD_POINTS = 40
+# Rods drawn along a sweep, as in the window, and points on each: no corners are seen, and the page stays small.
+_STATES, _ROD_POINTS = 9, 40
+# Opacity of the truth: the surface is seen through it.
+_TRUTH_OPACITY = 0.45
 
 
 def page(scene: Scene) -> bytes:
@@ -48,56 +52,56 @@ def page(scene: Scene) -> bytes:
     with quiet():
         layers = [layer for layer in _layers(scene, center) if layer is not None]
     data = {
-        "unit": scene.unit.replace("um", "µm"),
+        "unit": unit_symbol(scene.unit),
         "center": center.tolist(),
         "radius": float(np.linalg.norm(corners - center, axis=1).max()) or 1.0,
         "layers": layers,
     }
     rows = "".join(
-        f"<tr><th>{html.escape(what)}</th><td>{html.escape(much)}</td></tr>" for what, much in scene.key_figures
+        f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in scene.key_figures
     )
-    # "<" would end the script that the data stand in
+    # "</script>" within the data would end the script element that contains them
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    filled = {"NAME": html.escape(scene.name), "FIGURES": rows, "DATA": text}
-    # in one pass: what is filled in may look like a mark
+    filled = {"NAME": html.escape(scene.name), "KEYFIGURES": rows, "DATA": text}
+    # in one pass, as what is filled in may contain the text of a placeholder
     blank = files("scan3d.pictures").joinpath("page.html").read_text(encoding="utf-8")
-    return re.sub("@([A-Z]+)@", lambda mark: filled[mark[1]], blank).encode(errors="replace")
+    return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], blank).encode(errors="replace")
 
 
 def _layers(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
-    """What can be switched on and off, drawn in this order."""
+    """The layers in the order in which they are drawn, None for those that the scene does not have."""
     return [_surface(scene, center), _contacts(scene, center), *_lines(scene, center), _truth(scene, center)]
 
 
 def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
     if scene.surface is None:
         return None
-    mesh, off, bound = shown_surface(scene)
+    mesh, deviation, bound = shown_surface(scene)
     colors = []
-    if off is not None:
-        most = float(np.abs(off).max()) or 1.0
-        colors.append(_scale(f"signed deviation in {scene.unit}", off, -most, most, "RdBu_r"))
+    if deviation is not None:
+        largest = float(np.abs(deviation).max()) or 1.0
+        colors.append(_scale(f"signed deviation in {scene.unit}", deviation, -largest, largest, "RdBu_r"))
     if bound is not None and scene.bound is not None:
-        most = float(np.nanmax(scene.bound)) or 1.0
-        colors.append(_scale(f"certified bound in {scene.unit}", bound, 0.0, most, "YlGnBu"))
+        largest = float(np.nanmax(scene.bound)) or 1.0
+        colors.append(_scale(f"certified bound in {scene.unit}", bound, 0.0, largest, "YlGnBu"))
     return _triangles("surface", mesh, center, on=True, colors=colors)
 
 
 def _truth(scene: Scene, center: Array) -> dict[str, Any] | None:
     if scene.truth is None:
         return None
-    return _triangles("truth", scene.truth, center, color="#d98200", alpha=0.45)
+    return _triangles("truth", scene.truth, center, color=TIP, alpha=_TRUTH_OPACITY)
 
 
-def _triangles(name: str, mesh: Any, center: Array, **more: Any) -> dict[str, Any]:
+def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str, Any]:
     corners = np.asarray(mesh.vertices) - center
     return {
         "name": name,
         "kind": "triangles",
         "position": _floats(corners),
         "index": base64.b64encode(np.asarray(mesh.faces).astype("<u4").tobytes()).decode(),
-        "color": "#c3ccd6",
-        **more,
+        "color": BODY,
+        **options,
     }
 
 
@@ -112,34 +116,35 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
         assert values is not None
         if shaded.norm is None:
             kinds = [["tangential", TANGENTIAL], ["tip", TIP]]
-            colors.append({"title": "kind of contact", "kinds": kinds, "values": _floats(2 - values)})
+            colors.append(
+                {"title": "kind of contact", "kinds": kinds, "values": _floats(planar.Phase.TANGENTIAL - values)}
+            )
         else:
             shown = values * 1e3 if color == "force" else values
             log = type(shaded.norm).__name__ == "LogNorm"
             low, high = float(shaded.norm.vmin), float(shaded.norm.vmax)
             colors.append(_scale(shaded.title, shown, low, high, shaded.map, log=log))
     names = {name: scene.column(name) for name in ("sweep", "slice")}
-    told = {name: values.astype(int).tolist() for name, values in names.items() if values is not None}
+    columns = {name: values.astype(int).tolist() for name, values in names.items() if values is not None}
     position = _floats(scene.points - center)
-    return {"name": "contacts", "kind": "points", "on": True, "position": position, "colors": colors, "told": told,
+    return {"name": "contacts", "kind": "points", "on": True, "position": position, "colors": colors, "columns": columns,
             "color": TANGENTIAL}  # fmt: skip
 
 
 def _lines(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
     """Normals, slices, and the rod along one sweep, where they are known."""
-    found: list[dict[str, Any] | None] = []
-    short = normal_lines(scene)
-    if len(short):
-        found.append(_strips("normals", list(short), center, NORMAL, 1.0))
-    rings = [ring for ring, _ in outlines(scene)]
-    if rings:
-        found.append(_strips("slices", rings, center, INK, 1.2))
+    layers: list[dict[str, Any] | None] = []
+    normals = normal_lines(scene)
+    if len(normals):
+        layers.append(_strips("normals", list(normals), center, NORMAL, 1.0))
+    contours = [outline for outline, _ in outlines(scene)]
+    if contours:
+        layers.append(_strips("slices", contours, center, INK, 1.2))
     if scene.recording is not None:
-        one = shown_sweep(scene, points=_ROD_POINTS)
-        states = np.unique(np.linspace(0, len(one.base) - 1, _STATES).round().astype(int))
-        rods = [np.concatenate([one.curved[k], one.straight[k, 1:]]) for k in states]
-        found.append(_strips("rod in one sweep", [*rods, one.base[[0, -1]]], center, ROD, 3.0))
-    return found
+        sweep = shown_sweep(scene, points=_ROD_POINTS)
+        rods = sweep.rods[evenly_chosen(len(sweep.base), _STATES)]
+        layers.append(_strips("rod in one sweep", [*rods, sweep.base[[0, -1]]], center, ROD, 3.0))
+    return layers
 
 
 def _strips(name: str, lines: list[Array], center: Array, color: str, width: float) -> dict[str, Any]:

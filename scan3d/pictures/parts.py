@@ -1,4 +1,4 @@
-"""Parts of a scene as they are drawn: its surface with values, the outlines of its slices, normals, and the rod in a sweep."""
+"""Parts of a scene as they are drawn: its surface with values, outlines of its slices, normals, and the rod along a sweep."""
 
 from __future__ import annotations
 
@@ -13,83 +13,99 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.distance import signed_distances
 from scan3d.pictures.scene import Scene
+from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
-# Contours this much narrower than the widest are as wide: among them the sweep nearest to the middle explains best.
-_AS_WIDE = 0.95
-# A surface's deviation varies inside its facets: longer edges, in diagonals, are split before it is looked up.
-_FINEST = 1 / 60
-# Normals drawn at most, and bent states of the rod in a picture.
+# Slices at least this fraction as wide as the widest count as widest; the one of them nearest to the middle is shown.  With 1
+# rounding would choose among the slices of a prism; with less a slice near an end could be shown.
+_WIDEST = 0.95
+# A surface's deviation varies inside its facets: edges longer than this fraction of the diagonal are split before it is
+# computed.  Smaller shows finer detail and makes larger pages.
+_LONGEST_EDGE = 1 / 60
+# Splitting halves edges; no mesh needs so many rounds.
+_MOST_SPLITS = 20
+# Normals drawn at most: more would hide the contacts.
 _MOST_NORMALS = 500
+# Their length as a fraction of the diagonal: long enough to show the direction, short enough not to reach other contacts.
+_NORMAL_LENGTH = 0.035
+# Relative difference of a contact's force from that of its row: above rounding in files, below any other recording's.
+_SAME_FORCE = 1e-6
+# Decimals to which relative distances between contacts are compared: in a symmetric body rounding would choose among equals.
+_SAME_DISTANCE_DECIMALS = 6
+
+
+def evenly_chosen(count: int, at_most: int) -> NDArray[np.integer]:
+    """(k,) at most so many of the numbers below `count`, evenly distributed, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, at_most).round().astype(int))
 
 
 def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
-    """The surface with, at its vertices (v,), what is known of it: signed deviation from the truth, certified local bound.
+    """The surface, and at its vertices (v,) the signed deviation from the truth and the certified local bound, None if unknown.
 
-    Long edges are split where either is known.  The deviation, positive outside, is looked up anew.  The bound, certified at
-    the old vertices, runs linearly between them: on a convex surface that is no less than what a facet itself is certified
-    for, as a vertex has the largest bound of the facets around it.
+    Long edges are split where either is known.  The deviation, positive outside, is computed at the new vertices.  The bound,
+    certified at the old vertices, is interpolated linearly: on a convex surface the result is no less than the certified bound
+    of a facet, as a vertex has the largest bound of the facets around it.
     """
     if scene.truth is None and scene.bound is None:
         return scene.surface, None, None
-    mesh, weights, corners = _fine(scene.surface, scene.diagonal * _FINEST)
+    mesh, weights, corners = _subdivide(scene.surface, scene.diagonal * _LONGEST_EDGE)
     bound = None if scene.bound is None else (weights * scene.bound[corners]).sum(axis=1)
-    off = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
-    return mesh, off, bound
+    deviation = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
+    return mesh, deviation, bound
 
 
-def _fine(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.integer]]:
-    """The mesh, its long edges split: every vertex is a mean, with weights (v, 3), of old vertices (v, 3)."""
+def _subdivide(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.integer]]:
+    """The mesh with its long edges split; every vertex is a mean, with weights (v, 3), of old vertices (v, 3)."""
     import trimesh
 
     if mesh.edges_unique_length.max() <= longest:
-        own = np.arange(len(mesh.vertices))
-        return mesh, np.tile([1.0, 0.0, 0.0], (len(own), 1)), np.stack([own] * 3, axis=1)
-    vertices, faces, of = trimesh.remesh.subdivide_to_size(
-        mesh.vertices, mesh.faces, longest, max_iter=20, return_index=True
+        same = np.arange(len(mesh.vertices))
+        return mesh, np.tile([1.0, 0.0, 0.0], (len(same), 1)), np.stack([same] * 3, axis=1)
+    vertices, faces, old_face_of_face = trimesh.remesh.subdivide_to_size(
+        mesh.vertices, mesh.faces, longest, max_iter=_MOST_SPLITS, return_index=True
     )
-    old = np.empty(len(vertices), dtype=np.int64)
-    old[faces] = of[:, None]  # one of the old faces it lies in
+    old_face = np.empty(len(vertices), dtype=np.int64)  # one of the old faces that a vertex lies in
+    old_face[faces] = old_face_of_face[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = trimesh.triangles.points_to_barycentric(mesh.triangles[old], vertices)
-    slivers = ~np.isfinite(weights).all(axis=1)  # they have no such coordinates: the nearest corner's then
-    away = np.linalg.norm(mesh.triangles[old[slivers]] - vertices[slivers, None], axis=2)
-    weights[slivers] = np.eye(3)[away.argmin(axis=1)]
-    return trimesh.Trimesh(vertices, faces, process=False), weights, np.asarray(mesh.faces)[old]
+        weights = trimesh.triangles.points_to_barycentric(mesh.triangles[old_face], vertices)
+    slivers = ~np.isfinite(weights).all(axis=1)  # without barycentric coordinates: the nearest corner counts
+    distance = np.linalg.norm(mesh.triangles[old_face[slivers]] - vertices[slivers, None], axis=2)
+    weights[slivers] = np.eye(3)[distance.argmin(axis=1)]
+    return trimesh.Trimesh(vertices, faces, process=False), weights, np.asarray(mesh.faces)[old_face]
 
 
 def outlines(scene: Scene) -> list[tuple[Array, int]]:
-    """The slices as closed lines (k, 3) through their contacts, in order around them, and their numbers."""
-    number = scene.column("slice")
-    if number is None:
+    """The slices as closed lines (k, 3) through their contacts, in order around the slice, with the slices' numbers."""
+    slices = scene.column("slice")
+    if slices is None:
         return []
-    found = []
-    for one in np.unique(number):
-        points = scene.points[number == one]
+    lines = []
+    for number in np.unique(slices):
+        points = scene.points[slices == number]
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
-        # the plane of the slice: its contacts' two main directions
-        across = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
-        u, v = across @ (points - middle).T
-        # scaled to a round contour, where the angle about the middle tells neighbours of a needle's apart
-        ring = points[np.argsort(np.arctan2(v / (np.ptp(v) or 1.0), u / (np.ptp(u) or 1.0)), kind="stable")]
-        found.append((np.concatenate([ring, ring[:1]]), int(one)))
-    return found
+        # the plane of the slice: the two main directions of its contacts
+        plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
+        u, v = plane @ (points - middle).T
+        # ordered by the angle about the middle, in coordinates scaled so that a thin contour becomes as wide as it is long
+        contour = points[np.argsort(np.arctan2(v / (np.ptp(v) or 1.0), u / (np.ptp(u) or 1.0)), kind="stable")]
+        lines.append((np.concatenate([contour, contour[:1]]), int(number)))
+    return lines
 
 
 @dataclass(frozen=True)
 class ShownSweep:
-    """One sweep as it is seen.  Lengths in the scene's unit; k samples with contact."""
+    """One sweep as it is drawn, with k samples in contact.  Lengths in the scene's unit."""
 
     number: int
     slice: int
     base: Array
-    """(k, 3) clamp"""
+    """(k, 3) position of the clamp"""
     axes: Array
-    """(3, 3) its x, y and z axes, as rows"""
+    """(3, 3) the clamp's x, y and z axes, as rows"""
     curved: Array
-    """(k, p, 3) rod from the clamp to the contact"""
+    """(k, p, 3) the rod from the clamp to the contact"""
     straight: Array
-    """(k, 2, 3) its straight rest"""
+    """(k, 2, 3) the straight rest of the rod, from the contact to the tip"""
     reactions: Array
     """(k, 3) f0x, f0y in EI/L² and m0z in EI/L (8)"""
     phase: NDArray[np.int8]
@@ -97,32 +113,33 @@ class ShownSweep:
 
     @property
     def contact(self) -> Array:
-        """(k, 3)"""
+        """(k, 3) points of contact"""
         return self.curved[:, -1]
+
+    @property
+    def rods(self) -> Array:
+        """(k, p + 1, 3) the rod from the clamp to the tip"""
+        return np.concatenate([self.curved, self.straight[:, 1:]], axis=1)
 
 
 def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> ShownSweep:
-    """A sweep of the recording, the most informative one unless a number is given.
+    """A sweep of the recording, the most informative one unless a number is given; `points` are those of a curved part.
 
-    Raises InputError if the scene has no recording, or contacts that do not say which rows of it they come from, or no such
-    sweep.
+    Raises InputError if the scene has no recording, no such sweep, or contacts that do not come from the recording.
     """
     recording = scene.recording
-    sweep, slice_, row, phase = (scene.column(name) for name in ("sweep", "slice", "row", "phase"))
-    if recording is None or sweep is None or slice_ is None or phase is None:
-        raise InputError(f"{scene.name} has no recording, where rods need one: show a scan's folder, or a recording")
-    if row is None or not (0 <= row.min() <= row.max() < len(recording)):
+    sweeps, slices, phases = (scene.column(name) for name in ("sweep", "slice", "phase"))
+    if recording is None or sweeps is None or slices is None or phases is None:
         raise InputError(
-            f"the contacts of {scene.name} do not belong to its recording, where rods need the row of each contact: "
-            "reconstruct the recording again"
+            f"{scene.name} has no recording, which rods are drawn from: show a scan's folder, or a recording"
         )
-    chosen = _most_informative_sweep(scene, slice_, sweep) if number is None else number
-    selected = sweep == chosen
+    chosen = _most_informative_sweep(scene, slices, sweeps) if number is None else number
+    selected = sweeps == chosen
     if not selected.any():
         raise InputError(
-            f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweep))} that have, such as {int(sweep[0])}"
+            f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweeps))} that have, such as {int(sweeps[0])}"
         )
-    rod, rows, kind = recording.rod, row[selected].astype(np.int64), phase[selected]
+    rod, rows = recording.rod, _rows(scene, recording)[selected]
     force, moment = recording.force_N[rows] / rod.force_unit_N, recording.moment_Nm[rows] / rod.moment_unit_Nm
     lines = planar.elastic_lines(np.zeros(len(rows)), force[:, 0], force[:, 1], moment, points)
     axes = recording.axes()[rows]
@@ -131,36 +148,51 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
     base = recording.position_m[rows]
 
     def world(line: Array) -> Array:
-        return (base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, axes[:, :2]))[kept] * scale
+        points: Array = base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, axes[:, :2])
+        return points[kept] * scale
 
     return ShownSweep(
         number=int(chosen),
-        slice=int(slice_[selected][0]),
+        slice=int(slices[selected][0]),
         base=base[kept] * scale,
         axes=axes[0],
         curved=world(lines.curved),
         straight=world(lines.straight),
         reactions=np.column_stack([force, moment])[kept],
-        phase=kind[kept].astype(np.int8),
+        phase=phases[selected][kept].astype(np.int8),
+    )
+
+
+def _rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
+    """(n,) rows of the recording that the contacts come from."""
+    rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
+    if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
+        indices = rows.astype(np.int64)
+        of_recording = np.linalg.norm(recording.force_N[indices], axis=1)
+        same_force = forces is None or np.allclose(forces, of_recording, rtol=_SAME_FORCE, atol=0)
+        if np.array_equal(recording.sweep[indices], sweeps) and same_force:
+            return indices
+    raise InputError(
+        f"the contacts of {scene.name} do not belong to its recording, which rods are drawn from: reconstruct it again"
     )
 
 
 def _most_informative_sweep(scene: Scene, slices: Array, sweeps: Array) -> int:
-    """The sweep whose contacts reach farthest, in the middle one of the widest slices."""
+    """The sweep whose contacts extend farthest, in the slice nearest to the middle among the widest slices."""
     numbers = np.unique(slices)
-    box = [np.ptp(scene.points[slices == one], axis=0) for one in numbers]
-    width = np.linalg.norm(box, axis=1)
-    middle = np.array([scene.points[slices == one].mean(axis=0) for one in numbers])
-    away = np.linalg.norm(middle - scene.points.mean(axis=0), axis=1)
-    away[width < _AS_WIDE * width.max()] = np.inf
-    found = np.unique(sweeps[slices == numbers[np.argmin(away)]])
-    reach = np.array([np.linalg.norm(np.ptp(scene.points[sweeps == one], axis=0)) for one in found])
-    return int(found[np.argmax(np.round(reach / (reach.max() or 1.0), 6))])
+    extents = [np.ptp(scene.points[slices == number], axis=0) for number in numbers]
+    width = np.linalg.norm(extents, axis=1)
+    middle = np.array([scene.points[slices == number].mean(axis=0) for number in numbers])
+    distance = np.linalg.norm(middle - scene.points.mean(axis=0), axis=1)
+    distance[width < _WIDEST * width.max()] = np.inf
+    candidates = np.unique(sweeps[slices == numbers[np.argmin(distance)]])
+    extent = np.array([np.linalg.norm(np.ptp(scene.points[sweeps == number], axis=0)) for number in candidates])
+    return int(candidates[np.argmax(np.round(extent / (extent.max() or 1.0), _SAME_DISTANCE_DECIMALS))])
 
 
-def normal_lines(scene: Scene, most: int = _MOST_NORMALS) -> Array:
+def normal_lines(scene: Scene) -> Array:
     """(k, 2, 3) short lines along the normals of contacts, evenly chosen."""
     known = np.flatnonzero(np.isfinite(scene.normals).all(axis=1))
-    some = known[:: max(1, len(known) // most)]
-    points = scene.points[some]
-    return np.stack([points, points + 0.035 * scene.diagonal * scene.normals[some]], axis=1)
+    chosen = known[:: max(1, len(known) // _MOST_NORMALS)]
+    points = scene.points[chosen]
+    return np.stack([points, points + _NORMAL_LENGTH * scene.diagonal * scene.normals[chosen]], axis=1)

@@ -1,4 +1,4 @@
-"""Whether anything can be rendered on this machine."""
+"""Whether this machine can render, off screen or in a window."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 
 from scan3d.errors import InputError
 
-# Where neither X nor EGL exists VTK takes the process down, so a child goes first.
+# Without X and EGL, VTK ends the process that renders: a child process tries first, by drawing a sphere on a black image.
 _PROBE = """
 import sys
 from vtkmodules.vtkFiltersSources import vtkSphereSource
@@ -34,14 +34,17 @@ NO_RENDERER = (
     "no pictures: nothing here can render off screen; on Debian or Ubuntu install it with "
     "'apt-get install libegl1 libgl1', then run again"
 )
+# The environment variable that names the class of VTK's windows.
 _WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+# A busy machine may take this many seconds to import VTK; a driver that hangs is waited for as long.
+_TIMEOUT_S = 120
 
 
 @functools.cache
 def can_render() -> bool:
-    """Whether VTK can draw off screen on this machine, tried out in a child process."""
+    """Whether VTK can render off screen on this machine, tried in a child process once."""
     if sys.platform == "linux" and not os.environ.get("DISPLAY") and _WINDOW not in os.environ:
-        # without a display VTK tries X first, and complains
+        # by default VTK tries X first, and prints warnings without a display
         os.environ[_WINDOW] = "vtkEGLRenderWindow"
         if renders():
             return True
@@ -50,23 +53,23 @@ def can_render() -> bool:
 
 
 def renders(*, on_screen: bool = False) -> bool:
-    """Whether a child process can draw here."""
-    where = "on screen" if on_screen else "off screen"
+    """Whether a child process can render, on screen or off."""
+    target = "on screen" if on_screen else "off screen"
     try:
-        # in a session of its own: an interrupt from the terminal is no answer
-        tried = subprocess.run(
-            [sys.executable, "-c", _PROBE, where],
+        # in a separate session: Ctrl-C in the terminal would end the child, which would look like a failure to render
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE, target],
             capture_output=True,
-            timeout=120,
+            timeout=_TIMEOUT_S,
             check=False,
             start_new_session=True,
         )
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return tried.returncode == 0
+    return done.returncode == 0
 
 
 def need_renderer() -> None:
-    """Raises InputError where nothing can render."""
+    """Raises InputError where `can_render` is false."""
     if not can_render():
         raise InputError(NO_RENDERER)

@@ -1,8 +1,8 @@
-"""What there is to see of a scan: contacts, slices, surface, truth and recording."""
+"""The data that pictures of a scan show: contacts, surface, truth and recording."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,8 @@ class Scene:
     truth: Any = None
     """The true body, a `trimesh.Trimesh`."""
     recording: Recording | None = None
-    key_figures: tuple[tuple[str, str], ...] = field(default=())
-    """Key figures: what, and how much."""
+    key_figures: tuple[tuple[str, str], ...] = ()
+    """Pairs of a quantity's name and its value, for tables."""
 
     @property
     def points(self) -> Array:
@@ -46,17 +46,17 @@ class Scene:
 
     @property
     def corners(self) -> Array:
-        """(k, 3) points that fill a picture of all bodies."""
+        """(k, 3) contacts and vertices: a picture that contains them contains all bodies."""
         bodies = [np.asarray(mesh.vertices) for mesh in (self.surface, self.truth) if mesh is not None]
         return np.concatenate([self.points, *bodies])
 
     @property
     def diagonal(self) -> float:
-        """Of the bounding box."""
+        """Diagonal of the bounding box."""
         return float(np.linalg.norm(np.ptp(self.corners, axis=0)))
 
     def column(self, name: str) -> Array | None:
-        """(n,) a column of the contacts, None if there is none or nothing in it."""
+        """(n,) a column of the contacts, None if it does not exist or holds no finite value."""
         name = {"error": "quality"}.get(name, name)
         if self.contacts is None or name not in (self.contacts.dtype.names or ()):
             return None

@@ -1,4 +1,4 @@
-"""Colours: of bodies, rods and contacts, and of values by a scale."""
+"""Colours of bodies, rods and contacts, and colours of values by a scale."""
 
 from __future__ import annotations
 
@@ -14,10 +14,16 @@ from scan3d.errors import InputError
 from scan3d.pictures.parts import shown_surface
 from scan3d.pictures.scene import Scene
 
+# A pale body, on which contacts and rods of saturated colours stand out.  Red and orange differ in lightness, so that readers
+# with deficient colour vision can distinguish them.
 BODY, INK, ROD, TIP, TANGENTIAL = "#c3ccd6", "#222222", "#1b6ca8", "#d98200", "#b2182b"
-UNKNOWN, NORMAL, SLICE = "#9a9a9a", "#6b6b6b", "#5b6672"
-# Errors are shown over so many powers of ten at most.
+UNKNOWN, NORMAL, SLICE, EDGE, BACKDROP = "#9a9a9a", "#6b6b6b", "#5b6672", "#4a4f55", "#eef0f3"
+# Powers of ten below the largest error that its scale shows: more would spend most colours on rounding errors, fewer would
+# show all small errors in one colour.
 _DECADES = 4.0
+# Coefficients of friction that differ by less are shown as one value, in the middle of a scale of twice this half width:
+# a scale of their own range would show rounding errors.
+_SAME_FRICTION, _FRICTION_HALF_WIDTH = 1e-6, 0.05
 
 
 class Shade(NamedTuple):
@@ -32,7 +38,7 @@ class Shade(NamedTuple):
 
 
 def shade(values: Array, title: str, low: float, high: float, *, map: str = "viridis", log: bool = False) -> Shade:
-    """Colours of values (n,), those that are no numbers grey."""
+    """Colours of values (n,) on a scale from `low` to `high`; values that are not finite are grey."""
     import matplotlib
     from matplotlib.colors import LogNorm, Normalize, to_rgb
 
@@ -44,14 +50,14 @@ def shade(values: Array, title: str, low: float, high: float, *, map: str = "vir
 
 
 def shade_contacts(scene: Scene, color: str) -> Shade:
-    """Colours of the contacts.  Raises InputError for an unknown colour, or one of which the scene knows nothing."""
+    """Colours of the contacts.  Raises InputError unless `color` is one of `COLORS` and the scene has its values."""
     if color not in COLORS:
         raise InputError(f"contacts are coloured by {', '.join(COLORS)}, got {color!r}")
     values = scene.column(color)
     if values is None:
         known = [name for name in COLORS if scene.column(name) is not None]
         others = f"known are {', '.join(known)}" if known else "its file has points only"
-        raise InputError(f"{scene.name} says nothing of its contacts' {color}; {others}")
+        raise InputError(f"the {color} of the contacts of {scene.name} is not known; {others}")
     if color == "phase":
         from matplotlib.colors import to_rgb
 
@@ -61,26 +67,28 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         return shade(values * 1e3, "contact force in mN", 0.0, float(np.nanmax(values)) * 1e3 or 1.0)
     if color == "friction":
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        # one coefficient everywhere is no reason to magnify rounding
-        low, high = (low, high) if high - low > 1e-6 else (max(low - 0.05, 0.0), high + 0.05)
+        if high - low <= _SAME_FRICTION:
+            low, high = max(low - _FRICTION_HALF_WIDTH, 0.0), high + _FRICTION_HALF_WIDTH
         return shade(values, "coefficient of friction", low, high)
     high = float(np.nanmax(values)) or 1.0
     return shade(values, f"distance from the truth in {scene.unit}", high * 10**-_DECADES, high, log=True)
 
 
 def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | None]:
-    """The surface and the colours of its vertices: the deviation from the truth, or the bound; None if neither is known.
+    """The surface and the colours of its vertices by the deviation from the truth, or by the bound; None if neither is known.
 
-    A body with few vertices, such as a cube, may show one bound everywhere: it is kept for vertices only, and each has the
-    largest of the facets around it.
+    A body with few vertices, such as a cube, may show one bound everywhere: bounds are known at vertices only, and that of a
+    vertex is the largest of the facets around it.
+
+    Raises InputError without a surface, and for the view "bound" without bounds.
     """
     if scene.surface is None:
         raise InputError(f"{scene.name} has no surface to show; it has a cloud: give the view cloud")
     if view != "bound" and scene.truth is not None:
-        mesh, off, _ = shown_surface(scene)
-        assert off is not None
-        most = float(np.abs(off).max()) or 1.0
-        return mesh, shade(off, f"signed deviation in {scene.unit}", -most, most, map="RdBu_r")
+        mesh, deviation, _ = shown_surface(scene)
+        assert deviation is not None
+        largest = float(np.abs(deviation).max()) or 1.0
+        return mesh, shade(deviation, f"signed deviation in {scene.unit}", -largest, largest, map="RdBu_r")
     if scene.bound is not None and np.isfinite(scene.bound).any():
         mesh, _, bound = shown_surface(scene)
         assert bound is not None

@@ -1,4 +1,4 @@
-"""Pictures of a scan: drawn off screen by VTK where that works, with colour bars and letters by matplotlib."""
+"""Pictures of a scan: bodies are rendered off screen by VTK; matplotlib adds colour bars, legends and labels."""
 
 from __future__ import annotations
 
@@ -12,17 +12,31 @@ from scan3d.choices import VIEWS
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.figures import blank_figure, color_bar, figure_height, legend, quiet, save, show_canvas
-from scan3d.pictures.parts import ShownSweep, normal_lines, outlines, shown_sweep
+from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, outlines, shown_sweep
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import BODY, INK, NORMAL, ROD, SLICE, TANGENTIAL, TIP, shade_contacts, shade_surface
 
 PICTURES = (".png", ".pdf")
+# Rods drawn along a sweep: fewer show less of how the rod bends, more would merge.
 _STATES = 7
+# Fractions of a figure's width: a picture beside a colour bar, beside a legend, and one of two beside a colour bar.
+_BESIDE_BAR, _BESIDE_LEGEND, _HALF = 0.78, 0.70, 0.40
+# Inches below the picture of a sweep for its legend, and above two pictures for their titles.
+_LEGEND_HEIGHT, _TITLE_HEIGHT = 0.7, 0.3
+# Radius of the outline of a sweep's slice as a fraction of the size: more than that of a rod, which distinguishes the two.
+_OUTLINE_RADIUS = 0.004
+# The base line is drawn longer by this fraction of its length at each end, so that its arrow is clear of the clamps.
+_BASE_LINE_MARGIN = 0.12
+# From a sweep toward the camera, along the clamp's axes: from the base line and above the slice, so that rods hide little of
+# the body and do not hide each other.
+_SWEEP_DIRECTION = (0.45, -0.6, 0.7)
+# Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
+_CONTACT_SIZE = 7
 
 
 def check_path(path: str | Path) -> Path:
-    """The path of a picture.  Raises InputError unless one can bear the name."""
+    """The path of a picture.  Raises InputError for an ending other than those in `PICTURES`."""
     path = Path(path)
     if path.suffix.lower() not in PICTURES:
         raise InputError(f"a picture is written as {' or '.join(PICTURES)}, got {path.name!r}")
@@ -30,9 +44,9 @@ def check_path(path: str | Path) -> Path:
 
 
 def picture(scene: Scene, path: str | Path, view: str = "cloud", color: str = "force") -> None:
-    """Draw a view (of `VIEWS`) of the scene into a .png or a .pdf 7 inches wide; `color` (of `COLORS`) is the contacts'.
+    """Draw a view (of `VIEWS`) of the scene into a .png or a .pdf 7 inches wide; contacts have `color` (of `COLORS`).
 
-    Raises InputError if the scene lacks what the view shows, or where nothing can render.
+    Raises InputError if the scene lacks what the view shows, or where nothing can be rendered.
     """
     path = check_path(path)
     with quiet():
@@ -40,7 +54,7 @@ def picture(scene: Scene, path: str | Path, view: str = "cloud", color: str = "f
 
 
 def figure(scene: Scene, view: str = "cloud", color: str = "force") -> Any:
-    """What `picture` writes, as a matplotlib figure.  Raises as it does."""
+    """The matplotlib figure that `picture` writes.  Raises InputError as `picture` does."""
     if view not in VIEWS:
         raise InputError(f"view must be one of {', '.join(VIEWS)}, got {view!r}")
     need_renderer()
@@ -49,21 +63,21 @@ def figure(scene: Scene, view: str = "cloud", color: str = "force") -> Any:
 
 def _cloud(scene: Scene, view: str, color: str) -> Any:
     if scene.contacts is None:
-        raise InputError(f"{scene.name} has no contacts, where the view cloud shows them; give the view surface")
+        raise InputError(f"{scene.name} has no contacts to show; it has a surface: give the view surface")
     shaded = shade_contacts(scene, color)
     canvas = Canvas(np.concatenate([scene.corners, *normal_lines(scene)]))
-    canvas.backdrop(scene)
-    canvas.add_points(scene.points, shaded.rgb, 7)
+    canvas.add_backdrop(scene)
+    canvas.add_points(scene.points, shaded.rgb, _CONTACT_SIZE)
     canvas.add_lines(normal_lines(scene), NORMAL, 1)
-    wide = 0.70 if shaded.norm is None else 0.78  # a legend takes more room than a bar
-    figure = blank_figure(figure_height(canvas, wide))
-    show_canvas(figure, canvas, (0.02, 0.02, wide, 0.96), scene.unit)
+    width = _BESIDE_LEGEND if shaded.norm is None else _BESIDE_BAR
+    figure = blank_figure(figure_height(canvas, width))
+    show_canvas(figure, canvas, (0.02, 0.02, width, 0.96), scene.unit)
     if shaded.norm is None:
-        both = [("tangential", TANGENTIAL), ("tip", TIP)]
-        legend(figure, [(f"{name} contact", color, "o") for name, color in both] + [("normal", NORMAL, "-")], 1)
+        entries = [("tangential contact", TANGENTIAL, "o"), ("tip contact", TIP, "o"), ("normal", NORMAL, "-")]
+        legend(figure, entries, 1)
     else:
-        tips = scene.column("phase") == planar.Phase.TIP
-        color_bar(figure, shaded, unknown="tip contact" if color == "friction" and np.any(tips) else "")
+        is_tip = scene.column("phase") == planar.Phase.TIP
+        color_bar(figure, shaded, unknown="tip contact" if color == "friction" and np.any(is_tip) else "")
     return figure
 
 
@@ -71,8 +85,8 @@ def _surface(scene: Scene, view: str, color: str) -> Any:
     mesh, shaded = shade_surface(scene, view)
     canvas = Canvas(scene.corners)
     canvas.add_body(mesh, BODY if shaded is None else shaded.rgb, edges=scene.surface)
-    figure = blank_figure(figure_height(canvas, 0.78))
-    show_canvas(figure, canvas, (0.02, 0.02, 0.78, 0.96), scene.unit)
+    figure = blank_figure(figure_height(canvas, _BESIDE_BAR))
+    show_canvas(figure, canvas, (0.02, 0.02, _BESIDE_BAR, 0.96), scene.unit)
     if shaded is not None:
         color_bar(figure, shaded)
     return figure
@@ -81,18 +95,17 @@ def _surface(scene: Scene, view: str, color: str) -> Any:
 def _compare(scene: Scene, view: str, color: str) -> Any:
     if scene.truth is None:
         raise InputError(
-            f"the true body of {scene.name} is not at hand, where the view compare shows it; "
-            "give --truth MESH (in Python truth=)"
+            f"the true body of {scene.name} is not known, which the view compare shows: give --truth MESH (in Python truth=)"
         )
     mesh, shaded = shade_surface(scene)
-    figure = blank_figure(figure_height(Canvas(scene.corners), 0.40) + 0.3)
+    figure = blank_figure(figure_height(Canvas(scene.corners), _HALF) + _TITLE_HEIGHT)
     for k, (title, body) in enumerate((("truth", scene.truth), ("reconstruction", mesh))):
         canvas = Canvas(scene.corners)
         if k and shaded is not None:
             canvas.add_body(body, shaded.rgb, edges=scene.surface)
         else:
             canvas.add_body(body, BODY)
-        place = (0.01 + 0.41 * k, 0.02, 0.40, 0.86)
+        place = (0.01 + 0.41 * k, 0.02, _HALF, 0.86)
         show_canvas(figure, canvas, place, scene.unit, scaled=k == 0)
         figure.text(place[0] + place[2] / 2, 0.93, title, ha="center", va="center")
     if shaded is not None:
@@ -101,13 +114,12 @@ def _compare(scene: Scene, view: str, color: str) -> Any:
 
 
 def _explain(scene: Scene, view: str, color: str) -> Any:
-    one = shown_sweep(scene)
-    states = np.unique(np.linspace(0, len(one.base) - 1, _STATES).round().astype(int))
-    canvas = explaining(scene, one)
-    canvas.add_rods(one, states)
-    figure = blank_figure(figure_height(canvas, 1.0) + 0.7)
-    share = 0.7 / figure.get_size_inches()[1]
-    show_canvas(figure, canvas, (0.0, share, 1.0, 1 - share), scene.unit)
+    sweep = shown_sweep(scene)
+    canvas = _sweep_canvas(scene, sweep)
+    canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))
+    figure = blank_figure(figure_height(canvas, 1.0) + _LEGEND_HEIGHT)
+    bottom = _LEGEND_HEIGHT / figure.get_size_inches()[1]
+    show_canvas(figure, canvas, (0.0, bottom, 1.0, 1 - bottom), scene.unit)
     entries = [
         ("body", BODY, "s"),
         ("slices", SLICE, "-"),
@@ -115,28 +127,31 @@ def _explain(scene: Scene, view: str, color: str) -> Any:
         ("contact", TANGENTIAL, "o"),
         ("bent rod", ROD, "-"),
         ("clamp", INK, "s"),
-        ("way of the clamp", INK, "->"),
+        ("clamp travel", INK, "->"),
     ]
     legend(figure, entries, 4)
     return figure
 
 
-def explaining(scene: Scene, one: ShownSweep) -> Canvas:
-    """The canvas of one sweep without its rods: body, slices, base line; looked at from above the base line."""
-    x, y, z = one.axes
-    tips = np.concatenate([one.straight[:, 1], one.base, one.contact])
-    line = one.base[[0, -1]] + np.outer([0.12, -0.12], np.linalg.norm(one.base[0] - one.base[-1]) * x)
+def _sweep_canvas(scene: Scene, sweep: ShownSweep) -> Canvas:
+    """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
+    x, y, z = sweep.axes
+    rod_points = np.concatenate([sweep.straight[:, 1], sweep.base, sweep.contact])
+    margin = np.array([_BASE_LINE_MARGIN, -_BASE_LINE_MARGIN])
+    base_line = sweep.base[[0, -1]] + np.outer(margin, np.linalg.norm(sweep.base[0] - sweep.base[-1]) * x)
     body = scene.truth if scene.truth is not None else scene.surface
-    mine = scene.points[scene.column("slice") == one.slice]
-    size = float(np.linalg.norm(np.ptp(np.concatenate([tips, mine]), axis=0)))
-    # of a long body as much as the rods are wide
-    near = scene.corners[np.abs((scene.corners - mine[0]) @ z) < size]
-    canvas = Canvas(np.concatenate([tips, line, mine, near]), 0.7 * z - 0.6 * y + 0.45 * x, z)
+    slice_points = scene.points[scene.column("slice") == sweep.slice]
+    size = float(np.linalg.norm(np.ptp(np.concatenate([rod_points, slice_points]), axis=0)))
+    # a long body is seen only as far from the slice as the rods reach
+    near = scene.corners[np.abs((scene.corners - slice_points[0]) @ z) < size]
+    direction = _SWEEP_DIRECTION[2] * z + _SWEEP_DIRECTION[1] * y + _SWEEP_DIRECTION[0] * x
+    canvas = Canvas(np.concatenate([rod_points, base_line, slice_points, near]), direction, z)
     canvas.size = size
     if body is not None:
         canvas.add_body(body, BODY)
-    for points, _ in outlines(scene):
-        canvas.add_lines(points[None], SLICE, 1)
-    canvas.add_tube(next(ring for ring, number in outlines(scene) if number == one.slice), INK, 0.004)
-    canvas.add_arrow(line)
+    for outline, number in outlines(scene):
+        canvas.add_lines(outline[None], SLICE, 1)
+        if number == sweep.slice:
+            canvas.add_tube(outline, INK, _OUTLINE_RADIUS)
+    canvas.add_arrow(base_line)
     return canvas

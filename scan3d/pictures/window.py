@@ -1,4 +1,4 @@
-"""A window to turn a scan in: layers to switch, colours to choose, and contacts that say what was felt."""
+"""A window in which a scan can be turned, layers switched, colours chosen, and contacts clicked for what was measured."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.parts import normal_lines, outlines, shown_sweep
+from scan3d.pictures.canvas import WINDOW_SIZE, Canvas
+from scan3d.pictures.parts import evenly_chosen, normal_lines, outlines, shown_sweep
 from scan3d.pictures.rendering import renders
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
@@ -21,6 +21,7 @@ from scan3d.pictures.shading import (
     INK,
     NORMAL,
     ROD,
+    TANGENTIAL,
     TIP,
     Shade,
     shade_contacts,
@@ -31,36 +32,42 @@ from scan3d.pictures.words import contact_sentence
 NO_DISPLAY = (
     "there is no display to open a window on; write a picture with --screenshot FILE, or a page with --html FILE"
 )
-# A click picks the contact nearest to it, if it is nearer than this share of the diagonal.
+# A click picks the contact nearest to it, if it is nearer than this fraction of the diagonal: a click beside a contact still
+# picks it, and a click on a bare part of the body does not.
 _NEAR = 0.03
+# Rods drawn along a sweep: more than in a picture, as the window can be enlarged.
 _STATES = 9
-# Pixels from line to line, and from the left edge.
-_LINE, _LEFT = 34, 14
+# Pixels from button to button, from the left edge, of a button, and points of its label.
+_LINE, _LEFT, _BUTTON, _FONT = 34, 14, 24, 11
+# Diameter of a contact in pixels, as in pictures.
+_CONTACT_SIZE = 7
+# Opacity of the truth: the surface is seen through it.
+_TRUTH_OPACITY = 0.4
 
 
 @functools.cache
 def can_open() -> bool:
-    """Whether a window can be opened here, tried out in a child process."""
+    """Whether a window can be opened here, tried in a child process once."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return False
     return renders(on_screen=True)
 
 
-def open_window(scene: Scene, tell: Callable[[str], None], color: str = "force") -> None:
-    """Show the scene until the window is closed; `tell` gets the sentence of each contact that is clicked.
+def open_window(scene: Scene, on_pick: Callable[[str], None], color: str = "force") -> None:
+    """Show the scene until the window is closed; `on_pick` gets the sentence of each contact that is clicked.
 
     Raises InputError where there is no display.
     """
     if not can_open():
         raise InputError(NO_DISPLAY)
-    window(scene, tell, color).plotter.show(title=f"{scene.name} – scan3d")
+    build_window(scene, on_pick, color).plotter.show(title=f"{scene.name} – scan3d")
 
 
 class Window:
-    """A plotter with its layers by name (lists of actors), not shown yet."""
+    """A plotter that is not shown yet, and its layers, lists of actors, by name."""
 
-    def __init__(self, plotter: Any, scene: Scene, tell: Callable[[str], None]) -> None:
-        self.plotter, self.scene, self.tell = plotter, scene, tell
+    def __init__(self, plotter: Any, scene: Scene, on_pick: Callable[[str], None]) -> None:
+        self.plotter, self.scene, self.on_pick = plotter, scene, on_pick
         self.layers: dict[str, list[Any]] = {}
         self.contacts: Any = None
 
@@ -77,78 +84,83 @@ class Window:
         norm = shaded.norm
         scale = "tangential red, tip orange" if norm is None else f"{norm.vmin:.3g} (dark) to {norm.vmax:.3g} (light)"
         self.plotter.add_text(
-            f"{shaded.title}: {scale}", position="lower_right", font_size=11, color=INK, name="colour"
+            f"{shaded.title}: {scale}", position="lower_right", font_size=_FONT, color=INK, name="colour"
         )
         self.plotter.render()
 
     def pick(self, point: Any) -> None:
-        """Tell of the contact nearest to a clicked point (3,)."""
-        away = np.linalg.norm(self.scene.points - np.asarray(point), axis=1)
-        if len(away) and away.min() <= _NEAR * self.scene.diagonal:
-            self.tell(contact_sentence(self.scene, int(away.argmin())))
+        """Call `on_pick` for the contact nearest to a clicked point (3,), if one is near."""
+        distance = np.linalg.norm(self.scene.points - np.asarray(point), axis=1)
+        if len(distance) and distance.min() <= _NEAR * self.scene.diagonal:
+            self.on_pick(contact_sentence(self.scene, int(distance.argmin())))
 
 
-def window(scene: Scene, tell: Callable[[str], None], color: str = "force", *, off_screen: bool = False) -> Window:
-    """The window with its buttons, to be shown by `plotter.show()`."""
+def build_window(
+    scene: Scene, on_pick: Callable[[str], None], color: str = "force", *, off_screen: bool = False
+) -> Window:
+    """A window with its buttons; its `plotter.show()` opens it."""
     import pyvista
 
     canvas = Canvas(scene.corners, off_screen=off_screen)
-    made = Window(canvas.plotter, scene, tell)
+    window = Window(canvas.plotter, scene, on_pick)
     if scene.surface is not None:
         mesh, shaded = shade_surface(scene)
-        made.layers["surface"] = [canvas.add_body(mesh, BODY if shaded is None else shaded.rgb)]
+        window.layers["surface"] = [canvas.add_body(mesh, BODY if shaded is None else shaded.rgb)]
         if shaded is not None:
-            _bar(canvas.plotter, shaded)
+            _color_bar(canvas.plotter, shaded)
     if scene.truth is not None:
-        made.layers["truth"] = [canvas.add_body(scene.truth, TIP, opacity=0.4)]
+        window.layers["truth"] = [canvas.add_body(scene.truth, TIP, opacity=_TRUTH_OPACITY)]
     known = [name for name in COLORS if scene.column(name) is not None]
     if scene.contacts is not None:
-        made.contacts = pyvista.PolyData(scene.points)
-        made.contacts["rgb"] = np.tile(np.array([178, 24, 43], dtype=np.uint8), (len(scene.points), 1))
+        window.contacts = pyvista.PolyData(scene.points)
+        window.contacts["rgb"] = np.tile(
+            np.array(pyvista.Color(TANGENTIAL).int_rgb, dtype=np.uint8), (len(scene.points), 1)
+        )
         actor = canvas.plotter.add_mesh(
-            made.contacts, scalars="rgb", rgb=True, point_size=7, render_points_as_spheres=True
+            window.contacts, scalars="rgb", rgb=True, point_size=_CONTACT_SIZE, render_points_as_spheres=True
         )
-        made.layers["contacts"] = [actor]
-        made.layers["normals"] = canvas.add_lines(normal_lines(scene), NORMAL, 1)
-        made.layers["slices"] = [a for ring, _ in outlines(scene) for a in canvas.add_lines(ring[None], INK, 1)]
+        window.layers["contacts"] = [actor]
+        window.layers["normals"] = canvas.add_lines(normal_lines(scene), NORMAL, 1)
+        window.layers["slices"] = [
+            actor for outline, _ in outlines(scene) for actor in canvas.add_lines(outline[None], INK, 1)
+        ]
     if scene.recording is not None:
-        one = shown_sweep(scene)
-        states = np.unique(np.linspace(0, len(one.base) - 1, _STATES).round().astype(int))
-        made.layers["rods"] = canvas.add_rods(one, states)
-    _buttons(made, known, color if color in known else "")
-    canvas.aim(1200, 900)
+        sweep = shown_sweep(scene)
+        window.layers["rods"] = canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))
+    _buttons(window, known, color if color in known else "")
+    canvas.aim(*WINDOW_SIZE)
     canvas.plotter.enable_point_picking(
-        lambda point: made.pick(point), show_message=False, left_clicking=True, show_point=False
+        lambda point: window.pick(point), show_message=False, left_clicking=True, show_point=False
     )
-    return made
+    return window
 
 
-def _buttons(made: Window, known: list[str], color: str) -> None:
-    """A box for every layer, and a button for every colour of the contacts."""
-    plotter, height = made.plotter, _LEFT
+def _buttons(window: Window, known: list[str], color: str) -> None:
+    """Add a box for every layer, and a button for every known colour of the contacts."""
+    plotter, height = window.plotter, _LEFT
 
-    def text(words: str, at: int) -> None:
-        plotter.add_text(words, position=(_LEFT + 34, at), font_size=11, color=INK)
+    def label(text: str, bottom: int) -> None:
+        plotter.add_text(text, position=(_LEFT + _LINE, bottom), font_size=_FONT, color=INK)
 
-    for name in [one for one in COLORS[::-1] if one in known]:
+    for name in [name for name in COLORS[::-1] if name in known]:
         plotter.add_radio_button_widget(
-            functools.partial(made.paint, name), "colour", value=name == color, position=(_LEFT, height), size=24
+            functools.partial(window.paint, name), "colour", value=name == color, position=(_LEFT, height), size=_BUTTON
         )
-        text(f"colour: {name}", height)
+        label(f"colour: {name}", height)
         height += _LINE
-    for name in reversed(list(made.layers)):
+    for name in reversed(list(window.layers)):
         on = name in ("surface", "contacts")
-        made.switch(name, on)
+        window.switch(name, on)
         plotter.add_checkbox_button_widget(
-            functools.partial(made.switch, name), value=on, position=(_LEFT, height), size=24, color_on=ROD
+            functools.partial(window.switch, name), value=on, position=(_LEFT, height), size=_BUTTON, color_on=ROD
         )
-        text(name, height)
+        label(name, height)
         height += _LINE
     if color:
-        made.paint(color)
+        window.paint(color)
 
 
-def _bar(plotter: Any, shaded: Shade) -> None:
+def _color_bar(plotter: Any, shaded: Shade) -> None:
     import pyvista
 
     low, high = shaded.norm.vmin, shaded.norm.vmax

@@ -11,38 +11,45 @@ import planar
 from scan3d.pictures.scene import Scene
 
 
-def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """The key figures of a report, those that it has; distances also in % of the diagonal."""
+def unit_symbol(unit: str) -> str:
+    """The symbol of a unit of `scan3d.units` as it is printed."""
+    return unit.replace("um", "µm")
 
-    def of(section: str, name: str) -> Any:
+
+def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """The key figures that a report has, as pairs of name and value; distances also in % of the diagonal."""
+
+    def entry(section: str, name: str) -> Any:
         part = report.get(section)
         return part.get(name) if isinstance(part, Mapping) else None
 
-    found: list[tuple[str, str]] = []
-    extents, unit = of("mesh", "extents"), of("certificate", "unit") or of("mesh", "unit") or ""
+    rows: list[tuple[str, str]] = []
+    extents, unit = entry("mesh", "extents"), entry("certificate", "unit") or entry("mesh", "unit") or ""
     if extents is not None:
-        found.append(("size", " × ".join(f"{one:.4g}" for one in extents) + f" {unit}"))
-    found += [
-        (name, str(of("counts", name))) for name in ("contacts", "slices", "sweeps") if of("counts", name) is not None
+        rows.append(("size", " × ".join(f"{extent:.4g}" for extent in extents) + f" {unit}"))
+    rows += [
+        (name, str(entry("counts", name)))
+        for name in ("contacts", "slices", "sweeps")
+        if entry("counts", name) is not None
     ]
-    if of("contact_error", "max") is not None:
-        found.append(("contact error", f"{of('contact_error', 'max'):.2g} {unit} at most"))
-    if of("friction", "estimated_median") is not None:
-        found.append(("friction", f"{of('friction', 'estimated_median'):.4g} (median)"))
-    if of("surface", "method") is not None:
-        found.append(("surface", f"{of('surface', 'method')}, {of('surface', 'faces')} faces"))
-    for what, section, name in (
+    if entry("contact_error", "max") is not None:
+        rows.append(("contact error", f"{entry('contact_error', 'max'):.2g} {unit} at most"))
+    if entry("friction", "estimated_median") is not None:
+        rows.append(("friction", f"{entry('friction', 'estimated_median'):.4g} (median)"))
+    if entry("surface", "method") is not None:
+        rows.append(("surface", f"{entry('surface', 'method')}, {entry('surface', 'faces')} faces"))
+    for label, section, name in (
         ("Hausdorff distance", "hausdorff", "two_sided"),
         ("certified within", "certificate", "bound"),
     ):
-        value, relative = of(section, name), of(section, "relative")
+        value, relative = entry(section, name), entry(section, "relative")
         if value is not None and np.isfinite(value):
-            found.append((what, f"{value:.3g} {unit} ({100 * relative:.2g} %)"))
-    return tuple(found)
+            rows.append((label, f"{value:.3g} {unit} ({100 * relative:.2g} %)"))
+    return tuple(rows)
 
 
 def contact_sentence(scene: Scene, contact: int) -> str:
-    """What was felt at a contact."""
+    """What was measured at a contact, given by its row in the scene's contacts."""
     parts = [
         "contact {}: ({})".format(contact, ", ".join(f"{x:.6g}" for x in scene.points[contact])) + f" {scene.unit}"
     ]

@@ -1,4 +1,4 @@
-"""What is to be scanned, and how: heights of the slices, approach directions, poses; from contacts, never from the truth."""
+"""Settings of a scan, heights of its slices, approach directions and poses, from contacts and never from the true body."""
 
 from scan3d.planning.adaptive import next_heights
 from scan3d.planning.plan import Plan

@@ -1,11 +1,12 @@
-"""Where to slice next, by the contacts so far.
+"""Heights of further slices, chosen by the contacts so far.
 
-Nothing here knows a simulation: a computed scan and a rig ask the same question, sweep, and ask again.
+This module knows no simulation: a simulated scan and a real rig both ask it for heights, sweep there, and ask again.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -19,21 +20,39 @@ from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.bounds import outside
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 
-# Fraction of the slices so far that is added in one round.  Larger rounds need fewer evaluations, but choose more heights
-# without seeing what the others of the round have found.
+# Fraction of the number of slices so far that is added in one round.  Larger rounds need fewer evaluations, but choose more
+# heights without knowing the contacts of the others in the same round.
 _GROWTH = 0.12
+# One in so many of the slices left is added in a round at most.  Smaller, the last rounds choose many heights at once;
+# larger, there are more rounds.
+_LEFT_PER_HEIGHT = 3
+# Largest difference of the components of two unit normals that are the same axis: in the cloud, where slices along one axis
+# have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
+# parallel would be mixed; smaller, rounding would separate what belongs together.
+_SAME_AXIS, _GIVEN_AXIS = 1e-8, 1e-6
+# Decimals of the axes in messages.
+_AXIS_DECIMALS = 6
 
 
 @dataclass
 class SlabMemory:
-    """What earlier calls of `next_heights` have computed for the same growing cloud, so that it is computed once.
+    """Slabs and gaps that earlier calls of `next_heights` have computed for the same growing cloud.
 
-    The gap of a slab is that of the call that saw the slab first: an upper bound of the gap now, since the hull of the
-    contacts only grows.
+    The gaps of a slab are those of the first call with that slab.  They are upper bounds of the present gaps, because the hull
+    of the contacts only grows.
     """
 
     slabs: dict[SlabKey, Slab] = field(default_factory=dict)
     gaps: dict[SlabKey, Array] = field(default_factory=dict)
+    """(w,) distances of each slab's corners from the hull of the contacts; (1,) infinite where the slab is unbounded."""
+
+    def gap(self, keys: list[SlabKey], parts: list[Slab], inner: Any) -> Array:
+        """Gaps (w,) of the corners of all slabs, computed for those slabs that are new."""
+        for key, slab in zip(keys, parts, strict=True):
+            if key not in self.gaps:
+                bounded = np.isfinite(slab.corners).all()
+                self.gaps[key] = outside(slab.corners, inner) if bounded else np.full(1, np.inf)
+        return np.concatenate([self.gaps[key] for key in keys])
 
 
 def next_heights(
@@ -44,42 +63,39 @@ def next_heights(
     left: int | None = None,
     memory: SlabMemory | None = None,
 ) -> Array:
-    """Heights (k,) of the slices to be swept next along an axis, where the contacts so far leave most room for the body.
+    """Heights (k,) of the slices to be swept next along an axis: where the contacts so far leave most room for the body.
 
     cloud
-        the contacts so far, and the slices they lie in, empty ones included.
+        the contacts so far, and their slices, including those in which nothing was touched.
     plan
-        its `slices` (number of slices along the axis) and `tolerance` say when to stop.
+        its `slices` (number of slices along the axis) and its `tolerance` say when to stop.
     axis (3,)
-        normal of the slices; needed only where the cloud has slices along several axes.
+        normal of the slices; needed only if the cloud has slices along several axes.
     left
-        number of slices that may still be swept; `plan.slices` less those in the cloud unless given.
+        number of slices that may still be swept; by default `plan.slices` less the cloud's slices along the axis.
     memory
         speeds up repeated calls for the same scan; filled by this function.
 
-    Returns no heights where none are left, where the tolerance is met, or where no further slice would tell anything new.
-    Raises InputError if the axis is not among those of the cloud, or is not given where there are several.
+    Returns an empty array if no slices are left, if the tolerance is met, or if further slices would add no information.
+    Raises InputError if the axis is not among those of the cloud, or is not given where there are several, and if the contacts
+    span no body.
     """
     stack = _stack(cloud, axis)
     inner = hull(cloud.points)
-    done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < 1e-8).sum())
+    done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < _SAME_AXIS).sum())
     left = plan.slices - done if left is None else left
     if left <= 0:
         return np.empty(0)
     memory = memory or SlabMemory()
-    keys, parts = slab_keys(stack), slabs(stack, known=memory.slabs)
-    for key, slab in zip(keys, parts, strict=True):
-        if key not in memory.gaps:
-            bounded = np.isfinite(slab.corners).all()
-            memory.gaps[key] = outside(slab.corners, inner) if bounded else np.full(1, np.inf)
-    gap = np.concatenate([memory.gaps[key] for key in keys])
+    parts = slabs(stack, known=memory.slabs)
+    gap = memory.gap(slab_keys(stack), parts, inner)
     corners = np.concatenate([slab.corners for slab in parts])
     kind = np.concatenate([slab.kind for slab in parts])
     straight = np.concatenate([slab.straight for slab in parts])
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if gap.max() <= plan.tolerance * diagonal:
         return np.empty(0)
-    count = max(1, min(round(_GROWTH * (plan.slices - left)), left // 3))
+    count = max(1, min(round(_GROWTH * (plan.slices - left)), left // _LEFT_PER_HEIGHT))
     between = np.isfinite(gap) & (kind != Gap.CONTACTS)
     number = np.repeat(np.arange(len(parts)), [len(slab.corners) for slab in parts])[between]
     levels = np.array([stack.floor, *stack.heights, stack.ceiling])
@@ -88,14 +104,16 @@ def next_heights(
 
 
 def _stack(cloud: Cloud, axis: Array | None) -> SliceStack:
-    found = stacks(cloud)
+    """The cloud's slices along an axis."""
+    candidates = stacks(cloud)
     if axis is not None:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-        found = [stack for stack in found if np.abs(stack.frame[2] - unit).max() < 1e-6]
-    if len(found) != 1:
-        axes = ", ".join(str(tuple(map(float, row))) for row in np.unique(np.round(cloud.slice_axis, 6), axis=0))
+        candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < _GIVEN_AXIS]
+    if len(candidates) != 1:
+        normals = np.unique(np.round(cloud.slice_axis, _AXIS_DECIMALS), axis=0) + 0.0  # -0 becomes 0
+        axes = ", ".join(str(tuple(map(float, row))) for row in normals)
         raise InputError(
             f"next heights are chosen along one axis, and the cloud has contacts in slices along {axes}; give one of them "
             f"as axis, got {axis if axis is None else tuple(np.asarray(axis).tolist())}"
         )
-    return found[0]
+    return candidates[0]

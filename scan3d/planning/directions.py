@@ -9,43 +9,58 @@ import numpy as np
 from scan3d.arrays import Array
 from scan3d.planning.plan import Plan
 
-# How much denser than evenly a sweep's samples are at its start, and sparser at its end.
+# By which fraction a sweep's samples are denser than evenly spaced at its start, and sparser at its end.  Larger, the normals
+# met near the end of the sweep have few samples; smaller, those met near its start.
 CROWDING = 0.45
-# Approach directions of a slice to start with; one sweep sees some 100° of its normals, of flat sides less.
+# Approach directions with which a slice is begun; one sweep sees some 100° of its normals, less of straight sides.  More
+# sweep every slice longer, also where fewer would do; with fewer, the directions of the first round of further sweeps rest on
+# few contacts.
 FIRST_SWEEPS = 6
-# Most approach directions of a slice.
-MOST_SWEEPS = 16
-# A slice is covered where contacts and their tangents leave less than this share of its width open between them.
-OPEN_SHARE = 5e-4
-# The slope at which a sweep aimed at a normal meets it: in the middle of what it sees tangentially.
+# Upper bound of the number of approach directions of a slice.  A larger one spends sweeps on what no direction can reach;
+# with a smaller one, corners of a contour with many edges stay open.
+MAX_SWEEPS = 16
+# A slice is covered where contacts and their tangents leave less than this fraction of its width open between them.  Larger,
+# corners stay unseen; smaller, every slice is swept `MAX_SWEEPS` times.
+OPEN_FRACTION = 5e-4
+# The slope at which a sweep aimed at a normal meets it, in the middle of the slopes that it sees tangentially.  Larger or
+# smaller, the contacts lie on one side of the normal, and less of the gap around it is closed.
 AIMED_SLOPE = math.radians(40)
+# Decimals to which angles in radians are rounded: those of normals, so that contacts on one edge have the same, and those of
+# approach directions, so that the poses are short numbers.  More decimals would tell the normals of one edge apart by their
+# rounding; with fewer, neighbouring edges would become one, and directions would miss what they are aimed at.
+_NORMAL_DECIMALS, _DIRECTION_DECIMALS = 9, 3
 
 
-def base_shares(samples: int) -> Array:
-    """Where on the way from touch-down to the sweep's end the samples (n,) are taken.
+def base_fractions(samples: int) -> Array:
+    """Where the samples (n,) of a sweep are taken, as fractions of the travel from touch-down to the sweep's end.
 
-    Denser at the start, where the contour turns fastest under the rod: so the normals are met about evenly.
+    They are denser at the start, where the contour turns fastest under the rod, so that the normals are met about evenly.
     """
     u = np.linspace(0.0, 1.0, samples)
     return u - CROWDING / np.pi * np.sin(np.pi * u)
 
 
 def first_directions(plan: Plan) -> Array:
-    """Approach directions: angles (k,) of the undeformed rod in the slice, in radians."""
+    """The approach directions with which a slice is begun: angles (k,) of the undeformed rod in it, in radians."""
     count = plan.sweeps or FIRST_SWEEPS
     return 2 * np.pi * np.arange(count) / count
 
 
 def further_directions(points: Array, normals: Array, width: float) -> Array:
-    """Approach directions (k,) towards what tangential contacts leave open of a slice's contour.
+    """Approach directions (k,), in radians, towards those parts of a slice's contour that tangential contacts leave open.
 
-    points (n, 2) with outward normals (n, 2); two neighbours leave open the triangle between their chord and their
-    tangents.  None where there is no tangential contact to go by.
+    points, normals (n, 2)
+        contacts and their outward unit normals.  Two neighbouring contacts leave open the triangle between their chord and
+        their tangents.
+    width
+        of the contour, in the unit of the points.
+
+    Returns no directions where there are no tangential contacts.
     """
     if not len(points):
         return np.empty(0)
-    # contacts on one edge have one normal, up to rounding; there their order is that along the edge
-    angle = np.round(np.arctan2(normals[:, 1], normals[:, 0]), 9)
+    # contacts on one edge have the same normal, up to rounding; their order is that along the edge
+    angle = np.round(np.arctan2(normals[:, 1], normals[:, 0]), _NORMAL_DECIMALS)
     order = np.lexsort((points[:, 1] * np.cos(angle) - points[:, 0] * np.sin(angle), angle))
     points, angle = points[order], angle[order]
     chord = np.roll(points, -1, axis=0) - points
@@ -56,6 +71,6 @@ def further_directions(points: Array, normals: Array, width: float) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         height = np.nan_to_num(before * after / (np.hypot(*chord.T) * np.sin(gap)))
     open_height = np.where(gap >= np.pi, width, height)
-    middle = (angle + gap / 2)[open_height > OPEN_SHARE * width]
-    # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the rod, stands at the direction sought
-    return np.unique(np.round(middle + np.pi - AIMED_SLOPE, 3))
+    middle = (angle + gap / 2)[open_height > OPEN_FRACTION * width]
+    # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the undeformed rod, has the direction sought
+    return np.unique(np.round(middle + np.pi - AIMED_SLOPE, _DIRECTION_DECIMALS))

@@ -22,7 +22,7 @@ class Plan:
     """Settings of a simulated scan.  Raises InputError for values out of their range."""
 
     slices: int = 64
-    """Slices along each axis; with adaptive spacing the empty ones count."""
+    """Number of slices along each axis; with adaptive spacing empty slices count."""
     spacing: str = "cosine"
     """Heights of the slices: 'cosine' (dense at the ends), 'uniform', or 'adaptive' (where the contacts so far leave most
     room for the body)."""
@@ -31,7 +31,7 @@ class Plan:
     axis: str | Sequence[float] = "z"
     """Normal of the slices: 'x', 'y', 'z', several such as 'xyz', or a vector."""
     sweeps: int | None = None
-    """Sweeps per slice, evenly around it; None: as many as its contour needs."""
+    """Sweeps per slice, evenly spaced around it; None: as many as its contour needs."""
     samples: int = 64
     """Samples per sweep, from touch-down to the sweep's end."""
     friction: float | tuple[float, float] = 0.3
@@ -39,18 +39,19 @@ class Plan:
     clearance: float = 0.3
     """Distance of the base line from the slice, in rod lengths."""
     standoff: str = "follow"
-    """The base line follows every slice ('follow'), or keeps the distance it has from the widest body ('fixed')."""
+    """The base line keeps its distance from every slice ('follow'), or from the outline of the whole body ('fixed')."""
     rod: Rod | None = None
-    """None: a steel wire twice as long as the widest slice's radius."""
+    """The rod; None: a steel wire as long as the widest slice's diameter."""
     noise: float = 0.0
     """Standard deviation of force and moment, in EI/L² and EI/L."""
     seed: int = 0
+    """Seed of the random friction and noise."""
     unit: str = "mm"
     """Unit of the mesh's coordinates."""
 
     def __post_init__(self) -> None:
-        for name, least in (("slices", 1), ("samples", 2), ("seed", 0)):
-            _check_whole(name, getattr(self, name), least)
+        for name, minimum in (("slices", 1), ("samples", 2), ("seed", 0)):
+            _check_whole(name, getattr(self, name), minimum)
         if self.sweeps is not None:
             _check_whole("sweeps", self.sweeps, 1)
         if self.spacing not in SPACINGS:
@@ -72,6 +73,7 @@ class Plan:
 
     @property
     def friction_range(self) -> tuple[float, float]:
+        """Lowest and highest coefficient of friction."""
         if isinstance(self.friction, (int, float)):
             return float(self.friction), float(self.friction)
         if len(self.friction) != 2:
@@ -82,8 +84,8 @@ class Plan:
         """Unit normals (k, 3) of the slices."""
         given = [_AXES.get(letter, ()) for letter in self.axis] if isinstance(self.axis, str) else [self.axis]
         vectors = [np.asarray(vector, dtype=float) for vector in given]
-        good = all(v.shape == (3,) and np.isfinite(v).all() and np.linalg.norm(v) > 0 for v in vectors)
-        if not vectors or not good or (len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str)):
+        valid = all(v.shape == (3,) and np.isfinite(v).all() and np.linalg.norm(v) > 0 for v in vectors)
+        if not vectors or not valid or (len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str)):
             raise InputError(
                 f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
                 f"got {self.axis!r}"
@@ -91,6 +93,6 @@ class Plan:
         return np.array([vector / np.linalg.norm(vector) for vector in vectors])
 
 
-def _check_whole(name: str, value: object, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InputError(f"{name} must be a whole number of at least {least}, got {value!r}")
+def _check_whole(name: str, value: object, minimum: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
+        raise InputError(f"{name} must be a whole number of at least {minimum}, got {value!r}")

@@ -1,4 +1,4 @@
-"""Poses of the clamp: the base line of a sweep, and the clamp's places and axes along it in the world."""
+"""Poses of the clamp: the base line of a sweep, and the clamp's positions and axes along it in the world."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class BaseLine(NamedTuple):
 
 
 def base_line(outline: Array, angle: float, clearance: float) -> BaseLine:
-    """The base line that keeps a distance from an outline.
+    """The base line at a given distance from an outline.
 
     outline (n, 2)
-        points of a slice's contour, of the widest body, or of a box around it.
+        points of a slice's contour, of the projection of the whole body, or of a box around it.
     angle
         direction of the undeformed rod in the slice, in radians.
     clearance
@@ -37,9 +37,9 @@ def base_line(outline: Array, angle: float, clearance: float) -> BaseLine:
 
 
 def positions(line: BaseLine, x0: Array, height: float, frame: Array) -> Array:
-    """Places (n, 3) of the clamp in the world at the base positions x0 (n,) in a slice of a certain height.
+    """Positions (n, 3) of the clamp in the world, at the base positions x0 (n,) in the slice at a height.
 
-    `frame` (3, 3) has the axes of the slices' frame in the world as rows.
+    The rows of `frame` (3, 3) are the axes of the slices' frame in the world.
     """
     in_slice = line.origin + x0[:, None] * line.axes[0]
     return np.column_stack([in_slice, np.full(len(x0), height)]) @ frame

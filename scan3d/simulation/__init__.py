@@ -1,1 +1,1 @@
-"""Step 1: bodies from mesh files, and scans of them that are computed instead of measured."""
+"""Bodies from mesh files, and simulated scans of them (step 1)."""

@@ -1,4 +1,4 @@
-"""Bodies to scan: load a mesh file, and judge whether it is convex."""
+"""Bodies to scan: mesh files are read, and judged whether they are closed and convex."""
 
 from __future__ import annotations
 
@@ -19,25 +19,31 @@ from scan3d.geometry.triangles import areas, distinct_rows
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
-"""Least thickness of a body: rounding to float32 leaves an oblique flat sheet 1e-8 to 1e-7 thick."""
+"""Smallest thickness of a body, relative to the diagonal of its bounding box.  Larger, thin plates would be refused; smaller,
+oblique flat sheets, which rounding to float32 leaves 1e-8 to 1e-7 thick, would count as bodies."""
 OPEN_TOLERANCE = 1e-3
-"""Share of the hull's area that may lack a surface: more than rounding, less than any face that matters."""
+"""Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding
+of the areas of fine meshes would count as a hole."""
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Trimesh:
     """The convex body in a mesh file: STL (binary or ASCII), PLY, OBJ, OFF or GLB.
 
-    Returns the triangulated convex hull of the file's surface, watertight and outward, with the hull's vertices only, in
-    the file's units. A body convex within `DENT_TOLERANCE` differs from its file by at most the dent, so that all that
-    follows may rely on exact convexity. (`trimesh` gives zero normals to triangles below 1e-13 square units: bring a
-    body of that size to unit size before asking for them.)
+    path
+        of the file.
+    hull
+        whether the convex hull is taken even of a body that is dented or open.
 
-    `metadata` gets `file` (name), `path`, `sha256`, `file_faces`, `dent` (deepest dent in the file's units, from above),
-    `dent_relative` (to the diagonal of the bounding box) and `hull`.
+    Returns the triangulated convex hull of the file's surface, watertight and outward, with the hull's vertices only, in the
+    file's unit.  A body that is convex within `DENT_TOLERANCE` differs from its file by at most the dent, so that everything
+    else may rely on exact convexity.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that size
+    must be brought to unit size before they are computed.)
 
-    hull: take the convex hull even of a body that is dented or open.
+    Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in the file's
+    unit), `dent_relative` (to the diagonal of the bounding box) and `hull`.
 
-    Raises InputError if the file can't be read, has no triangles, isn't finite, is flat, dented or open.
+    Raises InputError if the file can't be read, has no triangles or coordinates that aren't finite, and if the body is flat,
+    dented or open.
     """
     path = Path(path)
     data = _read(path)
@@ -52,27 +58,13 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Tr
     diagonal = float(extent * np.linalg.norm((high - low) / extent))  # squares of very small numbers would vanish
     center = low + (high - low) / 2
     points = (vertices - center) / diagonal
-    thickness = _thickness(points)
-    if thickness < FLAT:
-        raise InputError(
-            f"{path.name} is flat: it is {thickness * diagonal:.3g} thick ({thickness:.2g} of its diagonal, where at least "
-            f"{FLAT:g} is needed); check that the file holds a solid body"
-        )
+    _check_thickness(path.name, _thickness(points), diagonal)
 
     outer, faces = outward_hull(points), inverse.reshape(-1, 3)
     dent, deepest = deepest_dent(points[faces], outer)
-    if not hull and dent > DENT_TOLERANCE:
-        place = ", ".join(f"{x:.6g}" for x in center + diagonal * deepest)
-        raise InputError(
-            f"{path.name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep ({dent:.3g} of its diagonal, where "
-            f"{DENT_TOLERANCE:g} is allowed), at ({place}); to scan its convex hull instead, give --hull (hull=True)"
-        )
-    bare = 1 - areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum()
-    if not hull and bare > OPEN_TOLERANCE:
-        raise InputError(
-            f"{path.name} is open: {100 * bare:.2g} % of its convex hull has no surface, where a closed body is expected; "
-            "close it, or to scan its convex hull give --hull (hull=True)"
-        )
+    if not hull:
+        _check_convex(path.name, dent, diagonal, center + diagonal * deepest)
+        _check_closed(path.name, areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
 
     used, facets = np.unique(outer.facets, return_inverse=True)
     body = trimesh.Trimesh(vertices=vertices[used], faces=facets.reshape(-1, 3), process=False)
@@ -88,6 +80,35 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Tr
     return body
 
 
+def _check_thickness(name: str, thickness: float, diagonal: float) -> None:
+    """Raises InputError for a flat body; `thickness` is relative to the diagonal of the bounding box."""
+    if thickness < FLAT:
+        raise InputError(
+            f"{name} is flat: it is {thickness * diagonal:.3g} thick ({thickness:.2g} of its diagonal, where at least "
+            f"{FLAT:g} is needed); check that the file holds a solid body"
+        )
+
+
+def _check_convex(name: str, dent: float, diagonal: float, deepest: Array) -> None:
+    """Raises InputError for a dented body; `dent` is relative to the diagonal, `deepest` (3,) is where it is deepest."""
+    if dent > DENT_TOLERANCE:
+        place = ", ".join(f"{x:.6g}" for x in deepest)
+        raise InputError(
+            f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep ({dent:.3g} of its diagonal, where "
+            f"{DENT_TOLERANCE:g} is allowed), at ({place}); to scan its convex hull instead, give --hull (hull=True)"
+        )
+
+
+def _check_closed(name: str, covered: float) -> None:
+    """Raises InputError for an open body, whose surface covers only a fraction of the area of its hull."""
+    bare = 1 - covered
+    if bare > OPEN_TOLERANCE:
+        raise InputError(
+            f"{name} is open: {100 * bare:.2g} % of its convex hull has no surface, where a closed body is expected; "
+            "close it, or to scan its convex hull give --hull (hull=True)"
+        )
+
+
 def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     """The triangles of a mesh file as they are, convex or not, with equal vertices merged.
 
@@ -100,6 +121,7 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
 
 
 def _read(path: Path) -> bytes:
+    """The bytes of a mesh file.  Raises InputError if they can't be read, or if its ending is not one of `FORMATS`."""
     if path.is_dir():
         raise InputError(f"{path.name or path} is a folder, where a mesh file is expected; name a file in it")
     if not path.exists():
@@ -116,14 +138,15 @@ def _read(path: Path) -> bytes:
 
 
 def _triangles(path: Path, data: bytes) -> Array:
-    """Corners (t, 3, 3) of all triangles in a file, as they are: nothing merged, nothing dropped."""
+    """Corners (t, 3, 3) of all triangles in a file, without merging or dropping any."""
     kind = path.suffix[1:].lower()
     try:
         with warnings.catch_warnings():
-            # On a broken number older numpy only warns, and returns the numbers before it: half a body.
+            # On a broken number older versions of numpy only warn, and return the numbers before it, which are part of a
+            # body.
             warnings.filterwarnings("error", message="string or file could not be read")
             meshes = _parse(kind, data)
-    # trimesh's parsers raise whatever breaks first on foreign bytes: KeyError, IndexError, struct.error, MemoryError, …
+    # trimesh's parsers raise various errors for foreign bytes: KeyError, IndexError, struct.error, MemoryError and others.
     except Exception as error:
         raise InputError(
             f"{path.name} can't be read as {kind.upper()}: it is damaged or another kind of file; export it again"
@@ -132,7 +155,7 @@ def _triangles(path: Path, data: bytes) -> Array:
         raise InputError(f"{path.name} has vertices that are NaN or infinite; repair or export it again")
     if sum(len(faces) for _, faces in meshes) == 0:
         raise InputError(
-            f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, damaged, or no "
+            f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, damaged, or not a "
             f"{kind.upper()} file; export the body as a triangle mesh"
         )
     return np.concatenate([vertices[faces] for vertices, faces in meshes])
@@ -141,7 +164,7 @@ def _triangles(path: Path, data: bytes) -> Array:
 def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
     """Vertices (v, 3) in the world and faces (f, 3) of each mesh in a file.
 
-    The loaders are called below trimesh.load, which would drop vertices that aren't finite before they can be seen.
+    trimesh's loaders are called directly, because trimesh.load drops vertices that aren't finite without a warning.
     """
     raw = mesh_loaders[kind](io.BytesIO(data), file_type=kind, resolver=None, skip_materials=True)
     geometries = {
@@ -157,17 +180,18 @@ def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
         if name in scene.geometry:
             mesh = scene.geometry[name]
             if len(mesh.faces) and (mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices)):
-                raise IndexError("a face names a vertex that isn't there")
+                raise IndexError("a face has a vertex that does not exist")
             meshes.append((trimesh.transform_points(mesh.vertices, transform), np.asarray(mesh.faces)))
     return meshes
 
 
 def _distinct_faces(faces: Index) -> Index:
+    """Faces (m, 3) without those that have the same vertices as another one."""
     return faces[distinct_rows(np.sort(faces, axis=1))[0]]
 
 
 def _thickness(points: Array) -> float:
-    """Extent (at unit size) across the plane that fits the points best."""
+    """Extent of points (n, 3) across the plane that fits them best."""
     centered = points - points.mean(axis=0)
     across = np.linalg.eigh(centered.T @ centered)[1][:, 0]
     return float(np.ptp(centered @ across))

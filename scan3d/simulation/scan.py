@@ -1,4 +1,4 @@
-"""Step 1 over a plan: a body swept slice by slice, from several sides, into a recording."""
+"""Simulation of a scan (step 1): a body is swept slice by slice, from several directions, and the reactions are recorded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.planning.adaptive import SlabMemory, next_heights
-from scan3d.planning.directions import MOST_SWEEPS, base_shares, first_directions, further_directions
+from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
@@ -25,14 +25,16 @@ from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
 
-# Slices that are swept in one call: enough to fill the arrays, few enough to report progress.
+# Slices that are swept in one call.  More make progress reports rare; fewer leave the arrays short, which takes longer.
 _SLICES_AT_ONCE = 16
-# Rounds of further sweeps for the parts of a contour that the sweeps before have left open.  More rounds close smaller gaps
-# at the cost of more sweeps.
+# Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.  More rounds close smaller gaps at
+# the cost of more sweeps; fewer leave gaps.
 _ROUNDS = 2
-# Heights at which the body's width is looked up to choose a rod for it.  Fewer could miss the widest slice of a pointed body.
+# Heights at which the body's width is evaluated to choose a rod for it.  More take longer; fewer could miss the widest slice
+# of a pointed body, for which the rod would be too short.
 _WIDTH_HEIGHTS = 33
-# How far a sweep past an empty place goes beyond it on either side, in rod lengths.
+# Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.  Larger, such
+# sweeps are longer than needed; smaller, they could end before the contour does.
 _BEYOND = 0.01
 
 
@@ -54,14 +56,16 @@ class _Swept(NamedTuple):
 
 @dataclass
 class _AxisScan:
-    """The scan along one axis, as far as it has come."""
+    """The slices and sweeps made so far along one axis."""
 
     mesh: Any
     plan: Plan
     length: float
     """Of the rod, in the mesh's unit."""
     frame: Array
+    """(3, 3) axes of the slices' frame in the world, as rows."""
     number: int
+    """Of the axis among those of the plan."""
     heights: list[float] = field(default_factory=list)
     polygons: list[Array] = field(default_factory=list)
     swept: list[_Swept] = field(default_factory=list)
@@ -83,28 +87,28 @@ class _AxisScan:
         """All sweeps of some slices, in the order of slices and directions."""
         directions = {i: first_directions(self.plan) for i in slices}
         done: dict[int, list[_Swept]] = {i: [] for i in slices}
-        for round_ in range(1 + _ROUNDS):
+        for rounds_done in range(1 + _ROUNDS):
             sweeps = [
                 _Sweep(i, len(done[i]) + k, self._base_line(angle, self.polygons[i]))
                 for i, angles in directions.items()
                 for k, angle in enumerate(angles)
             ]
             for sweep, result in zip(sweeps, self._simulate(sweeps), strict=True):
-                # a sweep out of the rod's reach is left out: an empty sweep would say that nothing is there
+                # a sweep out of the rod's reach is left out, because an empty sweep is evidence that nothing is there
                 if result is not None:
                     done[sweep.slice].append(_Swept(sweep, result))
                 else:
                     self.unreached += 1
-            if self.plan.sweeps is not None or round_ == _ROUNDS:
+            if self.plan.sweeps is not None or rounds_done == _ROUNDS:
                 break
             directions = {
-                i: self._open_directions(done[i], self.polygons[i])[: MOST_SWEEPS - len(done[i])] for i in directions
+                i: self._open_directions(done[i], self.polygons[i])[: MAX_SWEEPS - len(done[i])] for i in directions
             }
             directions = {i: angles for i, angles in directions.items() if len(angles)}
         return [swept for i in slices for swept in done[i]]
 
     def _sweep_empty(self, i: int) -> list[_Swept]:
-        """Sweeps that find nothing, where the nearest slice with a contour is swept."""
+        """Sweeps without contact of an empty slice, at the base lines of the nearest slice with a contour."""
         filled = [j for j, polygon in enumerate(self.polygons) if len(polygon)]
         if not filled:
             return []
@@ -117,7 +121,7 @@ class _AxisScan:
         return swept
 
     def _nothing(self, across: Array) -> planar.Sweep:
-        """A sweep past some places (n,) along its line that touches nothing."""
+        """A sweep without contact, past positions (n,) along its base line in rod lengths."""
         n = self.plan.samples
         x0 = np.linspace(across.max() + _BEYOND, across.min() - _BEYOND, n)
         unknown = np.full(n, np.nan)
@@ -140,8 +144,8 @@ class _AxisScan:
             keys = [[self.plan.seed, 0, self.number, s.slice, s.number] for s in sweeps]
             friction = [np.random.default_rng(key).uniform(low, high, self.plan.samples) for key in keys]
         contours = [planar.Polygon(outlines[k]) for k in within]
-        shares = base_shares(self.plan.samples)
-        results = planar.sweep_all(contours, [friction[k] for k in within], shares=shares) if within else []
+        fractions = base_fractions(self.plan.samples)
+        results = planar.sweep_all(contours, [friction[k] for k in within], shares=fractions) if within else []
         by_sweep = dict(zip(within, results, strict=True))
         return [by_sweep.get(k) for k in range(len(sweeps))]
 
@@ -162,7 +166,14 @@ class _AxisScan:
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
     """Recording of a simulated scan of a convex `trimesh.Trimesh`.
 
-    `progress` is called with the number of slices done and of all.  Raises InputError if the body can't be scanned so.
+    mesh
+        the body, with coordinates in the plan's unit.
+    plan
+        the settings; those of `Plan()` by default.
+    progress
+        is called with the number of slices done and the number of all slices.
+
+    Raises InputError if the body is too thin to be sliced along an axis of the plan.
     """
     plan = plan or Plan()
     frames = [slice_frame(axis) for axis in plan.axes()]
@@ -186,7 +197,7 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
 
 
 def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
-    """Ask where to slice next, sweep there, and ask again; the contacts asked about have the recording's noise."""
+    """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
     memory = SlabMemory()
     while len(scan.heights) < scan.plan.slices:
         left = scan.plan.slices - len(scan.heights)
@@ -198,7 +209,7 @@ def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
 
 
 def _width(mesh: Any, frame: Array) -> float:
-    """Diameter of the widest slice about its middle: with a rod of that length, a sweep sees most of a slice."""
+    """Largest diameter of the slices about their middles; a sweep with a rod of that length sees most of a slice."""
     low, high = extent_along(mesh, frame[2])
     polygons = slice_polygons(mesh, frame, np.linspace(low, high, _WIDTH_HEIGHTS + 2)[1:-1])
     widths = [2 * np.linalg.norm(p - (p.min(axis=0) + p.max(axis=0)) / 2, axis=1).max() for p in polygons if len(p)]
@@ -208,15 +219,15 @@ def _width(mesh: Any, frame: Array) -> float:
 
 
 def _recording(scans: list[_AxisScan], rod: Rod) -> Recording:
-    """All that has been swept, as a rig would log it."""
+    """The recording of all sweeps so far, as a rig would log it."""
     plan, length = scans[0].plan, scans[0].length
     metres = UNITS_M[plan.unit]
     all_swept = [(scan, swept) for scan in scans for swept in scan.swept]
     unreached = sum(scan.unreached for scan in scans)
     count = np.array([len(swept.result) for _, swept in all_swept])
-    places, axes, wrenches = [], [], []
+    clamp_positions, axes, wrenches = [], [], []
     for scan, (sweep, result) in all_swept:
-        places.append(positions(sweep.line, result.x0 * length, scan.heights[sweep.slice], scan.frame))
+        clamp_positions.append(positions(sweep.line, result.x0 * length, scan.heights[sweep.slice], scan.frame))
         axes.append(clamp_axes(sweep.line, scan.frame))
         wrenches.append(np.stack([result.f0x, result.f0y, result.m0z], axis=1))
     # scipy wants the clamp's axes as columns
@@ -227,7 +238,7 @@ def _recording(scans: list[_AxisScan], rod: Rod) -> Recording:
         measured += plan.noise * np.random.default_rng([plan.seed, 1]).standard_normal(measured.shape)
     return Recording(
         sweep=np.repeat(np.arange(len(all_swept)), count),
-        position_m=np.concatenate(places) * metres,
+        position_m=np.concatenate(clamp_positions) * metres,
         quaternion=np.repeat(quaternion, count, axis=0),
         force_N=measured[:, :2] * rod.force_unit_N,
         moment_Nm=measured[:, 2] * rod.moment_unit_Nm,

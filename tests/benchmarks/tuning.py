@@ -19,6 +19,7 @@ import argparse
 import platform
 import sys
 import time
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +31,8 @@ from scipy.spatial.transform import Rotation
 from trimesh.creation import icosphere
 
 import scan3d
-from scan3d import between, bracket, hulls, surfaces
+from scan3d.geometry.hulls import hull
+from scan3d.surfaces import Tuning
 
 Array = NDArray[np.float64]
 
@@ -73,43 +75,14 @@ FIELDS = (
 )
 
 
-# The one place that knows where the numbers are
-
-_PLACES: dict[str, tuple[tuple[Any, str], ...]] = {
-    "unknown": ((between, "_UNKNOWN"),),
-    "damping": ((between, "_DOUBT"),),
-    "unseen_corners": ((between, "_UNSEEN"),),
-    "straight": ((between, "_FLAT"), (bracket, "_FLAT")),
-    "parabola": ((between, "_PARABOLA"),),
-    "crease": (),
-    "sharp_advantage": ((surfaces, "_SHARPER"),),
-    "fit_gain": ((surfaces, "_GAIN"),),
-    "proven": ((surfaces, "_PROVEN"),),
-}
-
-
 def present() -> dict[str, float]:
     """The numbers as they are."""
-    values = {name: getattr(*places[0]) for name, places in _PLACES.items() if places}
-    return values | {"crease": surfaces._KINKS[1]}
+    return asdict(Tuning())
 
 
 def surface_with(cloud: scan3d.Cloud, method: str, **numbers: float) -> Any:
     """The surface of a cloud with some of the numbers changed."""
-    changes: list[tuple[Any, str, Any]] = [
-        (module, name, numbers[field]) for field in numbers for module, name in _PLACES[field]
-    ]
-    if "crease" in numbers:
-        words = {None: "straight", numbers["crease"]: "bent", 1.0: "sharp"}
-        changes += [(surfaces, "_KINKS", (None, numbers["crease"], 1.0)), (surfaces, "_GUESSES", words)]
-    kept = [(module, name, getattr(module, name)) for module, name, _ in changes]
-    try:
-        for module, name, value in changes:
-            setattr(module, name, value)
-        return scan3d.surface(cloud, method)
-    finally:
-        for module, name, value in kept:
-            setattr(module, name, value)
+    return scan3d.surface(cloud, method, tuning=replace(Tuning(), **numbers))
 
 
 # The bodies
@@ -149,7 +122,7 @@ def random_body(seed: int) -> tuple[str, Any]:
     if kind != "turned":
         points = Rotation.random(random_state=rng).apply(points)
     points = 20 * points
-    return f"{kind} {seed}", hulls.hull(points[ConvexHull(points).vertices])
+    return f"{kind} {seed}", hull(points[ConvexHull(points).vertices])
 
 
 def scanned(name: str, mesh: Any, slices: int, spacing: str) -> Body:

@@ -1,5 +1,6 @@
 """Movies: the rod of a sweep with its reactions growing beside it, and the body growing slice by slice."""
 
+import re
 import subprocess
 import sys
 import types
@@ -7,12 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from image_checks import of_color
 from PIL import Image, ImageSequence
 from small_scans import CUBE, EGG, scanned
 
 import scan3d
-from scan3d import commands, movies, scenes, stages, views
-from scan3d.cli import main
+from scan3d.choices import COLORS, MOVIES, VIEWS
+from scan3d.cli import main, verbs
+from scan3d.cli.parser import parser
+from scan3d.pictures import movie, rendering, shading
+from scan3d.pictures.parts import evenly_chosen
 
 SIZE = (980, 560)
 LEFT, RIGHT = (slice(0, 500), slice(0, 550)), (slice(0, 500), slice(640, 980))
@@ -23,38 +28,33 @@ def egg():
     return scanned(EGG)
 
 
-def pictures(path):
+def images(path):
     with Image.open(path) as film:
         assert film.size == SIZE
-        return [np.asarray(one.convert("RGB")).astype(int) for one in ImageSequence.Iterator(film)]
-
-
-def of_color(image, color):
-    rgb = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
-    return np.abs(image - rgb).max(axis=2) < 40
+        return [np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(film)]
 
 
 def test_a_sweep(egg, tmp_path):
-    movies.movie(egg, tmp_path / "sweep.gif", frames=6)
-    shown = pictures(tmp_path / "sweep.gif")
+    movie.movie(egg, tmp_path / "sweep.gif", frames=6)
+    shown = images(tmp_path / "sweep.gif")
     assert len(shown) == 6
     for image in shown:
         assert (image[:5] == 255).all()
-        assert of_color(image[LEFT], stages.BODY).mean() > 0.05
-        assert of_color(image[LEFT], stages.ROD).sum() > 200
+        assert of_color(image[LEFT], shading.BODY).mean() > 0.05
+        assert of_color(image[LEFT], shading.ROD).sum() > 200
     # the trace of contacts and the curves grow
-    traces = [of_color(image[LEFT], stages.TANGENTIAL).sum() for image in shown]
-    curves = [of_color(image[RIGHT], stages.ROD).sum() for image in shown]
+    traces = [of_color(image[LEFT], shading.TANGENTIAL).sum() for image in shown]
+    curves = [of_color(image[RIGHT], shading.ROD).sum() for image in shown]
     assert np.all(np.diff(traces) > 0)
     assert np.all(np.diff(curves) > 0)
 
 
 def test_the_rod_moves_as_the_clamp_did(egg):
     # in the clamp's frame the base goes in -x: its black square in the picture to the left
-    film = list(movies._sweep(egg, 5))
+    frames = list(movie._sweep_frames(egg, 5))
     squares = []
-    for image in film:
-        ink = of_color(image[:500, :550].astype(int), stages.INK)
+    for image in frames:
+        ink = of_color(image[:500, :550].astype(int), shading.INK)
         # the square is the only black thing some pixels thick
         thick = ink[2:-2, 2:-2] & ink[:-4, 2:-2] & ink[4:, 2:-2] & ink[2:-2, :-4] & ink[2:-2, 4:]
         squares.append(np.argwhere(thick)[:, 1].mean())
@@ -63,29 +63,29 @@ def test_the_rod_moves_as_the_clamp_did(egg):
 
 @pytest.mark.rendering
 def test_growth(egg, tmp_path):
-    movies.movie(egg, tmp_path / "growth.gif", "growth", frames=4)
-    shown = pictures(tmp_path / "growth.gif")
+    movie.movie(egg, tmp_path / "growth.gif", "growth", frames=4)
+    shown = images(tmp_path / "growth.gif")
     assert len(shown) == 4
     size = [(image[:500] < 250).any(axis=2).sum() for image in shown]
     assert np.all(np.diff(size) > 0)
     assert 0.1 < size[-1] / (500 * 980) < 0.6
-    # every picture by the same camera: what is there stays there
+    # every frame by the same camera: contacts that are drawn once stay
     for before, after in zip(shown, shown[1:], strict=False):
-        drawn, still = ((image[:500] < 250).any(axis=2) for image in (before, after))
-        assert (drawn & ~still).sum() < 0.01 * drawn.sum()
+        earlier, later = ((image[:500] < 250).any(axis=2) for image in (before, after))
+        assert (earlier & ~later).sum() < 0.01 * earlier.sum()
     # the first slice's contacts alone, in red
     assert (shown[0][:500, :, 0] - shown[0][:500, :, 1] > 60).sum() > 20
 
 
 def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
     for name in ("a.gif", "b.gif"):
-        movies.movie(egg, tmp_path / name, frames=3)
+        movie.movie(egg, tmp_path / name, frames=3)
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
-def test_as_many_pictures_as_there_is_to_show():
-    assert movies._some(5, 60).tolist() == [0, 1, 2, 3, 4]
-    assert movies._some(100, 4).tolist() == [0, 33, 66, 99]
+def test_no_more_frames_than_there_are_samples():
+    assert evenly_chosen(5, 60).tolist() == [0, 1, 2, 3, 4]
+    assert evenly_chosen(100, 4).tolist() == [0, 33, 66, 99]
 
 
 @pytest.mark.parametrize("name", ["sweep.gif", "sweep.mp4"])
@@ -106,13 +106,13 @@ def test_the_command(tmp_path, monkeypatch, capsys, name):
     assert capsys.readouterr().out == f"written to {out}\n"
     assert out.exists()
     if name.endswith("mp4"):
-        # pictures as ffmpeg takes them; the last one is held
-        assert {(one.shape, one.dtype) for one in written} == {((560, 980, 3), np.dtype(np.uint8))}
-        assert all(one.flags["C_CONTIGUOUS"] for one in written)
+        # images as ffmpeg takes them; the last one is held
+        assert {(image.shape, image.dtype) for image in written} == {((560, 980, 3), np.dtype(np.uint8))}
+        assert all(image.flags["C_CONTIGUOUS"] for image in written)
         assert np.array_equal(written[-1], written[-2])
         assert not np.array_equal(written[0], written[1])
     else:
-        assert len(pictures(out)) > 1
+        assert len(images(out)) > 1
 
 
 @pytest.mark.parametrize(
@@ -126,23 +126,23 @@ def test_the_command(tmp_path, monkeypatch, capsys, name):
             "sweep",
             "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif",
         ),
-        (dict(recording=None), "x.gif", "sweep", "egg has no recording, where rods need one"),
+        (dict(recording=None), "x.gif", "sweep", "egg has no recording, which rods are drawn from"),
         (dict(contacts=None), "x.gif", "growth", "egg does not say which slices its contacts lie in"),
     ],
 )
 def test_movies_that_can_not_be_made(egg, tmp_path, monkeypatch, change, name, of, sentence):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # importing it fails
     with pytest.raises(scan3d.InputError, match=sentence):
-        movies.movie(replace(egg, **change), tmp_path / name, of)
+        movie.movie(replace(egg, **change), tmp_path / name, of)
     assert not list(tmp_path.iterdir())
 
 
 def test_growth_without_a_renderer(egg, tmp_path, monkeypatch):
-    monkeypatch.setattr(views, "can_render", lambda: False)
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
     with pytest.raises(scan3d.InputError, match="nothing here can render off screen"):
-        movies.movie(egg, tmp_path / "x.gif", "growth")
-    # a sweep needs none
-    movies.movie(egg, tmp_path / "x.gif", "sweep", frames=2)
+        movie.movie(egg, tmp_path / "x.gif", "growth")
+    # the movie of a sweep needs no renderer
+    movie.movie(egg, tmp_path / "x.gif", "sweep", frames=2)
 
 
 @pytest.mark.parametrize(
@@ -153,33 +153,43 @@ def test_growth_without_a_renderer(egg, tmp_path, monkeypatch):
         ("screenshot", "x.bmp", r"a picture is written as \.png or \.pdf, got 'x\.bmp'"),
     ],
 )
-def test_endings_are_judged_before_the_work(tmp_path, monkeypatch, what, name, sentence):
+def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, capsys, what, name, sentence):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(commands, "_scene", None)
-    with pytest.raises(scan3d.InputError, match=sentence):
-        commands.show("x", print, **{what: str(tmp_path / name)})
+    monkeypatch.setattr(verbs, "_scene", None)  # calling it would fail in another way
+    assert main(["show", "x", f"--{what}", str(tmp_path / name)]) == 1
+    assert re.search(sentence, capsys.readouterr().err)
 
 
-def test_a_movie_that_fails_leaves_nothing(tmp_path, monkeypatch):
+def test_a_movie_that_fails_leaves_no_file(tmp_path, monkeypatch, capsys):
     def fails(*_):
         raise scan3d.InputError("no")
 
-    monkeypatch.setattr(movies, "movie", fails)
-    with pytest.raises(scan3d.InputError, match="no"):
-        commands.show(str(CUBE), print, movie=str(tmp_path / "x.gif"))
+    monkeypatch.setattr(movie, "movie", fails)
+    assert main(["show", str(CUBE), "--movie", str(tmp_path / "x.gif")]) == 1
+    assert capsys.readouterr().err == "scan3d: no\n"
     assert not list(tmp_path.iterdir())
 
 
-def test_help_loads_nothing_of_this():
-    code = "import sys, scan3d.cli; scan3d.cli._parser(); print({'matplotlib', 'PIL', 'pyvista', 'numpy'} & {*sys.modules})"
+def test_help_loads_no_library_for_pictures():
+    code = (
+        "import sys; from scan3d.cli.parser import parser; parser(); "
+        "print({'matplotlib', 'PIL', 'pyvista', 'numpy'} & {*sys.modules})"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
 
 
-def test_choices_of_the_command_are_those_of_the_library():
-    from scan3d import cli
-
-    assert (cli._VIEWS, cli._COLORS) == (views.VIEWS, scenes.COLORS)
+@pytest.mark.parametrize(
+    ("option", "choices"),
+    [
+        ("--view", ("cloud", "surface", "bound", "compare", "explain")),
+        ("--color", ("phase", "force", "friction", "error")),
+        ("--movie-of", ("sweep", "growth")),
+    ],
+)
+def test_choices_of_the_command_are_those_of_the_library(option, choices):
+    assert choices == {"--view": VIEWS, "--color": COLORS, "--movie-of": MOVIES}[option]
+    for choice in choices:
+        assert choice in vars(parser().parse_args(["show", "x", option, choice])).values()
     with pytest.raises(SystemExit):
-        main(["show", "x", "--movie-of", "dance"])
-    assert movies.SUBJECTS == ("sweep", "growth")
+        main(["show", "x", option, "dance"])

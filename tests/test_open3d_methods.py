@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d import meshing
 from scan3d.errors import InputError
-from scan3d.meshing import ball_pivoting, poisson
+from scan3d.surfaces import open3d_methods
+from scan3d.surfaces.open3d_methods import ball_pivoting, poisson
 
 METHODS = [poisson, ball_pivoting]
 
@@ -153,16 +153,16 @@ def test_only_holes_of_three_edges_are_filled():
     # two faces apart, and two that share an edge, so leave a hole of four
     sharing = np.flatnonzero([len(set(face) & set(faces[100])) == 2 for face in faces])[0]
     left = np.delete(faces, [0, 300, 100, sharing], axis=0)
-    filled = meshing._triangular_holes(left)
+    filled = open3d_methods._triangular_holes(left)
     assert {tuple(np.roll(face, -face.argmin())) for face in filled} == {
         tuple(np.roll(face, -face.argmin())) for face in faces[[0, 300]]
     }
-    assert len(meshing._triangular_holes(faces)) == 0
+    assert len(open3d_methods._triangular_holes(faces)) == 0
 
 
 def test_faces_that_overlap_at_an_edge_are_dropped():
     faces = np.array([[0, 1, 2], [0, 3, 1], [0, 1, 4]])
-    np.testing.assert_array_equal(meshing._single(faces), faces[:2])
+    np.testing.assert_array_equal(open3d_methods._single(faces), faces[:2])
 
 
 @pytest.mark.open3d
@@ -205,7 +205,7 @@ def test_poisson_refuses_a_surface_that_does_not_close():
 
 @pytest.mark.open3d
 def test_ball_pivoting_refuses_where_no_ball_rests(monkeypatch):
-    monkeypatch.setattr(meshing, "_LARGEST_BALL", 1e-3)
+    monkeypatch.setattr(open3d_methods, "_LARGEST_BALL", 1e-3)
     with pytest.raises(InputError, match=r"no ball rests.*more slices"):
         ball_pivoting(*slices_of(np.array([1.0, 1.0, 1.0])))
 
@@ -249,7 +249,7 @@ class Missing:
 sys.meta_path.insert(0, Missing())
 import numpy as np
 from scan3d.errors import InputError
-from scan3d.meshing import {method.__name__}
+from scan3d.surfaces.open3d_methods import {method.__name__}
 points = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
 try:
     {method.__name__}(points, points)
@@ -264,6 +264,6 @@ except InputError as error:
 
 
 def test_open3d_is_imported_only_when_asked():
-    code = "import sys, scan3d.meshing; print('open3d' in sys.modules, 'trimesh' in sys.modules)"
+    code = "import sys, scan3d.surfaces.open3d_methods; print('open3d' in sys.modules, 'trimesh' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["False", "False"]

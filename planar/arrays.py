@@ -1,0 +1,13 @@
+"""Types of the arrays that pass between the modules."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+"""Lengths, forces, moments and angles."""
+Index = NDArray[np.intp]
+"""Row numbers."""
+Mask = NDArray[np.bool_]
+"""One truth value per row."""

@@ -1,0 +1,29 @@
+"""The observables of a sweep as columns: base positions and support reactions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.arrays import Array
+
+
+class Reactions(NamedTuple):
+    """Base positions and support reactions (n,), dimensionless."""
+
+    x0: Array
+    f0x: Array
+    f0y: Array
+    m0z: Array
+
+
+def checked_reactions(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike) -> Reactions:
+    """Columns (n,) of floats; single numbers become columns of length 1.  Raises ValueError if their shapes differ."""
+    columns = [np.atleast_1d(np.asarray(column, dtype=float)) for column in (x0, f0x, f0y, m0z)]
+    if any(column.shape != columns[0].shape or column.ndim != 1 for column in columns):
+        raise ValueError(
+            f"x0, f0x, f0y and m0z must have one shape (n,), got {', '.join(str(column.shape) for column in columns)}"
+        )
+    return Reactions(*columns)

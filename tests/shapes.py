@@ -1,0 +1,120 @@
+"""Meshes of known shape, for the tests of geometry."""
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+
+def as_mesh(vertices, faces):
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def rotation(seed):
+    return Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+
+
+def box(*sides):
+    """About the origin."""
+    return trimesh.creation.box(sides or (1, 1, 1))
+
+
+def dimpled_box(depth):
+    """A cube of side 1 whose face x = 1/2 has its centre pushed in: a dent of just that depth, below 1/4."""
+    cube = box()
+    lid = np.flatnonzero(cube.face_normals[:, 0] > 0.5)
+    corners = np.unique(cube.faces[lid])
+    corners = corners[np.argsort(np.arctan2(*cube.vertices[corners, 1:].T))]
+    fan = [[8, corners[i], corners[(i + 1) % 4]] for i in range(4)]
+    return as_mesh(
+        np.vstack([cube.vertices, [0.5 - depth, 0, 0]]), np.vstack([np.delete(cube.faces, lid, axis=0), fan])
+    )
+
+
+def letter_l():
+    """3 high; the reentrant edge x = y = 1 lies 1/√2 below the hull's face x + y = 3."""
+    outline = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
+    vertices = np.vstack([np.column_stack([outline, np.full(6, z)]) for z in (0, 3)])
+    walls = [f for i in range(6) for j in [(i + 1) % 6] for f in ([i, j, j + 6], [i, j + 6, i + 6])]
+    lid = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+    return as_mesh(vertices, [*walls, *(lid + 6), *lid[:, ::-1]])
+
+
+def without(mesh, keep):
+    return as_mesh(mesh.vertices, mesh.faces[keep])
+
+
+def soup(mesh, jitter=0.0, seed=0):
+    """Every triangle with corners of its own, each a little off."""
+    corners = mesh.triangles.reshape(-1, 3)
+    corners = corners + jitter * np.random.default_rng(seed).uniform(-1, 1, corners.shape)
+    return as_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+
+
+def polytope(seed, count=30, stretch=(1.0, 1.0, 1.0), shift=(0.0, 0.0, 0.0)):
+    points = np.random.default_rng(seed).standard_normal((count, 3)) * stretch + shift
+    return trimesh.Trimesh(points, process=False).convex_hull
+
+
+def ball(seed, count=200, radius=1.0):
+    return trimesh.Trimesh(
+        radius * unit(np.random.default_rng(seed).standard_normal((count, 3))), process=False
+    ).convex_hull
+
+
+def cube(half=1.0, shift=(0.0, 0.0, 0.0)):
+    mesh = trimesh.creation.box(np.broadcast_to(2 * np.asarray(half), 3))
+    return moved(mesh, shift)
+
+
+def moved(mesh, shift=(0.0, 0.0, 0.0), scale=1.0, rotation=None):
+    vertices = np.asarray(mesh.vertices) @ (np.eye(3) if rotation is None else rotation).T * scale + shift
+    return trimesh.Trimesh(vertices, mesh.faces, process=False)
+
+
+def quad(diagonal, height=0.5):
+    """A bent quadrilateral, cut along one diagonal or the other."""
+    corners = [(0.0, 0.0, 0.0), (1.0, 0.0, height), (1.0, 1.0, 0.0), (0.0, 1.0, height)]
+    faces = {0: [(0, 1, 2), (0, 2, 3)], 1: [(0, 1, 3), (1, 2, 3)]}[diagonal]
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
+def angle_bracket():
+    """An L: the box 2 x 2 x 1 without the part x, y > 1."""
+    outline = np.array([(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 1)], dtype=float)
+    flat = [(0, 1, 4), (0, 4, 7), (1, 2, 3), (1, 3, 4), (7, 4, 5), (7, 5, 6)]
+    vertices = np.concatenate([np.column_stack([outline, np.full(8, z)]) for z in (0.0, 1.0)])
+    faces = [f[::-1] for f in flat] + [tuple(i + 8 for i in f) for f in flat]
+    for i in range(8):
+        j = (i + 1) % 8
+        faces += [(i, j, j + 8), (i, j + 8, i + 8)]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def dented(depth):
+    """A cube of side 2 with one face pushed in at its middle."""
+    mesh = cube().subdivide()
+    vertices = np.array(mesh.vertices)
+    vertices[np.linalg.norm(vertices - [1.0, 0.0, 0.0], axis=1) < 1e-9, 0] -= depth
+    return trimesh.Trimesh(vertices, mesh.faces, process=False)
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def spread(mesh, steps):
+    """Points (m, 3) all over a mesh: the nodes of a grid on each face."""
+    i, j = np.mgrid[: steps + 1, : steps + 1].reshape(2, -1) / steps
+    i, j = i[i + j <= 1 + 1e-9], j[i + j <= 1 + 1e-9]
+    return np.einsum("gk,mkx->mgx", np.column_stack([1 - i - j, i, j]), mesh.triangles).reshape(-1, 3)
+
+
+PAIRS = {
+    "apart": (polytope(0), polytope(1, shift=(5.0, 1.0, 0.0))),
+    "crossing": (polytope(2), polytope(3, shift=(0.3, 0.0, 0.1))),
+    "nested": (ball(4, 80, 0.5), ball(5, 120)),
+    "alike": (ball(6, 100), moved(ball(6, 100), scale=1.001, shift=(1e-4, 0.0, 2e-4))),
+    "needles": (polytope(7, stretch=(1.0, 0.01, 0.01)), polytope(8, stretch=(1.0, 0.01, 0.01))),
+    "plates": (polytope(9, stretch=(1.0, 1.0, 1e-4)), polytope(10, stretch=(1.0, 1.0, 1e-4))),
+    "few and many": (cube(0.6), ball(11, 300)),
+}

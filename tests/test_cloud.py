@@ -1,0 +1,78 @@
+"""Clouds: each contact knows its row of the recording, and contacts can be selected."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planar
+import scan3d
+from scan3d.reconstruction.contacts import contacts
+
+EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
+PER_CONTACT = {"points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row"}
+PER_CONTACT |= {"force_N", "friction"}
+
+
+@pytest.fixture(scope="module")
+def recording():
+    # with noise, rows near touch-down are lost, so that rows and contacts differ
+    plan = scan3d.Plan(slices=6, sweeps=5, samples=16, friction=(0.0, 0.4), noise=1e-4)
+    return scan3d.simulate(scan3d.load_mesh(EGG), plan)
+
+
+@pytest.fixture(scope="module")
+def cloud(recording):
+    return contacts(recording)
+
+
+def test_each_contact_has_the_force_and_the_sweep_of_its_row(recording, cloud):
+    assert cloud.row.dtype == np.int32
+    assert np.all(np.diff(cloud.row) > 0)
+    assert 0 < len(cloud) < len(recording)
+    assert cloud.force_N == pytest.approx(np.hypot(*recording.force_N[cloud.row].T), rel=1e-12)
+    assert np.array_equal(cloud.sweep, recording.sweep[cloud.row])
+    # no other row of the recording has the same force
+    assert len(np.unique(recording.force_N[cloud.row], axis=0)) == len(cloud)
+
+
+def test_each_contact_lies_in_the_plane_of_its_row_within_the_rods_reach(recording, cloud):
+    offset = cloud.points * 1e-3 - recording.position_m[cloud.row]
+    axes = recording.axes()[cloud.row]
+    in_clamp = np.einsum("nij,nj->ni", axes, offset)
+    assert np.abs(in_clamp[:, 2]).max() < 1e-12
+    assert np.linalg.norm(in_clamp, axis=1).max() < recording.rod.length_m
+
+
+def test_rows_without_contact_belong_to_no_contact(recording, cloud):
+    without = np.setdiff1d(np.arange(len(recording)), cloud.row)
+    unit = recording.rod.force_unit_N
+    assert np.hypot(*recording.force_N[without].T).max() < 0.05 * unit
+
+
+@pytest.mark.parametrize("kind", ["mask", "indices"])
+def test_selected_contacts_keep_their_rows_and_the_cloud_its_slices(cloud, kind):
+    mask = cloud.phase == planar.Phase.TANGENTIAL
+    selected = cloud.select(mask if kind == "mask" else np.flatnonzero(mask))
+    assert 0 < len(selected) == mask.sum() < len(cloud)
+    for field in dataclasses.fields(cloud):
+        before, after = getattr(cloud, field.name), getattr(selected, field.name)
+        if field.name in PER_CONTACT:
+            assert after.dtype == before.dtype
+            assert np.array_equal(after, before[mask], equal_nan=True)
+        else:
+            assert after is before, field.name
+
+
+def test_contacts_are_selected_in_the_order_of_the_indices(cloud):
+    order = np.array([5, 2, 9])
+    assert np.array_equal(cloud.select(order).row, cloud.row[order])
+    assert np.array_equal(cloud.select(order).points, cloud.points[order])
+
+
+def test_no_contacts_may_be_selected(cloud):
+    empty = cloud.select(np.zeros(len(cloud), dtype=bool))
+    assert len(empty) == 0
+    assert empty.points.shape == (0, 3)
+    assert len(empty.slice_height) == len(cloud.slice_height)

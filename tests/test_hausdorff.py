@@ -1,0 +1,176 @@
+"""The Hausdorff distance and its certified bounds, against authorities that share nothing with the program.
+
+Brute force in extended precision, support functions (for convex bodies the Hausdorff distance is the largest difference of
+theirs), and bodies whose distances can be read off.
+"""
+
+import numpy as np
+import pytest
+import trimesh
+from brute_force import EXACT, GAP, by_support, certified, far, farthest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.distance import directed_hausdorff
+from shapes import PAIRS, angle_bracket, cube, dented, moved, polytope, quad, rotation
+
+from scan3d import comparison
+from scan3d.comparison import compare
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_samples():
+    """The averages take most of the time on small meshes; where they aren't what is tested, fewer points do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "SAMPLES", 1000)
+        yield
+
+
+@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+def test_against_brute_force_in_extended_precision(pair):
+    surface, mesh = pair
+    result = certified(compare(surface, mesh))
+    expected = max(far(surface.vertices, mesh).max(), far(mesh.vertices, surface).max())
+    assert result.exact
+    assert result.hausdorff == pytest.approx(expected, abs=EXACT * result.diagonal, rel=1e-11)
+    source, target = pair if result.worst_on == "surface" else pair[::-1]
+    assert far(result.worst_point[None], source)[0] <= EXACT * result.diagonal
+    assert far(result.worst_point[None], target)[0] == pytest.approx(result.hausdorff, abs=EXACT * result.diagonal)
+
+
+@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+def test_against_support_functions(pair):
+    assert compare(*pair).hausdorff == pytest.approx(by_support(*pair), rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+def test_one_sided_distances_against_dense_points(pair):
+    result = compare(*pair)
+    for source, target, lower, upper in (
+        (*pair, result.surface_to_mesh, result.surface_to_mesh_upper),
+        (*pair[::-1], result.mesh_to_surface, result.mesh_to_surface_upper),
+    ):
+        dense = farthest(source, target, 6)
+        assert dense <= upper + EXACT * result.diagonal
+        assert dense <= lower * GAP + 1e-9 * result.diagonal
+        assert lower <= result.hausdorff
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds=st.tuples(*[st.integers(0, 2**32 - 1)] * 2), count=st.integers(4, 40), flat=st.floats(0.01, 1.0))
+def test_random_polytopes_against_brute_force(seeds, count, flat):
+    surface, mesh = (polytope(seed, count, (1.0, 1.0, flat)) for seed in seeds)
+    result = certified(compare(surface, mesh))
+    expected = max(far(surface.vertices, mesh).max(), far(mesh.vertices, surface).max())
+    assert result.exact
+    assert result.hausdorff == pytest.approx(expected, abs=EXACT * result.diagonal)
+
+
+def test_distance_is_not_from_vertex_to_vertex():
+    sphere = trimesh.creation.icosphere(2)
+    turned = moved(sphere, rotation=rotation(2))
+    between_vertices = max(
+        directed_hausdorff(a.vertices, b.vertices)[0] for a, b in ((sphere, turned), (turned, sphere))
+    )
+    assert compare(turned, sphere).hausdorff < 0.2 * between_vertices
+
+
+def test_concentric_cubes():
+    result = compare(cube(1.0), cube(1.1))
+    assert result.exact
+    assert result.hausdorff == result.mesh_to_surface == pytest.approx(np.sqrt(3) * 0.1, rel=1e-13)
+    assert result.surface_to_mesh == pytest.approx(0.1, rel=1e-13)
+    assert result.worst_on == "mesh"
+    assert np.abs(result.worst_point) == pytest.approx([1.1] * 3)
+    assert result.diagonal == pytest.approx(2.2 * np.sqrt(3))
+    assert result.relative == pytest.approx(0.1 / 2.2)
+
+
+@pytest.mark.parametrize(
+    "shift", [(0.1, 0.0, 0.0), (0.1, -0.2, 0.0), (0.1, 0.2, 0.3), (7.0, 0.0, 0.0), (1e-7, 0.0, 0.0)]
+)
+def test_translation_of_a_body_is_its_length(shift):
+    result = compare(cube(1.0, shift), cube(1.0))
+    assert result.hausdorff == pytest.approx(np.linalg.norm(shift), rel=1e-8)
+
+
+def test_the_farthest_point_inside_a_face():
+    """A plate's middle is farthest from the cube around it, though its corners nearly touch that."""
+    plate, around = cube((0.9, 0.9, 0.01)), cube(1.0)
+    result = certified(compare(plate, around))
+    assert result.surface_to_mesh == pytest.approx(0.99, rel=1e-3)
+    assert result.surface_to_mesh <= 0.99 * (1 + EXACT) <= result.surface_to_mesh_upper * (1 + 2 * EXACT)
+    assert far(plate.vertices, around).max() == pytest.approx(0.1)
+    assert result.hausdorff == pytest.approx(np.sqrt(0.99**2 + 2 * 0.1**2), rel=1e-13)
+
+
+@pytest.mark.parametrize(("depth", "exact"), [(0.0, True), (1e-12, True), (1e-7, False), (1e-3, False), (0.3, False)])
+def test_dents_deeper_than_rounding_count(depth, exact):
+    result = certified(compare(dented(depth), cube()))
+    assert result.exact == exact
+    assert result.lower <= depth + EXACT
+    assert result.upper >= depth - EXACT
+    # One side of the dent is not enough: the farthest point of the cube from the dented one is over the dent.
+    larger = certified(compare(dented(depth), cube(1.1)))
+    assert larger.exact == exact
+    assert larger.lower <= max(np.sqrt(3) * 0.1, 0.1 + depth) + EXACT
+    assert larger.upper >= np.sqrt(3) * 0.1 - EXACT
+
+
+def test_single_precision_is_almost_convex():
+    tube = trimesh.creation.cylinder(1.0, 3.0, sections=200)
+    pair = moved(tube, rotation=rotation(3)), moved(tube, (0.01, 0.0, 0.02), rotation=rotation(3))
+    rounded = [moved(mesh) for mesh in pair]
+    for mesh in rounded:
+        mesh.vertices = np.asarray(mesh.vertices, dtype=np.float32).astype(float)
+    result = certified(compare(*rounded))
+    expected = compare(*pair)
+    assert expected.exact
+    assert not result.exact
+    assert result.hausdorff == pytest.approx(expected.hausdorff, abs=1e-6)
+
+
+def test_bent_quad_cut_both_ways():
+    """All vertices are shared; the diagonals pass each other at half the bend, less for its slope."""
+    height = 0.5
+    result = certified(compare(quad(0, height), quad(1, height)))
+    truth = height / np.sqrt(1 + 2 * height**2)
+    assert not result.exact
+    assert result.lower <= truth * (1 + 1e-12)
+    assert result.upper >= truth * (1 - 1e-12)
+    assert directed_hausdorff(quad(0).vertices, quad(1).vertices)[0] == 0.0
+
+
+def test_an_angle_bracket_and_the_box_around_it():
+    box = cube((1.0, 1.0, 0.5), (1.0, 1.0, 0.5))
+    result = certified(compare(angle_bracket(), box))
+    assert not result.exact
+    # The box's edge x = y = 2 is 1 from the notch; halfway up the notch's edge, the lids are 0.5 away.
+    assert result.mesh_to_surface <= 1.0 <= result.mesh_to_surface_upper * (1 + 1e-12)
+    assert result.surface_to_mesh <= 0.5 <= result.surface_to_mesh_upper * (1 + 1e-12)
+    assert result.surface_to_mesh == pytest.approx(0.5, rel=1e-3)
+    assert result.volume_error == pytest.approx(-0.25)
+
+
+@pytest.mark.parametrize("shift", [(0.02, 0.0, 0.01), (0.0, 0.3, 0.1), (0.0, 0.0, 3.0)])
+def test_bounds_of_tori_bracket_dense_points(shift):
+    torus = trimesh.creation.torus(1.0, 0.4, 16, 8)
+    other = moved(torus, shift, rotation=rotation(5))
+    result = certified(compare(other, torus))
+    for source, target, lower, upper in (
+        (other, torus, result.surface_to_mesh, result.surface_to_mesh_upper),
+        (torus, other, result.mesh_to_surface, result.mesh_to_surface_upper),
+    ):
+        dense = farthest(source, target, 6)
+        assert dense <= upper * (1 + 1e-12)
+        assert lower >= dense * (1 - 1e-3)
+    source, target = (other, torus) if result.worst_on == "surface" else (torus, other)
+    assert far(result.worst_point[None], source)[0] <= EXACT * result.diagonal
+    assert far(result.worst_point[None], target)[0] == pytest.approx(result.lower, rel=1e-12)
+
+
+def test_a_box_without_lid_is_not_taken_for_a_convex_body():
+    lid = cube().face_normals[:, 2] > 0.5
+    result = certified(compare(trimesh.Trimesh(cube().vertices, cube().faces[~lid], process=False), cube()))
+    assert not result.exact
+    assert result.mesh_to_surface == pytest.approx(1.0, rel=1e-3)  # from the middle of the lid
+    assert np.isnan(result.volume_error)

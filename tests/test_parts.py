@@ -1,0 +1,134 @@
+"""Parts of a scene as they are drawn: what is seen is what was scanned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scans import CUBE, EGG, scanned
+
+import scan3d
+from scan3d.pictures.parts import outlines, shown_surface, shown_sweep
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return scanned(EGG)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return scanned(CUBE)
+
+
+def test_slices_are_closed_lines_through_their_contacts(egg):
+    slice_of_contact, drawn = egg.column("slice"), outlines(egg)
+    assert [number for _, number in drawn] == sorted(set(slice_of_contact))
+    for outline, number in drawn:
+        points = egg.points[slice_of_contact == number]
+        assert np.array_equal(outline[0], outline[-1])
+        assert len(outline) == len(points) + 1
+        assert np.ptp(outline[:, 2]) < 1e-9
+        # in order: the egg's slices are circles, and a polygon in any other order is far longer
+        length = np.linalg.norm(np.diff(outline, axis=0), axis=1).sum()
+        assert length <= np.pi * np.ptp(outline[:, 0]) * 1.05
+
+
+def test_rods_touch_where_the_contacts_are_and_keep_their_length(egg):
+    sweep = shown_sweep(egg, points=2000)
+    rows = egg.column("sweep") == sweep.number
+    assert sweep.contact == pytest.approx(egg.points[rows], abs=1e-9 * egg.diagonal)
+    length = egg.recording.rod.length_m * 1e3
+    along = [np.linalg.norm(np.diff(lines, axis=1), axis=2).sum(axis=1) for lines in (sweep.curved, sweep.straight)]
+    assert sum(along) == pytest.approx(np.full(rows.sum(), length), rel=1e-6)
+    assert np.array_equal(sweep.phase, egg.column("phase")[rows])
+    # the rod starts along the clamp's y axis, and the base moves in -x
+    start = sweep.curved[:, 1] - sweep.curved[:, 0]
+    assert (start @ sweep.axes[1] > 0.999 * np.linalg.norm(start, axis=1)).all()
+    assert (np.diff(sweep.base @ sweep.axes[0]) < 0).all()
+
+
+def test_the_most_informative_sweep_lies_in_the_middle_and_has_distant_contacts(cube):
+    sweep = shown_sweep(cube)
+    assert abs(sweep.contact[0, 2]) < 10  # of ±20
+    assert np.linalg.norm(np.ptp(sweep.contact, axis=0)) > 35
+
+
+def test_rods_of_a_noisy_recording_stay_near_the_body():
+    noisy = scanned(CUBE, noise=1e-3)
+    sweep = shown_sweep(noisy)
+    assert len(sweep.base) == (noisy.column("sweep") == sweep.number).sum()
+    assert np.linalg.norm(np.ptp(sweep.curved.reshape(-1, 3), axis=0)) < 10 * noisy.diagonal
+
+
+def test_a_sweep_that_does_not_exist(egg):
+    with pytest.raises(scan3d.InputError, match="sweep 4711 has no contact; choose one of the 48"):
+        shown_sweep(egg, 4711)
+    with pytest.raises(scan3d.InputError, match="egg has no recording, which rods are drawn from"):
+        shown_sweep(replace(egg, recording=None))
+
+
+def test_samples_with_equal_forces_are_distinguished_by_their_rows(egg):
+    sweep = shown_sweep(egg)
+    contacts = np.flatnonzero(egg.column("sweep") == sweep.number)[:2]
+    first, second = egg.contacts["row"][contacts]
+    force, moment = egg.recording.force_N.copy(), egg.recording.moment_Nm.copy()
+    force[second], moment[second] = force[first], moment[first]
+    columns = egg.contacts.copy()
+    columns["force"][contacts[1]] = columns["force"][contacts[0]]
+    equal = replace(egg, contacts=columns, recording=replace(egg.recording, force_N=force, moment_Nm=moment))
+    shown = shown_sweep(equal, sweep.number)
+    assert np.array_equal(shown.reactions[0], shown.reactions[1])
+    # each rod begins at its own clamp, and has the shape that its force gives it
+    assert np.array_equal(shown.base, sweep.base)
+    assert not np.array_equal(shown.base[0], shown.base[1])
+    shapes = shown.rods - shown.base[:, None]
+    assert shapes[0] == pytest.approx(shapes[1], abs=1e-9 * egg.diagonal)
+
+
+def test_contacts_in_any_order_have_their_rods(egg):
+    number = shown_sweep(egg).number
+    order = np.random.default_rng(5).permutation(len(egg.contacts))
+    shuffled = replace(egg, contacts=egg.contacts[order])
+    expected = shuffled.points[shuffled.column("sweep") == number]
+    assert shown_sweep(shuffled, number).contact == pytest.approx(expected, abs=1e-6 * egg.diagonal)
+
+
+def without_rows(scene):
+    columns = [name for name in scene.contacts.dtype.names if name != "row"]
+    return replace(scene, contacts=scene.contacts[columns])
+
+
+def with_shorter_recording(scene):
+    recording = scene.recording
+    first_half = {
+        name: getattr(recording, name)[: len(recording) // 2]
+        for name in ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
+    }
+    return replace(scene, recording=replace(recording, **first_half))
+
+
+def with_another_recording(scene):
+    return replace(scene, recording=scanned(EGG, sweeps=7).recording)
+
+
+@pytest.mark.parametrize("change", [without_rows, with_shorter_recording, with_another_recording])
+def test_contacts_that_do_not_come_from_the_recording(egg, change):
+    message = "the contacts of egg do not belong to its recording, which rods are drawn from: reconstruct it again"
+    with pytest.raises(scan3d.InputError, match=message):
+        shown_sweep(change(egg))
+
+
+def test_the_deviation_is_looked_up_inside_large_facets(cube):
+    mesh, deviation, bound = shown_surface(cube)
+    assert mesh.edges_unique_length.max() <= cube.diagonal / 60 * (1 + 1e-9)
+    assert mesh.volume == pytest.approx(cube.surface.volume)
+    # the hull of the contacts lies inside: its lid below the cube's, its sides in the cube's
+    lid = mesh.vertices[:, 2] > mesh.vertices[:, 2].max() - 1e-6
+    inner = lid & (np.abs(mesh.vertices[:, :2]).max(axis=1) < 15)
+    assert deviation[inner] == pytest.approx(mesh.vertices[inner, 2] - 20, abs=1e-6)
+    assert deviation.max() < 1e-9
+    # at old vertices the bound is unchanged, and elsewhere it lies between those of old vertices
+    old = np.linalg.norm(mesh.vertices[:, None] - cube.surface.vertices, axis=2)
+    same = np.argwhere(old < 1e-9)
+    assert bound[same[:, 0]] == pytest.approx(cube.bound[same[:, 1]], abs=1e-6)
+    assert cube.bound.min() - 1e-6 <= bound.min() <= bound.max() <= cube.bound.max() + 1e-6

@@ -1,0 +1,164 @@
+"""From a recording to results: `analyse` computes and does nothing else, `write` writes what it is given."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+import scan3d
+from scan3d import workflow
+from scan3d.pictures import rendering
+from scan3d.recording import Recording
+
+
+def simulated(noise=0.0):
+    mesh = trimesh.creation.box((20, 30, 40))
+    plan = scan3d.Plan(slices=6, samples=12, sweeps=4, friction=(0.1, 0.3), noise=noise)
+    return mesh, scan3d.simulate(mesh, plan)
+
+
+@pytest.fixture(scope="module")
+def scan():
+    mesh, recording = simulated()
+    return mesh, recording, workflow.analyse(recording, mesh)
+
+
+def flat(value):
+    """The arrays and numbers of an analysis, by name; the seconds spent are left out."""
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        value.pop("seconds", None)
+    elif isinstance(value, trimesh.Trimesh):
+        value = {"vertices": np.array(value.vertices), "faces": np.array(value.faces), "metadata": dict(value.metadata)}
+    elif isinstance(value, (tuple, list)):
+        value = dict(enumerate(value))
+    if isinstance(value, dict):
+        return {f"{name}.{rest}": leaf for name, part in value.items() for rest, leaf in flat(part).items()}
+    return {"": value}
+
+
+def assert_same(first, second):
+    first, second = flat(first), flat(second)
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        np.testing.assert_array_equal(value, second[name], err_msg=name)
+
+
+def test_analyse_gives_the_same_twice_and_leaves_its_inputs_as_they_were(scan, tmp_path, monkeypatch, capfd):
+    mesh, recording, first = scan
+    monkeypatch.chdir(tmp_path)
+    _, untouched = simulated()
+    vertices = np.array(mesh.vertices)
+    again = workflow.analyse(recording, mesh)
+    assert_same(first, again)
+    assert_same(recording, untouched)
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_analyse_opens_no_file(monkeypatch):
+    _, recording = simulated()
+    workflow.analyse(recording)
+
+    def refuse(*_, **__):
+        raise AssertionError("analyse opened a file")
+
+    with monkeypatch.context() as patched:
+        for target in ("builtins.open", "io.open", "os.open"):
+            patched.setattr(target, refuse)
+        workflow.analyse(recording)
+
+
+def test_analyse_works_on_arrays_that_cannot_be_written():
+    _, recording = simulated()
+    for field in dataclasses.fields(Recording):
+        value = getattr(recording, field.name)
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    assert len(workflow.analyse(recording).cloud)
+
+
+def test_without_the_truth_there_is_no_comparison(scan):
+    _, recording, with_truth = scan
+    analysis = workflow.analyse(recording)
+    assert analysis.truth is None
+    assert analysis.comparison is None
+    assert analysis.contact_error is None
+    assert analysis.hull_error is None
+    # no other result depends on the truth
+    for name in ("cloud", "bounds", "surface", "certificate"):
+        assert_same(getattr(analysis, name), getattr(with_truth, name))
+    assert "compare" not in analysis.seconds
+    assert "compare" in with_truth.seconds
+
+
+def test_the_margin_for_noise_is_four_standard_deviations():
+    _, recording = simulated(noise=1e-4)
+    analysis = workflow.analyse(recording, method="hull")
+    assert analysis.cloud.noise > 0
+    assert analysis.bounds.margin == pytest.approx(4 * analysis.cloud.noise)
+    assert analysis.certificate.bound >= scan3d.surfaces.enclosure(analysis.cloud).bound + analysis.bounds.margin
+
+
+@pytest.fixture
+def without_renderer(monkeypatch):
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+
+
+RESULTS = {"cloud.ply", "surface.ply", "report.json", "view.html"}
+RECORDING = {"recording.csv", "recording.toml"}
+
+
+@pytest.mark.usefixtures("without_renderer")
+@pytest.mark.parametrize("with_recording", [False, True])
+def test_write_writes_the_recording_only_if_asked_to(scan, tmp_path, with_recording):
+    _, recording, analysis = scan
+    settings = {"slices": 6, "friction": "0.1:0.3", "method": "auto"}
+    sentences = []
+    data = workflow.write(
+        dataclasses.replace(analysis, truth=None),
+        tmp_path,
+        settings=settings,
+        with_recording=with_recording,
+        notify=sentences.append,
+    )
+    expected = RESULTS | RECORDING if with_recording else RESULTS
+    assert {path.name for path in tmp_path.iterdir()} == expected
+    assert set(data["files"]) == expected
+    assert sentences == [rendering.NO_RENDERER]
+    stored = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert stored["settings"] == settings
+    # the friction is known for a simulated recording only
+    assert stored["friction"]["set"] == ("0.1:0.3" if with_recording else None)
+    assert stored["certificate"]["bound"] == pytest.approx(analysis.certificate.bound)
+    if with_recording:
+        assert_same(scan3d.read_recording(tmp_path / "recording.csv").force_N, recording.force_N)
+
+
+@pytest.mark.usefixtures("without_renderer")
+def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path):
+    """A picture of an earlier run must not stand beside the results of this one."""
+    _, _, analysis = scan
+    for name in ("cloud.png", "notes.txt"):
+        (tmp_path / name).write_text("earlier")
+    workflow.write(dataclasses.replace(analysis, truth=None), tmp_path, settings={}, with_recording=False)
+    assert {path.name for path in tmp_path.iterdir()} == RESULTS | {"notes.txt"}
+
+
+@pytest.mark.usefixtures("without_renderer")
+def test_the_report_has_the_times_of_earlier_steps(scan, tmp_path):
+    _, _, analysis = scan
+    data = workflow.write(
+        dataclasses.replace(analysis, truth=None),
+        tmp_path,
+        settings={},
+        with_recording=False,
+        seconds={"simulate": 1.5},
+    )
+    assert data["timings_s"]["simulate"] == 1.5
+    assert {"reconstruct", "bounds", "surface", "certificate", "compare", "write", "pictures"} <= set(data["timings_s"])
+    assert all(math.isfinite(seconds) for seconds in data["timings_s"].values())
