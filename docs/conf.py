@@ -24,9 +24,9 @@ exclude_patterns = ["_build"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 
-# In the docstrings single backticks are names and formulas alike: what is a documented name becomes a link.
+# In docstrings single backticks mark both names and formulas; documented names become links.
 default_role = "py:obj"
-# What bears our packages' names must be found; other projects' pages would need the network.
+# Names of planar and scan3d must be documented; names of other projects would need the network.
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!planar\.|scan3d\.).*")]
 autodoc_member_order = "bysource"
@@ -50,11 +50,13 @@ html_theme_options = {
 html_sidebars = {"**": []}
 html_math_renderer = "drawn"
 
-# Size of the font that the equations are drawn in, in points, and how many of these make up the text's.
+# Size of the font of the drawn equations in points, and the number of these points in one em of the text: with it letters in
+# equations have the height of those in the text.
 _POINTS, _EM = 12.0, 10.5
+# Path segments of matplotlib as the commands of SVG.
 _SEGMENTS = {Path.MOVETO: "M", Path.LINETO: "L", Path.CURVE3: "Q", Path.CURVE4: "C", Path.CLOSEPOLY: "Z"}
-# Types of arrays as they stand in the code, before they are evaluated.
-_SPELT_OUT = [
+# Types of arrays after evaluation, and as they are written in the code.
+_TYPE_SPELLINGS = [
     (
         r"~?(?:numpy\.)?ndarray\[tuple\[~?(?:typing\.)?Any, \.\.\.\], ~?(?:numpy\.)?dtype\[~?(?:numpy\.)?(\w+)\]\]",
         r"NDArray[\1]",
@@ -70,13 +72,13 @@ def inline_math(translator: HTML5Translator, node: nodes.math) -> None:
 
 
 def displayed_math(translator: HTML5Translator, node: nodes.math_block) -> None:
-    """An equation on a line of its own."""
+    """An equation on a separate line."""
     translator.body.append(f'<div class="equation">{_drawn(node)}</div>')
     raise nodes.SkipNode
 
 
 def _drawn(node: nodes.Element) -> str:
-    """An equation as SVG, its letters' size that of the text around it."""
+    """An equation as SVG, with letters of the size of the surrounding text."""
     tex = " ".join(node.astext().split())
     try:
         path = TextPath((0, 0), f"${tex}$", size=_POINTS, prop=FontProperties(math_fontfamily="cm"))
@@ -100,8 +102,8 @@ def _drawn(node: nodes.Element) -> str:
 def short_types(
     _app: Sphinx, _what: str, _name: str, _object: object, _options: object, arguments: str | None, returned: str | None
 ) -> tuple[str | None, str | None]:
-    """The signature with the types of arrays as the code spells them."""
-    for long, short in _SPELT_OUT:
+    """The signature with the types of arrays as they are written in the code."""
+    for long, short in _TYPE_SPELLINGS:
         arguments, returned = (text and re.sub(long, short, text) for text in (arguments, returned))
     return arguments, returned
 

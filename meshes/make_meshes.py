@@ -1,13 +1,13 @@
 """Convex bodies to scan, and the mesh files in this folder: `python meshes/make_meshes.py [FOLDER]`.
 
-Lengths are millimetres, in the files too (OBJ, OFF, PLY and STL name no unit; glTF readers may take them for metres).
+Lengths are in millimetres, also in the files (OBJ, OFF, PLY and STL do not contain a unit; glTF readers may assume metres).
 Every body contains the origin.
 
 The meshes are exactly convex as they are read back: points are rounded to a lattice that all five formats store
-without loss, and only then is their convex hull taken. Orientation and facets are settled in integers, so neither
-rounding nor the order in which the hull is built shows in the result.
+without loss, and their convex hull is computed afterwards. Orientation and facets are determined in integers, so that the
+result depends neither on rounding nor on the order in which the hull is built.
 
-`make` returns a body as a mesh, as fine as asked for; `distance` and `normal` describe the smooth body behind it.
+`make` returns a body as a mesh with a given number of subdivisions; `distance` and `normal` describe the exact smooth body.
 """
 
 import argparse
@@ -26,10 +26,11 @@ from scipy.spatial import ConvexHull
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Single precision (STL, GLB) and 12 decimals (OBJ, OFF) hold every multiple below 2^12 mm exactly. Differences between
-# mathematical libraries vanish in the rounding.
+# Single precision (STL, GLB) and 12 decimals (OBJ, OFF) represent every multiple below 2^12 mm exactly. A finer grid would
+# not be stored without loss; on a coarser one the facets would differ visibly from the smooth body. Differences between
+# mathematical libraries disappear in the rounding.
 GRID = 2.0**-12  # mm
-SUBDIVISIONS = 36  # about 10,000 triangles a curved body, with dihedral angles near 2.5 degrees on a sphere
+SUBDIVISIONS = 36  # about 10,000 triangles per curved body: dihedral angles near 2.5 degrees, files below 1 MB
 
 ELLIPSOID = np.array([36.0, 26.0, 18.0])  # semi-axes, mm
 NEEDLE = np.array([40.0, 2.0, 2.0])
@@ -47,7 +48,7 @@ EGG_BLUNTNESS = 0.25  # convex up to 1/3; the upper end's radius of curvature is
 PEBBLE_PLANES = 1e-3 * np.array(
     [[-30, -37, -100], [13, -64, -15], [-21, 41, 65], [49, -13, -17], [18, 58, -50], [28, -14, 64], [-54, -20, 30]]
 )
-PEBBLE_SIZE = 0.4  # the larger, the less the polyhedron is worn
+PEBBLE_SIZE = 0.4  # the larger, the closer the pebble is to the polyhedron
 
 LENS_RADIUS, LENS_OFFSET = 50.0, 40.0  # of the two balls, centred at z = -40 and 40: a rim of radius 30, mm
 
@@ -59,10 +60,10 @@ def unit(vectors: Floats) -> Floats:
 
 
 def directions(subdivisions: int) -> Floats:
-    """Return unit vectors (n, 3), evenly spread: an octahedron with edges so finely cut, blown up to a sphere.
+    """Return unit vectors (n, 3), evenly spread: an octahedron with subdivided edges, projected onto a sphere.
 
-    Their hull has 8 subdivisions² triangles, the areas within a factor of 1.8. It is no icosahedron because rims and
-    seams of bodies lie in the coordinate planes, which here cut it along evenly spaced vertices.
+    Their hull has 8 subdivisions² triangles, whose areas differ by a factor of at most 1.8. An icosahedron is not used because
+    rims and seams of the bodies lie in the coordinate planes, which contain evenly spaced vertices of an octahedron.
     """
     i, j = np.mgrid[-subdivisions : subdivisions + 1, -subdivisions : subdivisions + 1].reshape(2, -1)
     k = subdivisions - np.abs(i) - np.abs(j)
@@ -82,8 +83,8 @@ def rings(sides: int, radius: float, heights: list[float], turn: float = 0.0) ->
 def ellipsoid_points(semi_axes: Floats, subdivisions: int) -> Floats:
     """Return points (n, 3) of the ellipsoid, in mm.
 
-    Points of the sphere, stretched, leave a needle's ends coarse; evenly spread normals leave its flanks bare. The
-    root is the way between.
+    Stretched points of the sphere are sparse at the ends of a needle; points with evenly spread normals are sparse on its
+    flanks. The square root is a compromise between the two.
     """
     return semi_axes * unit(np.sqrt(semi_axes) * directions(subdivisions))
 
@@ -97,7 +98,7 @@ def rounded_points(box: tuple[Floats, float], subdivisions: int) -> Floats:
 
 
 def egg_points(subdivisions: int) -> Floats:
-    """Return points (n, 3) of the egg: an ellipsoid of revolution, wider the higher, in mm."""
+    """Return points (n, 3) of the egg: an ellipsoid of revolution whose width grows with the height, in mm."""
     x, y, z = directions(subdivisions).T
     width = EGG_WIDTH * np.sqrt(1 + EGG_BLUNTNESS * z)
     return np.column_stack([width * x, width * y, EGG_LENGTH * z])
@@ -108,7 +109,7 @@ def pebble_points(subdivisions: int) -> Floats:
     rays = directions(subdivisions)
     radius = np.full(len(rays), 100.0)
     step = radius
-    # The level is convex along a ray, so Newton's method comes down from outside without overshooting.
+    # The level is convex along a ray, so that Newton's method converges from outside without overshooting.
     while np.max(np.abs(step)) > 1e-6 * GRID:
         level, gradient = pebble_level(radius[:, None] * rays)
         step = level / np.sum(gradient * rays, axis=1)
@@ -117,19 +118,19 @@ def pebble_points(subdivisions: int) -> Floats:
 
 
 def lens_points(subdivisions: int) -> Floats:
-    """Return points (n, 3) of the lens, each half of the sphere laid on a cap with areas in proportion, in mm."""
+    """Return points (n, 3) of the lens, each half of the sphere mapped to a cap with proportional areas, in mm."""
     x, y, z = directions(subdivisions).T
-    share = 1 - LENS_OFFSET / LENS_RADIUS
-    cosine = 1 - share * (1 - np.abs(z))
-    stretch = LENS_RADIUS * np.sqrt(share * (1 + cosine) / (1 + np.abs(z)))
+    cap = 1 - LENS_OFFSET / LENS_RADIUS
+    cosine = 1 - cap * (1 - np.abs(z))
+    stretch = LENS_RADIUS * np.sqrt(cap * (1 + cosine) / (1 + np.abs(z)))
     return np.column_stack([stretch * x, stretch * y, np.sign(z) * (LENS_RADIUS * cosine - LENS_OFFSET)])
 
 
 def gem_points() -> Floats:
     """Return the corners (73, 3) of a brilliant with a crown at 35 degrees and a pavilion at 41, in mm.
 
-    Table and girdle are turned against each other, so that all facets between them are triangles: four rounded corners
-    would not lie in a plane.
+    Table and girdle are rotated against each other, so that all facets between them are triangles: four rounded corners
+    would not be coplanar.
     """
     table = rings(24, radius=11.0, heights=[6.75], turn=0.5)
     girdle = rings(24, radius=20.0, heights=[-0.5, 0.5])
@@ -238,8 +239,8 @@ def convex_mesh(points: Floats) -> trimesh.Trimesh:
     inward = offsets < 0
     triangles[inward] = triangles[inward, ::-1]
 
-    # The diagonals that Qhull draws across a flat facet depend on its order of work, so facets are cut afresh. All of
-    # this is exact: below 2^18 in a coordinate, no number here exceeds 2^60.
+    # The diagonals with which Qhull triangulates a flat facet depend on the order of its computation, so that facets are
+    # triangulated again. This is exact: for coordinates below 2^18 no number here exceeds 2^60.
     planes = np.column_stack([normals, offsets]) // (np.gcd.reduce(normals, axis=1) * np.sign(offsets))[:, None]
     _, facet, sizes = np.unique(planes, axis=0, return_inverse=True, return_counts=True)
     facets = np.split(triangles[np.argsort(facet.ravel(), kind="stable")], np.cumsum(sizes)[:-1])
@@ -249,7 +250,7 @@ def convex_mesh(points: Floats) -> trimesh.Trimesh:
 
 
 def fan(triangles: list[list[int]]) -> list[tuple[int, int, int]]:
-    """Cut a convex facet, given as some triangulation of it, into triangles about its first corner."""
+    """Triangulate a convex facet, given by any triangulation of it, as a fan about its first corner."""
     edges = {edge for a, b, c in triangles for edge in ((a, b), (b, c), (c, a))}
     following = {start: end for start, end in edges if (end, start) not in edges}
     rim = [min(following)]
@@ -259,7 +260,7 @@ def fan(triangles: list[list[int]]) -> list[tuple[int, int, int]]:
 
 
 def rows(prefix: str, table: Floats | Integers) -> str:
-    """Return one line of text for each row of a table (n, 3), all numbers in full."""
+    """Return one line of text for each row of a table (n, 3), with all digits of the numbers."""
     return "".join(f"{prefix}{a} {b} {c}\n" for a, b, c in table.tolist())
 
 
@@ -294,7 +295,7 @@ def glb(mesh: trimesh.Trimesh) -> bytes:
 def write(mesh: trimesh.Trimesh, file: Path) -> None:
     """Write the mesh in the format that the file's name ends with: `.glb`, `.obj`, `.off`, `.ply` or `.stl`."""
     vertices, faces = mesh.vertices, mesh.faces
-    # Three are written here because those of trimesh differ from one of its versions to the next.
+    # Three formats are written here, because those of trimesh differ between its versions.
     if file.suffix == ".glb":
         file.write_bytes(glb(mesh))
     elif file.suffix == ".obj":

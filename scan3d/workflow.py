@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from scan3d.comparison import compare
+from scan3d.files.atomic import atomic, write_atomic
 from scan3d.files.ply import ply
 from scan3d.files.recordings import write_recording
 from scan3d.files.tables import cloud_table, surface_table
 from scan3d.files.text import to_json
-from scan3d.files.atomic import atomic, write_atomic
 from scan3d.geometry.distance import distances
 from scan3d.pictures import page, rendering, views
 from scan3d.pictures.scene import Scene, of_cloud

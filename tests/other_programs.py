@@ -1,7 +1,7 @@
-"""What other programs make of exported files.
+"""What other programs read from exported files.
 
-`python tests/other_programs.py` prints the table of docs/formats.md.  The programs run in child processes: some of them
-don't bear each other's libraries.
+`python tests/other_programs.py` prints the table of docs/formats.md.  The programs run in child processes, because some of them
+cannot be loaded into the same process.
 """
 
 import subprocess
@@ -19,17 +19,17 @@ from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply
 
 FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS] + [("surface", ending) for ending in SURFACE_ENDINGS]
-# What passes for the same number: float32, and six digits of text.
+# Numbers with a smaller relative difference count as equal: float32 and text of six digits are allowed, and no more.
 SAME = 2e-6
 
 
 def example(folder):
-    """Write the cloud and the surface of an ellipsoid, whose normals no program could guess."""
+    """Write a cloud and a surface of an ellipsoid, with normals that cannot be derived from the points."""
     random = np.random.default_rng(0)
     ball = trimesh.creation.icosphere(subdivisions=2)
     turn = trimesh.transformations.rotation_matrix(0.5, [1, 2, 3])[:3, :3]
-    scalars = [("quality", "f8"), ("phase", "u1"), ("slice", "i4"), ("sweep", "i4"), ("force", "f8")]
-    scalars += [("friction", "f4"), ("normal_source", "u1")]
+    scalars = [("quality", "f8"), ("phase", "u1"), ("slice", "i4"), ("sweep", "i4"), ("row", "i4")]
+    scalars += [("force", "f8"), ("friction", "f4"), ("normal_source", "u1")]
     for name, columns in (("cloud", scalars), ("surface", [("bound", "f4")])):
         spatial = [(c, "f8") for c in "xyz"] + [(f"n{c}", "f4") for c in "xyz"]
         rows = np.zeros(len(ball.vertices), [*spatial, *columns])
@@ -62,12 +62,12 @@ def _open3d(file, what):
 
     if what == "cloud":
         read = open3d.t.io.read_point_cloud(str(file))
-        found, faces = {name: tensor.numpy() for name, tensor in read.point.items()}, None
+        columns, faces = {name: tensor.numpy() for name, tensor in read.point.items()}, None
     else:
         read = open3d.t.io.read_triangle_mesh(str(file))
-        found, faces = {name: tensor.numpy() for name, tensor in read.vertex.items()}, read.triangle.indices.numpy()
-    scalars = {name: column.reshape(-1) for name, column in found.items() if name not in ("positions", "normals")}
-    return found["positions"], found.get("normals"), faces, scalars
+        columns, faces = {name: tensor.numpy() for name, tensor in read.vertex.items()}, read.triangle.indices.numpy()
+    scalars = {name: column.reshape(-1) for name, column in columns.items() if name not in ("positions", "normals")}
+    return columns["positions"], columns.get("normals"), faces, scalars
 
 
 def _trimesh(file, what):
@@ -107,13 +107,13 @@ HERE = [name for name in PROGRAMS if find_spec(name.lower())]
 
 
 def read_all(program, folder):
-    """In a child process: what the program reads goes to a .npz beside every file it can read."""
-    import_module(program.lower())  # if that fails it is no matter of files
+    """Write what the program reads from every file it can read into a .npz file; runs in a child process."""
+    import_module(program.lower())  # a failure here does not concern the files
     for what, ending in FORMATS:
         file = folder / f"{what}{ending}"
         try:
             points, normals, faces, scalars = PROGRAMS[program](file, what)
-        except Exception as error:  # every program has errors of its own
+        except Exception as error:  # the programs raise errors of different types
             sys.stderr.write(f"{program} can't read {file.name}: {error}\n")
             continue
         given = {"points": points, "normals": normals, "faces": faces}
@@ -126,26 +126,26 @@ def read_all(program, folder):
 
 
 def understood(program, folder):
-    """What of each exported file the program has read right: {(what, ending): names}, in a folder of `example`."""
+    """The parts of each exported file that the program reads correctly, {(what, ending): names}, in a folder of `example`."""
     for what, ending in FORMATS:
         export(folder, folder / "exported" / f"{what}{ending}", what)
     call = [sys.executable, __file__, program, str(folder / "exported")]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found = {(what, ending): _right(program, folder, what, ending) for what, ending in FORMATS}
-    assert any(found.values()), f"{program} reads nothing (pymeshlab needs 'apt-get install libopengl0'): {done.stderr}"
-    return found
+    right = {(what, ending): _right(program, folder, what, ending) for what, ending in FORMATS}
+    assert any(right.values()), f"{program} reads nothing (pymeshlab needs 'apt-get install libopengl0'): {done.stderr}"
+    return right
 
 
 def _right(program, folder, what, ending):
     from scan3d.files.exports import read_shape
 
-    found = folder / "exported" / f"{what}{ending}.{program}.npz"
-    if not found.exists():
+    file = folder / "exported" / f"{what}{ending}.{program}.npz"
+    if not file.exists():
         return ()
-    read, true = np.load(found), read_shape(folder / f"{what}.ply")
+    read, true = np.load(file), read_shape(folder / f"{what}.ply")
     scale = 1e-3 if ending == ".glb" else 1.0
-    # programs order the vertices as they like, and STL has every corner of its own
+    # programs reorder the vertices, and STL has separate corners for every triangle
     distance, index = cKDTree(true.points * scale).query(read["points"])
     size = np.abs(true.points).max() * scale
     if distance.max(initial=0) > SAME * size or set(index) != set(range(len(true.points))):
@@ -164,19 +164,19 @@ def _right(program, folder, what, ending):
 
 
 def _turned(faces):
-    """Triangles in an order of their own, each beginning at its smallest corner; the sense of rotation stays."""
+    """Triangles in a canonical order, each beginning at its smallest corner; the orientation is kept."""
     first = np.argmin(faces, axis=1)[:, None]
     turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
     return turned[np.lexsort(turned.T)]
 
 
 def cell(what, right):
-    """What stands in the table."""
+    """The text of a cell of the table."""
     if not right:
         return "–"
     spatial = [name for name in right if name in ("points", "normals", "faces")]
     scalars = [name for name in right if name not in spatial]
-    everything = {"cloud": 7, "surface": 1}[what]
+    everything = {"cloud": 8, "surface": 1}[what]
     return ", ".join(spatial + (["all scalars"] if len(scalars) == everything else [f"`{name}`" for name in scalars]))
 
 

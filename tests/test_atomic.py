@@ -18,8 +18,8 @@ def test_a_file_is_written(tmp_path):
     assert names(tmp_path) == ["a.bin"]
 
 
-def test_a_file_gets_the_rights_that_any_new_file_gets(tmp_path):
-    # a temporary file is its owner's alone; that must not stay so
+def test_a_file_gets_the_permissions_of_any_new_file(tmp_path):
+    # a temporary file is readable by its owner only; the written file must not be
     (tmp_path / "plain").write_bytes(b"")
     write_atomic(tmp_path / "ours", b"")
     assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
@@ -69,7 +69,7 @@ def test_the_old_file_stays_when_the_writing_fails(tmp_path):
     assert names(tmp_path) == ["picture.png"]
 
 
-def test_of_files_that_belong_together_none_is_written_if_one_can_not(tmp_path):
+def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
     with pytest.raises(InputError, match=r"can't write .*missing"):
         write_together({tmp_path / "a": b"new", tmp_path / "missing" / "b": b"new"})
@@ -77,7 +77,7 @@ def test_of_files_that_belong_together_none_is_written_if_one_can_not(tmp_path):
     assert names(tmp_path) == ["a"]
 
 
-def test_a_place_that_can_not_be_written_is_named_with_the_way_out(tmp_path):
+def test_a_path_that_cannot_be_written_is_named_with_the_option_to_change(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(InputError, match=r"can't write .*file/a.txt: Not a directory; choose another place with --out"):
         write_atomic(tmp_path / "file" / "a.txt", b"")
@@ -87,14 +87,14 @@ def test_a_place_that_can_not_be_written_is_named_with_the_way_out(tmp_path):
     assert names(tmp_path) == ["file", "folder"]
 
 
-def test_a_folder_is_made_with_its_parents(tmp_path):
+def test_a_folder_is_created_with_its_parents(tmp_path):
     with folder(tmp_path / "a" / "b") as made:
         assert made == tmp_path / "a" / "b"
         assert names(made) == []
     assert made.is_dir()
 
 
-def test_a_folder_made_in_vain_goes_again_and_one_that_was_there_stays(tmp_path):
+def test_a_folder_created_in_vain_is_removed_and_an_existing_one_is_kept(tmp_path):
     def work(path, file=None):
         with folder(path):
             if file:

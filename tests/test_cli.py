@@ -1,4 +1,4 @@
-"""The command: what it prints and where, what it says to mistakes, and that it writes all or nothing."""
+"""The command: its output and exit codes, its messages for wrong input, and that it writes all results or none."""
 
 import contextlib
 import io
@@ -26,7 +26,7 @@ from scan3d.pictures import rendering
 MESHES = Path(__file__).parents[1] / "meshes"
 CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
 COMMAND = Path(sys.executable).with_name("scan3d")
-# A scan of a moment.
+# A scan that takes a fraction of a second.
 FEW = ("--slices", "3", "--sweeps", "4", "--samples", "8")
 RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
 PICTURES = {"cloud.png", "surface.png"}
@@ -49,18 +49,18 @@ def call(capsys):
 
 @pytest.fixture
 def no_pictures(monkeypatch):
-    """Pictures take longer than all the rest."""
+    """No pictures, which take longer than everything else."""
     monkeypatch.setattr(rendering, "can_render", lambda: False)
 
 
 def tree(folder):
-    """All that is in a folder, with contents."""
+    """The files and folders in a folder, with their contents."""
     return {p.relative_to(folder): p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
 
 
-def assert_sentence(said, sentence):
-    """One line that says this, and nothing else."""
-    assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", said), said
+def assert_sentence(stderr, sentence):
+    """The message is one line that contains the sentence."""
+    assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", stderr), stderr
 
 
 # --- mistakes ---
@@ -68,7 +68,7 @@ def assert_sentence(said, sentence):
 
 @pytest.fixture(scope="module")
 def bad(tmp_path_factory):
-    """A folder of files that can't be scanned."""
+    """A folder of files that cannot be scanned."""
     folder = tmp_path_factory.mktemp("bad")
     (folder / "empty.stl").write_bytes(b"")
     (folder / "letter.stl").write_text("Dear Sir or Madam,\n")
@@ -108,11 +108,11 @@ def bad(tmp_path_factory):
         ("", "is a folder, where a mesh file is expected"),
     ],
 )
-def test_a_file_that_is_no_convex_body(call, bad, tmp_path, command, name, sentence):
+def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, command, name, sentence):
     out = tmp_path / "new" / ("out" if command == "scan" else "log.csv")
-    code, said, complained = call(command, bad / name, "--out", out, *FEW)
-    assert (code, said) == (1, "")
-    assert_sentence(complained, sentence)
+    code, stdout, stderr = call(command, bad / name, "--out", out, *FEW)
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, sentence)
     assert tree(tmp_path) == {}
 
 
@@ -148,14 +148,14 @@ def test_a_file_that_is_no_convex_body(call, bad, tmp_path, command, name, sente
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_settings_that_make_no_plan(call, tmp_path, command, arguments, sentence):
+def test_invalid_settings(call, tmp_path, command, arguments, sentence):
     out = tmp_path / "new" / ("out" if command == "scan" else "log.csv")
     # an argument that begins with a minus needs the equals sign
     given = [f"{arguments[0]}={arguments[1]}"]
     for asked in ([], ["--print-config"]):
-        code, said, complained = call(command, CUBE, "--out", out, *given, *asked)
-        assert (code, said) == (1, "")
-        assert_sentence(complained, sentence)
+        code, stdout, stderr = call(command, CUBE, "--out", out, *given, *asked)
+        assert (code, stdout) == (1, "")
+        assert_sentence(stderr, sentence)
         assert tree(tmp_path) == {}
 
 
@@ -173,55 +173,55 @@ def test_settings_that_make_no_plan(call, tmp_path, command, arguments, sentence
         ("value", r"friction must be a number >= 0"),
     ],
 )
-def test_a_file_of_settings_that_is_none(call, bad, tmp_path, name, sentence):
-    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", "--config", bad / f"{name}.toml")
-    assert (code, said) == (1, "")
-    assert_sentence(complained, sentence)
+def test_an_invalid_file_of_settings(call, bad, tmp_path, name, sentence):
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--config", bad / f"{name}.toml")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, sentence)
     assert tree(tmp_path) == {}
 
 
 @pytest.mark.parametrize("out", ["/proc/nowhere", "file/out", "file/out/deeper", "file"])
 def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
-    (tmp_path / "file").write_bytes(b"mine")
+    (tmp_path / "file").write_bytes(b"other content")
     before = tree(tmp_path)
     for arguments in (["scan", CUBE, *FEW], ["simulate", CUBE, *FEW]):
         place = tmp_path / out / "log.csv" if arguments[0] == "simulate" else tmp_path / out
-        code, said, complained = call(*arguments, "--out", place)
-        assert (code, said) == (1, "")
-        assert_sentence(complained, "can't write into the folder .*; choose another one with --out")
+        code, stdout, stderr = call(*arguments, "--out", place)
+        assert (code, stdout) == (1, "")
+        assert_sentence(stderr, "can't write into the folder .*; choose another one with --out")
         assert tree(tmp_path) == before
 
 
 def test_a_recording_has_its_ending_checked_before_the_work(call, tmp_path, monkeypatch):
     monkeypatch.setattr("scan3d.simulation.scan.simulate", pytest.fail)
-    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.txt")
-    assert (code, said) == (1, "")
-    assert_sentence(complained, r"a recording is written as \.csv, got 'log\.txt'")
+    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.txt")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, r"a recording is written as \.csv, got 'log\.txt'")
     assert tree(tmp_path) == {}
 
 
 def test_a_recording_in_the_place_of_a_folder(call, tmp_path):
     (tmp_path / "log.csv").mkdir()
-    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)
-    assert (code, said) == (1, "")
-    assert_sentence(complained, r"can't write .*log\.csv")
+    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, r"can't write .*log\.csv")
     assert tree(tmp_path) == {Path("log.csv"): None}
 
 
 def test_a_recording_does_not_overwrite_the_settings_it_was_made_with(call, tmp_path):
     (tmp_path / "part.toml").write_text("slices = 3\n")
     before = tree(tmp_path)
-    code, said, complained = call("simulate", CUBE, "--config", tmp_path / "part.toml", "--out", tmp_path / "part.csv")
-    assert (code, said) == (1, "")
-    assert_sentence(complained, r"part\.toml contains the settings .*; choose another --out")
+    code, stdout, stderr = call("simulate", CUBE, "--config", tmp_path / "part.toml", "--out", tmp_path / "part.csv")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, r"part\.toml contains the settings .*; choose another --out")
     assert tree(tmp_path) == before
 
 
 def test_a_scan_that_finds_no_body_writes_nothing(call, tmp_path, no_pictures):
-    # a single slice: known only when all has been simulated
-    code, said, complained = call("scan", CUBE, "--out", tmp_path / "a" / "b", "--slices", "1")
-    assert (code, said) == (1, "")
-    assert_sentence(complained, "span no body: a surface needs contacts in at least two slices")
+    # with a single slice the error occurs only after the simulation
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "a" / "b", "--slices", "1")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, "span no body: a surface needs contacts in at least two slices")
     assert tree(tmp_path) == {}
 
 
@@ -249,9 +249,9 @@ def test_a_failed_run_leaves_the_results_of_the_one_before(call, tmp_path, no_pi
 )
 def test_wrong_usage(call, tmp_path, monkeypatch, arguments, sentence):
     monkeypatch.chdir(tmp_path)
-    code, said, complained = call(*arguments)
-    assert (code, said) == (2, "")
-    assert_sentence(complained, sentence)
+    code, stdout, stderr = call(*arguments)
+    assert (code, stdout) == (2, "")
+    assert_sentence(stderr, sentence)
     assert tree(tmp_path) == {}
 
 
@@ -263,41 +263,41 @@ def test_wrong_usage(call, tmp_path, monkeypatch, arguments, sentence):
         ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm\n0,0,0,0,1,0,0,0,0,0,0\n", "the recording has no contact"),
     ],
 )
-def test_a_recording_that_is_none(call, tmp_path, table, sentence):
+def test_an_invalid_recording(call, tmp_path, table, sentence):
     if table is not None:
         (tmp_path / "log.csv").write_text(table)
         (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
     before = tree(tmp_path)
-    code, said, complained = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
-    assert (code, said) == (1, "")
-    assert_sentence(complained, sentence)
+    code, stdout, stderr = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, sentence)
     assert tree(tmp_path) == before
 
 
-def test_a_truth_that_is_none(call, bad, tmp_path):
+def test_an_invalid_true_body(call, bad, tmp_path):
     assert call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)[0] == 0
     before = tree(tmp_path)
     for name, sentence in (("missing.stl", "there is no mesh file"), ("torus.stl", "isn't convex")):
-        code, said, complained = call(
+        code, stdout, stderr = call(
             "reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out", "--truth", bad / name
         )
-        assert (code, said) == (1, "")
-        assert_sentence(complained, sentence)
+        assert (code, stdout) == (1, "")
+        assert_sentence(stderr, sentence)
         assert tree(tmp_path) == before
 
 
 def test_meshes_that_can_not_be_compared(call, bad):
     for pair in ((CUBE, bad / "missing.stl"), (bad / "nan.off", CUBE)):
-        code, said, complained = call("compare", *pair)
-        assert (code, said) == (1, "")
-        assert_sentence(complained, "")
+        code, stdout, stderr = call("compare", *pair)
+        assert (code, stdout) == (1, "")
+        assert_sentence(stderr, "")
 
 
 # --- interruptions ---
 
 
 def test_ctrl_c_while_it_simulates(tmp_path):
-    # SIGINT may have been switched off for this process, and a child would inherit that
+    # SIGINT may be ignored in this process, and a child process would inherit that
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
     code += "; from scan3d.cli import main; sys.exit(main())"
     out = tmp_path / "out"
@@ -305,27 +305,27 @@ def test_ctrl_c_while_it_simulates(tmp_path):
     child = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 60
-        while not out.exists():  # it is made just before the simulation begins
+        while not out.exists():  # it is created just before the simulation begins
             assert child.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.02)
         time.sleep(0.3)
-        # Python loses an interrupt that falls into a finaliser: as at a terminal, it is sent again
+        # Python loses an interrupt that arrives in a finaliser; as a user would do, the test sends it again
         while child.poll() is None and time.monotonic() < deadline + 60:
             child.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.wait(timeout=5)
-        said, complained = child.communicate(timeout=5)
+        stdout, stderr = child.communicate(timeout=5)
     finally:
         child.kill()
         child.wait()
-    assert (child.returncode, said, complained) == (130, "", "scan3d: interrupted\n")
+    assert (child.returncode, stdout, stderr) == (130, "", "scan3d: interrupted\n")
     assert tree(tmp_path) == {}
 
 
 @pytest.mark.parametrize("nth", [0, 1, 3, 5])
 def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
-    # files one by one: those written are whole, and nothing else is left
+    # the files are written one after the other: those that exist are complete, and there are no others
     replaced, original = [], os.replace
 
     def replace(*arguments):
@@ -335,17 +335,17 @@ def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
         original(*arguments)
 
     monkeypatch.setattr(atomic.os, "replace", replace)
-    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
     monkeypatch.undo()
-    assert (code, said) == (130, "")
-    # after the page comes the sentence about pictures
-    assert complained == (f"scan3d: {rendering.NO_RENDERER}\n" if nth == 5 else "") + "scan3d: interrupted\n"
-    whole = tmp_path / "whole"
-    assert main(["scan", str(CUBE), "--out", str(whole), *FEW, "--quiet"]) == 0
+    assert (code, stdout) == (130, "")
+    # the message about pictures comes after the page
+    assert stderr == (f"scan3d: {rendering.NO_RENDERER}\n" if nth == 5 else "") + "scan3d: interrupted\n"
+    complete = tmp_path / "complete"
+    assert main(["scan", str(CUBE), "--out", str(complete), *FEW, "--quiet"]) == 0
     left = tree(tmp_path / "out") if nth else {}
     assert len(left) == nth
     for name, content in left.items():
-        assert content == (whole / name).read_bytes() or name == Path("view.html")
+        assert content == (complete / name).read_bytes() or name == Path("view.html")
     assert nth > 0 or not (tmp_path / "out").exists()
 
 
@@ -354,16 +354,16 @@ def test_a_disk_that_is_full(call, tmp_path, monkeypatch, no_pictures):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", write)
-    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
-    assert (code, said) == (1, "")
-    assert_sentence(complained, "can't write .*: No space left on device; choose another place with --out")
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, "can't write .*: No space left on device; choose another place with --out")
     monkeypatch.undo()
     assert tree(tmp_path) == {}
 
 
-def test_output_that_nobody_takes(tmp_path):
+def test_output_into_a_closed_pipe(tmp_path):
     asked = [COMMAND, "scan", CUBE, "--out", tmp_path / "out", "--print-config"]
-    # the reader has gone, as after `| true`
+    # the reader has ended, as in `| true`
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run(asked, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
@@ -377,33 +377,33 @@ def test_output_to_a_full_disk(call, tmp_path, monkeypatch):
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(sys, "stdout", Full())
-    code, _, complained = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
-    assert (code, complained) == (1, "scan3d: No space left on device\n")
+    code, _, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
+    assert (code, stderr) == (1, "scan3d: No space left on device\n")
 
 
 def test_no_output_at_all(call, tmp_path, monkeypatch):
     # as with >&-
     monkeypatch.setattr(sys, "stdout", None)
-    code, _, complained = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
-    assert (code, complained) == (0, "")
+    code, _, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
+    assert (code, stderr) == (0, "")
 
 
-# --- what it prints ---
+# --- output ---
 
 
 def test_help_and_version(call):
     for arguments in (["--help"], ["-h"], ["scan", "--help"], ["reconstruct", "--help"]):
-        code, said, complained = call(*arguments)
-        assert (code, complained) == (0, "")
-        assert said.startswith("usage: scan3d")
+        code, stdout, stderr = call(*arguments)
+        assert (code, stderr) == (0, "")
+        assert stdout.startswith("usage: scan3d")
     assert call("--version") == (0, version("scan3d") + "\n", "")
 
 
-def test_every_setting_is_an_option_and_says_its_default(call):
-    said = " ".join(call("scan", "--help")[1].split())
+def test_every_setting_is_an_option_and_its_help_has_the_default(call):
+    stdout = " ".join(call("scan", "--help")[1].split())
     for name, default in vars(Settings()).items():
-        assert f"--{name}" in said
-        assert name == "hull" or f"(default {default})" in said
+        assert f"--{name}" in stdout
+        assert name == "hull" or f"(default {default})" in stdout
 
 
 def test_the_installed_command():
@@ -414,7 +414,7 @@ def test_the_installed_command():
     assert_sentence(done.stderr, "the following arguments are required")
 
 
-def test_a_terminal_that_knows_ascii_only():
+def test_a_terminal_with_ascii_only():
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run([COMMAND, "scan", "--help"], env=environment, capture_output=True, check=False)
     assert done.returncode == 0
@@ -435,26 +435,26 @@ def test_a_scan_prints_its_results_on_stdout_only(tmp_path):
 
 def test_without_a_renderer_all_but_pictures_is_written(call, tmp_path, no_pictures):
     (tmp_path / "cloud.png").write_bytes(b"of another run")
-    (tmp_path / "notes.txt").write_bytes(b"mine")
-    code, said, complained = call("scan", CUBE, "--out", tmp_path, *FEW)
+    (tmp_path / "notes.txt").write_bytes(b"other content")
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path, *FEW)
     assert code == 0
-    assert "Hausdorff distance" in said
-    assert_sentence(complained, "no pictures: .*'apt-get install libegl1 libgl1'")
+    assert "Hausdorff distance" in stdout
+    assert_sentence(stderr, "no pictures: .*'apt-get install libegl1 libgl1'")
     assert {p.name for p in tmp_path.iterdir()} == RESULTS | {"notes.txt"}
     report = json.loads((tmp_path / "report.json").read_text())
     assert set(report["files"]) == RESULTS
 
 
 def test_json_is_the_report(call, tmp_path, no_pictures):
-    code, said, _ = call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")
+    code, stdout, _ = call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")
     assert code == 0
-    assert said == (tmp_path / "scan" / "report.json").read_text()
-    code, said, _ = call("reconstruct", tmp_path / "scan" / "recording.csv", "--out", tmp_path / "again", "--json")
+    assert stdout == (tmp_path / "scan" / "report.json").read_text()
+    code, stdout, _ = call("reconstruct", tmp_path / "scan" / "recording.csv", "--out", tmp_path / "again", "--json")
     assert code == 0
-    assert said == (tmp_path / "again" / "report.json").read_text()
+    assert stdout == (tmp_path / "again" / "report.json").read_text()
 
 
-def test_the_report_has_what_it_promises(call, tmp_path, no_pictures):
+def test_the_report_has_its_sections_and_consistent_numbers(call, tmp_path, no_pictures):
     report = json.loads(call("scan", EGG, "--out", tmp_path, *FEW, "--json", "--friction", "0.2")[1])
     assert report["schema"] == 1
     assert report["mesh"]["file"] == "egg.stl"
@@ -483,55 +483,58 @@ def test_the_report_has_what_it_promises(call, tmp_path, no_pictures):
 
 def test_the_report_without_the_truth(call, tmp_path, no_pictures):
     assert call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)[0] == 0
-    code, said, _ = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
+    code, stdout, _ = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
     assert code == 0
-    assert "Hausdorff" not in said
+    assert "Hausdorff" not in stdout
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["mesh"] is report["hausdorff"] is report["contact_error"] is report["friction"]["set"] is None
     assert report["source"]["mesh"] == "cube.stl"
-    # settings of the simulation were not in force here
+    # settings of the simulation do not apply here
     assert report["settings"] == {"method": "auto", "hull": False}
     assert set(report["files"]) == RESULTS - {"recording.csv", "recording.toml"}
     assert set(report["files"]) == {p.name for p in (tmp_path / "out").iterdir()}
 
 
-def test_the_report_with_the_truth_is_that_of_the_scan(call, tmp_path, no_pictures):
+def test_the_reports_of_scan_and_reconstruct_agree_in_their_numbers(call, tmp_path, no_pictures):
     scanned = json.loads(call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")[1])
     recording = tmp_path / "scan" / "recording.csv"
-    code, said, _ = call("reconstruct", recording, "--out", tmp_path / "out", "--truth", CUBE, "--json")
+    code, stdout, _ = call("reconstruct", recording, "--out", tmp_path / "out", "--truth", CUBE, "--json")
     assert code == 0
-    again = json.loads(said)
-    for key in ("mesh", "counts", "contact_error", "hausdorff", "surface", "normals", "rod"):
-        assert again[key] == scanned[key]
+    again = json.loads(stdout)
+    # the friction that was set is known to the scan only
+    assert (scanned["friction"].pop("set"), again["friction"].pop("set")) == ("0.3", None)
+    assert set(again) == set(scanned)
+    for key in set(scanned) - {"settings", "timings_s", "files"}:
+        assert again[key] == scanned[key], key
 
 
 def test_simulate_prints_its_counts(call, tmp_path):
-    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW)
-    assert (code, complained) == (0, "")
+    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW)
+    assert (code, stderr) == (0, "")
     recording = read_recording(tmp_path / "new" / "log.csv")
-    assert said.startswith(f"{len(recording)} samples in {len(np.unique(recording.sweep))} sweeps, written to ")
+    assert stdout.startswith(f"{len(recording)} samples in {len(np.unique(recording.sweep))} sweeps, written to ")
     assert {p.name for p in (tmp_path / "new").iterdir()} == {"log.csv", "log.toml"}
-    code, said, complained = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW, "--json")
-    assert json.loads(said)["samples"] == len(recording)
+    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW, "--json")
+    assert json.loads(stdout)["samples"] == len(recording)
 
 
 def test_compare_prints_the_distance(call, tmp_path):
     moved = trimesh.load_mesh(CUBE)
     moved.apply_translation([0.5, 0, 0])
     moved.export(tmp_path / "moved.ply")
-    code, said, complained = call("compare", tmp_path / "moved.ply", CUBE)
-    assert (code, complained) == (0, "")
-    assert said.startswith("Hausdorff distance 0.5 mm")
-    code, said, _ = call("compare", tmp_path / "moved.ply", CUBE, "--json")
-    assert json.loads(said)["hausdorff"] == pytest.approx(0.5, rel=1e-6)
+    code, stdout, stderr = call("compare", tmp_path / "moved.ply", CUBE)
+    assert (code, stderr) == (0, "")
+    assert stdout.startswith("Hausdorff distance 0.5 mm")
+    code, stdout, _ = call("compare", tmp_path / "moved.ply", CUBE, "--json")
+    assert json.loads(stdout)["hausdorff"] == pytest.approx(0.5, rel=1e-6)
     assert "0.5 cm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
 
 
 def test_quiet_prints_nothing(call, tmp_path, monkeypatch, no_pictures):
     monkeypatch.setattr(rendering, "NO_RENDERER", "nothing to see")
-    code, said, complained = call("scan", CUBE, "--out", tmp_path, *FEW, "--quiet")
-    assert (code, said) == (0, "")
-    assert complained in ("", "scan3d: nothing to see\n")
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path, *FEW, "--quiet")
+    assert (code, stdout) == (0, "")
+    assert stderr in ("", "scan3d: nothing to see\n")
 
 
 class Terminal(io.StringIO):
@@ -548,7 +551,7 @@ def test_progress_on_a_terminal(monkeypatch, tmp_path):
         shown[bool(quiet)] = terminal.getvalue()
     assert shown[True] == ""
     assert "\rsimulate 3/3 slices" in shown[False]
-    # it vanishes: overwritten by blanks, and the cursor back at the start
+    # the line is erased: overwritten by blanks, with the cursor at the start
     assert re.search(r"\r +\r$", shown[False])
     assert "\n" not in shown[False]
 
@@ -564,12 +567,12 @@ def test_ctrl_c_on_a_terminal_begins_a_line(monkeypatch, tmp_path):
     assert terminal.getvalue() == "\nscan3d: interrupted\n"
 
 
-def test_hull_scans_what_is_not_convex(call, bad, tmp_path, no_pictures):
-    code, said, _ = call(
+def test_hull_scans_a_body_that_is_not_convex(call, bad, tmp_path, no_pictures):
+    code, stdout, _ = call(
         "scan", bad / "torus.stl", "--out", tmp_path / "out", "--hull", *FEW, "--slices", "6", "--json"
     )
     assert code == 0
-    report = json.loads(said)
+    report = json.loads(stdout)
     assert report["mesh"]["hull"] is True
     assert report["mesh"]["dent"] > 1
     # radius 4 and height 2: the hull's volume, which lacks the caps beyond the last slices
@@ -580,13 +583,13 @@ def test_hull_scans_what_is_not_convex(call, bad, tmp_path, no_pictures):
 # --- settings ---
 
 
-def test_the_command_line_beats_the_file_and_the_file_the_defaults(call, tmp_path):
+def test_the_command_line_precedes_the_file_and_the_file_the_defaults(call, tmp_path):
     (tmp_path / "a.toml").write_text('slices = 5\nsamples = 11\nspacing = "uniform"\n')
-    code, said, complained = call(
+    code, stdout, stderr = call(
         "scan", CUBE, "--out", tmp_path / "out", "--config", tmp_path / "a.toml", "--slices", "7", "--print-config"
     )
-    assert (code, complained) == (0, "")
-    assert tomllib.loads(said) == vars(Settings(slices=7, samples=11, spacing="uniform"))
+    assert (code, stderr) == (0, "")
+    assert tomllib.loads(stdout) == vars(Settings(slices=7, samples=11, spacing="uniform"))
     assert not (tmp_path / "out").exists()
 
 
@@ -625,13 +628,13 @@ def test_printed_settings_give_the_same_run(call, tmp_path, no_pictures):
     assert json.loads((tmp_path / "two" / "report.json").read_text())["settings"] == vars(ALL)
 
 
-def test_a_file_may_say_it_in_tomls_own_types(tmp_path):
+def test_a_file_may_use_the_types_of_toml(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text("friction = [0.1, 0.2]\naxis = [1, 1, 0]\nsweeps = 5\nnoise = 0\nclearance = 0.2\nhull = true\n")
-    found = settings({}, path)
-    assert (found.friction, found.axis, found.sweeps) == ("0.1:0.2", "1,1,0", "5")
-    assert (found.noise, found.clearance, found.hull) == (0.0, 0.2, True)
-    plan = found.plan()
+    chosen = settings({}, path)
+    assert (chosen.friction, chosen.axis, chosen.sweeps) == ("0.1:0.2", "1,1,0", "5")
+    assert (chosen.noise, chosen.clearance, chosen.hull) == (0.0, 0.2, True)
+    plan = chosen.plan()
     assert plan.friction == (0.1, 0.2)
     assert plan.sweeps == 5
     assert np.allclose(plan.axis, [1, 1, 0])
@@ -655,33 +658,33 @@ def test_settings_given_in_python():
 
 def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
     assert choices.METHODS == surfaces.METHODS
-    # few slices: no trial, and too few contacts for a fit
-    more = ("--slices", "6", "--samples", "24")
+    # with few slices there is no cross-validation, and there are too few contacts for a fit
+    enough = ("--slices", "6", "--samples", "24")
     for method, size, chosen in (
         ("auto", FEW, "bracket"),
         ("auto", ("--slices", "12", "--samples", "24"), "support"),
         ("hull", FEW, "hull"),
         ("bracket", FEW, "bracket"),
-        ("support", more, "support"),
+        ("support", enough, "support"),
     ):
-        code, said, _ = call("scan", EGG, "--out", tmp_path / method, *size, "--method", method, "--json")
+        code, stdout, _ = call("scan", EGG, "--out", tmp_path / method, *size, "--method", method, "--json")
         assert code == 0
-        surface = json.loads(said)["surface"]
+        surface = json.loads(stdout)["surface"]
         assert (surface["method"], surface["watertight"]) == (chosen, True)
 
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
 def test_open3ds_methods_can_be_chosen(call, tmp_path, no_pictures, method):
-    code, said, _ = call(
+    code, stdout, _ = call(
         "scan", EGG, "--out", tmp_path, "--slices", "12", "--samples", "24", "--method", method, "--json"
     )
     assert code == 0
-    assert json.loads(said)["surface"]["method"] == method
+    assert json.loads(stdout)["surface"]["method"] == method
 
 
 def test_a_method_that_the_body_does_not_allow(call, tmp_path, no_pictures):
-    code, said, complained = call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", "support")
-    assert (code, said) == (1, "")
-    assert_sentence(complained, "not smooth enough for the method support, .*; use auto, bracket or hull")
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", "support")
+    assert (code, stdout) == (1, "")
+    assert_sentence(stderr, "not smooth enough for the method support, .*; use auto, bracket or hull")
     assert tree(tmp_path) == {}

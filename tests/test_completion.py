@@ -13,7 +13,7 @@ from scan3d.cli.parser import VALUES, parser
 from scan3d.cli.settings import Settings
 
 
-def test_the_shell_offers_what_the_settings_take():
+def test_the_shell_offers_the_values_of_the_settings():
     assert VALUES["spacing"] == choices.SPACINGS
     assert VALUES["standoff"] == choices.STANDOFFS
     assert VALUES["unit"] == tuple(units.UNITS_M)
@@ -24,7 +24,7 @@ def test_the_shell_offers_what_the_settings_take():
 
 @pytest.fixture(scope="module")
 def complete(tmp_path_factory):
-    """What bash offers for words, the last of which is unfinished, in a folder with a file and a folder."""
+    """A function that returns the completions of bash for the last word, in a folder that contains a file and a folder."""
     place = tmp_path_factory.mktemp("shell")
     (place / "bash").write_text(script(parser(), "bash", VALUES))
     (place / "work" / "my results").mkdir(parents=True)
@@ -73,18 +73,18 @@ def test_bash_offers_all_commands_and_all_options(complete):
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_every_shell_gets_a_script_of_all_that_there_is(capsys, shell):
+def test_every_shell_gets_a_script_of_all_commands_and_options(capsys, shell):
     assert main(["completion", shell]) == 0
-    said, complained = capsys.readouterr()
-    assert complained == ""
-    assert said == script(parser(), shell, VALUES)
+    stdout, stderr = capsys.readouterr()
+    assert stderr == ""
+    assert stdout == script(parser(), shell, VALUES)
     commands = next(action for action in parser()._actions if action.choices).choices
     for name, command in commands.items():
-        assert name in said
+        assert name in stdout
         for flag in (flag for action in command._actions for flag in action.option_strings):
             option = f" -l {flag[2:]} " if flag.startswith("--") else f" -s {flag[1:]} "
-            assert (option if shell == "fish" else flag) in said
-    assert "cosine uniform adaptive" in said
+            assert (option if shell == "fish" else flag) in stdout
+    assert "cosine uniform adaptive" in stdout
 
 
 def test_no_completion_for_other_shells(capsys):

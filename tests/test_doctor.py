@@ -1,4 +1,4 @@
-"""`scan3d doctor`: what it finds where all is well, and where something is missing."""
+"""`scan3d doctor`: its result if everything works, and if something is missing."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from scan3d.pictures import rendering
 
 
 def installed(name):
-    """Versions as they are, and imageio-ffmpeg, which no test needs, as if it were there."""
+    """The installed versions, with imageio-ffmpeg, which no test needs, as if it were installed."""
     return "0.6.0" if name.startswith("imageio-ffmpeg") else version(name)
 
 
@@ -25,31 +25,31 @@ def with_ffmpeg(monkeypatch):
 
 @pytest.fixture
 def well(monkeypatch):
-    """Nothing wrong, and no waiting for child processes."""
+    """Nothing is missing, and no child process is run."""
     monkeypatch.setattr(doctor, "_error_of", lambda code: None)
     monkeypatch.setattr(rendering, "can_render", lambda: True)
 
 
-def test_a_scan_is_tried_out(monkeypatch):
+def test_a_scan_is_tried(monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)
-    found = doctor.examine()
-    assert found["ok"]
-    assert found["scan"] == {"works": True, "why_not": None}
-    assert found["scan3d"] == version("scan3d")
-    assert found["packages"]["numpy"] == version("numpy")
-    assert found["recordings"][".csv"] is True
+    state = doctor.examine()
+    assert state["ok"]
+    assert state["scan"] == {"works": True, "why_not": None}
+    assert state["scan3d"] == version("scan3d")
+    assert state["packages"]["numpy"] == version("numpy")
+    assert state["recordings"][".csv"] is True
 
 
-def test_it_knows_what_the_package_asks_for():
+def test_it_knows_the_requirements_of_the_package():
     asked = {re.match(r"[\w-]+", line)[0].removesuffix("-cpu") for line in requires("scan3d") if "extra ==" not in line}
     assert asked == {*doctor.NEEDED, "open3d"}
 
 
 def test_nothing_missing(well, capsys):
     assert main(["doctor"]) == 0
-    said, complained = capsys.readouterr()
-    assert complained == ""
-    lines = {line[:18].strip(): line[19:] for line in said.splitlines()}
+    stdout, stderr = capsys.readouterr()
+    assert stderr == ""
+    lines = {line[:18].strip(): line[19:] for line in stdout.splitlines()}
     assert lines["scan3d"].startswith(f"{version('scan3d')}, Python {sys.version.split()[0]}, ")
     assert (lines["scans"], lines["pictures"], lines["open3d"]) == ("work", "work", "works")
     assert lines["recordings"].startswith(".csv")
@@ -61,10 +61,10 @@ def test_nothing_missing(well, capsys):
 
 def test_json(well, capsys):
     assert main(["doctor", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["ok"] is True
-    assert found["missing"] == []
-    assert found == json.loads(json.dumps(doctor.examine()))
+    state = json.loads(capsys.readouterr().out)
+    assert state["ok"] is True
+    assert state["missing"] == []
+    assert state == json.loads(json.dumps(doctor.examine()))
 
 
 def without(monkeypatch, *names):
@@ -78,9 +78,9 @@ def without(monkeypatch, *names):
 
 def test_without_ffmpeg_there_are_no_mp4(well, monkeypatch):
     without(monkeypatch, "imageio-ffmpeg", "imageio-ffmpeg-cpu")
-    found = doctor.examine()
-    assert found["ok"]
-    (missing,) = found["missing"]
+    state = doctor.examine()
+    assert state["ok"]
+    (missing,) = state["missing"]
     assert (missing["what"], missing["for"]) == ("imageio-ffmpeg", "movies as .mp4")
     assert re.search(r"-m pip install 'imageio-ffmpeg>=0\.\d+'$", missing["command"])
 
@@ -89,26 +89,26 @@ def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):
     without(monkeypatch, "scipy")
     monkeypatch.setattr(doctor, "_error_of", lambda code: "No module named 'scipy'" if "scan3d" in code else None)
     assert main(["doctor"]) == 1
-    said = capsys.readouterr().out
-    assert "scans              don't work (No module named 'scipy')" in said
-    assert re.search(r"missing +scipy \(not installed\), for every scan: .* -m pip install 'scipy>=1\.\d+'", said)
+    stdout = capsys.readouterr().out
+    assert "scans              don't work (No module named 'scipy')" in stdout
+    assert re.search(r"missing +scipy \(not installed\), for every scan: .* -m pip install 'scipy>=1\.\d+'", stdout)
     assert main(["doctor", "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert (found["ok"], found["packages"]["scipy"]) == (False, None)
-    assert [one["what"] for one in found["missing"]] == ["scipy"]
+    state = json.loads(capsys.readouterr().out)
+    assert (state["ok"], state["packages"]["scipy"]) == (False, None)
+    assert [item["what"] for item in state["missing"]] == ["scipy"]
 
 
 @pytest.mark.parametrize(
     ("platform", "machine", "command"),
     [("linux", "x86_64", "open3d-cpu"), ("linux", "aarch64", "open3d"), ("darwin", "arm64", "open3d")],
 )
-def test_what_a_scan_can_do_without(well, monkeypatch, platform, machine, command):
+def test_a_scan_works_without_open3d(well, monkeypatch, platform, machine, command):
     without(monkeypatch, "open3d", "open3d-cpu")
     monkeypatch.setattr(doctor.sys, "platform", platform)
     monkeypatch.setattr(doctor.platform, "machine", lambda: machine)
-    found = doctor.examine()
-    assert found["ok"]
-    commands = {one["what"]: one["command"] for one in found["missing"]}
+    state = doctor.examine()
+    assert state["ok"]
+    commands = {item["what"]: item["command"] for item in state["missing"]}
     assert set(commands) == {"open3d"}
     assert commands["open3d"].endswith(f"-m pip install {command}")
 
@@ -120,21 +120,21 @@ def test_missing_system_libraries(monkeypatch, platform, known):
     )
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     monkeypatch.setattr(doctor.sys, "platform", platform)
-    found = doctor.examine()
-    assert found["ok"]
-    assert (found["rendering"], found["open3d"]["works"]) == (False, False)
-    commands = {one["what"]: one["command"] for one in found["missing"]}
+    state = doctor.examine()
+    assert state["ok"]
+    assert (state["rendering"], state["open3d"]["works"]) == (False, False)
+    commands = {item["what"]: item["command"] for item in state["missing"]}
     assert commands == {
         "open3d": "apt-get install libgl1 libgomp1" if known else None,
         "renderer": "apt-get install libegl1 libgl1" if known else None,
     }
-    said = table("", doctor.summary(found), None)
-    assert "open3d             doesn't work (libGL.so.1: no such file)" in said
-    assert "pictures           don't work (nothing can render off screen)" in said
-    assert ("apt-get" in said) == known
+    stdout = table("", doctor.summary(state), None)
+    assert "open3d             doesn't work (libGL.so.1: no such file)" in stdout
+    assert "pictures           don't work (nothing can render off screen)" in stdout
+    assert ("apt-get" in stdout) == known
 
 
-def test_a_child_that_fails_says_why():
+def test_the_error_of_a_child_process():
     assert doctor._error_of("") is None
     assert doctor._error_of("raise OSError('no luck')") == "OSError: no luck"
     assert doctor._error_of("import sys; sys.exit(3)") == "exit code 3"
@@ -142,7 +142,7 @@ def test_a_child_that_fails_says_why():
         assert doctor._error_of("import os; os.kill(os.getpid(), 9)") == "killed by signal 9"
 
 
-def test_a_child_that_does_not_end(monkeypatch):
+def test_a_child_process_that_does_not_end(monkeypatch):
     def run(*_, **__):
         raise subprocess.TimeoutExpired("python", 300)
 
@@ -151,26 +151,26 @@ def test_a_child_that_does_not_end(monkeypatch):
 
 
 def test_it_runs_where_nothing_can_be_imported():
-    # a fresh checkout without its packages: the doctor is what one turns to
+    # as in a fresh checkout without its packages, where the doctor is needed most
     code = "import sys\nfor name in ('numpy', 'scipy', 'trimesh', 'pyvista'): sys.modules[name] = None\n"
     code += "from scan3d.cli import doctor, main\ndoctor._error_of = lambda code: 'broken'\n"
     code += "sys.exit(main(['doctor', '--json']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "")
-    found = json.loads(done.stdout)
-    assert found["rendering"] is False
-    assert found["recordings"] == {".csv": False}
+    state = json.loads(done.stdout)
+    assert state["rendering"] is False
+    assert state["recordings"] == {".csv": False}
 
 
 def test_a_recording_that_can_not_be_written(well, monkeypatch):
     from scan3d.errors import InputError
     from scan3d.files import recordings
 
-    def write(one, path):
+    def write(recording, path):
         raise InputError("no ink")
 
     monkeypatch.setattr(recordings, "write_recording", write)
-    found = doctor.examine()
-    assert found["recordings"][".csv"] is False
-    assert {"what": ".csv recordings", "for": "recordings", "why": "no ink", "command": None} in found["missing"]
-    assert "recordings         none" in table("", doctor.summary(found), None)
+    state = doctor.examine()
+    assert state["recordings"][".csv"] is False
+    assert {"what": ".csv recordings", "for": "recordings", "why": "no ink", "command": None} in state["missing"]
+    assert "recordings         none" in table("", doctor.summary(state), None)

@@ -1,6 +1,6 @@
-"""README and the pages in docs/: what they show runs, what they name exists, and nothing public or in examples/ is left out.
+"""README and the pages in docs/: their code runs, the files and commands they name exist, and they cover the public names.
 
-Sphinx itself builds the pages in the gate (`make docs`), with warnings as errors, and checks the references among them.
+`make docs` builds the pages with Sphinx, with warnings as errors, and checks the links among them.
 """
 
 import ast
@@ -25,31 +25,31 @@ PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.m
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
-def named(page: Path) -> str:
+def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
 def blocks(text: str, language: str) -> list[str]:
-    """The fenced blocks of a page in one language."""
+    """The fenced blocks of a page in a language."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
 
 
 def prose(text: str) -> str:
-    """A page without its fenced blocks and what stands between backticks."""
+    """A page without its fenced blocks and without text in backticks."""
     return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL))
 
 
 def targets(text: str) -> list[str]:
-    """What a page's links and pictures point at in the repository, without places within a page."""
-    found = re.findall(r"\]\(([^)\s]+)\)", prose(text))
-    found += re.findall(r"""(?:href|src)=["']([^"']+)["']""", prose(text))
-    found += re.findall(r"^```\{literalinclude\} (\S+)$", text, flags=re.MULTILINE)
-    return [path for path in (target.partition("#")[0] for target in found if "://" not in target) if path]
+    """The files of the repository to which the links and pictures of a page refer, without anchors."""
+    links = re.findall(r"\]\(([^)\s]+)\)", prose(text))
+    links += re.findall(r"""(?:href|src)=["']([^"']+)["']""", prose(text))
+    links += re.findall(r"^```\{literalinclude\} (\S+)$", text, flags=re.MULTILINE)
+    return [path for path in (target.partition("#")[0] for target in links if "://" not in target) if path]
 
 
 @pytest.fixture
 def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder in which all of the repository is to be read, and what is written does not end up there."""
+    """A folder with links to the files of the repository, into which code may write without changing the repository."""
     for path in ROOT.iterdir():
         if not path.name.startswith(".") and path.name != "out":
             (tmp_path / path.name).symlink_to(path)
@@ -59,38 +59,38 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_reading_of_pages_finds_what_it_should() -> None:
-    # on a page made for it, so that the tests below can fail
+    # on a page written for this test, so that the tests below can fail
     page = "[a](x.md#y) ![b](p.png) `[no](no.md)` [web](https://example.org)\n```python\n[no](n.md)\nx = 1\n```\n"
     assert blocks(page, "python") == ["[no](n.md)\nx = 1\n"]
     assert targets(page) == ["x.md", "p.png"]
     assert targets("```{literalinclude} ../a.py\n```\n") == ["../a.py"]
-    assert {"README.md", "docs/index.md", "docs/formats.md", "docs/api/planar.md"} <= set(map(named, PAGES))
+    assert {"README.md", "docs/index.md", "docs/formats.md", "docs/api/planar.md"} <= set(map(name_of, PAGES))
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python")], ids=named)
+@pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python")], ids=name_of)
 def test_the_code_of_a_page_runs(page: Path, repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # one after the other, as they are read
+    # in the order of the page, with the same variables
     names: dict[str, object] = {"__name__": "__main__"}
     for number, block in enumerate(blocks(page.read_text(encoding="utf-8"), "python"), start=1):
-        exec(compile(block, f"{named(page)}, block {number}", "exec"), names)
+        exec(compile(block, f"{name_of(page)}, block {number}", "exec"), names)
 
 
-def test_every_block_of_readme_runs_on_its_own(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
-    assert len(found) >= 2
-    for number, block in enumerate(found, start=1):
+def test_every_block_of_readme_runs_by_itself(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    snippets = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
+    assert len(snippets) >= 2
+    for number, block in enumerate(snippets, start=1):
         exec(compile(block, f"README.md, block {number}", "exec"), {"__name__": "__main__"})
-    # what they print are numbers
+    # the snippets print numbers
     assert re.search(r"\d", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=named)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_and_pictures_are_there(page: Path) -> None:
     missing = [target for target in targets(page.read_text(encoding="utf-8")) if not (page.parent / target).is_file()]
     assert missing == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=named)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_scripts_and_commands_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for script in re.findall(r"python ((?:\w+/)+\w+\.py)", text):
@@ -117,12 +117,12 @@ def test_every_example_is_in_the_gallery() -> None:
     for section in sections:
         assert section.partition("\n")[0].endswith("?")
     for script in EXAMPLES:
-        mine = [section for section in sections if f"literalinclude}} ../examples/{script.name}" in section]
-        assert len(mine) == 1
-        assert f"python examples/{script.name}" in mine[0]
-        # a picture of its own, unless it prints a table
+        matching = [section for section in sections if f"literalinclude}} ../examples/{script.name}" in section]
+        assert len(matching) == 1
+        assert f"python examples/{script.name}" in matching[0]
+        # the section has a picture, unless the script prints a table
         draws = "savefig" in script.read_text(encoding="utf-8")
-        assert (f"(pictures/{script.stem}.png)" in mine[0]) == draws
+        assert (f"(pictures/{script.stem}.png)" in matching[0]) == draws
 
 
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
@@ -169,9 +169,9 @@ def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
     (tmp_path / "c.html").write_text(
         '<a href="b.html#there">B</a><img src="gone%20away.png"><a href="#bottom">down</a>'
     )
-    found = list(check.broken(tmp_path))
-    assert found == [
-        "c.html: b.html#there has no such place",
-        "c.html: gone%20away.png is not there",
-        "c.html: #bottom has no such place",
+    messages = list(check.broken(tmp_path))
+    assert messages == [
+        "c.html: b.html#there has no such anchor",
+        "c.html: gone%20away.png does not exist",
+        "c.html: #bottom has no such anchor",
     ]

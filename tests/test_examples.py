@@ -129,7 +129,7 @@ def test_figure_5() -> None:
         touching = contacts.status == planar.Status.OK
         tangential = swept.phase == planar.Phase.TANGENTIAL
         np.testing.assert_array_equal(contacts.phase[touching], swept.phase[touching])
-        # the friction found is the friction set, sample by sample
+        # the estimated friction is the friction that was set, sample by sample
         np.testing.assert_allclose(contacts.friction[tangential], swept.friction[tangential], rtol=0, atol=1e-12)
         tip = touching & ~tangential
         assert (contacts.friction_angle_bound[tip] < np.arctan(swept.friction[tip])).all()

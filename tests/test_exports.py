@@ -1,4 +1,4 @@
-"""Exported files: what they hold, bit by bit where it matters, what other programs read from them, and mistakes."""
+"""Exported files: their contents, bit by bit where that is possible, what other programs read, and error messages."""
 
 import functools
 import json
@@ -52,7 +52,7 @@ def with_rows(shape, path, unit="mm", **columns):
     return path
 
 
-# --- what other programs read ---
+# --- other programs ---
 
 
 @functools.cache
@@ -61,11 +61,11 @@ def documented():
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     lines = text.partition("## Which program reads what")[2].splitlines()
     head, _, *rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
-    found = {}
+    cells_by_format = {}
     for name, *cells in rows:
         what, _, ending = name.split()
-        found |= {(program, what, ending): cell for program, cell in zip(head[1:], cells, strict=True)}
-    return found
+        cells_by_format |= {(program, what, ending): cell for program, cell in zip(head[1:], cells, strict=True)}
+    return cells_by_format
 
 
 @functools.cache
@@ -86,15 +86,15 @@ def test_the_table_says_what_a_program_reads(folder, program):
 def test_the_table_is_complete():
     assert set(documented()) == {(program, *key) for program in PROGRAMS for key in FORMATS}
     assert {"Open3D", "trimesh", "pyvista", "numpy"} <= set(HERE)
-    # every format is read by somebody with all that it holds
+    # the full contents of every format are read by at least one program
     for what, ending in FORMATS:
-        most = max((documented()[program, what, ending] for program in PROGRAMS), key=len)
-        assert ("normals" in most) == (ending not in (".xyz", ".stl"))
-        assert ("faces" in most) == (what == "surface")
+        longest = max((documented()[program, what, ending] for program in PROGRAMS), key=len)
+        assert ("normals" in longest) == (ending not in (".xyz", ".stl"))
+        assert ("faces" in longest) == (what == "surface")
 
 
-def test_a_program_that_reads_wrongly_is_found_out(folder, tmp_path):
-    # so that the comparison can fail: a reader that mirrors
+def test_a_program_that_reads_wrongly_is_detected(folder, tmp_path):
+    # so that the comparison can fail: a reader that mirrors the surface
     export(folder, tmp_path / "exported" / "surface.stl")
     read = trimesh.load(tmp_path / "exported" / "surface.stl")
     for change, right in ((lambda f: f, ("points", "faces")), (lambda f: f[:, ::-1], ("points",))):
@@ -108,7 +108,7 @@ def test_a_program_that_reads_wrongly_is_found_out(folder, tmp_path):
         assert other_programs._right("trimesh", tmp_path, "surface", ".stl") == right
 
 
-# --- what the files hold ---
+# --- contents of the files ---
 
 
 def test_a_ply_keeps_every_bit(folder, tmp_path, cloud, surface):
@@ -120,21 +120,24 @@ def test_a_ply_keeps_every_bit(folder, tmp_path, cloud, surface):
         assert (faces is None) if shape.faces is None else np.array_equal(faces, shape.faces)
         assert comments[:2] == (f"scan3d {shape.what}", "unit mm")
         assert comments[2].startswith("frame world coordinates")
-        # and is itself something to export
+        # the exported file can itself be exported
         export(tmp_path / "a.ply", tmp_path / "b.ply")
         assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
 
 
-def test_a_pcd_says_its_fields_and_holds_them(folder, tmp_path, cloud):
+def test_a_pcd_names_its_fields_and_contains_them(folder, tmp_path, cloud):
     head, _, body = written(folder, tmp_path / "a.pcd").partition(b"DATA binary\n")
     lines = head.decode().splitlines()
-    said = dict(line.split(" ", 1) for line in lines if not line.startswith("#"))
-    assert said["FIELDS"] == "x y z normal_x normal_y normal_z quality phase slice sweep force friction normal_source"
-    names = said["FIELDS"].split()
+    header = dict(line.split(" ", 1) for line in lines if not line.startswith("#"))
+    assert (
+        header["FIELDS"]
+        == "x y z normal_x normal_y normal_z quality phase slice sweep row force friction normal_source"
+    )
+    names = header["FIELDS"].split()
     for name, value in (("SIZE", "4"), ("TYPE", "F"), ("COUNT", "1")):
-        assert said[name].split() == [value] * len(names)
-    assert said["WIDTH"] == said["POINTS"] == str(len(cloud.rows))
-    assert (said["VERSION"], said["HEIGHT"], said["VIEWPOINT"]) == ("0.7", "1", "0 0 0 1 0 0 0")
+        assert header[name].split() == [value] * len(names)
+    assert header["WIDTH"] == header["POINTS"] == str(len(cloud.rows))
+    assert (header["VERSION"], header["HEIGHT"], header["VIEWPOINT"]) == ("0.7", "1", "0 0 0 1 0 0 0")
     assert "# unit mm" in lines
     assert any(line.startswith("# frame world") for line in lines)
     table = np.frombuffer(body, "<f4").reshape(-1, len(names))
@@ -148,23 +151,23 @@ def test_text_gives_the_same_bits_back(folder, tmp_path, cloud, surface):
     assert np.array_equal(table[:, 3:].astype("f4"), cloud.normals)
     assert np.array_equal(np.loadtxt(written(folder, tmp_path / "a.xyz").decode().splitlines()), cloud.points)
     header, *lines = written(folder, tmp_path / "a.csv").decode().splitlines()
-    assert header == "x_mm,y_mm,z_mm,nx,ny,nz,quality_mm,phase,slice,sweep,force_N,friction,normal_source"
+    assert header == "x_mm,y_mm,z_mm,nx,ny,nz,quality_mm,phase,slice,sweep,row,force_N,friction,normal_source"
     table = np.loadtxt(lines, delimiter=",")
     for k, name in enumerate(cloud.rows.dtype.names):
         assert np.array_equal(table[:, k].astype(cloud.rows.dtype[name]), cloud.rows[name])
     lines = written(folder, tmp_path / "a.obj").decode().splitlines()
     assert "# unit mm" in lines
     for start, values in (("v", surface.points), ("vn", surface.normals)):
-        found = np.loadtxt([line[len(start) :] for line in lines if line.startswith(f"{start} ")])
-        assert np.array_equal(found.astype(values.dtype), values)
+        table = np.loadtxt([line[len(start) :] for line in lines if line.startswith(f"{start} ")])
+        assert np.array_equal(table.astype(values.dtype), values)
     assert f"f {' '.join(f'{c}//{c}' for c in surface.faces[0] + 1)}" in lines
 
 
-def test_an_stl_says_its_unit_and_faces_outwards(folder, tmp_path, surface):
+def test_an_stl_names_its_unit_and_faces_outwards(folder, tmp_path, surface):
     data = written(folder, tmp_path / "a.stl")
     assert len(data) == 84 + 50 * len(surface.faces)
     assert b"unit mm" in data[:80]
-    assert not data.startswith(b"solid")  # which would pass for text
+    assert not data.startswith(b"solid")  # which would be the start of a text file
     assert struct.unpack("<I", data[80:84]) == (len(surface.faces),)
     rows = np.frombuffer(data[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     assert np.array_equal(rows["corners"], surface.points[surface.faces].astype("f4"))
@@ -189,7 +192,7 @@ def glb(data):
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("in", 0.0254), ("m", 1.0)])
-def test_a_glb_is_in_metres_and_says_so(tmp_path, surface, unit, metres):
+def test_a_glb_is_in_metres_and_names_its_unit(tmp_path, surface, unit, metres):
     with_rows(surface, tmp_path / "surface.ply", unit)
     tree = glb(written(tmp_path, tmp_path / "a.glb"))
     extras = tree["asset"]["extras"]
@@ -204,8 +207,8 @@ def test_a_glb_is_in_metres_and_says_so(tmp_path, surface, unit, metres):
     assert np.allclose(bound, surface.scalars["bound"] * metres, rtol=1e-6)
 
 
-def test_gltf_knows_no_infinity(tmp_path, surface):
-    # a body that nothing bounds; JSON has no such number
+def test_a_glb_leaves_out_scalars_that_are_infinite(tmp_path, surface):
+    # the bound of a body without empty slices; JSON has no infinity
     with_rows(surface, tmp_path / "surface.ply", bound=np.inf)
     tree = glb(written(tmp_path, tmp_path / "a.glb"))
     assert set(tree["meshes"][0]["primitives"][0]["attributes"]) == {"POSITION", "NORMAL"}
@@ -230,7 +233,7 @@ def test_a_vtp_keeps_every_bit(folder, tmp_path, cloud, surface):
         )
 
 
-def test_what_is_not_known_stays_nan(tmp_path, cloud):
+def test_unknown_values_stay_nan(tmp_path, cloud):
     import pyvista
 
     hole = np.arange(len(cloud.rows)) == 3
@@ -242,8 +245,8 @@ def test_what_is_not_known_stays_nan(tmp_path, cloud):
     table = np.genfromtxt(written(tmp_path, tmp_path / "a.csv").decode().splitlines(), delimiter=",", names=True)
     assert np.array_equal(np.isnan(table["quality_mm"]), hole)
     body = written(tmp_path, tmp_path / "a.pcd").partition(b"DATA binary\n")[2]
-    table = np.frombuffer(body, "<f4").reshape(-1, 13)
-    assert np.array_equal(np.isnan(table), np.outer(hole, np.isin(np.arange(13), [3, 4, 5, 6, 11])))
+    table = np.frombuffer(body, "<f4").reshape(-1, 14)
+    assert np.array_equal(np.isnan(table), np.outer(hole, np.isin(np.arange(14), [3, 4, 5, 6, 12])))
     assert np.isfinite(np.loadtxt(written(tmp_path, tmp_path / "a.xyz").decode().splitlines())).all()
 
 
@@ -252,18 +255,18 @@ def test_the_same_shape_gives_the_same_file(folder, tmp_path):
         assert written(folder, tmp_path / f"a{ending}", what) == written(folder, tmp_path / f"b{ending}", what)
 
 
-# --- what is chosen ---
+# --- what is exported ---
 
 
-def test_the_ending_chooses_and_the_option_decides(folder, tmp_path):
+def test_the_ending_and_the_option_choose_what_is_exported(folder, tmp_path):
     for ending in {*CLOUD_ENDINGS, *SURFACE_ENDINGS}:
         expected = "surface" if ending in SURFACE_ENDINGS else "cloud"
-        found = export(folder, tmp_path / "new" / f"a{ending.upper()}")
-        assert (found["what"], found["unit"]) == (expected, "m" if ending == ".glb" else "mm")
-        assert (found["faces"] > 0) == (expected == "surface")
+        result = export(folder, tmp_path / "new" / f"a{ending.upper()}")
+        assert (result["what"], result["unit"]) == (expected, "m" if ending == ".glb" else "mm")
+        assert (result["faces"] > 0) == (expected == "surface")
     for ending in (".ply", ".vtp"):
         assert export(folder, tmp_path / f"a{ending}", "cloud")["what"] == "cloud"
-        # a single file can only be what it is
+        # a single file contains either a cloud or a surface
         assert export(folder / "cloud.ply", tmp_path / f"a{ending}")["what"] == "cloud"
         assert export(folder / "surface.ply", tmp_path / f"a{ending}")["what"] == "surface"
 
@@ -275,14 +278,19 @@ def test_the_ending_chooses_and_the_option_decides(folder, tmp_path):
             ".",
             "a.step",
             None,
-            r"can't export to files ending in '\.step': a cloud goes to \.ply, \.pcd, .* or \.csv, a surf",
+            r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, .* or \.csv, a surf",
         ),
-        (".", "a", None, "can't export to files ending in 'nothing'"),
-        (".", "a.stl", "cloud", r"\.stl holds no cloud: a cloud goes to \.ply, \.pcd"),
-        (".", "a.csv", "surface", r"\.csv holds no surface: a surface goes to \.stl, \.ply"),
+        (".", "a", None, "can't export to files without an ending: a cloud can be written as"),
+        (".", "a.stl", "cloud", r"\.stl cannot contain a cloud; a cloud can be written as \.ply, \.pcd"),
+        (".", "a.csv", "surface", r"\.csv cannot contain a surface; a surface can be written as \.stl, \.ply"),
         (".", "a.ply", "rods", "what to export must be one of surface, cloud, got 'rods'"),
-        ("cloud.ply", "a.stl", None, r"cloud\.ply holds a cloud, where a surface is wanted; a cloud goes to \.ply"),
-        ("surface.ply", "a.ply", "cloud", r"surface\.ply holds a surface, where a cloud is wanted"),
+        (
+            "cloud.ply",
+            "a.stl",
+            None,
+            r"cloud\.ply contains a cloud, but a surface is needed; a cloud can be written as \.ply",
+        ),
+        ("surface.ply", "a.ply", "cloud", r"surface\.ply contains a surface, but a cloud is needed"),
         ("missing", "a.ply", None, r"there is no .*missing; give the folder of a scan, or a PLY written by scan3d"),
         ("empty", "a.ply", None, r"there is no surface\.ply in .*empty; give a folder written by 'scan3d scan'"),
         ("empty", "a.csv", None, r"there is no cloud\.ply in .*empty"),
@@ -329,14 +337,14 @@ def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
     with pytest.raises(InputError, match=sentence):
         export(tmp_path / source, tmp_path / to, what)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-    # and so says the command, where its usage doesn't forbid it
+    # the command has the same message, unless its parser rejects the arguments before
     if what != "rods":
         asked = ["export", str(tmp_path / source), "--to", str(tmp_path / to), *(["--what", what] if what else [])]
         assert main(asked) == 1
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("scan3d: ")
-        assert said.err.count("\n") == 1
+        stdout, stderr = capsys.readouterr()
+        assert stdout == ""
+        assert stderr.startswith("scan3d: ")
+        assert stderr.count("\n") == 1
 
 
 # --- the command ---
@@ -348,11 +356,11 @@ def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
     assert main(["scan", egg, "--out", str(tmp_path), "--slices", "8", "--samples", "24", "--quiet"]) == 0
     for what, ending in FORMATS:
         assert main(["export", str(tmp_path), "--to", str(tmp_path / f"a{ending}"), "--what", what]) == 0
-        said, complained = capsys.readouterr()
-        assert complained == ""
+        stdout, stderr = capsys.readouterr()
+        assert stderr == ""
         unit = "m" if ending == ".glb" else "mm"
         kind = r"\d+ contacts" if what == "cloud" else r"a surface of \d+ vertices and \d+ faces"
-        assert re.fullmatch(rf"{kind} in {unit}, written to .*a{ending}\n", said)
+        assert re.fullmatch(rf"{kind} in {unit}, written to .*a{ending}\n", stdout)
     assert trimesh.load_mesh(tmp_path / "a.stl").is_watertight
     assert trimesh.load_mesh(tmp_path / "a.glb").extents.max() < 0.1
     assert main(["export", str(tmp_path), "--to", str(tmp_path / "a.glb"), "--json"]) == 0

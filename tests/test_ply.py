@@ -1,4 +1,4 @@
-"""Binary PLY files: what is written is read back, by other readers and by our own."""
+"""Binary PLY files are read back by other readers and by the reader of scan3d."""
 
 import math
 import re
@@ -60,7 +60,7 @@ def test_ply_against_trimesh(tmp_path):
     assert all(np.array_equal(data[name].reshape(-1), table[name], equal_nan=True) for name in ROWS.names)
 
 
-# --- the reader of our PLY files ---
+# --- the reader of scan3d ---
 
 
 def test_a_ply_is_read_as_it_was_written(tmp_path):
@@ -71,9 +71,9 @@ def test_a_ply_is_read_as_it_was_written(tmp_path):
     faces = np.array([[0, 1, 2], [2, 3, 4]])
     for corners in (None, faces, faces[:0]):
         (tmp_path / "a.ply").write_bytes(ply(rows, corners, ("unit mm", "end_header of a poem")))
-        found, triangles, comments = read_our_ply(tmp_path / "a.ply")
-        assert found.dtype == rows.dtype
-        assert np.array_equal(found, rows)
+        vertices, triangles, comments = read_our_ply(tmp_path / "a.ply")
+        assert vertices.dtype == rows.dtype
+        assert np.array_equal(vertices, rows)
         assert (triangles is None) if corners is None else np.array_equal(triangles, corners)
         assert comments == ("unit mm", "end_header of a poem")
 

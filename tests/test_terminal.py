@@ -30,7 +30,7 @@ written to         out"""
 
 
 class Stream(io.StringIO):
-    """A terminal, or none, of an encoding."""
+    """A stream with an encoding, which is a terminal or not."""
 
     def __init__(self, terminal=True, encoding="utf-8"):
         super().__init__()
@@ -73,13 +73,13 @@ def test_a_terminal_gets_a_table_with_its_key_figures_bold(monkeypatch):
     ("environment", "platform", "colour"),
     [
         ({"TERM": "xterm"}, "linux", True),
-        ({"TERM": "xterm", "NO_COLOR": ""}, "linux", True),  # no-color.org: present and not empty
+        ({"TERM": "xterm", "NO_COLOR": ""}, "linux", True),  # no-color.org: only if present and not empty
         ({"TERM": "xterm", "NO_COLOR": "1"}, "linux", False),
         ({}, "win32", False),
         ({"WT_SESSION": "1"}, "win32", True),
     ],
 )
-def test_no_colour_where_it_is_not_wanted(monkeypatch, environment, platform, colour):
+def test_colour_only_where_it_is_supported_and_wanted(monkeypatch, environment, platform, colour):
     monkeypatch.setattr(sys, "platform", platform)
     table = terminal.table(HEADING, ROWS, Stream(), environment)
     assert ("\x1b" in table) == colour
@@ -87,7 +87,7 @@ def test_no_colour_where_it_is_not_wanted(monkeypatch, environment, platform, co
 
 
 @pytest.mark.parametrize("encoding", ["ascii", None, "no such encoding"])
-def test_a_terminal_that_knows_no_lines_gets_other_ones(encoding):
+def test_a_terminal_without_line_characters_gets_ascii(encoding):
     table = bare(terminal.table(HEADING, ROWS, Stream(encoding=encoding), {"TERM": "xterm"}))
     assert "surface            | support" in table
     assert table.splitlines()[1] == "-" * 61
@@ -96,15 +96,15 @@ def test_a_terminal_that_knows_no_lines_gets_other_ones(encoding):
 def test_the_command_draws_a_table_on_a_terminal_only(tmp_path, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
-    said = {}
+    output = {}
     for terminal_ in (True, False):
         stream = Stream(terminal_)
         monkeypatch.setattr(sys, "stdout", stream)
         assert main(["compare", str(CUBE), str(CUBE)]) == 0
-        said[terminal_] = stream.getvalue()
-    assert "Hausdorff distance │ 0 mm" in bare(said[True])
-    assert said[False].startswith("Hausdorff distance 0 mm")
-    assert "\x1b" not in said[False]
+        output[terminal_] = stream.getvalue()
+    assert "Hausdorff distance │ 0 mm" in bare(output[True])
+    assert output[False].startswith("Hausdorff distance 0 mm")
+    assert "\x1b" not in output[False]
 
 
 def test_no_progress_on_a_teletype(tmp_path, monkeypatch):
@@ -125,10 +125,10 @@ def test_every_command_has_examples_that_run(capsys):
     for name, text in _EXAMPLES.items():
         with pytest.raises(SystemExit, match="0"):
             main([name, "--help"])
-        said = capsys.readouterr().out
-        assert said.endswith(f"examples:\n{text}\n")
+        stdout = capsys.readouterr().out
+        assert stdout.endswith(f"examples:\n{text}\n")
         for line in text.splitlines():
-            # as the shell takes it: without redirection, and what is inside of $(…)
+            # without what the shell removes: the redirection, and $(…) around the command
             line = line.partition(" > ")[0].strip().removeprefix('eval "$(').removesuffix(')"')
             words = shlex.split(line)
             assert words[:2] == ["scan3d", name]
@@ -136,7 +136,7 @@ def test_every_command_has_examples_that_run(capsys):
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["export", "--help"], ["--version"], ["completion", "bash"]])
-def test_help_comes_at_once(arguments):
+def test_help_is_quick(arguments):
     # processor time, because tests run side by side and wait for each other; the best of three
     seconds = []
     for _ in range(3):

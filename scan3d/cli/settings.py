@@ -92,16 +92,16 @@ def _read(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{path} is not a TOML file of settings: {error}") from None
 
 
-def _typed(source: str, name: str, value: Any, wanted: type) -> Any:
+def _typed(source: str, name: str, value: Any, kind: type) -> Any:
     """A file's value in the type of the setting; a list becomes text as on the command line."""
-    if wanted is str and isinstance(value, list):
+    if kind is str and isinstance(value, list):
         value = (":" if name == "friction" else ",").join(str(item) for item in value)
-    if wanted is str and isinstance(value, (int, float)) and not isinstance(value, bool):
+    if kind is str and isinstance(value, (int, float)) and not isinstance(value, bool):
         value = str(value)
-    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    if type(value) is not wanted:
-        raise InputError(f"{source}: {name} must be {_KINDS[wanted]}, got {value!r}")
+    if type(value) is not kind:
+        raise InputError(f"{source}: {name} must be {_KINDS[kind]}, got {value!r}")
     return value
 
 

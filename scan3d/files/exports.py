@@ -23,6 +23,7 @@ from scan3d.files.atomic import atomic, folder
 from scan3d.files.ply import ply, read_ply
 from scan3d.units import UNITS_M
 
+# The formats of clouds and of surfaces, in the order in which messages list them.
 CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv")
 SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
 # The formats of each of `EXPORTS`, the default first.
@@ -87,7 +88,7 @@ def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[
     shape = _read(source, contents[0])
     if shape.what not in contents:
         raise InputError(
-            f"{source.name} holds a {shape.what}, where a {contents[0]} is wanted; a {shape.what} goes to "
+            f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
             f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
     with folder(to.parent, option="--to"), atomic(to, option="--to") as file:
@@ -107,26 +108,26 @@ def _contents(ending: str, what: str | None) -> list[str]:
     contents = [kind for kind, endings in _ENDINGS.items() if ending in endings]
     if not contents:
         raise InputError(
-            f"can't export to files ending in {ending or 'nothing'!r}: a cloud goes to {_listed(CLOUD_ENDINGS)}, "
-            f"a surface to {_listed(SURFACE_ENDINGS)}"
+            f"can't export to files {f'ending in {ending!r}' if ending else 'without an ending'}: a cloud can be written as "
+            f"{_listed(CLOUD_ENDINGS)}, a surface as {_listed(SURFACE_ENDINGS)}"
         )
     if what is None:
         return contents
     if what not in contents:
-        raise InputError(f"{ending} holds no {what}: a {what} goes to {_listed(_ENDINGS[what])}")
+        raise InputError(f"{ending} cannot contain a {what}; a {what} can be written as {_listed(_ENDINGS[what])}")
     return [what]
 
 
-def _read(source: Path, wanted: str) -> Shape:
+def _read(source: Path, what: str) -> Shape:
     """The wanted part of a scan's folder, or the contents of a single file."""
     if not source.exists():
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
     if source.is_dir():
-        if not (source / f"{wanted}.ply").is_file():
+        if not (source / f"{what}.ply").is_file():
             raise InputError(
-                f"there is no {wanted}.ply in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
+                f"there is no {what}.ply in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
             )
-        source = source / f"{wanted}.ply"
+        source = source / f"{what}.ply"
     return read_shape(source)
 
 
