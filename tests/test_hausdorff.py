@@ -178,7 +178,7 @@ def test_a_box_without_lid_is_not_taken_for_a_convex_body():
 
 @pytest.mark.parametrize("depth", [1e-7, 1e-6, 1e-5])
 def test_the_upper_bound_includes_a_dent_too_shallow_to_be_searched(depth):
-    """A square 0.5 above the dented face: its vertices are 0.5 away from the body, and the point above the dent a little more."""
+    """A square 0.5 above the dented face: its vertices are 0.5 away from the body, the point above the dent a little more."""
     body = dented(depth)
     corners = [(1.5, -1.0, -1.0), (1.5, 1.0, -1.0), (1.5, 1.0, 1.0), (1.5, -1.0, 1.0)]
     square = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
