@@ -19,7 +19,7 @@ def box(*sides):
 
 
 def dimpled_box(depth):
-    """A cube of side 1 whose face x = 1/2 has its centre pushed in: a dent of just that depth, below 1/4."""
+    """A cube of side 1 whose face x = 1/2 has its centre pushed in; the dent has exactly that depth, below 1/4."""
     cube = box()
     lid = np.flatnonzero(cube.face_normals[:, 0] > 0.5)
     corners = np.unique(cube.faces[lid])
@@ -44,7 +44,7 @@ def without(mesh, keep):
 
 
 def soup(mesh, jitter=0.0, seed=0):
-    """Every triangle with corners of its own, each a little off."""
+    """The same triangles without common vertices, as an STL file has them, every corner moved by up to `jitter`."""
     corners = mesh.triangles.reshape(-1, 3)
     corners = corners + jitter * np.random.default_rng(seed).uniform(-1, 1, corners.shape)
     return as_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
@@ -118,3 +118,24 @@ PAIRS = {
     "plates": (polytope(9, stretch=(1.0, 1.0, 1e-4)), polytope(10, stretch=(1.0, 1.0, 1e-4))),
     "few and many": (cube(0.6), ball(11, 300)),
 }
+
+
+def pinhole(side):
+    """A cube of side 2 whose lid z = 1 lacks a small triangle, and that triangle (3, 3), with edges about as long as `side`."""
+    body = cube()
+    lid = np.flatnonzero(body.face_normals[:, 2] > 0.5)[0]
+    corners = body.vertices[body.faces[lid]]
+    middle = corners.mean(axis=0)
+    hole = middle + side * (corners - middle) / 2
+    outer, inner = body.faces[lid], np.arange(8, 11)
+    ring = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        ring += [[outer[i], outer[j], inner[j]], [outer[i], inner[j], inner[i]]]
+    faces = np.vstack([np.delete(body.faces, lid, axis=0), ring])
+    return as_mesh(np.vstack([body.vertices, hole]), faces), hole
+
+
+def inscribed_radius(triangle):
+    """Radius of the largest circle in a triangle (3, 3)."""
+    perimeter = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
+    return 2 * trimesh.triangles.area(triangle[None])[0] / perimeter

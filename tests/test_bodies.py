@@ -54,7 +54,7 @@ def test_a_scene_is_put_together_by_its_transforms(tmp_path):
     np.testing.assert_allclose(body.bounds.mean(axis=0), [5, 6, 7], atol=1e-6)
 
 
-def test_points_that_no_face_uses_are_no_part_of_the_body(tmp_path):
+def test_vertices_without_faces_are_left_out(tmp_path):
     cube = box()
     body = load_mesh(save(tmp_path, as_mesh(np.vstack([cube.vertices, [9, 9, 9]]), cube.faces), "body.off"))
     assert len(body.vertices) == 8
@@ -73,7 +73,7 @@ def text(*rows):
 
 def broken_ascii_stl():
     words = box().export(file_type="stl_ascii").split("vertex ")
-    # after three whole triangles: numpy would return those
+    # a broken number after three complete triangles, which older versions of numpy return
     return "vertex ".join([*words[:10], "one " + words[10], *words[11:]]).encode()
 
 
@@ -96,13 +96,13 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_files_that_are_no_mesh(tmp_path, name):
+def test_files_that_are_not_meshes_are_refused(tmp_path, name):
     data, why = BAD_FILES[name]
     (tmp_path / name).write_bytes(data)
     assert why in error(tmp_path / name)
 
 
-def test_files_that_are_not_there(tmp_path, monkeypatch):
+def test_missing_and_unreadable_files_are_refused(tmp_path, monkeypatch):
     assert "no mesh file" in error(tmp_path / "missing.stl")
     assert "is a folder" in error(tmp_path)
     path = save(tmp_path, box(), "locked.stl")
@@ -116,8 +116,8 @@ def test_files_that_are_not_there(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_vertices_that_are_no_numbers(tmp_path, kind, value):
-    # trimesh's own loading drops them, and with them a corner of the body
+def test_vertices_that_are_not_finite_are_refused(tmp_path, kind, value):
+    # trimesh.load drops such vertices, and with them a corner of the body
     cube = box()
     vertices = np.array(cube.vertices)
     vertices[3, 1] = value
@@ -127,7 +127,7 @@ def test_vertices_that_are_no_numbers(tmp_path, kind, value):
 
 
 @pytest.mark.parametrize("turn", [np.eye(3), rotation(5)])
-def test_a_flat_sheet_says_how_thick_it_is(tmp_path, turn):
+def test_a_flat_body_is_refused_with_its_thickness(tmp_path, turn):
     sheet = as_mesh(np.array([[0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]]) @ turn.T, [[0, 1, 2], [0, 2, 3]])
     assert "flat" in error(save(tmp_path, sheet))  # in float32: not quite flat when oblique
     assert "flat" in error(save(tmp_path, sheet), hull=True)
@@ -178,7 +178,7 @@ def open_meshes():
 
 
 @pytest.mark.parametrize(("mesh", "bare"), [pytest.param(*case, id=name) for name, *case in open_meshes()])
-def test_open_meshes(tmp_path, mesh, bare):
+def test_open_meshes_are_refused_unless_the_hull_is_wanted(tmp_path, mesh, bare):
     path = save(tmp_path, mesh, "open.stl")
     message = error(path)
     assert "open" in message

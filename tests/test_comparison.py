@@ -17,7 +17,7 @@ from scan3d.errors import InputError
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples():
-    """The averages take most of the time on small meshes; where they aren't what is tested, fewer points do."""
+    """Fewer points for the averages, which take most of the time on small meshes, in tests of other quantities."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "SAMPLES", 1000)
         yield
@@ -48,10 +48,11 @@ def test_units_do_not_matter(pair, scale):
 
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
 def test_order_does_not_matter(pair):
-    one, other = compare(*pair), compare(*pair[::-1])
-    assert one.hausdorff == other.hausdorff
-    assert (one.surface_to_mesh, one.mesh_to_surface) == (other.mesh_to_surface, other.surface_to_mesh)
-    assert (one.mean, one.rms, one.chamfer, one.p95) == pytest.approx((other.mean, other.rms, other.chamfer, other.p95))
+    result, swapped = compare(*pair), compare(*pair[::-1])
+    assert result.hausdorff == swapped.hausdorff
+    assert (result.surface_to_mesh, result.mesh_to_surface) == (swapped.mesh_to_surface, swapped.surface_to_mesh)
+    for name in ("mean", "rms", "chamfer", "p95"):
+        assert getattr(result, name) == pytest.approx(getattr(swapped, name))
 
 
 def test_place_and_attitude_do_not_matter():
@@ -62,15 +63,15 @@ def test_place_and_attitude_do_not_matter():
         assert turned.mean == pytest.approx(plain.mean, rel=1e-2)
 
 
-def test_same_meshes_same_figures():
+def test_the_same_meshes_give_the_same_numbers():
     pair = PAIRS["crossing"]
-    one, other = (dataclasses.asdict(compare(*pair)) for _ in range(2))
-    assert np.array_equal(one.pop("worst_point"), other.pop("worst_point"))
-    assert one == other
+    first, second = (dataclasses.asdict(compare(*pair)) for _ in range(2))
+    assert np.array_equal(first.pop("worst_point"), second.pop("worst_point"))
+    assert first == second
 
 
 @pytest.mark.parametrize("mesh", [cube(), ball(0), angle_bracket(), quad(0), trimesh.creation.torus(1.0, 0.4)])
-def test_zero_from_itself(mesh):
+def test_a_mesh_has_no_distance_from_itself(mesh):
     result = compare(mesh, soup(mesh))
     assert result.upper <= 1e-9 * result.diagonal
     assert result.hausdorff <= EXACT * result.diagonal

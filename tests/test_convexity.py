@@ -36,9 +36,9 @@ def test_a_dimple_of_known_depth(tmp_path, depth):
 def test_a_flipped_diagonal(tmp_path):
     # every vertex lies on the hull; with dihedral angle δ, sin δ = 2/3, the middle of the flipped edge is a √3/2 sin(δ)/2 deep
     ico = trimesh.creation.icosahedron()
-    (one, other), (a, b) = ico.face_adjacency[0], ico.face_adjacency_edges[0]
-    c, d = (np.setdiff1d(ico.faces[f], [a, b])[0] for f in (one, other))
-    faces = np.vstack([np.delete(ico.faces, [one, other], axis=0), [[a, c, d], [b, c, d]]])
+    (first, second), (a, b) = ico.face_adjacency[0], ico.face_adjacency_edges[0]
+    c, d = (np.setdiff1d(ico.faces[f], [a, b])[0] for f in (first, second))
+    faces = np.vstack([np.delete(ico.faces, [first, second], axis=0), [[a, c, d], [b, c, d]]])
     path = save(tmp_path, as_mesh(ico.vertices, faces))
     edge = np.linalg.norm(ico.vertices[a] - ico.vertices[b])
     assert dent_of(path) == pytest.approx(edge * np.sqrt(3) / 6, rel=1e-3)
@@ -96,8 +96,8 @@ def test_bodies_that_are_not_convex(tmp_path, mesh, depth, seed):
 def test_a_dent_moves_with_its_body(tmp_path_factory, seed, depth, exponent, shift):
     mesh = dimpled_box(depth)
     moved = as_mesh(2.0**exponent * (mesh.vertices @ rotation(seed).T + shift), mesh.faces)
-    found = dent_of(save(tmp_path_factory.getbasetemp(), moved, "moved.ply")) / 2.0**exponent
-    assert found == pytest.approx(depth, rel=1e-3, abs=1e-6)  # float32 file
+    dent = dent_of(save(tmp_path_factory.getbasetemp(), moved, "moved.ply")) / 2.0**exponent
+    assert dent == pytest.approx(depth, rel=1e-3, abs=1e-6)  # float32 file
 
 
 def test_qhull_slivers_are_oriented(tmp_path):

@@ -1,7 +1,7 @@
 """The Hausdorff distance and its certified bounds, against authorities that share nothing with the program.
 
 Brute force in extended precision, support functions (for convex bodies the Hausdorff distance is the largest difference of
-theirs), and bodies whose distances can be read off.
+theirs), and bodies whose distances are known.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from brute_force import EXACT, GAP, by_support, certified, far, farthest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import directed_hausdorff
-from shapes import PAIRS, angle_bracket, cube, dented, moved, polytope, quad, rotation
+from shapes import PAIRS, angle_bracket, cube, dented, inscribed_radius, moved, pinhole, polytope, quad, rotation
 
 from scan3d import comparison
 from scan3d.comparison import compare
@@ -19,7 +19,7 @@ from scan3d.comparison import compare
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples():
-    """The averages take most of the time on small meshes; where they aren't what is tested, fewer points do."""
+    """Fewer points for the averages, which take most of the time on small meshes and are not tested here."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "SAMPLES", 1000)
         yield
@@ -152,7 +152,7 @@ def test_an_angle_bracket_and_the_box_around_it():
 
 
 @pytest.mark.parametrize("shift", [(0.02, 0.0, 0.01), (0.0, 0.3, 0.1), (0.0, 0.0, 3.0)])
-def test_bounds_of_tori_bracket_dense_points(shift):
+def test_bounds_for_tori_enclose_the_distances_of_dense_points(shift):
     torus = trimesh.creation.torus(1.0, 0.4, 16, 8)
     other = moved(torus, shift, rotation=rotation(5))
     result = certified(compare(other, torus))
@@ -174,3 +174,29 @@ def test_a_box_without_lid_is_not_taken_for_a_convex_body():
     assert not result.exact
     assert result.mesh_to_surface == pytest.approx(1.0, rel=1e-3)  # from the middle of the lid
     assert np.isnan(result.volume_error)
+
+
+@pytest.mark.parametrize("depth", [1e-7, 1e-6, 1e-5])
+def test_the_upper_bound_includes_a_dent_too_shallow_to_be_searched(depth):
+    """A square 0.5 above the dented face: its vertices are 0.5 away from the body, the point above the dent a little more."""
+    body = dented(depth)
+    corners = [(1.5, -1.0, -1.0), (1.5, 1.0, -1.0), (1.5, 1.0, 1.0), (1.5, -1.0, 1.0)]
+    square = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    truth = far(np.array([[1.5, 0.0, 0.0]]), body)[0]
+    assert truth == pytest.approx(0.5 + depth, rel=1e-9)
+    for source in (square, cube((1.5, 1.0, 1.0))):
+        result = certified(compare(source, body))
+        assert not result.exact
+        assert result.surface_to_mesh_upper >= truth
+
+
+@pytest.mark.parametrize("side", [1e-3, 1e-4])
+def test_the_upper_bound_includes_a_pinhole(side):
+    mesh, hole = pinhole(side)
+    above = hole.mean(axis=0) + np.array([0.0, 0.0, 0.5])
+    truth = far(above[None], mesh)[0]
+    assert truth == pytest.approx(np.hypot(0.5, inscribed_radius(hole)), rel=1e-6)
+    assert truth > 0.5
+    result = certified(compare(cube((1.0, 1.0, 1.5)), mesh))
+    assert not result.exact
+    assert result.surface_to_mesh_upper >= truth

@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 import trimesh
 from brute_force import far
-from shapes import as_mesh, ball, cube, dented, letter_l, moved, polytope, rotation, soup, without
+from shapes import (
+    as_mesh,
+    ball,
+    cube,
+    dented,
+    inscribed_radius,
+    letter_l,
+    moved,
+    pinhole,
+    polytope,
+    rotation,
+    soup,
+    without,
+)
 
 from scan3d.errors import InputError
 from scan3d.geometry import hull_distance
@@ -96,24 +109,9 @@ def test_a_surface_that_covers_its_body_twice_is_infinitely_far():
 
 @pytest.mark.parametrize("side", [1e-3, 1e-4, 1e-5])
 def test_a_pinhole_counts_by_its_size(side):
-    """A small triangle in the lid of a cube is left out: the middle of the hole lies in the hull's surface."""
-    body = cube()
-    lid = np.flatnonzero(body.face_normals[:, 2] > 0.5)[0]
-    corners = body.vertices[body.faces[lid]]
-    middle = corners.mean(axis=0)
-    hole = middle + side * (corners - middle) / 2
-    outer, inner = body.faces[lid], np.arange(8, 11)
-    ring = [
-        f
-        for i in range(3)
-        for j in [(i + 1) % 3]
-        for f in ([outer[i], outer[j], inner[j]], [outer[i], inner[j], inner[i]])
-    ]
-    mesh = as_mesh(np.vstack([body.vertices, hole]), np.vstack([np.delete(body.faces, lid, axis=0), ring]))
-    perimeter = np.linalg.norm(hole - np.roll(hole, 1, axis=0), axis=1).sum()
-    radius = 2 * trimesh.triangles.area(hole[None])[0] / perimeter  # of the largest disc in the hole
-    bound = distance_to_hull(mesh)
-    assert radius <= bound < 20 * side
+    mesh, hole = pinhole(side)
+    # the middle of the hole lies on the hull's surface, and the mesh is at its edge
+    assert inscribed_radius(hole) <= distance_to_hull(mesh) < 20 * side
 
 
 @pytest.mark.parametrize("mesh", [trimesh.Trimesh(), as_mesh([(0, 0, 0), (1, 0, 0), (0, 1, np.nan)], [(0, 1, 2)])])

@@ -1,4 +1,4 @@
-"""The meshes to scan: exactly convex as read back, made by the script beside them, true to their smooth bodies."""
+"""The meshes to scan: exactly convex when read back, made by the script beside them, and close to their smooth bodies."""
 
 import importlib.util
 import itertools
@@ -46,7 +46,7 @@ VOLUMES = {
 }
 
 
-def test_the_script_makes_the_files_that_stand_beside_it(tmp_path):
+def test_the_script_makes_the_files_beside_it(tmp_path):
     run = subprocess.run([sys.executable, SCRIPT, tmp_path], capture_output=True, text=True, check=True)
     assert run.stdout.split() == [str(tmp_path / file.name) for file in FILES]
     assert {file.name for file in tmp_path.iterdir()} == {file.name for file in FILES}
@@ -85,7 +85,7 @@ def test_the_file_reads_back_as_an_exactly_convex_body(file):
 
 @pytest.mark.parametrize("name", VOLUMES)
 def test_volume_against_the_textbook(name):
-    # Inscribed, but for the rounding; 1 % is what the coarsest one, the needle, needs.
+    # Inscribed but for rounding; the coarsest mesh, the needle, needs 1 %.
     mesh = make_meshes.make(name)
     assert mesh.volume <= VOLUMES[name] + ROUNDING * mesh.area
     assert mesh.volume == pytest.approx(VOLUMES[name], rel=0.01)
@@ -139,6 +139,6 @@ def test_finer_meshes_are_convex_too():
     assert mesh.is_convex
 
 
-def test_an_unknown_name_is_answered_with_the_known_ones():
+def test_an_unknown_name_is_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r"'banana'.*pebble"):
         make_meshes.make("banana")

@@ -1,4 +1,4 @@
-"""Plans: heights, directions and frames of the slices, and settings that make no plan."""
+"""Plans: heights, directions and frames of the slices, and impossible settings."""
 
 import math
 
@@ -15,23 +15,23 @@ from scan3d.planning.heights import FIRST_SLICES, _parts, first_heights, heights
 
 def test_cosine_heights_are_chebyshevs_nodes():
     # the textbook's: the roots of the polynomial, which is cos(n arccos x)
-    found = heights(-1.0, 1.0, Plan(slices=9))
-    assert np.all(np.diff(found) > 0)
+    levels = heights(-1.0, 1.0, Plan(slices=9))
+    assert np.all(np.diff(levels) > 0)
     roots = np.sort(np.polynomial.chebyshev.chebroots([0] * 9 + [1]))
-    assert found == pytest.approx(roots, abs=1e-12)
+    assert levels == pytest.approx(roots, abs=1e-12)
 
 
-def test_uniform_heights_are_the_middles_of_equal_layers():
+def test_uniform_heights_are_the_middles_of_equal_slabs():
     assert heights(10.0, 20.0, Plan(slices=5, spacing="uniform")) == pytest.approx([11, 13, 15, 17, 19], rel=1e-15)
 
 
 @pytest.mark.parametrize("spacing", ["cosine", "uniform"])
 @pytest.mark.parametrize("slices", [1, 2, 64])
 def test_heights_lie_inside_the_body_and_symmetric(spacing, slices):
-    found = heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
-    assert len(found) == slices
-    assert np.all((found > -3) & (found < 7))
-    assert found + found[::-1] == pytest.approx(np.full(slices, 4.0), abs=1e-12)
+    levels = heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
+    assert len(levels) == slices
+    assert np.all((levels > -3) & (levels < 7))
+    assert levels + levels[::-1] == pytest.approx(np.full(slices, 4.0), abs=1e-12)
 
 
 def test_cosine_heights_are_dense_at_the_ends():
@@ -42,39 +42,39 @@ def test_cosine_heights_are_dense_at_the_ends():
 @pytest.mark.parametrize("spacing", ["cosine", "uniform", "adaptive"])
 @pytest.mark.parametrize("slices", [1, 4, 64])
 def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
-    found = first_heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
-    beyond = (found < -3) | (found > 7)
+    levels = first_heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
+    beyond = (levels < -3) | (levels > 7)
     assert beyond.sum() == 2
-    assert found[beyond].sum() == pytest.approx(4.0)
-    assert np.all((found[~beyond] > -3) & (found[~beyond] < 7))
+    assert levels[beyond].sum() == pytest.approx(4.0)
+    assert np.all((levels[~beyond] > -3) & (levels[~beyond] < 7))
     expected = min(FIRST_SLICES, max(2, slices - 2)) if spacing == "adaptive" else slices
     assert (~beyond).sum() == expected
 
 
-def test_the_next_heights_are_those_of_the_worst_corners():
+def test_heights_at_gaps_are_those_of_the_worst_corners():
     known = np.array([-0.1, 0.2, 0.5, 0.8, 1.1])
     slab, corners = np.array([1, 1, 2, 2]), np.array([0.3, 0.4, 0.6, 0.7])
-    gaps, kinks = np.array([1.0, 3.0, 2.0, 0.5]), np.ones(4, dtype=bool)
-    # one a slab, the widest first
-    assert heights_at_gaps(known, slab, corners, gaps, kinks, 4, 4).tolist() == [0.4, 0.6]
-    assert heights_at_gaps(known, slab, corners, gaps, kinks, 1, 4).tolist() == [0.4]
-    assert len(heights_at_gaps(known, slab, corners, np.zeros(4), kinks, 4, 4)) == 0
-    # a corner on an end slice tells no height: between it and its neighbour
-    on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), kinks[:1], 4, 4)
+    gaps, creases = np.array([1.0, 3.0, 2.0, 0.5]), np.ones(4, dtype=bool)
+    # one height per slab, the slab with the widest gap first
+    assert heights_at_gaps(known, slab, corners, gaps, creases, 4, 4).tolist() == [0.4, 0.6]
+    assert heights_at_gaps(known, slab, corners, gaps, creases, 1, 4).tolist() == [0.4]
+    assert len(heights_at_gaps(known, slab, corners, np.zeros(4), creases, 4, 4)) == 0
+    # a corner on an end slice gives no height of its own; the new slice is between the end slice and the empty one
+    on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), creases[:1], 4, 4)
     assert on_end == pytest.approx([0.35])
     # not where slices stand close enough
     close = np.array([0.0, 0.5, 0.5 + 1e-8, 1.0])
-    assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), kinks[:1], 4, 4)) == 0
+    assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), creases[:1], 4, 4)) == 0
 
 
 def test_a_slab_that_will_need_three_parts_gets_two_heights_at_once():
     known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
     slab, corners, gaps = np.array([1, 2]), np.array([0.14, 0.46]), np.array([9.0, 4.0])
-    bent, kinked = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
+    bent, creased = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
     # three cuts make parts of 9/3² and 4/2²
     assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.1, 0.2, 0.46])
-    assert heights_at_gaps(known, slab, corners, gaps, kinked, 3, 3) == pytest.approx([0.14, 0.46])
-    # with one only, the worst slab's worst corner
+    assert heights_at_gaps(known, slab, corners, gaps, creased, 3, 3) == pytest.approx([0.14, 0.46])
+    # if only one height is left, it is that of the worst slab's worst corner
     assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.14])
 
 
@@ -89,11 +89,11 @@ def test_parts_make_the_widest_gap_as_small_as_cuts_can():
         assert np.ceil(weight / (level * (1 - 1e-9))).sum() > parts.sum()
 
 
-def test_an_end_that_is_not_known_is_halved():
+def test_an_unknown_end_is_sliced_in_the_middle():
     known = np.array([0.0, 1.0, 2.0, 3.0])
     for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
-        slab, kinks = np.array([0 if corner == 0 else 2]), np.zeros(1, dtype=bool)
-        assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), kinks, 4, 4) == pytest.approx([middle])
+        slab, creases = np.array([0 if corner == 0 else 2]), np.zeros(1, dtype=bool)
+        assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), creases, 4, 4) == pytest.approx([middle])
 
 
 @pytest.mark.parametrize("samples", [2, 3, 64])
@@ -129,9 +129,9 @@ def test_the_axis_has_unit_length():
 
 
 @pytest.mark.parametrize("sweeps", [1, 4, 7])
-def test_directions_go_evenly_round(sweeps):
-    found = first_directions(Plan(sweeps=sweeps))
-    assert found == pytest.approx(np.arange(sweeps) * 2 * np.pi / sweeps, abs=1e-15)
+def test_first_directions_are_evenly_spaced(sweeps):
+    angles = first_directions(Plan(sweeps=sweeps))
+    assert angles == pytest.approx(np.arange(sweeps) * 2 * np.pi / sweeps, abs=1e-15)
 
 
 def circle(angles):
@@ -139,7 +139,7 @@ def circle(angles):
     return normals, normals
 
 
-def test_nothing_more_to_see_of_a_circle_touched_all_round():
+def test_a_circle_touched_all_round_needs_no_further_directions():
     # the triangle between a chord and its tangents is (gap/2)²/2 high: 720 contacts leave 1e-5
     points, normals = circle(2 * np.pi * np.arange(720) / 720)
     assert len(further_directions(points, normals, 2.0)) == 0
@@ -147,9 +147,9 @@ def test_nothing_more_to_see_of_a_circle_touched_all_round():
 
 def test_a_gap_is_aimed_at_in_its_middle():
     angles = np.deg2rad(np.arange(0, 300.5, 0.5))  # nothing between 300° and 360°
-    (found,) = further_directions(*circle(angles), width=2.0)
-    # the rod, pointing along the direction, meets the normal n = (sin α̃, -cos α̃) of its own frame at the slope aimed at
-    y = np.array([np.cos(found), np.sin(found)])
+    (direction,) = further_directions(*circle(angles), width=2.0)
+    # the rod, pointing along the direction, meets the normal n = (sin α̃, -cos α̃) of the clamp's frame at the slope aimed at
+    y = np.array([np.cos(direction), np.sin(direction)])
     x = np.array([y[1], -y[0]])
     met = np.sin(AIMED_SLOPE) * x - np.cos(AIMED_SLOPE) * y
     assert met == pytest.approx([np.cos(np.deg2rad(330)), np.sin(np.deg2rad(330))], abs=2e-3)  # rounded to 0.001 rad
@@ -161,25 +161,25 @@ def test_half_a_circle_unseen_is_a_gap_however_narrow_the_slice():
 
 def square(reach):
     """Contacts on the sides of the square from -1 to 1, as far as `reach` from their middles."""
-    along, one = np.linspace(-reach, reach, 11), np.ones(11)
-    sides = [(one, along), (-along, one), (-one, -along), (along, -one)]
+    along, side = np.linspace(-reach, reach, 11), np.ones(11)
+    sides = [(side, along), (-along, side), (-side, -along), (along, -side)]
     normals = np.repeat([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]], 11, axis=0)
-    return np.concatenate([np.stack(side, axis=1) for side in sides]), normals
+    return np.concatenate([np.stack(places, axis=1) for places in sides]), normals
 
 
-def test_a_corner_between_two_sides_that_were_seen_whole_leaves_nothing_open():
+def test_a_corner_between_two_fully_touched_sides_is_not_open():
     # the tangents of the last contacts are the sides themselves
     assert len(further_directions(*square(1.0), width=2.0)) == 0
 
 
 def test_a_corner_that_was_not_reached_is_open():
     # its triangle is (1 - reach) / sqrt(2) high
-    closed, open_ = (1 - share * OPEN_FRACTION * 2.0 * math.sqrt(2) for share in (0.9, 1.1))
+    closed, open_ = (1 - fraction * OPEN_FRACTION * 2.0 * math.sqrt(2) for fraction in (0.9, 1.1))
     assert len(further_directions(*square(closed), width=2.0)) == 0
     assert len(further_directions(*square(open_), width=2.0)) == 4
 
 
-def test_without_a_tangential_contact_there_is_nothing_to_go_by():
+def test_without_tangential_contacts_there_are_no_further_directions():
     assert further_directions(np.empty((0, 2)), np.empty((0, 2)), 1.0).shape == (0,)
 
 
@@ -218,6 +218,6 @@ def test_without_a_tangential_contact_there_is_nothing_to_go_by():
     ],
     ids=str,
 )
-def test_settings_that_make_no_plan(setting, sentence):
+def test_impossible_settings_are_refused(setting, sentence):
     with pytest.raises(InputError, match=f"^{sentence}$"):
         Plan(**setting)

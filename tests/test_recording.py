@@ -1,4 +1,4 @@
-"""Recordings: written and read bit for bit, every mistake in one answered, and those from a laboratory rebuilt right."""
+"""Recordings: written and read bit for bit, refused with a message, and reconstructed when they come from a laboratory."""
 
 import dataclasses
 import math
@@ -17,7 +17,7 @@ ROW = "0,0.1,0.2,0.3,1,0,0,0,-0.01,0.02,0.0005"
 TOML = "[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 8.35e-5\n"
 
 
-def some(n=5, **changed):
+def random_recording(n=5, **changed):
     rng = np.random.default_rng(3)
     columns = dict(
         sweep=np.arange(n) // 2,
@@ -49,7 +49,7 @@ def same(a, b):
 
 
 def test_what_was_written_is_read_bit_for_bit(tmp_path):
-    recording = some(
+    recording = random_recording(
         noise_force_N=0.1 / 3,
         noise_moment_Nm=1e-9 / 3,
         unit="um",
@@ -60,15 +60,15 @@ def test_what_was_written_is_read_bit_for_bit(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.toml"]
 
 
-def test_awkward_numbers_survive(tmp_path):
+def test_extreme_numbers_are_read_back(tmp_path):
     force = np.array([[5e-324, -0.0], [1.7976931348623157e308, 0.1 + 0.2]])
-    recording = some(2, force_N=force)
+    recording = random_recording(2, force_N=force)
     write_recording(recording, tmp_path / "log.csv")
     assert read_recording(tmp_path / "log.csv").force_N.tobytes() == force.tobytes()
 
 
-def test_the_files_are_the_ones_promised(tmp_path):
-    write_recording(some(3), tmp_path / "log.csv")
+def test_the_files_have_the_documented_columns_and_keys(tmp_path):
+    write_recording(random_recording(3), tmp_path / "log.csv")
     lines = (tmp_path / "log.csv").read_text().splitlines()
     assert lines[0] == HEADER == ",".join(COLUMNS)
     assert len(lines) == 4
@@ -77,26 +77,26 @@ def test_the_files_are_the_ones_promised(tmp_path):
     assert meta["unit"] == "mm"
 
 
-def test_rows_without_contact_stay(tmp_path):
-    recording = some(4, force_N=np.zeros((4, 2)), moment_Nm=np.zeros(4))
+def test_rows_without_contact_are_kept(tmp_path):
+    recording = random_recording(4, force_N=np.zeros((4, 2)), moment_Nm=np.zeros(4))
     write_recording(recording, tmp_path / "log.csv")
     assert len(read_recording(tmp_path / "log.csv")) == 4
 
 
 def test_a_recording_is_a_csv(tmp_path):
     with pytest.raises(InputError, match=r"a recording is written as \.csv, got 'log\.txt'"):
-        write_recording(some(), tmp_path / "log.txt")
+        write_recording(random_recording(), tmp_path / "log.txt")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_new_rod_beside_an_old_table(tmp_path):
-    # a table read with another table's rod would give wrong forces without a murmur
-    write_recording(some(), tmp_path / "log.csv")
+def test_a_failed_write_changes_neither_file(tmp_path):
+    # a table that is read with another table's rod would give wrong forces without a warning
+    write_recording(random_recording(), tmp_path / "log.csv")
     before = (tmp_path / "log.toml").read_bytes()
     (tmp_path / "log.csv").unlink()
     (tmp_path / "log.csv").mkdir()  # can't be replaced by a file
     with pytest.raises(InputError, match=r"can't write .*log\.csv"):
-        write_recording(some(rod=Rod(1.0, 1.0)), tmp_path / "log.csv")
+        write_recording(random_recording(rod=Rod(1.0, 1.0)), tmp_path / "log.csv")
     assert (tmp_path / "log.toml").read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "log.toml"]
 
@@ -189,7 +189,7 @@ def changed(column, value):
         (changed("sweep", "1e300"), r"the column sweep must hold whole numbers, got 1e\+300"),
     ],
 )
-def test_a_table_that_is_none(tmp_path, table, sentence):
+def test_broken_tables_are_refused(tmp_path, table, sentence):
     with pytest.raises(InputError, match=sentence) as error:
         read_recording(write(tmp_path, table))
     assert "\n" not in str(error.value)
@@ -217,13 +217,13 @@ def test_a_table_that_is_none(tmp_path, table, sentence):
         (TOML + "[noise]\nmoment_Nm = 'small'\n", "moment_Nm must be a number, got 'small'"),
     ],
 )
-def test_a_toml_that_describes_no_rig(tmp_path, meta, sentence):
+def test_broken_toml_files_are_refused(tmp_path, meta, sentence):
     with pytest.raises(InputError, match=sentence) as error:
         read_recording(write(tmp_path, meta=meta))
     assert "\n" not in str(error.value)
 
 
-def test_no_file_and_no_folder_is_a_recording(tmp_path):
+def test_missing_files_and_folders_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"can't read the recording .*log\.csv: No such file or directory"):
         read_recording(tmp_path / "log.csv")
     with pytest.raises(InputError, match=r"can't read the recording .*: Is a directory"):
@@ -239,21 +239,21 @@ def test_no_file_and_no_folder_is_a_recording(tmp_path):
         ("moment_Nm", np.zeros((5, 1)), r"\(5,\), got \(5, 1\)"),
     ],
 )
-def test_columns_that_do_not_belong_together(column, value, shape):
+def test_columns_of_different_lengths_are_refused(column, value, shape):
     with pytest.raises(InputError, match=f"recording: {column} must have the shape {shape}"):
-        some(5, **{column: value})
+        random_recording(5, **{column: value})
 
 
 def test_a_rounded_quaternion_is_a_unit_quaternion():
-    exact = some()
-    rounded = some(quaternion=np.round(exact.quaternion, 4))
+    exact = random_recording()
+    rounded = random_recording(quaternion=np.round(exact.quaternion, 4))
     axes = rounded.axes()
     assert axes @ np.swapaxes(axes, 1, 2) == pytest.approx(np.broadcast_to(np.eye(3), (5, 3, 3)), abs=1e-14)
     assert axes == pytest.approx(exact.axes(), abs=3e-4)
 
 
 def test_axes_against_scipy():
-    recording = some(50)
+    recording = random_recording(50)
     # scipy's matrices have the axes as columns
     expected = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix().swapaxes(1, 2)
     assert recording.axes() == pytest.approx(expected, abs=1e-15)
@@ -266,7 +266,7 @@ LABORATORY_ROD = Rod(0.05, 8.35e-5)  # the one in TOML
 
 
 def laboratory(turn, shift, radius, rod=LABORATORY_ROD):
-    """Poses and wrenches of a rod that feels a ball of some radius, in two of its planes from four sides each.
+    """Poses and wrenches of a rod that touches a ball of a given radius, in two of its planes from four sides each.
 
     The ball's centre lies at `shift` in the world, and the rig stands turned by `turn` about it.  Returns the table's rows.
     """
@@ -312,9 +312,9 @@ def test_a_laboratorys_recording_in_an_arbitrary_world(tmp_path, seed):
     # 1e-12 of the metre that the positions are large
     assert np.linalg.norm(away, axis=1) == pytest.approx(np.full(len(cloud), 100 * radius), abs=1e-9)
     assert away @ turn.apply([0, 0, 1]) == pytest.approx(np.repeat([-1.0, 0.6], len(cloud) // 2), abs=1e-9)
-    lying = cloud.phase == planar.Phase.TANGENTIAL
-    assert 0 < lying.sum() < len(cloud)
-    assert cloud.friction[lying] == pytest.approx(np.full(lying.sum(), 0.25), abs=1e-9)
-    assert np.isnan(cloud.friction[~lying]).all()
+    tangential = cloud.phase == planar.Phase.TANGENTIAL
+    assert 0 < tangential.sum() < len(cloud)
+    assert cloud.friction[tangential] == pytest.approx(np.full(tangential.sum(), 0.25), abs=1e-9)
+    assert np.isnan(cloud.friction[~tangential]).all()
     assert len(np.unique(cloud.slice)) == 2
     assert len(np.unique(cloud.sweep)) == 8

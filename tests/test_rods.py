@@ -1,4 +1,4 @@
-"""Rods: the scales of real ones, and what isn't one."""
+"""Rods: the scales of real rods, and text that names no rod."""
 
 import math
 
@@ -31,9 +31,9 @@ def test_against_the_formula_of_a_round_bar():
 
 
 def test_twice_the_size_is_four_times_the_force():
-    one, two = parse_rod("nylon:1x100"), parse_rod("nylon:2x200")
-    assert two.force_unit_N == pytest.approx(4 * one.force_unit_N, rel=1e-12)
-    assert two.moment_unit_Nm == pytest.approx(8 * one.moment_unit_Nm, rel=1e-12)
+    single, double = parse_rod("nylon:1x100"), parse_rod("nylon:2x200")
+    assert double.force_unit_N == pytest.approx(4 * single.force_unit_N, rel=1e-12)
+    assert double.moment_unit_Nm == pytest.approx(8 * single.moment_unit_Nm, rel=1e-12)
 
 
 @pytest.mark.parametrize("material", MODULI_PA)
@@ -76,13 +76,13 @@ def test_a_wire_needs_a_diameter_and_a_modulus(diameter, modulus):
     "text",
     ["", "steel", "steel:0.3", "0.3x50", "gold:0.3x50", "steel:x50", "steel:0.3x", "steel:0.3 x 50", "steel:0.3x50 mm"],
 )
-def test_text_that_is_no_rod_is_answered_with_an_example(text):
+def test_text_that_names_no_rod_is_refused_with_an_example(text):
     with pytest.raises(InputError, match=r"steel:0\.3x50.*nitinol") as error:
         parse_rod(text)
     assert repr(text) in str(error.value)
 
 
 @pytest.mark.parametrize("text", ["steel:0x50", "steel:0.3x0", "steel:0.3x-50", "steel:1ex50", "steel:--1x50"])
-def test_numbers_that_make_no_rod_name_the_rod(text):
+def test_impossible_numbers_are_refused_with_the_text_of_the_rod(text):
     with pytest.raises(InputError, match=rf"rod '{text}'"):
         parse_rod(text)

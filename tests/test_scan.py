@@ -1,4 +1,4 @@
-"""The way from a body to its recording and back: exact to rounding, whatever the friction, the place and the unit."""
+"""From a body to a recording and back to its contacts: exact to rounding for every friction, place and unit."""
 
 import dataclasses
 import json
@@ -23,27 +23,27 @@ from scan3d.simulation import scan as simulation
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
 EGG, CUBE = FOLDER / "egg.stl", FOLDER / "cube.stl"
-# The headline: contacts are found to a billionth of the rod's length, which leaves rounding six digits.
+# Contacts are reconstructed to a billionth of the rod's length; rounding could take six digits more.
 EXACT = 1e-9
 TIP, TANGENTIAL = planar.Phase.TIP, planar.Phase.TANGENTIAL
 
 
-# --- the truth, by other means than the product's: the file as trimesh reads it, every triangle cut by the plane ---
+# --- the true contours, independent of the program: the file as trimesh reads it, every triangle cut by the plane ---
 
 
 def outline(vertices, faces, normal, height):
     """Segments (k, 2, 3) in which the plane <normal, p> = height cuts the triangles."""
     above = vertices @ normal - height
     segments = []
-    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # corner a alone on its side
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # corner a lies alone on one side
         corners = faces[:, [a, b, c]]
         side = above[corners] >= 0
         corners = corners[(side[:, 0] != side[:, 1]) & (side[:, 1] == side[:, 2])]
         ends = []
         for other in (1, 2):
             p, q = corners[:, 0], corners[:, other]
-            share = (above[p] / (above[p] - above[q]))[:, None]
-            ends.append(vertices[p] + share * (vertices[q] - vertices[p]))
+            fraction = (above[p] / (above[p] - above[q]))[:, None]
+            ends.append(vertices[p] + fraction * (vertices[q] - vertices[p]))
         segments.append(np.stack(ends, axis=1))
     return np.concatenate(segments)
 
@@ -78,18 +78,18 @@ def as_in_the_file(path):
 
 
 def drawn_friction(recording, rows, sweeps):
-    """(n,) coefficients drawn for rows of the recording, found by the forces that `sweeps` had with them."""
+    """(n,) coefficients that were drawn for rows of the recording, looked up by the forces that `sweeps` had with them."""
     unit = recording.rod.force_unit_N
-    of = {
+    by_force = {
         np.array([x * unit, y * unit]).tobytes(): mu
         for s in sweeps
         for x, y, mu in zip(s.f0x, s.f0y, s.friction, strict=True)
     }
-    return np.array([of[row.tobytes()] for row in recording.force_N[rows]])
+    return np.array([by_force[row.tobytes()] for row in recording.force_N[rows]])
 
 
 def places(mesh, **plan):
-    """Recording and contacts of a scan, without the surface's normals: those take longer, and have tests of their own."""
+    """Recording and contacts of a scan, without the surface's normals, which take longer and have separate tests."""
     recording = scan3d.simulate(mesh, scan3d.Plan(**plan))
     return recording, contacts(recording)
 
@@ -108,7 +108,7 @@ def watched_sweeps(monkeypatch):
     return sweeps
 
 
-# --- the headline ---
+# --- contacts lie on the body ---
 
 
 @pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
@@ -122,24 +122,24 @@ def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(pat
     assert len(np.unique(cloud.slice)) == 12
     assert set(cloud.phase) == {TIP, TANGENTIAL}
 
-    lying = cloud.phase == TANGENTIAL
+    tangential = cloud.phase == TANGENTIAL
     drawn = drawn_friction(recording, cloud.row, watched_sweeps)
-    assert cloud.friction[lying] == pytest.approx(drawn[lying], abs=1e-9)
-    assert cloud.friction[lying].min() < 0.01
-    assert cloud.friction[lying].max() > 0.39
-    assert np.isnan(cloud.friction[~lying]).all()
+    assert cloud.friction[tangential] == pytest.approx(drawn[tangential], abs=1e-9)
+    assert cloud.friction[tangential].min() < 0.01
+    assert cloud.friction[tangential].max() > 0.39
+    assert np.isnan(cloud.friction[~tangential]).all()
 
 
 @pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
 def test_constant_friction_is_found_in_every_tangential_contact(path):
     _, cloud = places(scan3d.load_mesh(path), slices=4, friction=0.3)
-    lying = cloud.phase == TANGENTIAL
-    assert lying.sum() > 100
-    assert cloud.friction[lying] == pytest.approx(np.full(lying.sum(), 0.3), abs=1e-9)
+    tangential = cloud.phase == TANGENTIAL
+    assert tangential.sum() > 100
+    assert cloud.friction[tangential] == pytest.approx(np.full(tangential.sum(), 0.3), abs=1e-9)
 
 
 def test_the_same_contacts_from_other_reactions():
-    # the paper's point: reactions depend on friction, and the contour found from them does not
+    # the paper's main statement: reactions depend on friction, and the contour reconstructed from them does not
     mesh = scan3d.load_mesh(CUBE)
     (_, smooth), (_, rough) = (places(mesh, slices=3, sweeps=4, friction=mu) for mu in (0.0, 0.6))
     assert abs(smooth.force_N.max() / rough.force_N.max() - 1) > 0.05
@@ -147,7 +147,7 @@ def test_the_same_contacts_from_other_reactions():
     assert extents[0] == pytest.approx(extents[1], abs=1e-9 * smooth.rod_length)
 
 
-def test_the_egg_by_default():
+def test_default_settings_on_the_egg():
     mesh = scan3d.load_mesh(EGG)
     recording = scan3d.simulate(mesh)
     cloud = scan3d.reconstruct(recording)
@@ -162,12 +162,12 @@ def test_the_egg_by_default():
 
 
 def corners_of(cloud, recording, vertices, faces):
-    """(n,) whether a contact is a corner of its slice's contour, and (n,) of which: its number, or -1."""
+    """(n,) number of the corner of its slice's contour that each contact is, or -1."""
     scale = {"mm": 1e-3, "m": 1.0}[recording.unit]
     normal = Rotation.from_quat(recording.quaternion[0], scalar_first=True).apply([0.0, 0.0, 1.0])
     number, rows = np.full(len(cloud), -1), cloud.row
-    for one in np.unique(cloud.slice):
-        here = np.flatnonzero(cloud.slice == one)
+    for slice_number in np.unique(cloud.slice):
+        here = np.flatnonzero(cloud.slice == slice_number)
         height = recording.position_m[rows[here[0]]] / scale @ normal
         ends = outline(vertices, faces, normal, height).reshape(-1, 3)
         # corners of the polygon: ends where the contour turns, which are those on an edge of the cube
@@ -177,7 +177,7 @@ def corners_of(cloud, recording, vertices, faces):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_cube_turned_any_way_is_scanned_as_exactly(seed):
+def test_a_rotated_cube_is_scanned_as_exactly(seed):
     cube = scan3d.load_mesh(CUBE)
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     vertices, faces = cube.vertices @ turn.T + [30.0, -20.0, 10.0], np.asarray(cube.faces)
@@ -213,11 +213,11 @@ def test_the_rod_snaps_off_a_corner():
     assert largest[1] == pytest.approx(largest[0], rel=0.1)
 
 
-# --- the way through files ---
+# --- files ---
 
 
 def run(*arguments, **environment):
-    """The installed command in a process of its own."""
+    """The installed command in a separate process."""
     command = Path(sys.executable).with_name("scan3d")
     return subprocess.run(
         [command, *map(str, arguments)], env={**os.environ, **environment}, capture_output=True, text=True, check=False
@@ -254,25 +254,25 @@ def no_pictures(monkeypatch):
 def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
     from scan3d.cli import main
 
-    whole = scan(tmp_path / "whole", "--friction", "0.0:0.4")
+    scanned_folder = scan(tmp_path / "scanned_folder", "--friction", "0.0:0.4")
     assert (
         main(["simulate", str(EGG), "--out", str(tmp_path / "log.csv"), *FEW, "--friction", "0.0:0.4", "--quiet"]) == 0
     )
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     for name in ("log.csv", "log.toml"):
-        assert (tmp_path / name).read_bytes() == (whole / name.replace("log", "recording")).read_bytes()
+        assert (tmp_path / name).read_bytes() == (scanned_folder / name.replace("log", "recording")).read_bytes()
         (tmp_path / name).rename(elsewhere / name)
     assert main(["reconstruct", str(elsewhere / "log.csv"), "--out", str(elsewhere / "out"), "--quiet"]) == 0
 
-    there, here = (read_ply(folder / "cloud.ply")[0] for folder in (whole, elsewhere / "out"))
+    there, here = (read_ply(folder / "cloud.ply")[0] for folder in (scanned_folder, elsewhere / "out"))
     assert there.dtype == here.dtype
     for name in there.dtype.names:
         # `quality` is the distance to the true mesh, and unknown without it
         assert name == "quality" or there[name].tobytes() == here[name].tobytes()
     assert np.isnan(here["quality"]).all()
     assert there["quality"].max() < 1e-6
-    assert (whole / "surface.ply").read_bytes() == (elsewhere / "out" / "surface.ply").read_bytes()
+    assert (scanned_folder / "surface.ply").read_bytes() == (elsewhere / "out" / "surface.ply").read_bytes()
 
 
 def without(report, *keys):
@@ -281,16 +281,16 @@ def without(report, *keys):
 
 
 def test_the_same_seed_gives_the_same_files(scanned, tmp_path, no_pictures):
-    # there by a process with other hashes and one thread, here by this one
+    # `scanned` was written by a process with other hashes and one thread
     again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
     files = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
     for folder in (scanned, again):
         assert files == {p.name for p in folder.iterdir()} - {"cloud.png", "surface.png"}
     for name in files:
-        one, other = ((folder / name).read_bytes() for folder in (scanned, again))
+        first, second = ((folder / name).read_bytes() for folder in (scanned, again))
         if name == "report.json":
-            one, other = (without(text, "timings_s", "files") for text in (one, other))
-        assert one == other, name
+            first, second = (without(text, "timings_s", "files") for text in (first, second))
+        assert first == second, name
 
 
 @pytest.mark.rendering
@@ -309,12 +309,12 @@ def test_another_seed_gives_other_friction_and_noise(scanned, tmp_path, no_pictu
 @pytest.mark.parametrize("random", [dict(friction=(0.0, 0.4)), dict(noise=1e-3)], ids=str)
 def test_friction_and_noise_each_follow_the_seed(random):
     mesh = scan3d.load_mesh(CUBE)
-    one, other, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
-    assert np.array_equal(one.force_N, other.force_N)
-    assert not np.allclose(one.force_N, third.force_N)
+    first, second, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
+    assert np.array_equal(first.force_N, second.force_N)
+    assert not np.allclose(first.force_N, third.force_N)
 
 
-def test_the_clouds_file_is_the_cloud(scanned, read_ply):
+def test_cloud_ply_holds_the_cloud(scanned, read_ply):
     cloud = scan3d.reconstruct(scan3d.read_recording(scanned / "recording.csv"))
     vertices, faces, comments = read_ply(scanned / "cloud.ply")
     assert faces is None
@@ -327,7 +327,7 @@ def test_the_clouds_file_is_the_cloud(scanned, read_ply):
     assert np.array_equal(vertices["slice"], cloud.slice)
 
 
-def test_the_surfaces_file_is_closed_and_outward(scanned):
+def test_surface_ply_is_closed_and_outward(scanned):
     mesh = trimesh.load_mesh(scanned / "surface.ply", process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -377,7 +377,7 @@ def test_a_body_of_a_millimetre_in_metres(tmp_path, no_pictures):
 
 
 @pytest.mark.parametrize("axis", ["x", (1, 1, 0), (0.3, -0.8, 0.5)], ids=str)
-def test_slicing_along_an_axis_is_turning_the_body(axis):
+def test_slicing_along_an_axis_equals_turning_the_body(axis):
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
     plan = dict(slices=6, friction=(0.0, 0.4))
     turn = slice_frame(scan3d.Plan(axis=axis).axes()[0])
@@ -410,22 +410,41 @@ def test_noise_gives_errors_of_its_size():
     rows = cloud.row, truth.row
     both = np.intersect1d(*rows)
     assert len(both) > 0.97 * len(truth)  # the weakest forces are lost
-    mine, its = (np.searchsorted(row, both) for row in rows)
-    lying = (cloud.phase[mine] == TANGENTIAL) & (truth.phase[its] == TANGENTIAL)
+    noisy_rows, exact_rows = (np.searchsorted(row, both) for row in rows)
+    tangential = (cloud.phase[noisy_rows] == TANGENTIAL) & (truth.phase[exact_rows] == TANGENTIAL)
     # 0.2° to 0.4° in the friction angle
-    angle = np.degrees(np.arctan(cloud.friction[mine][lying])) - np.degrees(np.arctan(0.3))
+    angle = np.degrees(np.arctan(cloud.friction[noisy_rows][tangential])) - np.degrees(np.arctan(0.3))
     assert 0.1 < np.std(angle) < 0.8
     assert abs(np.median(angle)) < 0.1
 
-    # near the tip: a tip contact isn't taken for a tangential one, and its place errs no more than others' do
-    tip = truth.phase[its] == TIP
-    assert (cloud.phase[mine][tip] == TANGENTIAL).mean() < 0.01
-    assert np.sqrt(np.mean(errors[mine][tip] ** 2)) < 0.004
+    # near the tip, a tip contact is not taken for a tangential one, and its error is no larger than those of other contacts
+    tip = truth.phase[exact_rows] == TIP
+    assert (cloud.phase[noisy_rows][tip] == TANGENTIAL).mean() < 0.01
+    assert np.sqrt(np.mean(errors[noisy_rows][tip] ** 2)) < 0.004
     assert errors.max() < 0.05
 
 
+def test_every_sweep_draws_different_friction(watched_sweeps):
+    # along each axis the slices have the same numbers, and in each slice the sweeps
+    scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=3, samples=4, axis="xyz", friction=(0.0, 0.4)))
+    drawn = np.array([sweep.friction for sweep in watched_sweeps])
+    assert drawn.shape == (27, 4)
+    assert len(np.unique(drawn)) == drawn.size
+
+
+def test_friction_does_not_depend_on_the_order_of_work(watched_sweeps, monkeypatch):
+    mesh, plan = scan3d.load_mesh(CUBE), scan3d.Plan(slices=5, sweeps=3, samples=4, friction=(0.0, 0.4))
+    together = scan3d.simulate(mesh, plan)
+    monkeypatch.setattr(simulation, "_SLICES_AT_ONCE", 2)
+    apart = scan3d.simulate(mesh, plan)
+    drawn = np.array([sweep.friction for sweep in watched_sweeps])
+    assert np.array_equal(drawn[:15], drawn[15:])
+    # to rounding, because sums over batches differ
+    assert together.force_N == pytest.approx(apart.force_N, rel=1e-9)
+
+
 @pytest.mark.parametrize("noise", [0.02, 0.1])
-def test_much_noise_still_gives_a_body(noise):
+def test_strong_noise_still_gives_a_closed_surface(noise):
     cloud = scan3d.reconstruct(
         scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8, sweeps=6, samples=16, noise=noise))
     )
@@ -433,47 +452,47 @@ def test_much_noise_still_gives_a_body(noise):
     assert scan3d.surface(cloud).is_watertight
 
 
-def test_a_fixed_number_of_sweeps_goes_evenly_round():
+def test_a_fixed_number_of_sweeps_is_evenly_spaced():
     recording = scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=3, sweeps=4, samples=10))
-    # three slices, and one that finds nothing beyond either end
+    # three slices, and an empty one beyond either end
     assert np.array_equal(recording.sweep, np.repeat(np.arange(20), 10))
     rods = recording.axes()[::10, 1].reshape(5, 4, 3)
     assert rods == pytest.approx(np.broadcast_to([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], (5, 4, 3)), abs=1e-12)
     assert recording.axes()[:, 2] == pytest.approx(np.broadcast_to([0.0, 0, 1], (200, 3)), abs=1e-15)
 
 
-def test_a_rod_that_fits():
+def test_a_rod_of_suitable_length():
     rod = parse_rod("steel:0.3x50")
     recording, cloud = places(scan3d.load_mesh(EGG), slices=6, rod=rod)
     assert recording.rod == rod
     assert cloud.rod_length == pytest.approx(50.0)
     assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
-    # a 0.3 mm steel wire feels tens of millinewtons, up to some units of EI/L²
+    # the forces on a 0.3 mm steel wire are tens of millinewtons, up to some units of EI/L²
     assert 1 < cloud.force_N.max() / rod.force_unit_N < 20
 
 
 @pytest.mark.parametrize("rod", ["steel:0.06x10", "steel:0.003x0.5", "steel:6x1000"])
 @pytest.mark.parametrize("path", [EGG, CUBE], ids=lambda path: path.stem)
-def test_a_rod_far_too_short_or_long_sees_less_but_nothing_wrong(rod, path):
+def test_contacts_of_a_rod_far_too_short_or_long_lie_on_the_body(rod, path):
     mesh = scan3d.load_mesh(path)
     recording, cloud = places(mesh, slices=4, samples=24, rod=parse_rod(rod))
     vertices, faces = as_in_the_file(path)
-    # rounding counts in the body's size where that is the larger one
+    # rounding is relative to the body's size where that is larger than the rod
     bound = EXACT * max(1.0, mesh.scale / cloud.rod_length)
     assert contour_errors(cloud, recording, vertices, faces).max() <= bound
-    # what it sees lies in the body
+    # the contacts lie in the body
     assert 0 < hull(cloud.points).volume <= mesh.volume * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("clearance", [1e-6, 0.05, 0.9, 0.999])
 def test_any_clearance(clearance):
-    # with much of it nothing is felt but by the tip, and no normal says where to look next
+    # with a large clearance there are tip contacts only, and no normals that give further directions
     recording, cloud = places(scan3d.load_mesh(EGG), slices=4, samples=24, clearance=clearance)
     assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
 
 
 def test_adaptive_slices_go_where_the_body_has_edges():
-    # six faces of the turned cube meet in eight corners: their heights are where slices say most
+    # the faces of the turned cube meet in eight corners, and slices at their heights are the most informative
     cube = scan3d.load_mesh(CUBE)
     turn = Rotation.random(rng=np.random.default_rng(1)).as_matrix()
     vertices, faces = cube.vertices @ turn.T, np.asarray(cube.faces)
@@ -481,14 +500,17 @@ def test_adaptive_slices_go_where_the_body_has_edges():
     recording, cloud = places(body, slices=40, spacing="adaptive", samples=24)
     assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
     assert len(cloud.slice_height) <= 40
-    # at most; some lie beyond the ends and find nothing
+    # at most, because some lie beyond the ends and are empty
     inside = np.unique(cloud.slice)
     assert len(inside) <= 40 - 2
     height = cloud.slice_height[inside]
     away = np.abs(vertices[:, 2][:, None] - height).min(axis=1)
     assert away.max() < 1e-3 * np.ptp(vertices[:, 2])
-    evenly, found = places(body, slices=40, samples=24)
-    assert scan3d.compare(hull(cloud.points), body).relative < 0.1 * scan3d.compare(hull(found.points), body).relative
+    _, cosine_cloud = places(body, slices=40, samples=24)
+    assert (
+        scan3d.compare(hull(cloud.points), body).relative
+        < 0.1 * scan3d.compare(hull(cosine_cloud.points), body).relative
+    )
 
 
 def test_adaptive_slices_stop_at_their_tolerance():
@@ -504,10 +526,10 @@ def test_adaptive_slices_stop_at_their_tolerance():
 def test_the_same_seed_gives_the_same_adaptive_scan():
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
     plan = dict(slices=16, spacing="adaptive", samples=16, friction=(0.0, 0.4), noise=1e-4)
-    (one, _), (other, _), (third, _) = (places(mesh, **plan, seed=seed) for seed in (1, 1, 2))
-    assert one.force_N.tobytes() == other.force_N.tobytes()
-    assert one.position_m.tobytes() == other.position_m.tobytes()
-    assert one.force_N.shape != third.force_N.shape or not np.array_equal(one.force_N, third.force_N)
+    (first, _), (second, _), (third, _) = (places(mesh, **plan, seed=seed) for seed in (1, 1, 2))
+    assert first.force_N.tobytes() == second.force_N.tobytes()
+    assert first.position_m.tobytes() == second.position_m.tobytes()
+    assert first.force_N.shape != third.force_N.shape or not np.array_equal(first.force_N, third.force_N)
 
 
 def test_slices_along_several_axes():
@@ -532,8 +554,8 @@ def test_a_fixed_standoff_keeps_clear_of_the_widest_slice():
     assert lengths["follow"] > 0.05
 
 
-def test_what_a_fixed_base_line_can_not_reach_is_counted():
-    """The base line keeps clear of a cone's foot: near its tip the rod ends before it gets there."""
+def test_sweeps_out_of_reach_of_a_fixed_base_line_are_counted():
+    """The base line keeps its distance from a cone's foot; slices near the cone's tip are farther away than the rod is long."""
     cone = trimesh.creation.cone(radius=20, height=40, sections=64)
     plan = dict(slices=12, sweeps=4, samples=16, rod=parse_rod("steel:0.3x20"))
     reached = scan3d.simulate(cone, scan3d.Plan(**plan))
@@ -569,7 +591,7 @@ def test_a_body_that_no_slice_meets(monkeypatch):
         scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=2))
 
 
-def test_sweeps_that_find_nothing_are_data():
+def test_sweeps_without_contact_are_recorded():
     mesh = scan3d.load_mesh(CUBE)  # 40 mm, about the origin
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=3, sweeps=4, samples=10))
     height = recording.position_m[:, 2] * 1e3

@@ -25,7 +25,10 @@ def area(polygon):
 
 
 def cube_section_area(normal, height):
-    """Of the unit cube about the origin: d/dh of the volume below a plane, by inclusion and exclusion over its corners."""
+    """Area of a section of the unit cube about the origin.
+
+    It is d/dh of the volume below a plane, by inclusion and exclusion over the corners.
+    """
     n = np.abs(normal)
     corners = np.array(list(itertools.product([0, 1], repeat=3)))
     below = np.maximum(height + n.sum() / 2 - corners @ n, 0)
@@ -102,7 +105,7 @@ def test_slices_against_trimesh():
 def test_slices_through_vertices_and_faces():
     cube = box(2, 2, 2).subdivide().subdivide()  # vertices at the middle, coplanar faces everywhere
     square = {(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)}
-    for height in (0, 0.5, 0.3, 1, -1):  # the lid is a slice of its own
+    for height in (0, 0.5, 0.3, 1, -1):  # the lid is a section too
         (polygon,) = slice_polygons(cube, np.eye(3), [height])
         assert len(polygon) == 4
         assert {tuple(p) for p in polygon} == square
@@ -122,7 +125,7 @@ def test_the_lid_in_any_rotation(seed):
         assert area(polygon) == pytest.approx(1, abs=1e-13)
 
 
-def test_a_plane_that_only_touches():
+def test_a_plane_that_only_touches_gives_an_empty_polygon():
     cube = box(2, 2, 2)
     diagonal = Rotation.align_vectors([[0, 0, 1]], [[1, 1, 1]])[0].as_matrix()
     half = Rotation.from_euler("x", 45, degrees=True).as_matrix()
@@ -144,7 +147,7 @@ def test_slices_of_a_plate_and_a_needle():
 
 
 @pytest.mark.parametrize(("place", "gap"), [(0, 2**-53), (600, 2**-43)])
-def test_of_vertices_that_coincide_one_stays(place, gap):
+def test_coincident_vertices_become_one(place, gap):
     # a prism whose four upright edges are doubled, as near to each other as float64 allows at its place
     pairs = (0.5, 0.5 - gap), (0.5 - gap, 0.5)
     corners = np.array([[x * a, y * b, z] for x, y, z in itertools.product([-1, 1], repeat=3) for a, b in pairs])
@@ -170,12 +173,12 @@ def test_a_mirrored_frame_still_gives_counter_clockwise_polygons():
 
 
 @pytest.mark.parametrize("bad", [np.eye(2), 2 * np.eye(3), np.ones((3, 3)), np.full((3, 3), np.nan)])
-def test_frames_that_are_none(bad):
+def test_frames_that_are_not_orthonormal_are_refused(bad):
     with pytest.raises(ValueError, match="orthonormal"):
         slice_polygons(box(), bad, [0])
 
 
-def test_heights_of_the_wrong_shape():
+def test_heights_of_the_wrong_shape_are_refused():
     with pytest.raises(ValueError, match="heights"):
         slice_polygons(box(), np.eye(3), 0.0)
 

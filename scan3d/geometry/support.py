@@ -170,5 +170,5 @@ def _tangents(u: Array) -> tuple[Array, Array]:
 
 def _unit(vectors: Any) -> Array:
     """Vectors (n, 3) scaled to unit length."""
-    length: Array = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / length
+    scaled: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return scaled
