@@ -1,4 +1,4 @@
-"""Contacts in the world: what step 2 gives."""
+"""Contacts in the world, the result of the first half of step 2."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class NormalSource(IntEnum):
 
     UNKNOWN = 0
     SLICES = 1
-    """In the slice from (14), out of it from the slices above and below."""
+    """Direction in the slice's plane from (14), inclination to the plane from the slices above and below."""
     FIT = 2
     """The smooth body fitted to all contacts."""
     FRICTION = 3
@@ -37,7 +37,7 @@ class Cloud(Shown):
     """(n,) of `NormalSource`."""
     in_plane_normals: Array
     """(n, 3) outward unit normals of the slice's contour in its plane: in tangential contact by (14), in tip contact by
-    the friction that the tangential contacts agree on, NaN if they don't."""
+    the friction that the tangential contacts agree on, NaN if they do not agree."""
     phase: NDArray[np.int8]
     """(n,) of `planar.Phase`: TIP or TANGENTIAL."""
     slice: NDArray[np.int32]
@@ -51,10 +51,11 @@ class Cloud(Shown):
     friction: Array
     """(n,) coefficient of friction (14), NaN in tip contact."""
     slice_axis: Array
-    """(s, 3) unit normal of every slice, those in which nothing was found included."""
+    """(s, 3) unit normal of every slice, including the empty ones, which have no contact."""
     slice_height: Array
     """(s,) its height along that normal, in the recording's unit."""
     unit: str
+    """Unit of all lengths here, that of the recording."""
     rod_length: float
     """In the recording's unit."""
     noise: float
@@ -62,13 +63,13 @@ class Cloud(Shown):
     fit: SupportFit | None = None
     """The support function fitted to the contacts, if the body proved smooth."""
     fit_error: float = np.inf
-    """95 % of contacts left out of the fit lie closer to it than this, in the recording's unit."""
+    """95 % of the contacts held out of the fit lie closer to it than this, in the recording's unit."""
 
     def __len__(self) -> int:
         return len(self.points)
 
     def select(self, rows: Mask | Index) -> Cloud:
-        """The contacts in some rows, (n,) booleans or indices; slices, fit and the rest stay."""
+        """A cloud of some of the contacts, selected by (n,) booleans or by indices; slices, fit and settings stay the same."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _PER_CONTACT})
 
 

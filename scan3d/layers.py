@@ -1,4 +1,4 @@
-"""Former home of the slices, kept for one version; use `scan3d.reconstruction.slices`, where layers are slices."""
+"""Former module of the slices, kept for one version; use `scan3d.reconstruction.slices`: a layer is called a slice."""
 
 from scan3d.reconstruction.slices import Slice as Layer
 from scan3d.reconstruction.slices import SliceStack as Layers

@@ -1,4 +1,4 @@
-"""What a run has found: the report's numbers, and a few lines of them for the terminal."""
+"""The results of a run: the report's numbers, and the most important of them for the terminal."""
 
 from __future__ import annotations
 
@@ -19,16 +19,21 @@ from scan3d.recording import Recording
 from scan3d.surfaces import Certificate, Enclosure, Gap
 
 SCHEMA = 1
-# Directions, spread evenly over the sphere, at which the coverage of normals is looked up.
+# Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
+# coarser fraction.
 _DIRECTIONS = 5000
-# The surface counts as seen where its certified bound is no more than this share of the diagonal.
-_SEEN = 1e-3
+# A direction is covered if a contact's normal lies within this many degrees of it.  Larger, gaps between the normals are
+# overlooked; smaller, a dense scan seems to leave gaps between its samples.
+_COVERED_DEG = 5.0
+# The surface counts as covered where its certified bound is no more than this fraction of the diagonal.  Larger, the coverage
+# says less about accuracy; smaller, it is low for scans whose accuracy is sufficient.
+_COVERED_BOUND = 1e-3
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """What a recording gives: contacts, bounds, surface and certificate; with the truth, also the comparison with it."""
+    """Results from a recording: contacts, bounds, surface and certificate; with the truth, also the comparison with it."""
 
     recording: Recording
     cloud: Cloud
@@ -41,11 +46,11 @@ class Analysis:
     contact_error: Array | None = None
     """(n,) distance of the contacts from the truth."""
     comparison: Comparison | None = None
-    """Of the surface with the truth."""
+    """Comparison of the surface with the truth."""
     hull_error: float | None = None
     """Hausdorff distance of the contacts' convex hull to the truth."""
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """Time spent, by step."""
+    """Time spent on each step."""
 
 
 def report(
@@ -56,7 +61,17 @@ def report(
     timings_s: Mapping[str, float] | None = None,
     files: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The numbers of an analysis as they are written to JSON; what needs the true mesh is null without it."""
+    """The numbers of an analysis as they are written to JSON; those that need the true mesh are None without it.
+
+    settings
+        those of the run, which the report repeats.
+    friction_set
+        the coefficient of friction or its range, if it is known because the recording was simulated.
+    timings_s
+        time spent on each step, in seconds.
+    files
+        names of the files written.
+    """
     recording, cloud, surface, comparison = analysis.recording, analysis.cloud, analysis.surface, analysis.comparison
     tangential = cloud.phase == planar.Phase.TANGENTIAL
     friction = cloud.friction[tangential]
@@ -121,12 +136,12 @@ def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
     errors, cloud = analysis.contact_error, analysis.cloud
     if errors is None:
         return None
-    most, rms = float(errors.max()), float(np.sqrt(np.mean(errors**2)))
-    return {"max": most, "rms": rms, "unit": cloud.unit, "max_rod_lengths": most / cloud.rod_length}
+    largest, rms = float(errors.max()), float(np.sqrt(np.mean(errors**2)))
+    return {"max": largest, "rms": rms, "unit": cloud.unit, "max_rod_lengths": largest / cloud.rod_length}
 
 
 def _certificate(analysis: Analysis) -> dict[str, Any]:
-    """What touch alone guarantees, relative to the diagonal of the contacts' bounding box."""
+    """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
     bound, bounds, cloud = analysis.certificate.bound, analysis.bounds, analysis.cloud
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     return {
@@ -140,7 +155,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
 
 
 def _budget(analysis: Analysis) -> dict[str, Any]:
-    """Where the error comes from, step by step: what touch alone guarantees, and what it is where the truth is known."""
+    """The error of each step: its certified upper bound, and its actual value where the truth is known."""
     bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
 
     def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
@@ -160,58 +175,65 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
 
 
 def _coverage(analysis: Analysis) -> dict[str, Any]:
-    """Shares of what was seen.
+    """How much of the body the contacts cover.
 
-    Of the surface's area, where touch alone leaves less than 0.1 % of the diagonal open; of the sphere of normals, within
-    5° of a contact's, by as many directions spread evenly over it.
+    `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal.  `normals` is
+    the fraction of the sphere of directions that lies within 5° of a contact's normal.
     """
     cloud, surface, bound = analysis.cloud, analysis.surface, analysis.certificate.at_vertices
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     area = np.asarray(surface.area_faces)
-    closed = bound[surface.faces].max(axis=1) <= _SEEN * diagonal
-    seen = {"surface": float(area[closed].sum() / area.sum()), "surface_within": _SEEN * diagonal}
+    closed = bound[surface.faces].max(axis=1) <= _COVERED_BOUND * diagonal
+    covered = {"surface": float(area[closed].sum() / area.sum()), "surface_within": _COVERED_BOUND * diagonal}
     known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
     if not len(known):
-        return {**seen, "normals": 0.0}
-    turn = np.arange(_DIRECTIONS) + 0.5
-    z, angle = 1 - 2 * turn / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * turn
+        return {**covered, "normals": 0.0}
+    # a Fibonacci lattice
+    number = np.arange(_DIRECTIONS) + 0.5
+    z, angle = 1 - 2 * number / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * number
     sphere = np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
-    return {**seen, "normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(2.5))))}
+    return {
+        **covered,
+        "normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(_COVERED_DEG / 2)))),
+    }
 
 
-def _hausdorff(found: Comparison | None, unit: str) -> dict[str, Any] | None:
-    if found is None:
+def _hausdorff(comparison: Comparison | None, unit: str) -> dict[str, Any] | None:
+    if comparison is None:
         return None
     return {
-        "two_sided": found.hausdorff,
-        "surface_to_mesh": found.surface_to_mesh,
-        "mesh_to_surface": found.mesh_to_surface,
-        "relative": found.relative,
-        "exact": found.exact,
-        "worst_point": found.worst_point,
+        "two_sided": comparison.hausdorff,
+        "surface_to_mesh": comparison.surface_to_mesh,
+        "mesh_to_surface": comparison.mesh_to_surface,
+        "relative": comparison.relative,
+        "exact": comparison.exact,
+        "worst_point": comparison.worst_point,
         "unit": unit,
     }
 
 
-def _normals(found: Comparison | None) -> dict[str, Any] | None:
-    if found is None:
+def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
+    if comparison is None:
         return None
-    return {"of": "surface", "median_deg": found.normal_median_deg, "p95_deg": found.normal_p95_deg}
+    return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
 
 
 class Summary(NamedTuple):
-    """A few rows for the terminal."""
+    """A table of a few rows for the terminal."""
 
     heading: str
-    """Empty if there is none."""
+    """A line above the table, or an empty string."""
     rows: list[tuple[str, str]]
-    """What, and how much."""
+    """Name and value of each quantity."""
 
 
 def summary(data: Mapping[str, Any]) -> Summary:
     """The most important numbers of a report."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
-    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {counts['slices']} slices"
+    heading = (
+        f"{counts['contacts']} contacts of {counts['samples']} samples, "
+        f"{counts['sweeps']} sweeps in {counts['slices']} slices"
+    )
     rows = []
     if errors:
         error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths)"

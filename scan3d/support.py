@@ -1,4 +1,4 @@
-"""Former home of the fitted support function, kept for one version; use `scan3d.geometry.support`."""
+"""Former module of the fitted support function, kept for one version; use `scan3d.geometry.support`."""
 
 from scan3d.geometry.support import SupportFit, fit_support
 

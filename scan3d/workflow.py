@@ -28,9 +28,9 @@ from scan3d.report import Analysis, report
 from scan3d.surfaces import certificate, enclosure, surface
 
 NOISE_SIGMAS = 4.0
-"""Standard deviations of a contact's place by which noisy contacts may be off in the certificate.  Fewer, and contacts
-outside the margin would make the certificate false; more, and it would say less."""
-# What `write` may write into a folder.
+"""The certificate's margin for noise, in standard deviations of a contact's place.  Larger, the certified bound is wider than
+it need be; smaller, contacts outside the margin can make the certificate false."""
+# Files that `write` replaces in a folder.
 _RESULTS = ("cloud.ply", "surface.ply", "report.json", "cloud.png", "surface.png", "view.html")
 _RECORDING = ("recording.csv", "recording.toml")
 
@@ -39,11 +39,11 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> An
     """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
 
     truth
-        the true body, a convex `trimesh.Trimesh`; no other result depends on it.
+        the true body, a convex `trimesh.Trimesh`; only the results that compare with it depend on it.
     method
-        of the surface, as in `scan3d.surface`.
+        the method of the surface, as in `scan3d.surface`.
 
-    Raises InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
+    Writes and prints nothing.  Raises InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
     """
     clock = _Clock()
     with clock("reconstruct"):
@@ -79,13 +79,13 @@ def write(
     """Write an analysis into a folder that exists: cloud, surface, pictures, page and report, which is returned.
 
     settings
-        those that the report repeats.
+        those of the run, which the report repeats.
     with_recording
-        whether the recording is written as well; it is for a simulated one.
+        whether the recording is written as well, as for a simulated one.
     seconds
-        times of steps before the analysis, for the report.
+        time spent on steps before the analysis, for the report.
     notify
-        gets a sentence where pictures can't be rendered.
+        called with a sentence if pictures cannot be rendered.
     """
     clock = _Clock({**(seconds or {}), **analysis.seconds})
     for name in _RESULTS:
@@ -111,7 +111,7 @@ def write(
         files=[*files, "report.json"],
     )
     if analysis.truth is not None:
-        # so that `scan3d show` finds the mesh again
+        # by this path `scan3d show` finds the mesh
         with suppress(ValueError):  # on another drive
             data["mesh"]["path"] = os.path.relpath(analysis.truth.metadata["path"], folder.resolve())
     write_atomic(folder / "report.json", to_json(data))
@@ -119,7 +119,7 @@ def write(
 
 
 def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
-    """What there is to see of an analysis; `figures` are its key figures."""
+    """The scene of an analysis, to be drawn; `figures` are its key figures, as pairs of name and value."""
     local = analysis.certificate.at_vertices
     return of_cloud(
         analysis.cloud,
@@ -134,13 +134,13 @@ def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> S
 
 
 def _name(analysis: Analysis) -> str:
-    """What a picture calls the body: by its file, or by that of the recording's source."""
+    """The name of the body in pictures: that of its mesh file, or of the mesh file that the recording's source names."""
     named = analysis.recording.source.get("mesh") if analysis.truth is None else analysis.truth.metadata.get("file")
     return Path(str(named)).stem if named else "body"
 
 
 def _draw(scene: Scene, folder: Path, notify: Callable[[str], None]) -> list[str]:
-    """Write the page, and the pictures where they can be rendered; returns the files."""
+    """Write the page and, where they can be rendered, the pictures; returns the names of the files."""
     write_atomic(folder / "view.html", page.page(scene))
     if not rendering.can_render():
         notify(rendering.NO_RENDERER)
@@ -152,7 +152,7 @@ def _draw(scene: Scene, folder: Path, notify: Callable[[str], None]) -> list[str
 
 
 class _Clock:
-    """Seconds spent, by name of the step."""
+    """Seconds spent on each step, by name."""
 
     def __init__(self, seconds: Mapping[str, float] | None = None) -> None:
         self.seconds: dict[str, float] = dict(seconds or {})

@@ -1,4 +1,4 @@
-"""Poisson reconstruction and ball pivoting, on clouds whose body is known: accuracy, invariances, and what is refused."""
+"""Poisson reconstruction and ball pivoting, on clouds of known bodies: accuracy, invariances, and inputs that are refused."""
 
 import hashlib
 import subprocess
@@ -52,7 +52,7 @@ def open_edges(mesh):
 
 
 def check_well_made(mesh):
-    """No vertex unused, no face double or without area, one winding, outwards."""
+    """No unused vertex, no duplicate face, no face without area, and one winding, outwards."""
     assert len(np.unique(mesh.faces)) == len(mesh.vertices)
     assert len(np.unique(np.sort(mesh.faces, axis=1), axis=0)) == len(mesh.faces)
     assert mesh.area_faces.min() > 0
@@ -66,19 +66,19 @@ def check_well_made(mesh):
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("semi_axes", [(25.0, 25.0, 25.0), (36.0, 26.0, 18.0), (2.0, 2.0, 40.0), (40.0, 40.0, 2.0)])
-def test_a_smooth_body_is_closed_and_met(method, semi_axes):
-    found = method(*slices_of(np.array(semi_axes)))
-    result = scan3d.compare(found, ellipsoid(semi_axes))
-    check_well_made(found)
-    assert found.is_watertight
-    assert found.body_count == 1
+def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
+    made = method(*slices_of(np.array(semi_axes)))
+    result = scan3d.compare(made, ellipsoid(semi_axes))
+    check_well_made(made)
+    assert made.is_watertight
+    assert made.body_count == 1
     assert result.relative < 2e-3
     assert abs(result.volume_error) < 1e-2
 
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_more_slices_come_closer(method):
+def test_more_slices_give_a_closer_surface(method):
     semi_axes = np.array([36.0, 26.0, 18.0])
     few, many = (
         np.linalg.norm(method(*slices_of(semi_axes, slices, 8 * slices)).triangles_center / semi_axes, axis=1) - 1
@@ -89,10 +89,10 @@ def test_more_slices_come_closer(method):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize(("method", "within"), [(poisson, 0.03), (ball_pivoting, 0.01)])
-def test_a_cube_touched_all_over(method, within):
-    found = method(*cube())
-    check_well_made(found)
-    assert scan3d.compare(found, trimesh.creation.box((2, 2, 2))).relative < within
+def test_a_cube_with_contacts_on_all_faces(method, within):
+    made = method(*cube())
+    check_well_made(made)
+    assert scan3d.compare(made, trimesh.creation.box((2, 2, 2))).relative < within
 
 
 @pytest.mark.open3d
@@ -104,13 +104,13 @@ def test_the_vertices_of_ball_pivoting_are_contacts():
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_the_same_bytes_in_any_order_and_again(method):
+def test_the_result_is_the_same_bytes_for_any_order_of_the_contacts(method):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     order = np.random.default_rng(1).permutation(len(points))
     once = digest(method(points, normals))
     assert digest(method(points, normals)) == once
     assert digest(method(points[order], normals[order])) == once
-    # contacts met twice, or without a normal, change nothing
+    # duplicate contacts, and contacts without a normal, change nothing
     unknown = np.full((3, 3), np.nan)
     twice = np.concatenate([points, points[::5], 2 * points[:3]]), np.concatenate([normals, normals[::5], unknown])
     assert digest(method(*twice)) == once
@@ -119,7 +119,7 @@ def test_the_same_bytes_in_any_order_and_again(method):
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e7])
-def test_the_unit_does_not_matter(method, scale):
+def test_the_result_does_not_depend_on_the_unit(method, scale):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     here, there = method(points, normals), method(scale * points, normals)
     np.testing.assert_array_equal(there.faces, here.faces)
@@ -128,7 +128,7 @@ def test_the_unit_does_not_matter(method, scale):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_far_from_the_origin(method):
+def test_a_body_far_from_the_origin(method):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     moved = method(np.add(points, [1e3, -2e3, 3e3]), normals)
     assert moved.is_watertight
@@ -136,7 +136,7 @@ def test_far_from_the_origin(method):
 
 
 @pytest.mark.open3d
-def test_ball_pivoting_says_what_is_open():
+def test_the_reason_of_ball_pivoting_counts_the_open_edges():
     closed = ball_pivoting(*slices_of(np.array([1.0, 1.0, 1.0])))
     assert closed.metadata["method"] == "ball-pivoting"
     assert closed.metadata["reason"].endswith("contacts: closed")
@@ -162,31 +162,31 @@ def test_only_holes_of_three_edges_are_filled():
 
 def test_faces_that_overlap_at_an_edge_are_dropped():
     faces = np.array([[0, 1, 2], [0, 3, 1], [0, 1, 4]])
-    np.testing.assert_array_equal(open3d_methods._single(faces), faces[:2])
+    np.testing.assert_array_equal(open3d_methods._without_overlaps(faces), faces[:2])
 
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("noise", [1e-6, 1e-4])
-def test_noise_does_not_tear_the_surface(method, noise):
-    """The same places met over and again by noisy contacts: near duplicates, no longer on one surface."""
+def test_noisy_duplicates_leave_the_surface_closed(method, noise):
+    """Each place touched several times by noisy contacts: near duplicates, which no longer lie on one surface."""
     points, normals = slices_of(np.array([1.0, 1.0, 1.0]))
     several = np.tile(points, (3, 1)) + np.random.default_rng(2).normal(scale=noise, size=(3 * len(points), 3))
-    found = method(several, np.tile(normals, (3, 1)))
-    check_well_made(found)
-    assert found.is_watertight
-    assert scan3d.compare(found, ellipsoid((1.0, 1.0, 1.0))).relative < 2e-3
+    made = method(several, np.tile(normals, (3, 1)))
+    check_well_made(made)
+    assert made.is_watertight
+    assert scan3d.compare(made, ellipsoid((1.0, 1.0, 1.0))).relative < 2e-3
 
 
 @pytest.mark.open3d
-def test_poisson_says_where_it_bulges():
+def test_the_reason_of_poisson_mentions_a_bulge():
     points, normals = slices_of(np.array([1.0, 1.0, 1.0]), slices=64)
     assert "bulges" not in poisson(points, normals).metadata["reason"]
-    # the open ends of a tube are not touched
+    # a tube without contacts at its open ends
     tube = points[:, 2:] * [0.0, 0.0, 3.0] + points * [1, 1, 0] / np.hypot(points[:, 0], points[:, 1])[:, None]
-    found = poisson(tube, tube * [1, 1, 0])
-    assert found.is_watertight
-    assert "bulges" in found.metadata["reason"]
+    made = poisson(tube, tube * [1, 1, 0])
+    assert made.is_watertight
+    assert "bulges" in made.metadata["reason"]
 
 
 @pytest.mark.open3d
@@ -197,14 +197,14 @@ def test_nothing_is_printed(method, capfd):
 
 
 @pytest.mark.open3d
-def test_poisson_refuses_a_surface_that_does_not_close():
+def test_a_poisson_surface_that_does_not_close_is_refused():
     points, _ = slices_of(np.array([1.0, 1.0, 1.0]))
     with pytest.raises(InputError, match=r"does not close.*further axes.*auto or hull"):
         poisson(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)) + 0.01 * points)
 
 
 @pytest.mark.open3d
-def test_ball_pivoting_refuses_where_no_ball_rests(monkeypatch):
+def test_contacts_on_which_no_ball_rests_are_refused(monkeypatch):
     monkeypatch.setattr(open3d_methods, "_LARGEST_BALL", 1e-3)
     with pytest.raises(InputError, match=r"no ball rests.*more slices"):
         ball_pivoting(*slices_of(np.array([1.0, 1.0, 1.0])))
@@ -215,7 +215,7 @@ SPHERE = slices_of(np.array([1.0, 1.0, 1.0]), slices=8, around=20)
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("points", "normals", "says"),
+    ("points", "normals", "message"),
     [
         (SPHERE[0][:3], SPHERE[1][:3], "3 of 3 contacts have a normal.*at least 4"),
         (SPHERE[0], np.full_like(SPHERE[1], np.nan), "0 of 160 contacts have a normal"),
@@ -224,13 +224,13 @@ SPHERE = slices_of(np.array([1.0, 1.0, 1.0]), slices=8, around=20)
         (SPHERE[0] * [1, 1, 0], SPHERE[1], "span no body"),
         (SPHERE[0] * [1, 1, 1e-6], SPHERE[1], "lie in one plane"),
         (SPHERE[0] * 0, SPHERE[1], "span no body"),
-        (SPHERE[0], -SPHERE[1], "point inwards.*turn them round"),
+        (SPHERE[0], -SPHERE[1], "point inwards.*reverse them"),
         (SPHERE[0], SPHERE[1][:-1], r"shape \(n, 3\), got \(160, 3\) and \(159, 3\)"),
         (SPHERE[0][:, :2], SPHERE[1][:, :2], r"shape \(n, 3\)"),
     ],
 )
-def test_what_is_refused(method, points, normals, says):
-    with pytest.raises(InputError, match=says):
+def test_unsuitable_contacts_are_refused(method, points, normals, message):
+    with pytest.raises(InputError, match=message):
         method(points, normals)
 
 

@@ -12,7 +12,7 @@ from scan3d.cloud import Cloud
 
 
 def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
-    """Contacts as a structured array, as `files.ply` writes them; `quality` (n,) is their distance to the true mesh."""
+    """Contacts as a structured array for `files.ply`; `quality` (n,) is their distance to the true mesh, NaN if not given."""
     columns: dict[str, NDArray[np.generic]] = {
         **dict(zip("xyz", cloud.points.T, strict=True)),
         **dict(zip(("nx", "ny", "nz"), cloud.normals.astype(np.float32).T, strict=True)),
@@ -32,7 +32,7 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
 
 
 def surface_table(surface: Any, bound: Array) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Vertices with their normals and the certified local bound (v,) as a structured array, as `files.ply` writes them."""
+    """Vertices, their normals and the certified local bound (v,) as a structured array for `files.ply`."""
     names = [(name, "f8") for name in "xyz"] + [(f"n{name}", "f4") for name in "xyz"] + [("bound", "f4")]
     rows = np.empty(len(surface.vertices), dtype=names)
     for columns, values in (

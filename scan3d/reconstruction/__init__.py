@@ -1,4 +1,4 @@
-"""Step 2: a recording, simulated or measured, becomes contacts with the normals of the surface."""
+"""The first half of step 2: from a recording, simulated or measured, to contacts with the normals of the surface."""
 
 from scan3d.reconstruction.normals import reconstruct
 

@@ -1,4 +1,4 @@
-"""Step 2 over a recording: contacts in the world."""
+"""Contacts in the world from a recording: `planar.reconstruct` in each row's plane, then the rows' poses."""
 
 from __future__ import annotations
 
@@ -12,39 +12,48 @@ from scan3d.errors import InputError
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
-# Standard deviations of the noise within which a force is none, and a contact's distance to the tip is none.
+# A row counts as touching if its force exceeds this many standard deviations of the noise.  Larger, weak contacts are lost;
+# smaller, rows without contact give contacts that do not exist.
 _FORCE_SIGMAS = 8.0
+# A contact counts as a tip contact if it lies within this many standard deviations of the tip.  Larger, tangential contacts
+# near the tip lose their normals; smaller, noisy tip contacts get normals that belong to tangential contact.
 _TIP_SIGMAS = 4.0
-# Standard deviation of a contact's place over that of force and moment, in rod lengths and observable units: for the middle
-# of the working range; contacts under small forces are worse.
+# Standard deviation of a contact's place, in rod lengths, over that of force and moment, in EI/L² and EI/L, in the middle of
+# the working range; contacts under small forces are less accurate.  Larger, the certified bound is wider than it need be;
+# smaller, contacts may lie outside the margin that the certificate allows for.
 _NOISE_GAIN = 0.4
-# Friction angles, in radians, that agree: 95 % of them to so much, and so much more per standard deviation of the noise.
+# The friction angles of the tangential contacts agree if 95 % of them are within this many radians of the median, plus this
+# many per standard deviation of the noise.  Larger, a coefficient that varies passes for common and tip contacts get wrong
+# normals; smaller, rounding or noise hides a common coefficient and tip contacts get no normals.
 _FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
-# However much noise, a contact this far from the tip, in rod lengths, is none of the tip's.
-_MOST_TOLERANCE = 0.5
-# Slices whose normals differ by less were meant to be parallel.
+# The largest distance from the tip, in rod lengths, at which noise can make a tip contact.  Larger, strong noise turns all
+# contacts into tip contacts; smaller, some tip contacts under strong noise pass for tangential.
+_LARGEST_TOLERANCE = 0.5
+# Slices are parallel if the components of their normals differ by less.  Larger, axes that are slightly inclined to each
+# other are merged; smaller, the errors of measured poses split one axis into several.
 _SAME_NORMAL = 1e-3
-# Sweeps are in one slice if their heights, in rod lengths, differ by less, or by less than this many times the spread of the
-# heights within the median sweep.
+# Sweeps lie in one slice if their heights differ by less than this many rod lengths, or than this many times the spread of
+# the heights within the median sweep.  Larger, neighbouring slices merge; smaller, the errors of poses split a slice.
 _SAME_HEIGHT, _SPREADS = 1e-9, 4.0
 
 
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     """Contacts of a recording by `planar.reconstruct`, their normals in the planes of their slices only.
 
-    Rows without contact, and rows whose force is lost in the noise, give none.  Raises InputError if no row gives one.
+    Rows without contact, and rows whose force does not stand out from the noise, give no contact.  Raises InputError if no row
+    gives one.
     """
     rod = recording.rod
     fx, fy = (recording.force_N / rod.force_unit_N).T
     moment = recording.moment_Nm / rod.moment_unit_Nm
     noise = max(recording.noise_force_N / rod.force_unit_N, recording.noise_moment_Nm / rod.moment_unit_Nm)
-    tolerance = min(max(planar.TOLERANCE, _TIP_SIGMAS * noise), _MOST_TOLERANCE)
+    tolerance = min(max(planar.TOLERANCE, _TIP_SIGMAS * noise), _LARGEST_TOLERANCE)
     columns = np.zeros(len(moment)), fx, fy, moment
-    found = planar.reconstruct(*columns, method=method, tolerance=tolerance)
-    common = _common_friction(found, noise)
+    in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance)
+    common = _common_friction(in_plane, noise)
     if common is not None:
-        found = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common)
-    touching = (found.phase != planar.Phase.NONE) & (np.hypot(fx, fy) > _FORCE_SIGMAS * noise)
+        in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common)
+    touching = (in_plane.phase != planar.Phase.NONE) & (np.hypot(fx, fy) > _FORCE_SIGMAS * noise)
     rows = np.flatnonzero(touching)
     if not len(rows):
         raise InputError(
@@ -54,19 +63,19 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
 
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
-    points = recording.position_m[rows] + np.einsum("ni,nij->nj", found.point[rows] * rod.length_m, axes[rows, :2])
+    points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
     slice_of, slice_axis, slice_height = _slices(recording, axes[:, 2])
     return Cloud(
         points=points / scale,
         normals=np.full((len(rows), 3), np.nan),
         normal_source=np.full(len(rows), NormalSource.UNKNOWN, dtype=np.int8),
-        in_plane_normals=np.einsum("ni,nij->nj", found.normal[rows], axes[rows, :2]),
-        phase=found.phase[rows],
+        in_plane_normals=np.einsum("ni,nij->nj", in_plane.normal[rows], axes[rows, :2]),
+        phase=in_plane.phase[rows],
         slice=slice_of[rows],
         sweep=recording.sweep[rows].astype(np.int32),
         row=rows.astype(np.int32),
-        force_N=found.force[rows] * rod.force_unit_N,
-        friction=found.friction[rows],
+        force_N=in_plane.force[rows] * rod.force_unit_N,
+        friction=in_plane.friction[rows],
         slice_axis=slice_axis,
         slice_height=slice_height / scale,
         unit=recording.unit,
@@ -75,26 +84,26 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     )
 
 
-def _common_friction(found: planar.Contacts, noise: float) -> float | None:
+def _common_friction(in_plane: planar.Contacts, noise: float) -> float | None:
     """The coefficient of friction that the tangential contacts agree on, None if they do not."""
-    angle = found.friction_angle[np.isfinite(found.friction_angle)]
+    angle = in_plane.friction_angle[np.isfinite(in_plane.friction_angle)]
     if not len(angle):
         return None
-    middle = float(np.median(angle))
-    agree = np.percentile(np.abs(angle - middle), 95) <= _FRICTION_AGREES + _FRICTION_GAIN * noise
-    return max(float(np.tan(middle)), 0.0) if agree else None
+    median = float(np.median(angle))
+    agree = np.percentile(np.abs(angle - median), 95) <= _FRICTION_AGREES + _FRICTION_GAIN * noise
+    return max(float(np.tan(median)), 0.0) if agree else None
 
 
 def _slices(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Array, Array]:
     """(n,) number of each row's slice, in order of appearance; (s, 3) normals of the slices and (s,) heights, in metres.
 
-    A sweep lies in one plane.  Sweeps are in one slice if their planes differ by no more than rounding, or than a typical
-    sweep's own poses do.
+    A sweep lies in one plane.  Sweeps are in one slice if their planes differ by no more than rounding, or by no more than the
+    poses within a typical sweep do.
     """
     _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
-    of_sweep = normals[first]
-    direction = _groups(of_sweep, _SAME_NORMAL)
-    mean = np.stack([np.bincount(direction, column) for column in of_sweep.T], axis=1)
+    sweep_normals = normals[first]
+    direction = _groups(sweep_normals, _SAME_NORMAL)
+    mean = np.stack([np.bincount(direction, column) for column in sweep_normals.T], axis=1)
     axis = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[direction]
     height = (recording.position_m * axis[sweep]).sum(axis=1)
     plane = np.bincount(sweep, height) / np.bincount(sweep)
@@ -110,14 +119,14 @@ def _slices(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Ar
     order = np.argsort(start)
     rank = np.empty(len(start), dtype=np.int32)
     rank[order] = np.arange(len(start))
-    shown = sweep[start[order]]
-    return rank[group][sweep], axis[shown], (np.bincount(group, plane) / np.bincount(group))[order]
+    first_sweep = sweep[start[order]]
+    return rank[group][sweep], axis[first_sweep], (np.bincount(group, plane) / np.bincount(group))[order]
 
 
-def _groups(rows: Array, same: float) -> NDArray[np.int64]:
-    """Number (n,) of each row's group: by gaps in every sorted column, so that no two equal values are torn apart."""
-    keys = np.empty(rows.shape, dtype=np.int64)
-    for key, column in zip(keys.T, rows.T, strict=True):
+def _groups(values: Array, same: float) -> NDArray[np.int64]:
+    """Number (n,) of each row's group: by gaps in every sorted column, so that equal values are never separated."""
+    keys = np.empty(values.shape, dtype=np.int64)
+    for key, column in zip(keys.T, values.T, strict=True):
         order = np.argsort(column, kind="stable")
         key[order] = np.cumsum(np.insert(np.diff(column[order]) > same, 0, False))
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)

@@ -1,8 +1,9 @@
 """Normals of the surface at the contacts.
 
-The surface's normal at a contact is ``(n(θ), -∂h/∂z)``, normalised, with h the support function of the slices at fixed
-normal angle θ: not the slice's own normal.  h is concave in z, so the secants to the slices below and above bound its slope
-with certainty.  Of a body that proves smooth, normals come from the support function fitted to all contacts.
+The surface's normal at a contact is ``(n(θ), -∂h/∂z)``, normalised, where h(θ, z) is the support function of the slices and
+the derivative is taken at the fixed normal angle θ; it is not the normal n(θ) of the slice's contour.  Since h is concave in
+z, the secants to the slices below and above are certain bounds of its slope.  If the body proves smooth, the normals are those
+of the support function fitted to all contacts.
 """
 
 from __future__ import annotations
@@ -22,48 +23,58 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import Recording
 
-# Degrees of the harmonic series that are tried, until contacts left out are met no better.
+# Degrees of the harmonic series, tried in this order until the error at the held-out contacts falls no further.  A higher
+# degree follows more detail, but takes time with the fourth power of the degree and follows noise as well.
 DEGREES = (8, 16)
-# One contact in so many, or fewer, is left out of a trial.
-_HELD_OUT = 10
-# Contacts left out at most.
-_MOST_HELD_OUT = 1000
-# A further degree must lower the error at least so much to be worth it.
-_WORTH = 0.8
-# The body is smooth if the fit meets 95 % of the contacts left out this closely, in mean radii: a cube, a cylinder or a lens
-# stay above 3e-3, ellipsoids, eggs and pebbles of 10,000 facets below 2e-4.
+# One contact in this many is held out of the fit.  Larger, fewer contacts judge the fit; smaller, fewer determine it.
+_HELD_OUT_STEP = 10
+# Approximate number of contacts held out at most.  Larger, judging the fit takes longer; smaller, its error is less certain.
+_HELD_OUT_LIMIT = 1000
+# A higher degree is kept if its error is below this many times that of the degree before.  Larger, a degree is kept that
+# hardly helps; smaller, detail is lost that the higher degree would show.
+_DEGREE_GAIN = 0.8
+# Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.  Larger, smooth bodies
+# need more slices to be fitted; smaller, the coefficients are determined by too few contacts.
+_CONTACTS_PER_COEFFICIENT, _CONTACTS_TO_TRY = 4, 10
+# The body is smooth if 95 % of the held-out contacts are this close to the fit, in mean radii.  Larger, bodies with edges pass
+# for smooth: a cube, a cylinder or a lens stay above 3e-3.  Smaller, coarse meshes of smooth bodies fail: ellipsoids, eggs
+# and pebbles of 10,000 facets stay below 2e-4.
 SMOOTH = 5e-4
+# Standard deviations of a contact's place by which noise may raise that limit.  Larger, noise hides edges; smaller, noisy
+# scans of smooth bodies are not fitted.
+_NOISE_SIGMAS = 2
 
 
 def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
     """Contacts of a recording, simulated or measured, with the normals of the surface where they can be known.
 
-    `method` is that of `planar.reconstruct`.  A normal in its slice's plane comes from (14); out of it, from the slices
-    below and above; of a body that proves smooth, from the support function fitted to all contacts.
+    `method` is that of `planar.reconstruct`.  The direction of a normal within its slice's plane comes from (14), its
+    inclination to the plane from the slices below and above.  If the body proves smooth, all normals come from the support
+    function fitted to all contacts.
     Raises InputError if the recording has no contact.
     """
     cloud = with_slice_normals(contacts(recording, method))
-    found = smooth_fit(cloud)
-    return cloud if found is None else _with_fit(cloud, *found)
+    fit = smooth_fit(cloud)
+    return cloud if fit is None else _with_fit(cloud, *fit)
 
 
 def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
-    """The support function of a smooth body and its error at contacts left out, in mean radii; None for other bodies."""
+    """The support function of a smooth body and its error at held-out contacts, in mean radii; None for other bodies."""
     rows = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
-    if len(rows) < 10 * (DEGREES[0] + 1) ** 2:
+    if len(rows) < _CONTACTS_TO_TRY * (DEGREES[0] + 1) ** 2:
         return None
-    held = rows[:: max(_HELD_OUT, len(rows) // _MOST_HELD_OUT)]
-    used = np.setdiff1d(rows, held)
+    held_out = rows[:: max(_HELD_OUT_STEP, len(rows) // _HELD_OUT_LIMIT)]
+    used = np.setdiff1d(rows, held_out)
     best: tuple[SupportFit, float] | None = None
     for degree in DEGREES:
-        if len(used) < 4 * (degree + 1) ** 2:
+        if len(used) < _CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
             break
         fitted = fit_support(cloud.points[used], cloud.normals[used], degree)
-        error = _error(fitted, cloud, held)
-        if best is not None and not error < _WORTH * best[1]:
+        error = _error(fitted, cloud, held_out)
+        if best is not None and not error < _DEGREE_GAIN * best[1]:
             break
         best = fitted, error
-    noise = 2 * cloud.noise / _mean_radius(best[0]) if best else 0.0
+    noise = _NOISE_SIGMAS * cloud.noise / _mean_radius(best[0]) if best else 0.0
     return best if best is not None and best[1] <= SMOOTH + noise else None
 
 
@@ -71,16 +82,16 @@ def _error(fitted: SupportFit, cloud: Cloud, rows: NDArray[np.intp]) -> float:
     """95 % of the contacts lie closer than this to the fitted body, in mean radii."""
     points = cloud.points[rows]
     normals = fitted.normals(points, cloud.normals[rows])
-    off = np.abs(((points - fitted.points(normals)) * normals).sum(axis=1))
-    return float(np.percentile(off, 95)) / _mean_radius(fitted)
+    deviation = np.abs(((points - fitted.points(normals)) * normals).sum(axis=1))
+    return float(np.percentile(deviation, 95)) / _mean_radius(fitted)
 
 
 def _mean_radius(fitted: SupportFit) -> float:
-    return float(np.linalg.det(fitted.shape)) ** (1 / 3)
+    return float(float(np.linalg.det(fitted.shape)) ** (1 / 3))
 
 
 def with_slice_normals(cloud: Cloud) -> Cloud:
-    """The cloud with the normals that follow from each slice and its neighbours, in place of those it had."""
+    """The cloud with its normals replaced by those that follow from each slice and its neighbours."""
     normals, source = np.full_like(cloud.normals, np.nan), np.full_like(cloud.normal_source, NormalSource.UNKNOWN)
     for stack in stacks(cloud):
         for slice_, slopes in zip(stack.slices, height_slopes(stack), strict=True):
@@ -89,10 +100,10 @@ def with_slice_normals(cloud: Cloud) -> Cloud:
                 (slice_.tip, slice_.tip_normals, slopes.tip, NormalSource.FRICTION),
             ):
                 rows = slice_.rows[part]
-                leaning = np.column_stack([in_plane, -slope]) @ stack.frame
-                leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
-                known = np.isfinite(leaning[:, 0])
-                normals[rows[known]] = leaning[known]
+                inclined = np.column_stack([in_plane, -slope]) @ stack.frame
+                inclined /= np.linalg.norm(inclined, axis=1, keepdims=True)
+                known = np.isfinite(inclined[:, 0])
+                normals[rows[known]] = inclined[known]
                 source[rows[known]] = origin
     return replace(cloud, normals=normals, normal_source=source)
 
@@ -109,16 +120,15 @@ class HeightSlopes(NamedTuple):
 def height_slopes(stack: SliceStack) -> list[HeightSlopes]:
     """∂h/∂z at the contacts of every slice; NaN where there is only one slice.
 
-    ``(h - <c, n>)²``, with c(z) the Steiner point, is nearly a parabola in z, poles included (it is one for ellipsoids); its
-    cubic spline gives the slope, which is then held between the secants that concavity prescribes.
+    ``(h - <c, n>)²``, with c(z) the Steiner point, is nearly a parabola in z, even at the poles (for ellipsoids it is exactly
+    a parabola).  Its cubic spline gives the slope, which is then clipped to the secants: concavity makes them its bounds.
     """
     z = stack.heights
-    usable = np.array([slice_.closed for slice_ in stack.slices])
     slopes = [
         HeightSlopes(np.full(len(slice_.tangential), np.nan), np.full(len(slice_.tip), np.nan))
         for slice_ in stack.slices
     ]
-    known = np.flatnonzero(usable)
+    known = np.flatnonzero([slice_.closed for slice_ in stack.slices])
     if len(known) < 2:
         return slopes
     centers = np.array([stack.slices[i].steiner_point() for i in known])
@@ -130,10 +140,10 @@ def height_slopes(stack: SliceStack) -> list[HeightSlopes]:
         h = np.stack([stack.slices[j].support(angle) for j in known])
         below = (h[k] - h[k - 1]) / (z[i] - z[known[k - 1]]) if k else np.full(len(angle), np.inf)
         above = (h[k + 1] - h[k]) / (z[known[k + 1]] - z[i]) if k + 1 < len(known) else np.full(len(angle), -np.inf)
-        reach = h - centers @ normals.T
-        squared_slope = _spline(z[known], reach**2)(z[i], 1)
+        relative = h - centers @ normals.T
+        squared_slope = _spline(z[known], relative**2)(z[i], 1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = normals @ center_slope[k] + squared_slope / (2 * reach[k])
+            slope = normals @ center_slope[k] + squared_slope / (2 * relative[k])
         slope = np.where(np.isfinite(slope), slope, np.where(np.isfinite(above), above, below))
         slope = np.clip(slope, np.minimum(above, below), np.maximum(above, below))
         slopes[i] = HeightSlopes(slope[: len(slice_.tangential)], slope[len(slice_.tangential) :])
@@ -145,7 +155,10 @@ def _spline(z: Array, values: Array) -> CubicSpline:
 
 
 def _with_fit(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
-    """Normals of the fitted body, at tip contacts as well: from those of the contacts nearest to them."""
+    """The cloud with the normals of the fitted body at all contacts.
+
+    The search for the normal at a tip contact starts from the known normal of the nearest contact.
+    """
     known = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
     near = known[cKDTree(cloud.points[known]).query(cloud.points)[1]]
     normals = fitted.normals(cloud.points, cloud.normals[near])

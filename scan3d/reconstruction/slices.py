@@ -1,7 +1,8 @@
 """The slices of a cloud: their support functions in the plane.
 
-A slice of a convex body has the support function ``h(θ, z) = max <n(θ), p>``, with θ the angle of the in-plane normal.  A
-tangential contact gives value and derivative, ``h = <n, p>`` and ``∂h/∂θ = <t, p>``.
+A slice of a convex body at the height z has the support function ``h(θ, z) = max <n(θ), p>`` over its points p, with θ the
+angle of the in-plane normal ``n = (cos θ, sin θ)``.  A tangential contact at p gives its value and its derivative,
+``h = <n, p>`` and ``∂h/∂θ = <t, p>``, with the tangent ``t = (-sin θ, cos θ)``.
 """
 
 from __future__ import annotations
@@ -16,10 +17,18 @@ from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
 from scan3d.geometry.sections import slice_frame
 
-# Contacts whose normals differ by less, in radians, lie on one edge.
-_ONE_NORMAL = 1e-9
-# Directions over which a slice's Steiner point is averaged.
+# Contacts whose normals differ by less, in radians, lie on one straight edge of the contour.  Larger, the normals of a gently
+# curved contour merge; smaller, rounding makes several normals of one edge, with support lines that hardly differ.
+_SAME_NORMAL = 1e-9
+# Directions over which a slice's Steiner point is averaged.  More take longer; fewer make the average depend on where the
+# contour's edges lie.
 _STEINER_DIRECTIONS = 360
+# Parallel axes differ by less than this in each component.  Larger, distinct axes merge; smaller, rounding separates equal
+# axes.
+_SAME_AXIS = 1e-8
+# The known normals enclose a slice if every gap between them is smaller than half a turn by at least this angle, in radians.
+# Larger, slices that are enclosed count as open; smaller, support lines that are parallel to rounding count as closed.
+_HALF_TURN_MARGIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,17 +41,17 @@ class Slice:
     points: Array
     """(n, 2) in the slices' frame."""
     tangential: Index
-    """Those of `rows`, by position, in tangential contact (k,): their normals are measured."""
+    """(k,) positions in `rows` of the tangential contacts, whose normals are measured."""
     normals: Array
     """(k, 2) their in-plane normals."""
     tip: Index
-    """Those of `rows`, by position, in tip contact (l,) whose normals are inferred from a common friction."""
+    """(l,) positions in `rows` of the tip contacts whose normals are inferred from a common friction."""
     tip_normals: Array
     """(l, 2) their in-plane normals."""
     outline: Array
     """(v, 2) vertices of the convex hull of the points, empty if they lie on a line."""
     angle: Array
-    """(a,) distinct angles of the normals, rising."""
+    """(a,) distinct angles of the normals, increasing."""
     value: Array
     """(a,) support function there."""
     slope: Array
@@ -53,12 +62,15 @@ class Slice:
     @property
     def closed(self) -> bool:
         """Whether the known normals leave no gap of half a turn: the support lines enclose the slice."""
-        return len(self.angle) >= 3 and bool(np.diff(self.angle, append=self.angle[0] + 2 * np.pi).max() < np.pi - 1e-9)
+        return len(self.angle) >= 3 and bool(
+            np.diff(self.angle, append=self.angle[0] + 2 * np.pi).max() < np.pi - _HALF_TURN_MARGIN
+        )
 
     def support_of_contacts(self, normals: Array) -> Array:
         """Lower bound (n,) of the support function for unit normals (n, 2): the support function of the contacts."""
         corners = self.outline if len(self.outline) else self.points
-        return (normals @ corners.T).max(axis=1)
+        value: Array = (normals @ corners.T).max(axis=1)
+        return value
 
     def support(self, angle: Array) -> Array:
         """Support function (n,) at angles (n,): Hermite's cubic between the known normals, clipped to its certain bounds."""
@@ -72,29 +84,32 @@ class Slice:
         cubic = (1 - t) ** 2 * (a * (1 + 2 * t) + width * da * t) + t * t * (b * (3 - 2 * t) - width * db * (1 - t))
         n = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         lower = np.maximum((n * self.corner[i, 1]).sum(axis=1), (n * self.corner[j, 0]).sum(axis=1))
-        # the corner of the two support lines bounds h from above
+        # the intersection of the two support lines bounds h from above
         with np.errstate(divide="ignore", invalid="ignore"):
             upper = (a * np.sin(width * (1 - t)) + b * np.sin(width * t)) / np.sin(width)
         upper = np.where((width < np.pi) & np.isfinite(upper), np.maximum(upper, lower), np.inf)
-        return np.clip(cubic, lower, upper)
+        value: Array = np.clip(cubic, lower, upper)
+        return value
 
     def steiner_point(self) -> Array:
         """(2,) the slice's Steiner point, ``(1/π) ∫ h n dθ``."""
         angle = 2 * np.pi * np.arange(_STEINER_DIRECTIONS) / _STEINER_DIRECTIONS
         h = self.support(angle)
-        return 2 * np.array([np.mean(h * np.cos(angle)), np.mean(h * np.sin(angle))])
+        point: Array = 2 * np.array([np.mean(h * np.cos(angle)), np.mean(h * np.sin(angle))])
+        return point
 
 
 @dataclass(frozen=True)
 class SliceStack:
-    """Parallel slices of a cloud, from below, and the heights of the nearest empty ones."""
+    """Parallel slices of a cloud, in the order of their heights, and the heights of the nearest empty slices."""
 
     frame: Array
     """(3, 3) rows: x, y and z axes of the slices' frame in the world."""
     slices: tuple[Slice, ...]
     floor: float
-    """Height of the nearest empty slice below, -inf if there is none."""
+    """Height of the nearest empty slice below, -inf if there is no empty slice."""
     ceiling: float
+    """Height of the nearest empty slice above, inf if there is no empty slice."""
     bounded_by_others: tuple[bool, bool] = (False, False)
     """Whether floor and ceiling come from contacts in slices along other axes, rather than from empty slices."""
 
@@ -107,7 +122,7 @@ def stacks(cloud: Cloud) -> list[SliceStack]:
     """The cloud's slices, one stack for each axis it was sliced along."""
     by_axis = []
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
-        members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < 1e-8)
+        members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < _SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
         order = members[np.argsort(cloud.slice_height[members])]
         slices = [_slice(cloud, frame, number) for number in order]
@@ -131,21 +146,21 @@ def _slice(cloud: Cloud, frame: Array, number: int) -> Slice:
     normals, tip_normals = (cloud.in_plane_normals[rows[part]] @ frame[:2].T for part in (tangential, tip))
     raw = np.arctan2(normals[:, 1], normals[:, 0])
     order = np.argsort(raw, kind="stable")
-    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _ONE_NORMAL)
+    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _SAME_NORMAL)
     member = np.empty(len(raw), dtype=np.intp)
     member[order] = group
     count = int(group[-1]) + 1 if len(group) else 0
     angle = raw[order][np.searchsorted(group, np.arange(count))]
     n, t = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    at = points[tangential]
+    contact = points[tangential]
     value = np.full(count, -np.inf)
-    np.maximum.at(value, member, (at * n[member]).sum(axis=1))
-    along = (at * t[member]).sum(axis=1)
+    np.maximum.at(value, member, (contact * n[member]).sum(axis=1))
+    along = (contact * t[member]).sum(axis=1)
     ends = np.lexsort((along, member))
     left = ends[np.searchsorted(member[ends], np.arange(count))]
     right = ends[np.searchsorted(member[ends], np.arange(count), side="right") - 1]
     slope = np.stack([along[left], along[right]])
-    corner = np.stack([at[left], at[right]], axis=1)
+    corner = np.stack([contact[left], contact[right]], axis=1)
     return Slice(
         height=float(cloud.slice_height[number]),
         rows=rows,
@@ -166,6 +181,7 @@ def _outline(points: Array) -> Array:
     if len(points) < 3:
         return np.empty((0, 2))
     try:
-        return points[ConvexHull(points - points.mean(axis=0)).vertices]
+        vertices = ConvexHull(points - points.mean(axis=0)).vertices
     except QhullError:
         return np.empty((0, 2))
+    return np.asarray(points[vertices])

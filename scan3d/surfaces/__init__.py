@@ -1,4 +1,4 @@
-"""Closed surfaces from contacts, with certified bounds of their distance to the body."""
+"""The second half of step 2: closed surfaces from contacts, with certified bounds of their distance to the body."""
 
 from scan3d.choices import METHODS
 from scan3d.surfaces.bounds import Certificate, Enclosure, certificate, enclosure

@@ -3,9 +3,10 @@
 The convex hull of the contacts lies inside the body.  The body lies in the union of the slabs that the half-spaces of the
 slices leave (`scan3d.surfaces.slabs`).
 
-The distance to a convex set is convex, so over a polyhedron it is largest at a corner: the largest distance of the corners
-from the hull bounds the Hausdorff distance of the hull to the unknown body, whatever that is, as long as it is convex and
-the contacts are right.  Half-spaces that noisy contacts give are moved out by a margin first.
+The distance to a convex set is a convex function, and so it is largest over a polyhedron at one of the polyhedron's corners.
+The largest distance of the outer body's corners from the hull is therefore an upper bound of the Hausdorff distance between
+the hull and the unknown body, provided that the body is convex and the contacts are exact.  Where contacts are noisy, the
+half-spaces are first moved outwards by a margin.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.slabs import Gap, Slab, slabs
 
-# A surface this close to its convex hull, relative to the diagonal, is certified as its hull is, and the distance between
-# the two is added to the bound.  Larger, that addition would weaken the bound; smaller, hulls whose facets are convex but
-# for rounding would be certified by the weaker rule for surfaces that are not convex.
+# A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
+# distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
+# only to rounding are certified by the weaker rule for surfaces that are not convex.
 _CONVEX = 1e-9
 
 
 @dataclass(frozen=True)
 class Enclosure:
-    """Inner and outer body, in the cloud's unit."""
+    """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
 
     inner: Any
-    """Convex hull of the contacts, a `trimesh.Trimesh`."""
+    """The inner body, the convex hull of the contacts: a `trimesh.Trimesh`."""
     corners: Array
     """(w, 3) corners of the outer body's slabs."""
     gap: Array
@@ -44,20 +45,20 @@ class Enclosure:
     kind: NDArray[np.int8]
     """(w,) of `Gap`."""
     straight: Mask
-    """(w, 2) whether the body goes on straight below and above the corner's slab."""
+    """(w, 2) whether the body goes on straight, at the corner's half-spaces, below and above the slab."""
     slab: Index
-    """(w,) the slab's number: slab i lies below slice i of `stack`."""
+    """(w,) number of the corner's slab: slab i lies below slice i of `stack`."""
     stack: SliceStack
-    """The slices between which the slabs are."""
+    """The slices between which the slabs lie."""
     bound: float
-    """Upper bound of the Hausdorff distance of the inner body to the true one; infinite if nothing bounds its height."""
+    """Upper bound of the Hausdorff distance between the inner body and the true one; infinite if nothing bounds it."""
     margin: float
-    """Distance by which noisy contacts may be off, contained in `bound`."""
+    """Largest error of a contact that the bounds allow for, contained in `bound`."""
     volume: tuple[float, float]
-    """Bounds of the true volume."""
+    """Lower and upper bound of the true volume."""
 
     def part(self, kind: Gap) -> float:
-        """The largest gap of one kind, 0 if there is none."""
+        """The largest gap of one kind, 0 if no corner is of that kind."""
         gap = self.gap[self.kind == kind]
         return float(gap.max()) if len(gap) else 0.0
 
@@ -68,16 +69,20 @@ class Certificate(NamedTuple):
     bound: float
     """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
     at_vertices: Array
-    """(v,) local bound at the surface's vertices: how far the true surface can be from here."""
+    """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""
 
 
 def enclosure(cloud: Cloud, margin: float = 0.0) -> Enclosure:
-    """The enclosure of a cloud whose contacts and normals are off by no more than `margin`, in the cloud's unit."""
+    """The enclosure of a cloud whose contacts are accurate to within `margin`, in the cloud's unit.
+
+    Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.
+    Raises InputError for contacts that do not span a body.
+    """
     inner = hull(cloud.points)
     by_axis = stacks(cloud)
     outer = [slabs(stack, margin) for stack in by_axis]
     if len(by_axis) > 1:
-        # another stack may bound a stack's height where no empty slice does, or more tightly
+        # another stack may bound the height of a stack more tightly than its empty slices do
         by_axis = [_bounded_by_others(k, by_axis, outer) for k in range(len(by_axis))]
         outer = [slabs(stack, margin) for stack in by_axis]
     candidates = [_of_stack(inner, stack, parts, margin) for stack, parts in zip(by_axis, outer, strict=True)]
@@ -107,8 +112,9 @@ def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float) -
 def certificate(bounds: Enclosure, surface: Any) -> Certificate:
     """The certificate of a surface, a `trimesh.Trimesh` in the cloud's unit, by an enclosure of the body.
 
-    A convex surface is certified by the outer body's corners; whether it is convex is judged by its shape.  A surface that is
-    not convex, or open, is compared with the inner body, whose own bound is added.
+    Whether the surface is convex is judged by its shape.  A convex surface is certified by the distances of the outer body's
+    corners from it, and of its vertices from the inner body.  A surface that is open or not convex is compared with the inner
+    body, and the bound of the inner body is added to the distance.
     """
     vertices = np.asarray(surface.vertices)
     deviation = distance_to_hull(surface)

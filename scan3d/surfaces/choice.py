@@ -1,4 +1,4 @@
-"""Closed surfaces from contacts, by the method asked for or by the one that predicts held-out slices best."""
+"""Closed surfaces from contacts, by a given method or by the one that predicts held-out slices best."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_o
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
 from scan3d.surfaces.tuning import Tuning
 
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more would halve the
-# sagitta of its facets twice, at four times the vertices.
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
+# of the facets by four and multiplies the number of vertices by four; one fewer does the opposite.
 _SUBDIVISIONS = 6
 _DESCRIPTIONS = {
     Edges.NONE: "flat between its slices",
@@ -37,17 +37,17 @@ def surface(
 
     method
         'hull': the convex hull of the contacts, never outside the body.
-        'bracket': the hull, extended to where between the inner and the outer body the true one most likely lies.
+        'bracket': the hull, extended by an estimate of where the true surface lies between the inner and the outer body.
         'support': the support function fitted to the contacts, for smooth bodies.
-        'poisson', 'ball-pivoting': open3d's, which do not know that the body is convex; the latter may leave holes.
-        'auto': the one of the first three that best predicts held-out slices.
+        'poisson', 'ball-pivoting': methods of open3d that do not assume a convex body; ball pivoting may leave holes.
+        'auto': whichever of the first three methods predicts held-out slices best.
     bounds
-        the cloud's `enclosure`, if it is known already.
+        the cloud's `enclosure`, if it has been computed already.
     tuning
         numbers of the estimate between the bounds.
 
-    `metadata` says which `method` it was, and for what `reason`.  Raises InputError for an unknown method, for contacts that
-    do not span a body, for 'support' where the body is not smooth, and where open3d is needed and missing.
+    `metadata` has the `method` that was used and the `reason` for it.  Raises InputError for an unknown method, for contacts
+    that do not span a body, for 'support' if the body is not smooth, and if open3d is needed but cannot be imported.
     """
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
@@ -56,29 +56,32 @@ def surface(
             "the body is not smooth enough for the method support, or has too few contacts; use auto, bracket or hull"
         )
     if method == "hull":
-        return _labelled(hull(cloud.points), method, "convex hull of the contacts, as asked for")
+        return _labelled(hull(cloud.points), method, "convex hull of the contacts, as requested")
     if method in ("poisson", "ball-pivoting"):
         from scan3d.surfaces import open3d_methods
 
         build = open3d_methods.poisson if method == "poisson" else open3d_methods.ball_pivoting
         mesh = build(cloud.points, cloud.normals)
-        return _labelled(mesh, method, f"{mesh.metadata['reason']}, as asked for")
+        return _labelled(mesh, method, f"{mesh.metadata['reason']}, as requested")
     if method == "support":
         assert cloud.fit is not None
-        return _labelled(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as asked for")
+        return _labelled(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
     return _best(cloud, bounds or enclosure(cloud), tuning or Tuning(), with_fit=method == "auto")
 
 
 @dataclass(frozen=True)
 class _CrossValidation:
-    """Errors at held-out slices: of the estimates between the bounds, and of the fit, None if there is none."""
+    """Errors at held-out slices of the estimates between the bounds, and of the fit; None if the body was not fitted."""
 
     estimates: dict[Edges, HeldOutError]
     fit: HeldOutError | None
 
 
 def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) -> Any:
-    """The estimate between the bounds that predicts held-out slices best; `with_fit`, also a proven hull or the fit."""
+    """The estimate between the bounds that predicts held-out slices best.
+
+    With `with_fit`, the hull is taken if its bound proves it close enough, and the fitted body if it predicts them better.
+    """
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if with_fit and bounds.bound <= tuning.proven * diagonal:
         reason = f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body"
@@ -87,7 +90,7 @@ def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) ->
     if errors is None:
         reason = "between hull and outer body; too few slices for cross-validation"
         return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
-    # where cross-validation hardly tells them apart, bent edges are chosen: they err less if they are wrong
+    # where cross-validation hardly distinguishes them, bent edges are chosen: if wrong, their error is smaller
     advantage = {Edges.SHARP: tuning.sharp_advantage}
     best = min(errors.estimates, key=lambda edges: errors.estimates[edges].rms / advantage.get(edges, 1.0))
     estimate = errors.estimates[best]
@@ -139,7 +142,7 @@ def _between(cloud: Cloud, bounds: Enclosure, edges: Edges, tuning: Tuning) -> A
 def _of_fit(fit: SupportFit) -> Any:
     from trimesh.creation import icosphere
 
-    # spread evenly over the ball-like body behind the fit, so that needles and discs get even facets too
+    # spread evenly over the ball-like body to which the fit maps its own, so that needles and discs get even facets as well
     directions = icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)
     return hull(fit.points(directions @ np.linalg.inv(fit.shape)))
 

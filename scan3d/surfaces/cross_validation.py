@@ -12,13 +12,14 @@ from scan3d.cloud import Cloud
 from scan3d.geometry.distance import distances
 from scan3d.geometry.support import SupportFit
 
-# Slices that an axis needs before any of them is held out: fewer do not determine a surface without them.
+# Slices with contacts that an axis needs before any of them is held out.  Larger, scans of few slices are not judged by
+# cross-validation; smaller, the slices that are kept do not determine a surface.
 _FEWEST_SLICES = 5
 
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """Distances of held-out contacts from a surface made of the others, in the cloud's unit."""
+    """Distances of held-out contacts from a surface made from the other contacts, in the cloud's unit."""
 
     largest: float
     rms: float
@@ -27,7 +28,8 @@ class HeldOutError:
 def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Array] | None:
     """The cloud without every second slice between the end slices of each axis, and the held-out contacts (n, 3).
 
-    None if fewer than five slices have contacts.  The support function fitted to all contacts is left out as well.
+    None if no axis has five slices with contacts.  The kept cloud has no fitted support function, since that of the whole cloud
+    was fitted to the held-out contacts as well.
     """
     keep = np.ones(len(cloud.slice_height), dtype=bool)
     filled = np.unique(cloud.slice)
@@ -57,7 +59,7 @@ def error_of_surface(surface: Any, held_out: Array) -> HeldOutError:
 
 
 def error_of_fit(fit: SupportFit, held_out: Array, start: Array) -> HeldOutError:
-    """The error of a fitted body, without facets, at held-out contacts (n, 3), from rough normals (n, 3) of theirs."""
+    """The error of a fitted body, without facets, at held-out contacts (n, 3); `start` (n, 3) are their approximate normals."""
     normals = fit.normals(held_out, start)
     return _error(((held_out - fit.points(normals)) * normals).sum(axis=1))
 

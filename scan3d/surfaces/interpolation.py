@@ -1,16 +1,26 @@
-"""Where between the inner and the outer body the true one most likely lies.
+"""An estimate of where the true surface lies between the inner and the outer body.
 
-At a fixed normal angle θ the support function is concave in the height z.  In the slab between two slices it runs above
-their chord and below the tangents there, and the outer body's corner is where the extrapolated neighbouring secants meet.
-How near to that corner the body comes depends on how the turn of the slope is spread over the slab:
+Notation.  At a fixed angle θ of the in-plane normal, the support function h(θ, z) is concave in the height z.  A slab of
+thickness d lies between two slices, and its *chord* is the straight line between the values of h at the two.  Let σ be the
+slope of the chord, and let the slope ∂h/∂z be σ + ρ at the lower and σ - φ at the upper end.  By concavity, ρ and φ are not
+negative.  The sum τ = ρ + φ is the *turn* of the slope in the slab.
 
-- where the slopes beyond either end do not change, the body is a polyhedron's, and turns in one kink: it reaches the corner;
-- where they change steadily, it turns all along, as a parabola does, which passes half way below the tangents' apex;
-- between a flat and a curved part it turns in an arc about the apex, as long as the curvature beyond the slab makes it: a
-  parabola from tangent to tangent, a quarter of the turn times its half length below the apex.  Where the flat part's slope
-  falls a little towards the slab, the arc has begun before.
+Between the slices, h runs above the chord and below the tangents at its ends, which meet at the *tangents' apex*, φ/τ of the
+thickness above the lower slice and d ρφ/τ above the chord.  The slopes are not measured.  What is certain is only that h stays
+below the neighbouring secants, which join each slice to the one behind it: extrapolated into the slab, they meet at the
+*secants' apex*, a corner of the outer body.  How close to that corner the true surface comes depends on how the turn is
+distributed over the slab:
 
-This is a guess, by the slices on either side, and where it fails the certificate still holds.
+- If the slopes behind both ends are constant, the body is taken for a polyhedron, whose turn is concentrated in a crease. The
+  surface reaches the corner.
+- If they change steadily, the turn is taken to be distributed evenly.  Then h is a parabola, which passes d τ/8 above the chord
+  at mid-height, half as high as the tangents' apex.
+- If the slope is constant behind one end only, the body is taken to go over from a straight part into an arc about the
+  tangents' apex, with the curvature found behind the other end.  The arc is a parabola from tangent to tangent, and passes
+  d τl/4 below the apex, where 2l is the length of the arc relative to d.  If the slope of the straight part falls slightly
+  towards the slab, the arc has begun before the slice.
+
+The estimate rests on assumptions about the body.  The certificate does not: it holds whether or not the estimate is good.
 """
 
 from __future__ import annotations
@@ -25,22 +35,29 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.reconstruction.slices import Slice, SliceStack
 from scan3d.surfaces.tuning import Tuning
 
+# Where between two slices contours are estimated, as fractions of the slab's thickness.  More contours follow a curved body
+# more closely, but make the hull larger and slower to compute.
+_CONTOUR_FRACTIONS = (1 / 3, 2 / 3)
+
 
 class Edges(Enum):
     """What is assumed of the body where it goes on straight on both sides of a slab."""
 
     NONE = "none"
-    """The body is flat between its slices: the surface stays with the hull, but for the caps."""
+    """The body is flat between its slices: the surface is that of the hull, except in the caps."""
     SOME = "some"
-    """The body is bent, with some edges: the surface goes `Tuning.crease` of the way to the outer corner."""
+    """The body is curved, with some edges: the surface lies at the fraction `Tuning.crease` of the distance to the corner."""
     SHARP = "sharp"
-    """The body is a polyhedron: the surface goes to the outer corner itself."""
+    """The body is a polyhedron: the surface reaches the outer corner."""
 
 
 def fractions(stack: SliceStack, away: Array, slab: Index, straight: Mask, edges: Edges, tuning: Tuning) -> Array:
-    """Fractions (w,) of the way to the outer body's corners, which are `away` (w, 3) from the inner body's nearest points.
+    """Estimated distance (w,) of the surface from the inner body, as fractions of the distances to the outer body's corners.
 
-    slab (w,) and straight (w, 2) are those of the `Enclosure`.
+    away
+        (w, 3) vectors from the inner body's nearest points to the corners.
+    slab, straight
+        (w,) and (w, 2), the corners' as in the `Enclosure`.
     """
     if edges is Edges.NONE:
         return np.where((slab == 0) | (slab == len(stack.slices)), tuning.unknown, 0.0)
@@ -51,24 +68,24 @@ def fractions(stack: SliceStack, away: Array, slab: Index, straight: Mask, edges
     for i in np.unique(slab):
         rows = slab == i
         turn = _turn(stack, int(i), angle[rows], tuning)
-        # with slices on one side only, a parabola's fraction; in the caps nothing is known
+        # where slices on one side only are known, the fraction of a parabola; in the caps nothing is known
         one_sided = tuning.unknown if i in (0, len(stack.slices)) else tuning.parabola
         fraction[rows] = (1 - tuning.damping) * turn.fraction(one_sided) + tuning.damping * tuning.unknown
         if edges is Edges.SOME:
             creased[rows] = turn.straight
         elif 0 < i < len(stack.slices):
-            # a polyhedron is straight on either side, though three slices may not show it on both, or on any
+            # a polyhedron is straight on both sides, even where too few slices show it
             fraction[rows] += tuning.unseen_corners * (1 - fraction[rows])
     fraction[creased] = 1.0 if edges is Edges.SHARP else tuning.crease
     return fraction
 
 
 def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
-    """Points (n, 3) in the world on the contours that the body most likely has a third and two thirds up between its slices.
+    """Points (n, 3) in the world on estimated contours of the body, at one and two thirds of the height between its slices.
 
-    The outer body's corners are far between where a flat face ends inside a slab; these go all around it.
+    Where a flat face ends inside a slab, the outer body has few corners; the contours go all around the body.
     """
-    found = [np.empty((0, 3))]
+    contours = [np.empty((0, 3))]
     for i in range(1, len(stack.slices)):
         below, above = stack.slices[i - 1], stack.slices[i]
         if not (below.closed and above.closed):
@@ -79,127 +96,163 @@ def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
         turn = _turn(stack, i, angle, tuning)
         support = np.stack([slice_.support(angle) for slice_ in (below, above)])
         middle = np.stack([slice_.outline.mean(axis=0) for slice_ in (below, above)])
-        for up in (1 / 3, 2 / 3):
+        for up in _CONTOUR_FRACTIONS:
             mix = np.array([1 - up, up])
             level = below.height + up * (above.height - below.height)
-            most = np.concatenate([_beyond(below, before, level), _beyond(above, after, level)])
-            contour = _contour(angle, np.minimum(mix @ support + turn.above_chord(up), most), mix @ middle)
-            found.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
-    return np.concatenate(found)
+            upper = np.concatenate([_extrapolated(below, before, level), _extrapolated(above, after, level)])
+            contour = _contour(angle, np.minimum(mix @ support + turn.above_chord(up), upper), mix @ middle)
+            contours.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
+    return np.concatenate(contours)
 
 
-def _beyond(slice_: Slice, behind: Slice | None, level: float) -> Array:
-    """Upper bound (a,) of the support function beyond a slice, at its angles; inf if no slice is behind it."""
+def _extrapolated(slice_: Slice, behind: Slice | None, level: float) -> Array:
+    """Upper bound (a,) of the support function at a height, at a slice's angles: the secant from the slice behind it.
+
+    Infinite if there is no slice behind it.
+    """
     if behind is None:
         return np.full(len(slice_.angle), np.inf)
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
     secant = (slice_.value - behind.support_of_contacts(normals)) / (slice_.height - behind.height)
-    return slice_.value + secant * (level - slice_.height)
+    value: Array = slice_.value + secant * (level - slice_.height)
+    return value
 
 
-def _contour(angle: Array, height: Array, inside: Array) -> Array:
-    """Points (n, 2) where support lines at angles (k,), of heights (k,), touch the contour about the point `inside` (2,)."""
+def _contour(angle: Array, support: Array, inside: Array) -> Array:
+    """Middles (n, 2) of the sides of the polygon about `inside` (2,) that support lines bound; no points if they do not.
+
+    The lines have their normals at the angles (k,) and the values (k,) of the support function.
+    """
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    room = height - normals @ inside
-    if not (room > 0).all():
+    distance = support - normals @ inside
+    if not (distance > 0).all():
         return np.empty((0, 2))
     try:
-        edges = ConvexHull(normals / room[:, None]).equations
-    except QhullError:  # too thin for Qhull, and then the slices say enough
+        # the polygon's corners are the edges of the dual polygon
+        edges = ConvexHull(normals / distance[:, None]).equations
+    except QhullError:  # too thin for Qhull; the slices alone then determine the surface closely enough
         return np.empty((0, 2))
     corners = inside - edges[:, :2] / edges[:, 2:]
     corners = corners[np.argsort(np.arctan2(*(corners - inside).T))]
-    # the contours_between of its sides: a corner of two support lines may be none of the body's
-    return (corners + np.roll(corners, -1, axis=0)) / 2
+    # the middles of the sides, since a corner of two support lines need not belong to the body
+    middles: Array = (corners + np.roll(corners, -1, axis=0)) / 2
+    return middles
 
 
 @dataclass(frozen=True)
 class _Turn:
-    """How the slope of the support function turns in a slab, at angles (n,); NaN where there are too few slices."""
+    """How the slope ∂h/∂z turns in a slab, at angles (n,) of the normal; NaN where there are too few slices.
 
-    step: float
-    """The slab's thickness."""
+    The symbols are those of the module's docstring.  Distances in z are in units of the thickness d.
+    """
+
+    thickness: float
+    """d"""
     rise: Array
-    """Slope at the lower end, less that of the chord."""
+    """ρ, the slope at the lower end less that of the chord."""
     fall: Array
-    """Slope of the chord, less that at the upper end."""
-    most: Array
-    """Height above the chord of the certain secants' apex, in steps."""
-    arc: Array
-    """Half the length of the arc about the tangents' apex, in steps."""
+    """φ, the slope of the chord less that at the upper end."""
+    secant_apex: Array
+    """Height of the secants' apex above the chord, divided by d."""
+    half_arc: Array
+    """l, half the length of the arc about the tangents' apex, divided by d."""
     straight: Mask
-    """Whether the body goes on straight beyond either end."""
+    """Whether the body goes on straight behind both ends."""
 
     def fraction(self, unknown: float) -> Array:
-        """Height above the chord at the tangents' apex, in that of the secants' apex, or `unknown`."""
+        """Height of h above the chord at the tangents' apex, divided by that of the secants' apex; `unknown` if not known.
+
+        That is ``(ρφ/τ - τl/4) / secant_apex``, clipped to the interval from 0 to 1.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             turn = self.rise + self.fall
-            found = (self.rise * self.fall / turn - turn * self.arc / 4) / self.most
-        return np.where(np.isfinite(found), np.clip(found, 0.0, 1.0), unknown)
+            fraction = (self.rise * self.fall / turn - turn * self.half_arc / 4) / self.secant_apex
+        return np.where(np.isfinite(fraction), np.clip(fraction, 0.0, 1.0), unknown)
 
     def above_chord(self, up: float) -> Array:
-        """Height above the chord at a share of the way up; where it is known from one side only, that of a parabola."""
+        """Height (n,) of h above the chord at the fraction `up` of the thickness, u.
+
+        It follows the lower of the two tangents, ``d min(uρ, (1 - u)φ)``, and the arc within l of the apex at ``u = φ/τ``:
+        there it lies ``d τ (l - |u - φ/τ|)² / (4l)`` below the tangents.  Where the slope is known at one end only, it is
+        taken to be the same at the other, and the arc to fill the slab.
+        """
         rise, fall = np.fmax(self.rise, 0.0), np.fmax(self.fall, 0.0)
         rise, fall = np.where(np.isnan(self.rise), fall, rise), np.where(np.isnan(self.fall), rise, fall)
-        turn, arc = rise + fall, np.where(np.isnan(self.arc), 0.5, self.arc)
+        turn, arc = rise + fall, np.where(np.isnan(self.half_arc), 0.5, self.half_arc)
         with np.errstate(divide="ignore", invalid="ignore"):
             inside = np.maximum(arc - np.abs(up - fall / turn), 0.0)
             height = np.minimum(up * rise, (1 - up) * fall) - np.where(inside > 0, turn * inside**2 / (4 * arc), 0.0)
-        return self.step * np.fmax(height, 0.0)
+        above: Array = self.thickness * np.fmax(height, 0.0)
+        return above
 
 
 def _turn(stack: SliceStack, i: int, angle: Array, tuning: Tuning) -> _Turn:
     """The turn in the slab below slice i, at angles (n,)."""
-    nothing = np.full(len(angle), np.nan)
+    unknown = np.full(len(angle), np.nan)
 
-    def slice_(j: int) -> tuple[float, Array]:
+    def height_and_support(j: int) -> tuple[float, Array]:
         usable = 0 <= j < len(stack.slices) and stack.slices[j].closed
-        return (stack.slices[j].height, stack.slices[j].support(angle)) if usable else (np.nan, nothing)
+        return (stack.slices[j].height, stack.slices[j].support(angle)) if usable else (np.nan, unknown)
 
-    # three slices on either side; steps and secants 0 1 | 2 | 3 4, with the slab's own in the middle
-    z, h = zip(*(slice_(j) for j in range(i - 3, i + 3)), strict=True)
-    step = np.diff(np.array(z))
-    secant = [(above - below) / width for below, above, width in zip(h[:-1], h[1:], step, strict=True)]
-    below = _End(secant[0] - secant[2], secant[1] - secant[2], step[1], step[2], tuning.straight)
-    above = _End(secant[2] - secant[4], secant[2] - secant[3], step[3], step[2], tuning.straight)
-    bend = np.fmax(below.bend(), above.bend())
-    rise, fall = below.turn(bend), above.turn(bend)
+    # three slices on either side; of the five slabs between them, with their thicknesses and secants, number 2 is this one
+    z, h = zip(*(height_and_support(j) for j in range(i - 3, i + 3)), strict=True)
+    thickness = np.diff(np.array(z))
+    secant = [(above - below) / width for below, above, width in zip(h[:-1], h[1:], thickness, strict=True)]
+    below = _End(secant[0] - secant[2], secant[1] - secant[2], thickness[1], thickness[2], tuning.straight)
+    above = _End(secant[2] - secant[4], secant[2] - secant[3], thickness[3], thickness[2], tuning.straight)
+    curvature = np.fmax(below.curvature(), above.curvature())
+    rise, fall = below.slope(curvature), above.slope(curvature)
     with np.errstate(divide="ignore", invalid="ignore"):
-        # the arc fits in on both sides of the apex, and is no longer than so much bending makes the turn
-        fits = np.minimum(rise, fall) / (rise + fall)
-        arc = fits * np.minimum(1.0, 2 * bend * fits * step[2] / (rise + fall))
-        most = below.near * above.near / (below.near + above.near)
-    return _Turn(float(step[2]), rise, fall, most, arc, below.flat & above.flat)
+        # The arc reaches at most to the nearer end.  If over that length the curvature turned the slope by less than τ, the
+        # arc is shortened in proportion: the body turns more sharply.
+        to_end = np.minimum(rise, fall) / (rise + fall)
+        half_arc = to_end * np.minimum(1.0, 2 * curvature * to_end * thickness[2] / (rise + fall))
+        secant_apex = below.near * above.near / (below.near + above.near)
+    return _Turn(float(thickness[2]), rise, fall, secant_apex, half_arc, below.straight & above.straight)
 
 
 @dataclass(frozen=True)
 class _End:
-    """One end of a slab: how far the slopes of the two secants beyond it are from that of the slab's chord, at angles (n,)."""
+    """One end of a slab, and the two slabs behind it, at angles (n,).
+
+    Let ν be the difference between the slopes of the chord and of the secant in the first slab behind the end, and η that in
+    the second, with signs such that both are positive for a concave function.  Let d' be the thickness of the first.
+    """
 
     far: Array
+    """η"""
     near: Array
-    near_step: float
-    step: float
-    """The slab's thickness."""
+    """ν"""
+    near_thickness: float
+    """d'"""
+    thickness: float
+    """d, the thickness of the slab itself."""
     tolerance: float
-    """Slopes that differ by less than this fraction of `near` are equal."""
+    """The body is straight behind the end if η and ν differ by no more than this fraction of ν."""
 
     @property
-    def flat(self) -> Mask:
-        return np.abs(self.far - self.near) <= self.tolerance * np.abs(self.near)
+    def straight(self) -> Mask:
+        """(n,) whether the body goes on straight behind the end."""
+        equal: Mask = np.abs(self.far - self.near) <= self.tolerance * np.abs(self.near)
+        return equal
 
-    def bend(self) -> Array:
-        """The slope's change with height around the end, 0 if it is flat."""
-        return np.where(self.flat, 0.0, 2 * self.near / (self.near_step + self.step))
+    def curvature(self) -> Array:
+        """The change κ of the slope with height around the end, ``κ = 2ν / (d + d')``; 0 if the body is straight there."""
+        return np.where(self.straight, 0.0, 2 * self.near / (self.near_thickness + self.thickness))
 
-    def turn(self, bend: Array) -> Array:
-        """How far the slope at the end itself is from the chord's: that of the parabola through three slices, if not flat.
+    def slope(self, curvature: Array) -> Array:
+        """Slope at the end itself, as its difference from that of the chord: ρ at the lower end and φ at the upper one.
 
-        From a flat part on, the slope changes as beyond the other end, by `bend` with height: from where that makes the near
-        secant of the far one, but by no more than from the middle of the slab on.
+        If the body is not straight behind the end, it is that of the parabola through the three slices: ``ν d / (d + d')``.
+
+        If it is, the slope remains that of the far secant up to where the arc begins and then changes by κ, the curvature
+        found behind the other end.  An arc that begins a height b before the end lowers the near secant's slope by
+        ``η - ν = κb² / (2d')``, which gives b, at most d', and the slope ``η - κb``.  It is neither above ν nor below κd/2, the
+        value for an arc that fills the slab.  If κ is 0, the slope is ν.
         """
-        parabola = self.near * self.step / (self.near_step + self.step)
+        parabola = self.near * self.thickness / (self.near_thickness + self.thickness)
         with np.errstate(divide="ignore", invalid="ignore"):
-            begun = np.minimum(np.sqrt(2 * np.abs(self.far - self.near) * self.near_step / bend), self.near_step)
-        flat = np.minimum(self.near, np.maximum(self.far - bend * begun, bend * self.step / 2))
-        return np.where(self.flat, np.where(bend > 0, flat, self.near), parabola)
+            before = np.sqrt(2 * np.abs(self.far - self.near) * self.near_thickness / curvature)
+            before = np.minimum(before, self.near_thickness)
+        arc = np.minimum(self.near, np.maximum(self.far - curvature * before, curvature * self.thickness / 2))
+        return np.where(self.straight, np.where(curvature > 0, arc, self.near), parabola)

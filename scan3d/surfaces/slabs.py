@@ -1,13 +1,13 @@
 """The outer body, slab by slab: what the half-spaces of the slices leave between two neighbouring heights.
 
 At a fixed normal angle θ a slice's support function is concave in the height z, so that beyond a slice it stays below the
-secant from the slice behind, extrapolated,
+extrapolated secant from the slice behind it,
 
     <n, p> <= h + σ (z - z_i),        σ = (h - h_before) / (z_i - z_before),
 
-with h exact at the contact and ``h_before`` at least the support of the contacts there.  Between two slices this holds from
-both sides; past the end slices from one, up to the next height at which a slice has found nothing.  These half-spaces cut
-each slab to a polyhedron.  Half-spaces that noisy contacts give are moved out by a margin.
+with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between two
+slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest empty slice.
+The half-spaces cut each slab to a polyhedron.  Where contacts are noisy, the half-spaces are moved outwards by a margin.
 """
 
 from __future__ import annotations
@@ -33,16 +33,19 @@ _FAR = 1e6
 # curvature would count as straight and be extended to a crease; smaller, the secants of a facet would not pass for equal.
 _STRAIGHT = 0.03
 # Rounding of a support function, relative to it: some thousand units in the last place, for several sums of products.
+# Larger, nearly straight sides of a body count as straight; smaller, rounding makes straight sides count as curved.
 _ROUNDING = 1e-12
-# Offset of a dual facet that is zero to rounding: its corner lies at infinity.
-_ON_THE_EDGE = 1e-12
+# Offset of a dual facet that counts as zero, so that its corner lies at infinity.  Larger, closed but very elongated slabs
+# count as unbounded; smaller, rounding makes open slabs count as bounded.
+_ZERO_OFFSET = 1e-12
 # Where between its two planes a point inside a slab past an end slice is sought, as fractions of the thickness from the
 # slice: the middle is best conditioned, and a pointed cap leaves room near the slice only.
+# More fractions take longer where there is no such point; fewer leave very pointed caps unbounded.
 _INNER_FRACTIONS = (0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-8)
 
 
 class Gap(IntEnum):
-    """What a part of the uncertainty comes from."""
+    """The cause of a part of the uncertainty."""
 
     SLICES = 0
     """The body between two slices."""
@@ -60,8 +63,9 @@ class Slab(NamedTuple):
     kind: NDArray[np.int8]
     """(w,) of `Gap`."""
     straight: Mask
-    """(w, 2) whether all half-spaces of the corner that come from below, and from above, go on straight beyond the slab."""
+    """(w, 2) whether the body goes on straight, below and above the slab, at all the corner's half-spaces from that side."""
     volume: float
+    """Infinite if nothing bounds the slab."""
 
 
 SlabKey = tuple[float, ...]
@@ -80,7 +84,7 @@ class _HalfSpaces(NamedTuple):
 
 
 def slabs(stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None) -> list[Slab]:
-    """The slabs of a stack from below; those that depend on the same slices are taken from `known`, and added to it."""
+    """The slabs of a stack from below; those in `known`, by key, are not computed again, and new ones are added to it."""
     known = {} if known is None else known
     keys = slab_keys(stack)
     for i, key in enumerate(keys):
@@ -93,7 +97,7 @@ def slab_keys(stack: SliceStack) -> list[SlabKey]:
     """What each slab depends on: three slices, or ends of the body, on either side, and how many contacts they have."""
     heights = [-np.inf, -np.inf, stack.floor, *map(float, stack.heights), stack.ceiling, np.inf, np.inf]
     contacts = [0, 0, 0, *(len(slice_.rows) for slice_ in stack.slices), 0, 0, 0]
-    return [tuple(heights[i : i + 6] + contacts[i : i + 6]) for i in range(len(stack.slices) + 1)]
+    return [(*heights[i : i + 6], *contacts[i : i + 6]) for i in range(len(stack.slices) + 1)]
 
 
 def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
@@ -120,7 +124,7 @@ def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
     if intersection is None:
         return unbounded
     corners, facets, volume = intersection
-    # in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body can't be so wide
+    # corners in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body is narrower
     on_low, on_high = (np.abs(corners[:, 2] - z) <= _IN_PLANE * thickness for z in (low, high))
     in_plane = (on_low & (i >= 2)) | (on_high & (above is not None) & (i + 1 < count))
     on_end = (on_low & (i == 1)) | (on_high & (above is not None) & (i + 1 == count))
@@ -144,7 +148,7 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
         planes.append(_half_spaces(above, slices[i + 1], margin))
         side.append(np.full(len(planes[-1]), 1.0))
         straight.append(_goes_on_straight(slices[i:], below))
-    # the plane of an empty slice cuts off what does not follow from the body's shape
+    # where an empty slice bounds the cap, the corner in its plane does not follow from the body's shape: not straight
     ends = [stack.bounded_by_others[1] and above is None, stack.bounded_by_others[0] and below is None]
     return _HalfSpaces(
         np.concatenate([*planes, [[0.0, 0.0, 1.0, -high], [0.0, 0.0, -1.0, low]]]),
@@ -154,7 +158,7 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
 
 
 def _half_spaces(slice_: Slice, behind: Slice, margin: float) -> Array:
-    """Rows (k, 4) ``a·x + b <= 0``: the slice's supporting lines, inclined along the secants from the slice behind."""
+    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the secants from the slice behind."""
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
     value = slice_.value + margin
     secant = (value - (behind.support_of_contacts(normals) - margin)) / (slice_.height - behind.height)
@@ -172,12 +176,12 @@ def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, lis
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     try:
         with np.errstate(divide="ignore", invalid="ignore"):
-            intersection = _qhull(HalfspaceIntersection, planes, np.zeros(3))
-        # the half-spaces close only where their dual points have the inner point among them
-        if not (intersection.dual_equations[:, 3] < -_ON_THE_EDGE).all():
+            intersection = _run_qhull(HalfspaceIntersection, planes, np.zeros(3))
+        # the intersection is bounded only if the inner point lies inside the hull of the dual points
+        if not (intersection.dual_equations[:, 3] < -_ZERO_OFFSET).all():
             return None
         corners = intersection.intersections
-        volume = _qhull(ConvexHull, corners).volume * float(np.prod(size))
+        volume = _run_qhull(ConvexHull, corners).volume * float(np.prod(size))
     except (QhullError, ValueError):
         return None
     if np.abs(corners[:, :2]).max() > _FAR:
@@ -185,8 +189,8 @@ def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, lis
     return inside + corners * size, intersection.dual_facets, volume
 
 
-def _qhull(build: Any, *inputs: Array) -> Any:
-    """Qhull, with its input joggled by rounding where nearly equal planes or points confuse it."""
+def _run_qhull(build: Any, *inputs: Array) -> Any:
+    """Qhull, with its input perturbed by rounding (its option QJ) where nearly equal planes or points make it fail."""
     try:
         return build(*inputs)
     except QhullError:
@@ -208,24 +212,25 @@ def _corner_is_straight(side: Array, straight: Mask, one_sided: bool) -> tuple[b
 def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
     """Whether the body goes on straight behind a slab's slice, at the slice's normals (k,).
 
-    `behind` are the slice and those farther and farther from the slab, `beyond` is the one on the slab's other side; past an
-    end slice no slice is beyond, and the slopes may differ by rounding only.
+    `behind` begins with that slice and goes on with those ever farther from the slab; `beyond` is the slice on the slab's
+    other side.  In a cap there is none, and the slopes may differ by rounding only.
     """
     if len(behind) < 3:
         return np.zeros(len(behind[0].angle), dtype=bool)
     normals = np.stack([np.cos(behind[0].angle), np.sin(behind[0].angle)], axis=1)
-    near, far, turned = (
+    near, far, across = (
         (b.support_of_contacts(normals) - a.support_of_contacts(normals)) / (b.height - a.height)
         for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond or behind[1]))
     )
     rounding = (
         _ROUNDING * np.abs(behind[0].value).max() / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
     )
-    return np.abs(near - far) <= _STRAIGHT * np.abs(near - turned) + rounding
+    straight: Mask = np.abs(near - far) <= _STRAIGHT * np.abs(near - across) + rounding
+    return straight
 
 
 def _inner_point(below: Slice | None, above: Slice | None, low: float, high: float, planes: Array) -> Array | None:
-    """A point well inside a slab's half-spaces, on the line between the centres of its slices; None if there is none."""
+    """A point well inside a slab's half-spaces, above or below its slices' mean centre; None if no such point is found."""
     centres = [slice_.outline.mean(axis=0) for slice_ in (below, above) if slice_ is not None and len(slice_.outline)]
     if not centres or not len(planes):
         return None

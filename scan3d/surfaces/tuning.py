@@ -1,6 +1,6 @@
 """The numbers by which a surface is estimated between the inner and the outer body.
 
-None of them touches the certificate.  ``tests/benchmarks/tuning.py`` prints the error over each of them.
+None of them affects the certificate's enclosure.  ``tests/benchmarks/tuning.py`` prints the error over each of them.
 """
 
 from __future__ import annotations
@@ -10,29 +10,34 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Tuning:
-    """Numbers of the estimate between the bounds; fractions are of the way from the inner body to an outer corner."""
+    """Numbers of the estimate between the bounds; a fraction is 0 at the inner body and 1 at an outer corner."""
 
     unknown: float = 0.5
-    """Fraction in the caps and where slices lack normals: half way, the error is at most half the gap."""
+    """Fraction in the caps and where slices lack normals: at one half, the error is at most half the gap.  Larger, the surface
+    is too far out for round bodies; smaller, too far in for bodies with edges."""
     damping: float = 0.6
     """Weight by which every estimated fraction is drawn towards `unknown`.  Larger, the error is smaller where the estimate
-    is wrong, as where facets end within two slices of each other, and larger where it is right."""
+    is wrong, for example where facets end within two slices of each other, and larger where it is right."""
     unseen_corners: float = 0.3
-    """How much nearer than estimated a polyhedron's corners are to the outer body's, where too few slices show its planes."""
+    """Fraction of the remaining distance to the corner that is added for a polyhedron where too few slices show its planes.
+    Larger, the surface is too far out where it is a plane; smaller, too far in where it has a corner."""
     straight: float = 0.03
     """Slopes beyond a slab are equal if they differ by less than this fraction of their difference to the slab's.  Larger,
     gentle curvature counts as straight; smaller, noise makes facets count as curved."""
     parabola: float = 0.25
     """Height of an evenly sliced parabola above the chord, relative to that of the secants' apex: used where slices on one
-    side only are known.  Follows from the geometry of a parabola; other bodies differ."""
+    side only are known.  It follows from the geometry of a parabola.  Larger suits bodies with edges, smaller suits bodies
+    that are straight between their slices."""
     crease: float = 0.7
-    """Fraction where a body that is bent, with some edges, goes on straight on both sides of a slab; 1 would be an edge in
-    every such place."""
+    """Fraction where a curved body with some edges goes on straight on both sides of a slab.  Larger, true edges are sharper,
+    up to 1; smaller, the error is smaller where there is no edge."""
     sharp_advantage: float = 0.9
-    """Sharp edges are chosen only if they predict held-out slices with an error this many times that of bent ones: in a tie
-    sharp edges err more."""
+    """Sharp edges are chosen only if their error at held-out slices is below this many times that of bent ones.  Larger, they
+    are chosen in a tie as well, where they have the larger error if wrong; smaller, some polyhedra are not recognised."""
     fit_gain: float = 0.5
     """The fitted body is chosen if its error at held-out slices is below this many times that of the estimate between the
-    bounds, whose error falls to about half with all slices, where the fit's stays."""
+    bounds.  With all slices the error of the estimate falls to about half, while that of the fit stays.  Larger, the fit is
+    chosen where the estimate would be better; smaller, the reverse."""
     proven: float = 5e-5
-    """A hull certified this closely, relative to the diagonal, is taken as it is: no estimate can improve on it visibly."""
+    """A hull with a bound this small, relative to the diagonal, is taken as it is.  Larger, estimates that are closer than the
+    hull are not made; smaller, time is spent on improvements that cannot be seen."""

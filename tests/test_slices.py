@@ -1,0 +1,98 @@
+"""Support functions of slices, and the bounds that concavity sets to their slopes."""
+
+import numpy as np
+import pytest
+import trimesh
+from sample_bodies import random_body, rotated, scanned
+from scipy.optimize import linprog
+
+import scan3d
+from scan3d.geometry.sections import slice_polygons
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.normals import height_slopes
+from scan3d.reconstruction.slices import stacks
+
+
+@pytest.fixture(scope="module", params=[0, 4, 8])
+def polytope(request):
+    mesh = random_body(request.param)
+    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=10, samples=12, sweeps=5, friction=(0.0, 0.4))))
+    return mesh, stacks(cloud)
+
+
+ANGLES = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+NORMALS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+
+
+def test_between_its_normals_a_slices_support_lies_between_contacts_and_support_lines(polytope):
+    """The upper bound by linear programming over the half-planes of the known normals."""
+    _, by_axis = polytope
+    clipped_below = clipped_above = 0
+    for stack in by_axis:
+        for section in stack.slices[2:-2]:
+            if not section.closed:
+                continue
+            known = np.stack([np.cos(section.angle), np.sin(section.angle)], axis=1)
+            support = section.support(ANGLES)
+            tangential = section.points[section.tangential]
+            lower = (NORMALS @ tangential.T).max(axis=1)
+            upper = [-linprog(-n, A_ub=known, b_ub=section.value, bounds=(None, None)).fun for n in NORMALS[::24]]
+            size = np.ptp(section.points)
+            assert (support >= lower - 1e-9 * size).all()
+            assert (support[::24] <= np.array(upper) + 1e-9 * size).all()
+            clipped_below += np.isclose(support, lower, rtol=0, atol=1e-12 * size).sum()
+            clipped_above += np.isclose(support[::24], upper, rtol=0, atol=1e-9 * size).sum()
+    # both bounds are met somewhere, or the test would say nothing about them
+    assert clipped_below
+    assert clipped_above
+
+
+def test_the_support_function_of_a_slices_contacts_is_a_lower_bound_of_the_bodys(polytope):
+    mesh, by_axis = polytope
+    for stack in by_axis:
+        polygons = slice_polygons(mesh, stack.frame, stack.heights)
+        for section, polygon in zip(stack.slices, polygons, strict=True):
+            exact = (NORMALS @ polygon.T).max(axis=1)
+            assert (section.support_of_contacts(NORMALS) <= exact + 1e-9 * np.ptp(polygon)).all()
+
+
+def test_slopes_in_height_lie_between_the_secants(polytope):
+    """Concavity in the height bounds them with certainty; a cubic spline alone exceeds these bounds at a crease."""
+    _, by_axis = polytope
+    counted = clipped = 0
+    for stack in by_axis:
+        slices = [(section, slopes) for section, slopes in zip(stack.slices, height_slopes(stack), strict=True)]
+        slices = [(section, slopes) for section, slopes in slices if section.closed]
+        for (below, _), (section, slopes), (above, _) in zip(slices[:-2], slices[1:-1], slices[2:], strict=True):
+            angle = np.arctan2(section.normals[:, 1], section.normals[:, 0])
+            h = section.support(angle)
+            lower = (above.support(angle) - h) / (above.height - section.height)
+            upper = (h - below.support(angle)) / (section.height - below.height)
+            lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
+            assert (slopes.tangential >= lower - 1e-9).all()
+            assert (slopes.tangential <= upper + 1e-9).all()
+            counted += len(angle)
+            clipped += int(((slopes.tangential == lower) | (slopes.tangential == upper)).sum())
+    assert 0 < clipped < counted
+
+
+def test_slices_along_several_axes_make_a_stack_each():
+    cloud = scanned(trimesh.creation.box((20, 30, 40)), slices=6, axis="xyz", samples=12, sweeps=4)
+    by_axis = stacks(cloud)
+    assert len(by_axis) == 3
+    assert sorted(np.concatenate([section.rows for stack in by_axis for section in stack.slices])) == list(
+        range(len(cloud))
+    )
+    for stack in by_axis:
+        assert (np.diff(stack.heights) > 0).all()
+        assert stack.floor < stack.heights[0] < stack.heights[-1] < stack.ceiling
+
+
+def test_a_slice_of_two_contacts_has_no_outline():
+    cloud = contacts(scan3d.simulate(rotated(trimesh.creation.box((20, 30, 40))), scan3d.Plan(slices=4, samples=12)))
+    first = np.flatnonzero(cloud.slice == cloud.slice[0])
+    kept = np.sort(np.concatenate([first[:2], np.flatnonzero(cloud.slice != cloud.slice[0])]))
+    (stack,) = stacks(cloud.select(kept))
+    (smallest,) = [section for section in stack.slices if len(section.rows) == 2]
+    assert len(smallest.outline) == 0
+    assert not smallest.closed
