@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import Array, Index
-from scan3d.geometry.triangles import distinct_rows, halve, longest_first
+from scan3d.geometry.triangles import distinct_rows, halve, longest_first, mirrored_faces
 
 # All depths are relative to the diagonal of the bounding box.
 DENT_TOLERANCE = 1e-5
@@ -64,18 +62,9 @@ def outward_hull(points: Array) -> Hull:
     """Convex hull of points (n, 3) with its facets turned outwards."""
     hull = ConvexHull(points)
     facets = hull.simplices.astype(np.int64)
-    count = len(facets)
-    # Qhull orients facets at random, and the normal of a sliver is rounding.  But two facets with the same orientation run
-    # through their common edge in opposite directions, which sorts facets and their mirror images into an outward and an
-    # inward surface.
-    start, end = facets.T.ravel(), np.roll(facets, -1, axis=1).T.ravel()
-    common = np.lexsort((np.maximum(start, end), np.minimum(start, end))).reshape(-1, 2)
-    facet, neighbour = common.T % count
-    neighbour = np.where(start[common[:, 0]] != start[common[:, 1]], neighbour, neighbour + count)
-    ends = np.concatenate([facet, facet + count]), np.concatenate([neighbour, (neighbour + count) % (2 * count)])
-    links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
-    surface = connected_components(links, directed=False)[1][:count]
-    mirrored = surface != surface[0]
+    # Qhull orients facets at random
+    mirrored = mirrored_faces(facets)
+    assert mirrored is not None  # the hull of a body is one closed surface
     facets[mirrored] = facets[mirrored, ::-1]
     if np.linalg.det(points[facets]).sum() < 0:
         facets = facets[:, ::-1]

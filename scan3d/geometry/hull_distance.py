@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.distance import bounding_box, welded
-from scan3d.geometry.triangles import areas, dot
+from scan3d.geometry.triangles import areas, dot, mirrored_faces
 
 if TYPE_CHECKING:
     import trimesh
@@ -84,28 +82,17 @@ def distance_to_hull(mesh: trimesh.Trimesh) -> float:
 
 
 def _wound_alike(facets: Facets) -> Facets:
-    """A closed surface with all faces wound alike; facets unchanged if an edge is not of two faces, or in several parts.
+    """A closed surface with all faces wound alike; the facets unchanged if it is not closed, or in several parts.
 
     The winding of a face without area, as Qhull makes them, is due to rounding, and would make a hull look open.
     """
-    faces = facets.faces
-    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    faces, corners = faces[kept], facets.corners[kept]
-    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    edge = np.minimum(start, end) * len(facets.vertices) + np.maximum(start, end)
-    _, uses = np.unique(edge, return_counts=True)
-    if not (uses == 2).all():
+    kept = (facets.faces != np.roll(facets.faces, 1, axis=1)).all(axis=1)
+    faces, corners = facets.faces[kept], facets.corners[kept]
+    mirrored = mirrored_faces(faces)
+    if mirrored is None:
         return facets
-    first, second = np.argsort(edge, kind="stable").reshape(-1, 2).T
-    # each face stands twice in this graph, as it is and turned over; neighbours that are wound alike are joined
-    count, differs = len(faces), start[first] == start[second]
-    a, b = first // 3, second // 3
-    joined = np.concatenate([a, a + count]), np.concatenate([b + count * differs, b + count * ~differs])
-    parts, label = connected_components(coo_array((np.ones(len(joined[0])), joined), shape=(2 * count,) * 2), False)
-    if parts != 2 or (label[:count] == label[count:]).any():
-        return facets
-    turned = label[:count] != label[0]
-    faces[turned], corners[turned] = faces[turned, ::-1], corners[turned, ::-1]
+    # in this order the longest edge stays first
+    faces[mirrored], corners[mirrored] = faces[mirrored][:, [1, 0, 2]], corners[mirrored][:, [1, 0, 2]]
     return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True)
 
 

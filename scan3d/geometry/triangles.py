@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -89,3 +91,35 @@ def distinct_rows(rows: Array) -> tuple[Index, Index]:
     inverse = np.empty(len(rows), np.int64)
     inverse[order] = np.cumsum(new) - 1
     return order[new], inverse
+
+
+def mirrored_faces(faces: Index) -> Mask | None:
+    """Which triangles (m,) of a closed surface, given by vertex numbers (m, 3), are wound against the first one.
+
+    Two faces that are wound alike run through their common edge in opposite directions.  So neighbours decide, and no
+    geometry: the normal of a sliver is rounding.  None if an edge does not belong to exactly two faces, or if the surface has
+    several parts or one side only.
+    """
+    count = len(faces)
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.lexsort((high, low))
+    if len(order) % 2:
+        return None
+    first, second = order.reshape(-1, 2).T
+    pairs = (low[first] == low[second]) & (high[first] == high[second])
+    separate = (low[second[:-1]] != low[first[1:]]) | (high[second[:-1]] != high[first[1:]])
+    if not (pairs.all() and separate.all()):
+        return None
+    # each face stands twice in this graph, as it is and mirrored; neighbours that are wound alike are joined
+    face, neighbour, against = first // 3, second // 3, start[first] == start[second]
+    ends = (
+        np.concatenate([face, face + count]),
+        np.concatenate([neighbour + count * against, neighbour + count * ~against]),
+    )
+    links = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
+    parts, label = connected_components(links, directed=False)
+    if parts != 2 or (label[:count] == label[count:]).any():
+        return None
+    mirrored: Mask = label[:count] != label[0]
+    return mirrored
