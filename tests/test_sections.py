@@ -65,9 +65,8 @@ def test_slices_move_with_their_body(seed, exponent, shift):
     for a, b in zip(here, there, strict=True):
         assert area(b) / scale**2 == pytest.approx(area(a), rel=1e-13, abs=1e-13)
         gap = np.linalg.norm((a + frame[:2] @ shift)[:, None] - b / scale, axis=2)
-        assert (
-            gap.min(axis=1).max() < 1e-12
-        )  # where neighbouring edges are all but parallel, rounding moves their corner
+        # where neighbouring edges are almost parallel, rounding moves their corner
+        assert gap.min(axis=1).max() < 1e-12
         assert gap.min(axis=0).max() < 1e-12
 
 

@@ -23,7 +23,7 @@ from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 # Fraction of the number of slices so far that is added in one round.  Larger rounds need fewer evaluations, but choose more
 # heights without knowing the contacts of the others in the same round.
 _GROWTH = 0.12
-# One in so many of the slices left is added in a round at most.  Smaller, the last rounds choose many heights at once;
+# Smallest number of slices left for each height that a round adds.  Smaller, the last rounds choose many heights at once;
 # larger, there are more rounds.
 _LEFT_PER_HEIGHT = 3
 # Largest difference of the components of two unit normals that are the same axis: in the cloud, where slices along one axis

@@ -16,8 +16,8 @@ CROWDING = 0.45
 # sweep every slice longer, also where fewer would do; with fewer, the directions of the first round of further sweeps rest on
 # few contacts.
 FIRST_SWEEPS = 6
-# Upper bound of the number of approach directions of a slice.  A larger one spends sweeps on what no direction can reach;
-# with a smaller one, corners of a contour with many edges stay open.
+# Upper bound of the number of approach directions of a slice.  A larger one spends sweeps on parts of the contour that no
+# direction can reach; with a smaller one, corners of a contour with many edges stay open.
 MAX_SWEEPS = 16
 # A slice is covered where contacts and their tangents leave less than this fraction of its width open between them.  Larger,
 # corners stay unseen; smaller, every slice is swept `MAX_SWEEPS` times.

@@ -18,15 +18,15 @@ OVERSHOOT = 0.02
 # Lower bound of that distance for the other spacings, where it is that of the end slices from the ends.  Larger, the caps of
 # closely spaced scans are bounded more loosely; smaller, rounding could decide whether the slice is empty.
 LEAST_OVERSHOOT = 1e-4
-# Weight of a gap in a cap relative to one in another slab: how a body closes past its end slice is known least.  Larger,
+# Weight of a gap in a cap relative to one in another slab, because the body is known least beyond its end slices.  Larger,
 # slices are spent on the ends of the body; smaller, on its middle.
 _CAP_WEIGHT = 1.5
-# Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner.  At a vertex just before its
-# tip: closer, the slice may be empty, and farther away, the tip's own cap stays larger.  At a smooth pole, whose cap is
-# shallower than its corner, at about a third: larger, the slice is often empty, and smaller, the cap shrinks slowly.
+# Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner: just before the tip of a
+# vertex, and at about a third at a smooth pole, whose cap is shallower than its corner.  Larger, the slice may be empty;
+# smaller, the cap that remains is larger.
 _AT_VERTEX, _AT_POLE = 0.98, 0.35
-# A worst corner within this fraction of a cap's height of the empty slice counts as lying on it.  Rounding is 1e-16 of the
-# height; larger, corners of real caps would count as unknown ends.
+# A worst corner counts as lying on the empty slice if it is nearer than this fraction of the cap's height.  Larger, corners
+# of real caps would count as unknown ends; smaller, rounding would decide.
 _ON_EMPTY_SLICE = 1e-9
 # Slices closer to each other than this fraction of the height add no information.  Larger, the heights of two close vertices
 # could not be told apart; smaller, slopes between two slices are rounding.
@@ -70,9 +70,9 @@ def heights_at_gaps(
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
     bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab; if it
-    will need three parts by the time that no slices are left, it gets two heights at once.  A corner on an empty slice says
-    only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the new
-    height is in the middle of the slab.
+    will need three parts by the time that no slices are left, it gets two heights at once.  A corner on an empty slice
+    means only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the
+    new height is in the middle of the slab.
     """
     size = known[-1] - known[0]
     order = np.lexsort((-gaps, slab))
