@@ -73,8 +73,6 @@ def report(
         names of the files written.
     """
     recording, cloud, surface, comparison = analysis.recording, analysis.cloud, analysis.surface, analysis.comparison
-    tangential = cloud.phase == planar.Phase.TANGENTIAL
-    friction = cloud.friction[tangential]
     unit = cloud.unit
     return {
         "schema": SCHEMA,
@@ -87,21 +85,9 @@ def report(
             "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
             "length": cloud.rod_length,
         },
-        "counts": {
-            "slices": len(np.unique(cloud.slice)),
-            "empty_slices": len(cloud.slice_height) - len(np.unique(cloud.slice)),
-            "sweeps": len(np.unique(recording.sweep)),
-            "samples": len(recording),
-            "contacts": len(cloud),
-            "tangential": int(tangential.sum()),
-            "tip": int((cloud.phase == planar.Phase.TIP).sum()),
-        },
+        "counts": _counts(analysis),
         "contact_error": _contact_error(analysis),
-        "friction": {
-            "set": friction_set,
-            "estimated_median": float(np.median(friction)) if len(friction) else None,
-            "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
-        },
+        "friction": _friction(cloud, friction_set),
         "hausdorff": _hausdorff(comparison, unit),
         "certificate": _certificate(analysis),
         "error_budget": _budget(analysis),
@@ -129,6 +115,28 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
         "unit": unit,
         "dent": mesh.metadata.get("dent"),
         "hull": mesh.metadata.get("hull"),
+    }
+
+
+def _counts(analysis: Analysis) -> dict[str, int]:
+    recording, cloud = analysis.recording, analysis.cloud
+    return {
+        "slices": len(np.unique(cloud.slice)),
+        "empty_slices": len(cloud.slice_height) - len(np.unique(cloud.slice)),
+        "sweeps": len(np.unique(recording.sweep)),
+        "samples": len(recording),
+        "contacts": len(cloud),
+        "tangential": int((cloud.phase == planar.Phase.TANGENTIAL).sum()),
+        "tip": int((cloud.phase == planar.Phase.TIP).sum()),
+    }
+
+
+def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
+    friction = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL]
+    return {
+        "set": friction_set,
+        "estimated_median": float(np.median(friction)) if len(friction) else None,
+        "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
     }
 
 
@@ -244,7 +252,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
     median = data["friction"]["estimated_median"]
     if median is not None:
         given = data["friction"]["set"]
-        rows.append(("friction", f"{median:.4g} (median, found from touch{f'; set: {given}' if given else ''})"))
+        rows.append(("friction", f"{median:.4g} (median, estimated from touch{f'; set: {given}' if given else ''})"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
     rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
