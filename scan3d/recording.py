@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
@@ -86,10 +87,5 @@ class Recording(Shown):
 
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
-        w, x, y, z = (self.quaternion / np.linalg.norm(self.quaternion, axis=1, keepdims=True)).T
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ]
-        return np.moveaxis(np.array(rows), 2, 0)
+        matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        return matrices.swapaxes(1, 2)
