@@ -95,6 +95,7 @@ def first_cloud(gem):
     return contacts(rig.recording())
 
 
+@pytest.mark.slow
 def test_a_rig_is_given_the_heights_of_the_simulation(gem):
     rig, bounds = scanned_by_rig(gem, PLAN)
     simulated = contacts(scan3d.simulate(gem, PLAN))

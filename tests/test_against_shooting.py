@@ -40,6 +40,7 @@ def states_by_continuation(contour, friction, swept):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("contour", [CIRCLE, ELLIPSE], ids=["circle", "ellipse"])
+@pytest.mark.slow
 def test_smooth_contours(contour, friction):
     events = planar.events(contour, friction)
     swept = planar.sweep(contour, friction, base=np.linspace(events.x0[0] - 0.01, events.x0[-1] + 0.005, 24))
@@ -49,6 +50,7 @@ def test_smooth_contours(contour, friction):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.slow
 def test_a_polygon_of_seven_sides(friction):
     swept = planar.sweep(HEPTAGON, friction, samples=30)
     vertices = HEPTAGON.vertices

@@ -225,6 +225,7 @@ def test_help_waits_for_no_heavy_library(statement):
     assert not (loaded(statement) - loaded("pass")) & heavy
 
 
+@pytest.mark.slow
 def test_a_scan_by_default_does_not_load_open3d():
     statement = (
         "import scan3d; mesh = scan3d.load_mesh(r'%s'); "

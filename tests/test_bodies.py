@@ -136,6 +136,7 @@ def test_a_flat_body_is_refused_with_its_thickness(tmp_path, turn):
     assert load_mesh(save(tmp_path, box(3, 4, 1e-5))).volume == pytest.approx(12e-5)
 
 
+@pytest.mark.slow
 def test_a_fine_sphere_in_single_precision(tmp_path):
     sphere = trimesh.creation.icosphere(6)
     body = load_mesh(save(tmp_path, as_mesh(sphere.vertices @ rotation(1).T + 3, sphere.faces), "sphere.stl"))

@@ -15,6 +15,7 @@ from scan3d.surfaces import Gap, certificate, enclosure, surface
 
 
 @pytest.mark.parametrize("block", range(24))
+@pytest.mark.slow
 def test_the_bound_is_never_below_the_true_distance(block):
     """240 bodies, most with few slices: the hull's bound, that of the surface between the bounds, and the volume's."""
     for seed in range(10 * block, 10 * block + 10):
@@ -49,6 +50,7 @@ def test_the_certificate_holds_for_any_convex_surface(seed):
     assert at_vertices.max() == pytest.approx(bound)
 
 
+@pytest.mark.slow
 def test_adaptive_slices_find_the_corners_of_an_oblique_cube():
     """Cosine spacing leaves 5e-3 of the diagonal there; a slice at a vertex's own height closes the gap at once."""
     mesh = trimesh.creation.box((40, 40, 40))
@@ -108,6 +110,7 @@ def with_vertex_moved(hull_surface, distance):
 
 
 @pytest.mark.parametrize("fraction", [-0.1, -1e-3, -1e-5, 1e-5, 1e-3, 0.1])
+@pytest.mark.slow
 def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     """The mark on the mesh decides nothing: what is pushed in by 10 % of the diagonal used to be certified as convex."""
     mesh, cloud, bounds = ball

@@ -30,6 +30,7 @@ def ball():
     return mesh, scanned(mesh)
 
 
+@pytest.mark.slow
 def test_a_polyhedron_between_its_slices_is_recognised_by_its_planes(box):
     mesh, cloud = box
     estimate = surface(cloud)
@@ -41,6 +42,7 @@ def test_a_polyhedron_between_its_slices_is_recognised_by_its_planes(box):
     assert estimate.is_watertight
 
 
+@pytest.mark.slow
 def test_a_smooth_body_is_fitted(ball):
     mesh, cloud = ball
     fitted = surface(cloud)
@@ -49,6 +51,7 @@ def test_a_smooth_body_is_fitted(ball):
     assert scan3d.compare(fitted, mesh).relative < 1e-4
 
 
+@pytest.mark.slow
 def test_the_estimate_between_the_bounds_is_closer_to_a_smooth_body_than_its_hull(ball):
     mesh, cloud = ball
     bounds = enclosure(cloud)
@@ -95,6 +98,7 @@ def test_without_empty_slices_there_is_still_a_surface(box):
     assert np.isfinite(estimate.vertices).all()
 
 
+@pytest.mark.slow
 def test_under_noise_a_smooth_body_is_still_fitted():
     mesh = trimesh.creation.icosphere(5, 20.0)
     cloud = scanned(mesh, noise=1e-3)
@@ -106,6 +110,7 @@ def test_under_noise_a_smooth_body_is_still_fitted():
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
+@pytest.mark.slow
 def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
     mesh, cloud = ball
     bounds = enclosure(cloud)
@@ -119,6 +124,7 @@ def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
 
 
 @pytest.mark.parametrize("name", ["cylinder.off", "hexagonal_prism.obj"])
+@pytest.mark.slow
 def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
     """Slices across the flat ends lie in them: three times the slices along the axis can only enclose them."""
     mesh = scan3d.load_mesh(MESHES / name)
@@ -137,6 +143,7 @@ def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
 @pytest.mark.parametrize(
     ("name", "seed"), [("cube.stl", 1), ("gem.glb", 4), ("cylinder.off", 4), ("rounded_box.glb", 2), ("capsule.stl", 2)]
 )
+@pytest.mark.slow
 def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     mesh = rotated(scan3d.load_mesh(MESHES / name), seed)
     cloud = scanned(mesh, slices=64, spacing="adaptive")
@@ -195,6 +202,7 @@ ALWAYS_SHARP, NEVER_SHARP = {"sharp_advantage": 1e3}, {"sharp_advantage": 1e-3}
         ("proven", 1.0, "box", {}, "auto"),
     ],
 )
+@pytest.mark.slow
 def test_every_number_of_the_tuning_reaches_the_surface_and_none_the_enclosure(
     bodies, field, value, body, others, method
 ):

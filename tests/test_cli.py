@@ -324,6 +324,7 @@ def test_ctrl_c_while_it_simulates(tmp_path):
 
 
 @pytest.mark.parametrize("nth", [0, 1, 3, 5])
+@pytest.mark.slow
 def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
     # the files are written one after the other: those that exist are complete, and there are no others
     replaced, original = [], os.replace
@@ -422,6 +423,7 @@ def test_a_terminal_with_ascii_only():
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_a_scan_prints_its_results_on_stdout_only(tmp_path):
     arguments = [COMMAND, "scan", CUBE, "--out", tmp_path / "out", *FEW]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
@@ -656,6 +658,7 @@ def test_settings_given_in_python():
         settings({"slices": True})
 
 
+@pytest.mark.slow
 def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
     assert choices.METHODS == surfaces.METHODS
     # with few slices there is no cross-validation, and there are too few contacts for a fit
@@ -675,6 +678,7 @@ def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
+@pytest.mark.slow
 def test_open3ds_methods_can_be_chosen(call, tmp_path, no_pictures, method):
     code, stdout, _ = call(
         "scan", EGG, "--out", tmp_path, "--slices", "12", "--samples", "24", "--method", method, "--json"

@@ -22,6 +22,7 @@ def test_with_few_slices_the_estimate_is_made_without_cross_validation():
     assert "too few slices" in surface(cloud).metadata["reason"]
 
 
+@pytest.mark.slow
 def test_every_second_slice_is_held_out_except_the_end_slices(ball):
     kept, held_out = hold_out_slices(ball)
     heights = np.sort(np.unique(ball.slice_height[ball.slice]))

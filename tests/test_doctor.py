@@ -30,6 +30,7 @@ def well(monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)
 
 
+@pytest.mark.slow
 def test_a_scan_is_tried(monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)
     state = doctor.examine()

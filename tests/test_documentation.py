@@ -68,6 +68,7 @@ def test_the_reading_of_pages_finds_what_it_should() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python")], ids=name_of)
+@pytest.mark.slow
 def test_the_code_of_a_page_runs(page: Path, repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # in the order of the page, with the same variables
     names: dict[str, object] = {"__name__": "__main__"}
@@ -75,6 +76,7 @@ def test_the_code_of_a_page_runs(page: Path, repository: Path, capsys: pytest.Ca
         exec(compile(block, f"{name_of(page)}, block {number}", "exec"), names)
 
 
+@pytest.mark.slow
 def test_every_block_of_readme_runs_by_itself(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     snippets = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
     assert len(snippets) >= 2
@@ -147,6 +149,7 @@ def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:
     assert read.source["kind"] == "laboratory"
 
 
+@pytest.mark.slow
 def test_the_report_has_the_sections_that_the_pages_name(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8").partition("## The report")[2]
     rows = [row.split("|")[1] for row in page.split("\n") if row.startswith("| `")]

@@ -60,6 +60,7 @@ def test_saves_its_picture_in_the_current_folder(name: str, tmp_path: Path, monk
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_saves_its_picture_at_the_given_path(tmp_path: Path) -> None:
     command = [sys.executable, str(EXAMPLES / "paper_figure_5.py"), str(tmp_path / "friction.png")]
     subprocess.run(command, cwd=tmp_path, check=True)
@@ -146,6 +147,7 @@ def test_one_sweep() -> None:
         assert [float(cell.split(",")[0]) for cell in row.split("|")[3:6]] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
     meshes = EXAMPLES.parent / "meshes"
     example("methods_by_meshes").main([str(meshes / "cube.stl"), "--slices", "8", "--spacing", "cosine"])
@@ -159,6 +161,7 @@ def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.open3d
+@pytest.mark.slow
 def test_error_by_slices(tmp_path: Path) -> None:
     script = example("error_by_slices")
     # coarse: what is compared are slices, not facets
@@ -181,6 +184,7 @@ def test_error_by_slices(tmp_path: Path) -> None:
 
 
 @pytest.mark.open3d
+@pytest.mark.slow
 def test_error_by_slices_saves_its_picture_at_the_given_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("error_by_slices")
     monkeypatch.setattr(script, "QUICK_SLICES", (8, 12))

@@ -78,6 +78,7 @@ MARKED = [pytest.param(program, marks=pytest.mark.open3d if program == "Open3D" 
 
 
 @pytest.mark.parametrize("program", MARKED)
+@pytest.mark.slow
 def test_the_table_says_what_a_program_reads(folder, program):
     table = {key: documented()[program, *key] for key in FORMATS}
     assert {key: other_programs.cell(key[0], right) for key, right in understood(program, folder).items()} == table
@@ -350,6 +351,7 @@ def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
 # --- the command ---
 
 
+@pytest.mark.slow
 def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(workflow, "_draw", lambda *_: [])
     egg = str(ROOT / "meshes" / "egg.stl")

@@ -152,6 +152,7 @@ def test_an_angle_bracket_and_the_box_around_it():
 
 
 @pytest.mark.parametrize("shift", [(0.02, 0.0, 0.01), (0.0, 0.3, 0.1), (0.0, 0.0, 3.0)])
+@pytest.mark.slow
 def test_bounds_for_tori_enclose_the_distances_of_dense_points(shift):
     torus = trimesh.creation.torus(1.0, 0.4, 16, 8)
     other = moved(torus, shift, rotation=rotation(5))

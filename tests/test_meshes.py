@@ -46,6 +46,7 @@ VOLUMES = {
 }
 
 
+@pytest.mark.slow
 def test_the_script_makes_the_files_beside_it(tmp_path):
     run = subprocess.run([sys.executable, SCRIPT, tmp_path], capture_output=True, text=True, check=True)
     assert run.stdout.split() == [str(tmp_path / file.name) for file in FILES]

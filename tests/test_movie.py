@@ -62,6 +62,7 @@ def test_the_rod_moves_as_the_clamp_did(egg):
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_growth(egg, tmp_path):
     movie.movie(egg, tmp_path / "growth.gif", "growth", frames=4)
     shown = images(tmp_path / "growth.gif")

@@ -25,6 +25,7 @@ def smooth(request):
     return request.param, mesh, cloud
 
 
+@pytest.mark.slow
 def test_normals_of_a_smooth_body_come_from_the_fit(smooth):
     """80,000 facets are inclined up to 0.6° to the smooth body; the fit averages them out, end slices included."""
     name, _, cloud = smooth
@@ -46,6 +47,7 @@ def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
             assert np.median(degrees_between(normals, exact)) < 0.6
 
 
+@pytest.mark.slow
 def test_the_fitted_surface_is_closer_than_the_hull(smooth):
     name, mesh, cloud = smooth
     fitted, hull = (scan3d.compare(scan3d.surface(cloud, method), mesh).relative for method in ("auto", "hull"))

@@ -310,6 +310,7 @@ def test_results_load_no_library_for_pictures_before_they_are_shown():
 
 
 @pytest.mark.parametrize("missing", MISSING)
+@pytest.mark.slow
 def test_results_show_themselves_without_a_renderer(tmp_path, missing):
     code = f"""
 import scan3d

@@ -66,6 +66,7 @@ def check_well_made(mesh):
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("semi_axes", [(25.0, 25.0, 25.0), (36.0, 26.0, 18.0), (2.0, 2.0, 40.0), (40.0, 40.0, 2.0)])
+@pytest.mark.slow
 def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
     made = method(*slices_of(np.array(semi_axes)))
     result = scan3d.compare(made, ellipsoid(semi_axes))
@@ -168,6 +169,7 @@ def test_faces_that_overlap_at_an_edge_are_dropped():
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("noise", [1e-6, 1e-4])
+@pytest.mark.slow
 def test_noisy_duplicates_leave_the_surface_closed(method, noise):
     """Each place touched several times by noisy contacts: near duplicates, which no longer lie on one surface."""
     points, normals = slices_of(np.array([1.0, 1.0, 1.0]))
@@ -179,6 +181,7 @@ def test_noisy_duplicates_leave_the_surface_closed(method, noise):
 
 
 @pytest.mark.open3d
+@pytest.mark.slow
 def test_the_reason_of_poisson_mentions_a_bulge():
     points, normals = slices_of(np.array([1.0, 1.0, 1.0]), slices=64)
     assert "bulges" not in poisson(points, normals).metadata["reason"]

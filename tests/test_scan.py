@@ -147,6 +147,7 @@ def test_the_same_contacts_from_other_reactions():
     assert extents[0] == pytest.approx(extents[1], abs=1e-9 * smooth.rod_length)
 
 
+@pytest.mark.slow
 def test_default_settings_on_the_egg():
     mesh = scan3d.load_mesh(EGG)
     recording = scan3d.simulate(mesh)
@@ -251,6 +252,7 @@ def no_pictures(monkeypatch):
     monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
 
 
+@pytest.mark.slow
 def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
     from scan3d.cli import main
 
@@ -280,6 +282,7 @@ def without(report, *keys):
     return {key: data[key] for key in data.keys() - set(keys)}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files(scanned, tmp_path, no_pictures):
     # `scanned` was written by a process with other hashes and one thread
     again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
@@ -294,6 +297,7 @@ def test_the_same_seed_gives_the_same_files(scanned, tmp_path, no_pictures):
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_pictures(scanned, tmp_path):
     again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
     for name in ("cloud.png", "surface.png"):
@@ -358,6 +362,7 @@ def write_off(path, vertices, faces):
     return path
 
 
+@pytest.mark.slow
 def test_a_body_of_a_millimetre_in_metres(tmp_path, no_pictures):
     from scan3d.cli import main
 

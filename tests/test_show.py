@@ -81,6 +81,7 @@ def test_a_colour_shows_the_contacts(folder, tmp_path, options, same_as):
 
 
 @pytest.mark.parametrize("missing", MISSING)
+@pytest.mark.slow
 def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missing):
     environment = hidden_renderer(missing, tmp_path / "lib")
 

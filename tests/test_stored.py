@@ -35,6 +35,7 @@ def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_
     assert stored.find_truth(tmp_path / "elsewhere", {}) is None
 
 
+@pytest.mark.slow
 def test_the_truth_is_found_where_it_was(tmp_path, monkeypatch, capsys):
     """However far it lies from where the results are, and from where `show` is called."""
     (tmp_path / "parts" / "old").mkdir(parents=True)

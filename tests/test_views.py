@@ -56,6 +56,7 @@ def test_the_surface_by_its_deviation(cube, tmp_path):
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_the_surface_by_its_bound(egg, tmp_path):
     # as asked for, or where there is no truth
     for scene, view in ((egg, "bound"), (replace(egg, truth=None), "surface")):
@@ -133,6 +134,7 @@ def test_the_camera_sees_all_of_any_body():
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_the_same_scene_gives_the_same_picture(egg, tmp_path):
     for name in ("a.png", "b.png", "a.pdf", "b.pdf"):
         views.picture(egg, tmp_path / name, "cloud")
