@@ -29,7 +29,18 @@ PLANS: dict[str, dict[str, Any]] = {
     "noise": dict(slices=24, noise=1e-4, seed=5),
     "three axes": dict(slices=16, axis="xyz", spacing="adaptive", friction=(0.0, 0.3)),
 }
-CLOUD = "points normals normal_source phase slice sweep force_N friction slice_axis slice_height".split()
+CLOUD = [
+    "points",
+    "normals",
+    "normal_source",
+    "phase",
+    "slice",
+    "sweep",
+    "force_N",
+    "friction",
+    "slice_axis",
+    "slice_height",
+]
 
 
 def digest(*arrays: Any) -> str:
