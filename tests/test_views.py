@@ -176,3 +176,17 @@ def test_views_that_the_scene_can_not_give(cube, tmp_path, monkeypatch, change, 
 def test_the_ending_of_a_picture(cube, tmp_path):
     with pytest.raises(scan3d.InputError, match=r"a picture is written as \.png or \.pdf, got 'x\.bmp'"):
         views.picture(cube, tmp_path / "x.bmp")
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (-20.0, -20.0, 19.3)])
+def test_points_that_differ_by_rounding_are_seen_as_one(point):
+    points = np.array([point, point])
+    canvas = Canvas(points)
+    points[1] *= 1 + 2e-16
+    rounded = Canvas(points)
+    assert (canvas.size, len(canvas.corners)) == (rounded.size, len(rounded.corners)) == (1.0, 1)
+    for shown in (canvas, rounded):
+        shown.add_points(points, shading.TIP, 7)
+        assert 0 < fraction_of_color(shown.image(64, 64)[0], shading.TIP, 60) < 0.5
+        shown.plotter.close()

@@ -34,6 +34,8 @@ _EDGES_FORWARD, _LINES_FORWARD, _BACKDROP_BACKWARD = 1e-3, 2e-3, 3e-3
 _ROD_RADIUS, _MARK = 0.003, 0.006
 # Sides of a tube's and an arrow's circle: no corners are seen at this thickness.
 _TUBE_SIDES, _CONE_SIDES = 12, 24
+# Corners that differ by no more than this fraction of their coordinates are one point: a camera could not resolve it.
+_ROUNDING = 1e-12
 # Points of a line closer than this fraction of the size are one point: a tube has no direction between them.
 _SAME_POINT = 1e-6
 # Length of an arrow's head as a fraction of the size, and its radius as a fraction of its length.
@@ -56,8 +58,10 @@ class Canvas:
         self.plotter.suppress_rendering = off_screen  # until `image` is called
         if off_screen:
             self.plotter.render_window.SetMultiSamples(0)  # the larger image replaces it
-        self.corners = corners
-        self.size = float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0  # of a single point any size will do
+        extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
+        if extent <= _ROUNDING * np.abs(corners).max():
+            corners, extent = corners[:1], 1.0  # of a single point any size will do
+        self.corners, self.size = corners, extent
         toward = np.asarray(direction, dtype=float)
         self.toward = toward / np.linalg.norm(toward)
         right = np.cross(np.asarray(up, dtype=float), self.toward)
