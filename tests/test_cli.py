@@ -614,6 +614,7 @@ ALL = Settings(
 )
 
 
+@pytest.mark.slow
 def test_printed_settings_give_the_same_run(call, tmp_path, no_pictures):
     given = [f"--{name}={value}" for name, value in vars(ALL).items() if name != "hull"]
     code, printed, _ = call("scan", CUBE, "--out", tmp_path / "one", *given, "--hull", "--print-config")

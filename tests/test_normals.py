@@ -37,6 +37,7 @@ def test_normals_of_a_smooth_body_come_from_the_fit(smooth):
         assert np.median(deviation[cloud.slice == end]) < 0.2
 
 
+@pytest.mark.slow
 def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
     name, _, cloud = smooth
     for stack in stacks(cloud):

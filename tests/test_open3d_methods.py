@@ -79,6 +79,7 @@ def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.slow
 def test_more_slices_give_a_closer_surface(method):
     semi_axes = np.array([36.0, 26.0, 18.0])
     few, many = (
@@ -129,6 +130,7 @@ def test_the_result_does_not_depend_on_the_unit(method, scale):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.slow
 def test_a_body_far_from_the_origin(method):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     moved = method(np.add(points, [1e3, -2e3, 3e3]), normals)

@@ -304,6 +304,7 @@ def test_the_same_seed_gives_the_same_pictures(scanned, tmp_path):
         assert (scanned / name).read_bytes() == (again / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_friction_and_noise(scanned, tmp_path, no_pictures):
     other = scan(tmp_path / "out", *ROUGH, "--seed", "6")
     for name in ("recording.csv", "cloud.ply", "surface.ply"):
@@ -496,6 +497,7 @@ def test_any_clearance(clearance):
     assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
 
 
+@pytest.mark.slow
 def test_adaptive_slices_go_where_the_body_has_edges():
     # the faces of the turned cube meet in eight corners, and slices at their heights are the most informative
     cube = scan3d.load_mesh(CUBE)
@@ -528,6 +530,7 @@ def test_adaptive_slices_stop_at_their_tolerance():
     assert 10 <= number[1] < 20
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_adaptive_scan():
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
     plan = dict(slices=16, spacing="adaptive", samples=16, friction=(0.0, 0.4), noise=1e-4)

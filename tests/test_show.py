@@ -22,6 +22,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_show_writes_what_it_is_asked_for(folder, tmp_path, capsys):
     picture, page = tmp_path / "a.png", tmp_path / "a.html"
     assert main(["show", str(folder), "--screenshot", str(picture), "--html", str(page), "--view", "compare"]) == 0

@@ -21,6 +21,7 @@ def folder(tmp_path_factory):
     return scanned_folder(tmp_path_factory.mktemp("show"))
 
 
+@pytest.mark.slow
 def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     report = stored.read_report(folder)

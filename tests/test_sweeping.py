@@ -236,6 +236,7 @@ def test_a_large_contour_far_away_touches_the_tip_exactly():
 
 @pytest.mark.parametrize("friction", [0.0, 5.0])
 @pytest.mark.parametrize("radius", [0.002, 0.01, 0.03, 0.3])
+@pytest.mark.slow
 def test_a_contour_whose_rightmost_point_is_at_the_tips_height(radius, friction):
     # tip, tangential, tip contact within a few degrees of slope: the tangential contact is shorter than a piece of the path
     for above in (-1e-9, 0.0, 1e-9, 1e-3):
