@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 import planar
 import scan3d
 from scan3d import simulation
+from scan3d.bracket import bracket, certificate
 from scan3d.cloud import contacts
 from scan3d.hulls import hull
 from scan3d.layers import slice_frame
@@ -323,6 +324,28 @@ def test_friction_and_noise_each_follow_the_seed(random):
     one, other, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
     assert np.array_equal(one.force_N, other.force_N)
     assert not np.allclose(one.force_N, third.force_N)
+
+
+@pytest.mark.parametrize("axis", ["z", "xyz"])
+def test_no_two_sweeps_draw_the_same_friction(watched_sweeps, axis):
+    """Whether they differ by their axis, their slice or their number in it; and the order of work does not matter."""
+    plan = dict(slices=4, sweeps=5, samples=16, friction=(0.0, 0.4), axis=axis, seed=3)
+    scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(**plan))
+    drawn = [sweep.friction.tobytes() for sweep in watched_sweeps]
+    assert len(drawn) == 4 * 5 * len(axis)
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_the_certificate_allows_for_four_standard_deviations_of_the_contacts(tmp_path, no_pictures):
+    folder = scan(tmp_path / "out", "--noise", "1e-4", "--method", "hull")
+    certified = json.loads((folder / "report.json").read_text())["certificate"]
+    cloud = scan3d.reconstruct(scan3d.read_recording(folder / "recording.csv"))
+    assert cloud.noise > 0
+    by_hand, _ = certificate(bracket(cloud, 4 * cloud.noise), scan3d.surface(cloud, "hull"))
+    assert certified["parts"]["noise"] == pytest.approx(4 * cloud.noise)
+    assert certified["bound"] == pytest.approx(by_hand)
+    # once as such, once in the half-spaces, which lean further out
+    assert by_hand > bracket(cloud).bound + 8 * cloud.noise
 
 
 def test_the_clouds_file_is_the_cloud(scanned, read_ply):
