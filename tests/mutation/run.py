@@ -68,7 +68,7 @@ _PRELOADED = (
 )
 _PYTEST = ("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
 # A mutant has timed out after this many seconds, and this many times the time that its tests take without it.
-_PATIENCE_S, _PATIENCE = 20.0, 5.0
+_PATIENCE_S, _PATIENCE = 15.0, 3.0
 _MOST_MEMORY = 12 << 30
 _OK, _NO_TESTS = 0, 5
 
