@@ -128,7 +128,7 @@ def test_the_bound_of_the_nearer_side_allows_for_what_lies_below_the_hull():
     valley = box_with_a_valley(depth)
     upper = valley.vertices[(valley.vertices[:, 2] > 0) & (valley.vertices[:, 0] * valley.vertices[:, 1] > 0)]
     beside = [(0.2, -0.2, 1 + height / 2), (-0.2, 0.2, 1 + height / 2)]
-    wedge = trimesh.Trimesh(np.vstack([upper + (0, 0, height), beside]), process=False).convex_hull
+    wedge = trimesh.Trimesh(np.vstack([upper + np.array([0, 0, height]), beside]), process=False).convex_hull
     result = compare(wedge, valley)
     assert not result.exact
     assert result.surface_to_mesh_upper < 0.5 * result.mesh_to_surface

@@ -104,7 +104,3 @@ def test_the_bend_of_a_tip_contact_is_found_in_few_steps(monkeypatch):
     bent = elastica.bend(alpha, root)
     assert bent.y / bent.length == pytest.approx(height, abs=1e-14)
     assert sum(steps) < 5.3 * len(alpha), sum(steps) / len(alpha)
-
-
-def test_the_phases_numbers_are_those_that_files_hold():
-    assert [int(phase) for phase in (planar.Phase.NONE, planar.Phase.TIP, planar.Phase.TANGENTIAL)] == [0, 1, 2]

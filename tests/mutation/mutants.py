@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import ast
 import difflib
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 _COMPARISONS = {
@@ -70,6 +71,8 @@ class Mutant:
     end: int
     new: str
     source: bytes
+    number: int = 1
+    """Of the changes with the same label: a line may hold the same text twice."""
 
     @property
     def old(self) -> str:
@@ -85,7 +88,9 @@ class Mutant:
         """The change in one line, which stays the same when the module moves or code around the function changes."""
         first = self.source.rfind(b"\n", 0, self.start) + 1
         line = self.source[first : self.source.find(b"\n", self.start)].decode().strip()
-        return f"`{self.function or 'module'}`: `{line}`: `{_on_one_line(self.old)}` → `{_on_one_line(self.new)}`"
+        change = f"`{_on_one_line(self.old)}` → `{_on_one_line(self.new)}`"
+        which = f" ({self.number})" if self.number > 1 else ""
+        return f"`{self.function or 'module'}`: `{line}`: {change}{which}"
 
     @property
     def diff(self) -> str:
@@ -104,11 +109,18 @@ def mutants(root: Path, path: Path) -> list[Mutant]:
     for place in _places(tree):
         for node, new in _changes(place):
             start = line_starts[node.lineno - 1] + node.col_offset
+            assert node.end_lineno is not None
+            assert node.end_col_offset is not None
             end = line_starts[node.end_lineno - 1] + node.end_col_offset
             if source[start:end].decode() != new:
                 mutant = Mutant(path, place.function, place.lines, place.names, start, end, new, source)
                 found[start, end, new] = mutant
-    return [found[key] for key in sorted(found)]
+    numbers: Counter[str] = Counter()
+    numbered = []
+    for key in sorted(found):
+        numbers[found[key].label] += 1
+        numbered.append(replace(found[key], number=numbers[found[key].label]))
+    return numbered
 
 
 @dataclass(frozen=True)

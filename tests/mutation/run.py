@@ -283,7 +283,8 @@ def _meets(mutant: Mutant, tests: list[Test]) -> list[Test]:
 def try_mutant(group: str, mutant: Mutant, tests: list[Test], most_seconds: float) -> Result:
     """Run the tests that may notice a mutant, as many as take `most_seconds` without it."""
     start = time.monotonic()
-    chosen, expected = [], 0.0
+    chosen: list[str] = []
+    expected = 0.0
     for test in _meets(mutant, tests):
         if chosen and expected + test.seconds > most_seconds:
             break
@@ -295,7 +296,7 @@ def try_mutant(group: str, mutant: Mutant, tests: list[Test], most_seconds: floa
     def run() -> int:
         import pytest
 
-        sys.meta_path.insert(0, _Finder(mutant))  # type: ignore[arg-type]
+        sys.meta_path.insert(0, _Finder(mutant))
         files = sorted({name.partition("::")[0] for name in chosen})
         return int(pytest.main([*_PYTEST, *files], plugins=[_Order(chosen)]))
 
@@ -309,7 +310,7 @@ def try_mutant(group: str, mutant: Mutant, tests: list[Test], most_seconds: floa
 
 def _paths(patterns: list[str]) -> list[Path]:
     """Python files, relative to the project, that patterns and folders mean."""
-    found = {}
+    found: dict[Path, None] = {}
     for pattern in patterns:
         matches = sorted(glob.glob(pattern, root_dir=ROOT))
         if not matches:
@@ -401,7 +402,7 @@ def main() -> int:
     known = text.read_text(encoding="utf-8") if text.exists() else ""
 
     def explained(mutant: Mutant) -> bool:
-        return mutant.label in known
+        return f"{mutant.label}: " in known
 
     alive = [r for r in results if r.outcome in ("survived", "not reached")]
     name = "again" if given.again else "survivors"
