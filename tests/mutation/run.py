@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import glob
 import hashlib
 import importlib.util
@@ -31,6 +32,7 @@ import json
 import os
 import pickle
 import random
+import re
 import resource
 import signal
 import sys
@@ -269,6 +271,7 @@ def _meets(mutant: Mutant, tests: list[Test]) -> list[Test]:
     module = str(mutant.path)
     first, last = mutant.lines
     lines = {(module, line) for line in range(first, last + 1)}
+    mentioned: frozenset[str] = frozenset()
     if not mutant.function or not any(lines & test.lines for test in tests):
         # run while the module is loaded: whoever uses the names, or else the module
         source = mutant.source.decode().splitlines()
@@ -277,7 +280,18 @@ def _meets(mutant: Mutant, tests: list[Test]) -> list[Test]:
             lines = uses
         elif not mutant.function or mutant.function.rpartition(".")[2][:1].isupper():
             lines = {(module, line) for line in range(1, len(source) + 1)}
-    return sorted((test for test in tests if lines & test.lines), key=lambda test: test.seconds)
+            mentioned = frozenset({*mutant.names, mutant.function.partition(".")[0]} - {""})
+    chosen = [test for test in tests if lines & test.lines or _mentions(test.name.partition("::")[0], mentioned)]
+    return sorted(chosen, key=lambda test: test.seconds)
+
+
+@functools.cache
+def _words(test_file: str) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", (ROOT / test_file).read_text(encoding="utf-8")))
+
+
+def _mentions(test_file: str, names: frozenset[str]) -> bool:
+    return not names.isdisjoint(_words(test_file))
 
 
 def try_mutant(group: str, mutant: Mutant, tests: list[Test], most_seconds: float) -> Result:
