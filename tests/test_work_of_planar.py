@@ -8,7 +8,7 @@ import pytest
 from scipy.special import elliprd, elliprf
 
 import planar
-from planar import elastica, equilibria, segments
+from planar import elastica, equilibria, segments, sweeping
 
 CONTOURS = {
     "circle": planar.Circle(0.9, (0.2, 1.3)),
@@ -104,3 +104,23 @@ def test_the_bend_of_a_tip_contact_is_found_in_few_steps(monkeypatch):
     bent = elastica.bend(alpha, root)
     assert bent.y / bent.length == pytest.approx(height, abs=1e-14)
     assert sum(steps) < 5.3 * len(alpha), sum(steps) / len(alpha)
+
+
+@pytest.mark.parametrize("contour", CONTOURS.values(), ids=CONTOURS)
+def test_samples_with_friction_of_their_own_search_a_small_part_of_the_path(contour, monkeypatch):
+    """And find their place there: what they miss is searched for on the whole path."""
+    pieces, missed = [], []
+    original = sweeping._search_each
+
+    def counted(path, samples, stretch, swept):
+        pieces.append((stretch[1] - stretch[0]).sum())
+        missed.append(original(path, samples, stretch, swept))
+        return missed[-1]
+
+    monkeypatch.setattr(sweeping, "_search_each", counted)
+    friction = np.random.default_rng(8).uniform(0.0, 0.6, 300)
+    swept = planar.sweep(contour, friction, samples=300)
+    assert (swept.phase != planar.Phase.NONE).all()
+    assert [len(part) for part in missed] == [0]
+    # of some 60 pieces
+    assert sum(pieces) <= 3.6 * 300, sum(pieces) / 300
