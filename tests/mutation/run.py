@@ -375,10 +375,11 @@ def run(modules: list[str], sample: int | None, seed: int, again: bool, most_sec
     elif sample is not None:
         share = sample / max(1, sum(len(ms) for _, ms in found))
         found = [(group, _sampled(ms, share, random.Random(f"{seed} {ms[0].path}"))) for group, ms in found if ms]
-    results = []
+    # once for all targets, which have tests in common
+    targets = [path for target in groups.values() for path in _paths(target["modules"])]
+    results: list[Result] = []
     for group in dict.fromkeys(group for group, ms in found if ms):
         say(f"{group}: recording what the tests run")
-        targets = _paths(groups[group]["modules"])
         tests = [test for path in _paths(groups[group]["tests"]) for test in _recorded(str(path), targets)]
         todo = [mutant for other, ms in found if other == group for mutant in ms]
         for number, mutant in enumerate(todo, 1):
