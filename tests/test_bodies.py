@@ -551,3 +551,9 @@ def test_extent_along():
     for bad in ([0, 0, 0], [1, 2], [np.nan, 0, 1], [np.inf, 0, 1]):
         with pytest.raises(ValueError, match="axis"):
             extent_along(body, bad)
+
+
+def test_a_path_may_be_a_string():
+    path = Path(__file__).parents[1] / "meshes" / "cube.stl"
+    for read in (load_mesh, read_mesh):
+        assert np.array_equal(read(str(path)).vertices, read(path).vertices)

@@ -50,8 +50,8 @@ _SWAPPED_CALLS = {**dict(_PAIRS), **{second: first for first, second in _PAIRS}}
 # Calls replaced by their first argument, and methods replaced by their object.
 _PASSED_THROUGH = {"abs", "clip", "sort"}
 _PASSED_THROUGH_METHODS = {"copy"}
-# Arguments that only guard against errors in the program itself.
-_GUARDS = {"strict"}
+# Arguments that only guard against errors in the program itself, or change the time and nothing else.
+_NOT_SEEN = {"strict", "balanced_tree", "skip_materials", "workers"}
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _places(tree: ast.Module) -> Iterator[_Place]:
         node: ast.AST, parent: ast.AST, function: str, lines: tuple[int, int], names: tuple[str, ...],
         assigned: frozenset[str],
     ) -> Iterator[_Place]:  # fmt: skip
-        if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.keyword) and node.arg in _GUARDS):
+        if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.keyword) and node.arg in _NOT_SEEN):
             return
         yield _Place(node, parent, function, lines, names, assigned)
         for child in ast.iter_child_nodes(node):
@@ -246,7 +246,8 @@ def _constant_changes(node: ast.Constant) -> Iterator[tuple[ast.expr, str]]:
     if isinstance(value, bool):
         yield node, repr(not value)
     elif isinstance(value, int):
-        yield node, repr(value + 1)
+        # one more of a large number is as good as the number
+        yield node, repr(value + 1 if abs(value) < 100 else 10 * value)
     elif isinstance(value, float):
         yield node, repr(10 * value if value else 1.0)
 
