@@ -80,7 +80,7 @@ def test_the_certificate_of_the_inner_body_is_its_bound(box_cloud, margin):
 
 @pytest.mark.parametrize("margin", [0.0, 0.3])
 def test_the_certificate_of_a_larger_body_counts_what_stands_out(box_cloud, margin):
-    """A hull twice as large: its vertices stand out of the inner body by half their size, and all of the outer body is inside."""
+    """A hull twice as large: its vertices stand out of the inner body, and all of the outer body is inside of it."""
     found = bracket(box_cloud, margin)
     larger = found.inner.copy()
     larger.vertices = 2 * np.asarray(found.inner.vertices)
