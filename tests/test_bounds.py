@@ -12,6 +12,7 @@ import scan3d
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import Gap, certificate, enclosure, surface
+from scan3d.surfaces.bounds import outside
 
 
 @pytest.mark.parametrize("block", range(24))
@@ -171,3 +172,50 @@ def test_a_hull_with_slivers_wound_the_wrong_way_is_certified_as_convex(ball):
     faces[::50] = faces[::50, ::-1]
     turned = trimesh.Trimesh(inner.vertices, faces, process=False)
     assert certificate(bounds, turned).bound == pytest.approx(certificate(bounds, inner).bound, rel=1e-9)
+
+
+# --- a box, whose outer body is known ---
+
+HALF = np.array([10.0, 15.0, 20.0])
+BOX = trimesh.creation.box(2 * HALF)
+
+
+@pytest.fixture(scope="module")
+def box_cloud():
+    return contacts(scan3d.simulate(BOX, scan3d.Plan(slices=8, spacing="uniform")))
+
+
+def test_other_axes_bound_the_ends_of_a_box_exactly():
+    """The walls that slices along one axis touch are the ends along another axis."""
+    bounds = enclosure(contacts(scan3d.simulate(BOX, scan3d.Plan(slices=6, axis="xyz", samples=32))))
+    end = HALF @ np.abs(bounds.stack.frame[2])
+    assert (bounds.stack.floor, bounds.stack.ceiling) == pytest.approx((-end, end))
+    assert bounds.stack.bounded_by_others == (True, True)
+    assert np.abs(bounds.corners).max(axis=0) == pytest.approx(HALF)
+    assert bounds.volume[1] == pytest.approx(BOX.volume)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_the_certificate_of_the_inner_body_is_its_bound(box_cloud, margin):
+    bounds = enclosure(box_cloud, margin)
+    bound, local = certificate(bounds, bounds.inner)
+    assert bounds.bound == pytest.approx(outside(bounds.corners, bounds.inner).max() + margin)
+    assert bound == pytest.approx(bounds.bound)
+    # the local bound is the largest next to the farthest corner
+    assert local.max() == pytest.approx(bound)
+    assert local.min() >= margin
+    farthest = bounds.corners[bounds.gap.argmax()]
+    near = np.linalg.norm(bounds.inner.vertices - farthest, axis=1) < 1.5 * bound
+    assert local[near] == pytest.approx(np.full(near.sum(), bound), rel=0.2)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_the_certificate_of_a_larger_body_counts_its_vertices_outside(box_cloud, margin):
+    """A hull twice as large: its vertices lie outside the inner body, and it contains all of the outer body."""
+    bounds = enclosure(box_cloud, margin)
+    larger = bounds.inner.copy()
+    larger.vertices = 2 * np.asarray(bounds.inner.vertices)
+    bound, local = certificate(bounds, larger)
+    expected = outside(np.asarray(larger.vertices), bounds.inner) + margin
+    assert local == pytest.approx(expected)
+    assert bound == pytest.approx(expected.max())

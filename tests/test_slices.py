@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import random_body, rotated, scanned
+from sample_bodies import one_stack, random_body, rotated, scanned
 from scipy.optimize import linprog
 
 import scan3d
+from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes
@@ -96,3 +97,52 @@ def test_a_slice_of_two_contacts_has_no_outline():
     (smallest,) = [section for section in stack.slices if len(section.rows) == 2]
     assert len(smallest.outline) == 0
     assert not smallest.closed
+
+
+# --- prisms and cylinders, whose slices have support functions in closed form ---
+
+
+def prism(sides, radius=10.0, height=40.0):
+    """Vertices (sides, 2) of a regular polygon, and the upright prism over it."""
+    angle = 2 * np.pi * (np.arange(sides) + 0.3) / sides
+    polygon = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return polygon, hull(np.array([(*p, z) for p in polygon for z in (-height / 2, height / 2)]))
+
+
+@pytest.mark.parametrize("sides", [3, 4, 7])
+@pytest.mark.parametrize("samples", [4, 8, 64])
+def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_vertices(sides, samples):
+    """The intersection of two neighbouring support lines is a vertex of the polygon, where all its edges are known."""
+    polygon, mesh = prism(sides)
+    exact = (NORMALS @ polygon.T).max(axis=1)
+    complete = 0
+    for section in one_stack(mesh, slices=4, samples=samples).slices:
+        support = section.support(ANGLES)
+        assert section.support(section.angle) == pytest.approx(section.value, abs=1e-9)
+        assert (support >= (NORMALS @ section.points[section.tangential].T).max(axis=1) - 1e-9).all()
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        off = np.arctan2(-edges[:, 0], edges[:, 1])[:, None] - section.angle
+        if (np.abs(np.exp(1j * off) - 1).min(axis=1) < 1e-6).all():
+            complete += 1
+            assert (support <= exact + 1e-9).all()
+    assert complete or samples < 64
+
+
+def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
+    """An ellipse, whose support function is √(a² cos² + b² sin²), from a few dozen contacts."""
+    a, b = 10.0, 6.0
+    mesh = trimesh.creation.cylinder(1.0, 40.0, sections=4000)
+    mesh.apply_scale((a, b, 1.0))
+    stack = one_stack(mesh, slices=3, samples=16, sweeps=4)
+    exact = np.hypot(a * np.cos(ANGLES), b * np.sin(ANGLES))
+    for section in stack.slices:
+        assert 20 < len(section.angle) < 80
+        assert section.support(ANGLES) == pytest.approx(exact, abs=2e-3 * a)
+
+
+def test_the_steiner_point_of_a_slice_moves_with_it():
+    """The Steiner point of a centrally symmetric slice is its centre."""
+    mesh = trimesh.creation.cylinder(8.0, 40.0, sections=200)
+    mesh.apply_translation((3.0, -5.0, 0.0))
+    for section in one_stack(mesh, slices=3).slices:
+        assert section.steiner_point() == pytest.approx([3.0, -5.0], abs=1e-3)
