@@ -4,6 +4,8 @@ Brute force in extended precision, support functions (for convex bodies the Haus
 theirs), and bodies whose distances are known.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -15,6 +17,7 @@ from shapes import PAIRS, angle_bracket, cube, dented, inscribed_radius, moved, 
 
 from scan3d import comparison
 from scan3d.comparison import compare
+from scan3d.geometry.hausdorff import one_sided_distances, prepare
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -292,3 +295,13 @@ def ring_between(vertices, outer, inner):
             faces.append((a, inner[(j + 1) % len(inner)], b))
             j += 1
     return faces
+
+
+def test_the_slack_of_both_bodies_widens_the_bound():
+    """Each body's hull is within its slack, and the vertices' distances are those from the larger slack's surface."""
+    smaller, larger = (prepare(cube(half), np.zeros(3), 1.0) for half in (1.0, 1.1))
+    bodies = dataclasses.replace(smaller, slack=1e-5), dataclasses.replace(larger, slack=3e-5)
+    for pair in (bodies, bodies[::-1]):
+        worst = max(one_sided_distances((pair, pair[::-1]), exact=False), key=lambda side: side.lower)
+        assert worst.lower == pytest.approx(0.1 * np.sqrt(3), rel=1e-12)
+        assert worst.upper == pytest.approx(worst.lower + 1e-5 + 3e-5 + 3e-5, rel=1e-12)
