@@ -350,3 +350,23 @@ def test_a_surface_that_is_not_convex_is_compared_with_the_inner_body(box_cloud,
     assert distance.upper > 1.0
     assert bound == pytest.approx(distance.upper + bounds.bound, rel=1e-12)
     assert at_vertices == pytest.approx(np.abs(distances(vertices, bounds.inner)) + bounds.bound)
+
+
+def test_the_distance_outside_a_convex_body_is_zero_inside():
+    points = np.array([(0.0, 0.0, 0.0), (9.9, 0.0, 0.0), (10.1, 0.0, 0.0), (13.0, 19.0, 0.0), (0.0, 0.0, -20.5)])
+    assert outside(points, BOX) == pytest.approx([0.0, 0.0, 0.1, 5.0, 0.5])
+
+
+@pytest.mark.parametrize(("depth", "convex"), [(0.0, True), (2e-9, True), (1e-6, False)])
+def test_a_surface_is_convex_to_rounding_relative_to_its_diagonal(box_cloud, depth, convex):
+    """A surface twice as large as the inner body, one vertex of which is pushed into a face."""
+    bounds = enclosure(box_cloud)
+    larger = bounds.inner.subdivide()
+    vertices = 2 * np.asarray(larger.vertices)
+    on_face = np.flatnonzero(np.abs(vertices[:, 0] - 2 * HALF[0]) < 1e-9)
+    vertices[on_face[np.abs(vertices[on_face, 1:]).sum(axis=1).argmin()], 0] -= depth
+    surface = trimesh.Trimesh(vertices, larger.faces, process=False)
+    by_vertices = outside(vertices, bounds.inner).max()
+    expected = by_vertices if convex else by_vertices + bounds.bound
+    assert bounds.bound > 0.1
+    assert certificate(bounds, surface).bound == pytest.approx(expected, rel=2e-3 if not convex else 1e-6)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 from sample_bodies import convex_hausdorff
-from slices_by_hand import stack_of_rectangles
+from slices_by_hand import rectangle, slice_of, stack_of_rectangles
 
 import scan3d
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.slices import stacks
+from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces import Gap, enclosure
 from scan3d.surfaces.slabs import _corner_is_straight, _goes_on_straight, _half_spaces, slab_keys, slabs
 
@@ -319,6 +319,57 @@ def test_straight_walls_end_where_slopes_change():
     assert np.abs(between.corners[ridge, :2]) == pytest.approx(np.full((4, 2), 4.0))
     assert (between.kind[ridge] == Gap.SLICES).all()
     assert between.straight[ridge].all()
+
+
+@pytest.mark.parametrize("end", [False, True])
+def test_the_walls_of_a_pyramid_go_on_straight_where_three_slices_agree(end):
+    """Below and above each slab, at its corners in the lower and in the upper plane."""
+    parts = slabs(pyramid(-1.0, 3.5, (end, end)))
+    expected = [
+        ((end, end), (False, False)),
+        # in the planes of the first and the last slice the body is narrower than the slab
+        ((False, False), (False, True)),
+        # two slices below and two above
+        ((False, False), (False, False)),
+        ((True, False), (False, False)),
+        ((False, False), (end, end)),
+    ]
+    for part, (at_low, at_high) in zip(parts, expected, strict=True):
+        height = part.corners[:, 2]
+        above = height > height.mean()
+        assert (part.straight[~above] == at_low).all()
+        assert (part.straight[above] == at_high).all()
+
+
+@pytest.mark.parametrize("edges", [[0, 1, 2], [1, 2, 3], [0, 2], [1, 3]])
+def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
+    """Squares of which one side, or two, are not touched: the half-spaces have room inside, and do not close."""
+    upright = slice_of(rectangle(2.0), 0.0)
+    slices = tuple(
+        dataclasses.replace(slice_of(rectangle(2.0), z, edges=edges), outline=upright.outline) for z in range(4)
+    )
+    parts = slabs(SliceStack(np.eye(3), slices, -1.0, 4.0))
+    kinds = [Gap.CAPS, Gap.SLICES, Gap.SLICES, Gap.SLICES, Gap.CAPS]
+    for part, kind in zip(parts, kinds, strict=True):
+        assert np.isinf(part.corners).all()
+        assert part.corners.shape == (1, 3)
+        assert part.kind.tolist() == [kind]
+        assert not part.straight.any()
+        assert part.volume == np.inf
+
+
+def test_a_slice_without_outline_has_no_inner_point():
+    """Contacts on a line, in all slices: no half-space has a point behind it that is known to be inside."""
+    slices = tuple(slice_of(rectangle(2.0), z, edges=[1]) for z in range(4))
+    assert all(np.isinf(part.volume) for part in slabs(SliceStack(np.eye(3), slices, -1.0, 4.0)))
+
+
+def test_one_slice_alone_has_caps_that_nothing_bounds():
+    parts = slabs(stack_of_rectangles([0.0], [2.0], -1.0, 1.0))
+    assert len(parts) == 2
+    for part in parts:
+        assert part.volume == np.inf
+        assert part.kind.tolist() == [Gap.CAPS]
 
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(-np.inf, 3.5), (-1.0, np.inf), (-np.inf, np.inf)])

@@ -9,6 +9,7 @@ from sample_bodies import one_stack, random_body, rotated, scanned
 from scipy.optimize import linprog
 from slices_by_hand import rectangle, slice_of
 
+import planar
 import scan3d
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
@@ -305,3 +306,23 @@ def test_the_nearest_empty_slices_bound_a_stack():
     assert (stack.floor, stack.ceiling) == (-30.0, 25.0)
     assert stack.heights == pytest.approx(heights)
     assert stack.bounded_by_others == (False, False)
+
+
+def test_normals_inferred_from_friction_belong_to_tip_contacts():
+    """They do not enter the support function of the slice."""
+    plan = scan3d.Plan(slices=4, samples=16, sweeps=4, friction=0.3)
+    cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), plan))
+    (stack,) = stacks(cloud)
+    number_of_tips = 0
+    for section in stack.slices:
+        for part, normals, phase in (
+            (section.tangential, section.normals, planar.Phase.TANGENTIAL),
+            (section.tip, section.tip_normals, planar.Phase.TIP),
+        ):
+            rows = section.rows[part]
+            assert (cloud.phase[rows] == phase).all()
+            assert normals == pytest.approx(cloud.in_plane_normals[rows] @ stack.frame[:2].T)
+        angles = np.arctan2(section.normals[:, 1], section.normals[:, 0])
+        assert np.abs(np.exp(1j * section.angle)[:, None] - np.exp(1j * angles)).min(axis=1).max() < 1e-8
+        number_of_tips += len(section.tip)
+    assert number_of_tips > 4
