@@ -220,7 +220,7 @@ def test_hermites_cubic_follows_a_smooth_contour():
     """Points and tangents of a unit circle about (5, 0), 45° apart: closer to it than contacts and support lines are."""
     angle = np.radians(np.arange(-180, 180, 45.0))
     normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    points = normals + [5.0, 0.0]
+    points = normals + np.array([5.0, 0.0])
     tangential = 5 * -np.sin(angle)
     section = dataclasses.replace(
         slice_of(rectangle(1.0), 0.0),
