@@ -63,7 +63,7 @@ class Mutant:
     function: str
     """Qualified name of the function changed, empty at the module's level."""
     lines: tuple[int, int]
-    """First and last line of the statement: a test that runs neither these nor what is between can't notice."""
+    """First and last line of the statement: a test that runs none of the lines from the first to the last can't notice."""
     names: tuple[str, ...]
     """Names that the statement assigns, if it stands at the module's level."""
     start: int

@@ -10,11 +10,11 @@ records which lines each of them runs and how long it takes.  Each mutant then m
 fastest first, up to the first failure.  Written to `out/mutants`: `survivors.diff` and `results.json`.  A survivor that
 `survivors.md`, beside this file, explains counts as explained in the summary.
 
-The mutant is loaded in a child process that is forked after numpy, scipy and the test libraries are imported, so that the
-start costs next to nothing.  Two limits: tests that start a Python process of their own see the unchanged source there, and
-a test that finds a result in a `functools.cache` of another test is not known to run the lines behind it.
+The mutant is loaded in a child process that is forked after numpy, scipy and the test libraries are imported, so that a
+mutant starts without importing them.  There are two limits: a test that starts a separate Python process sees the unchanged
+source there, and a test that finds a result in a `functools.cache` of another test is not known to run the lines behind it.
 
-Why none of the libraries: mutmut 3.8 mutates functions only, hence none of the modules' constants (tolerances, numbers of
+Existing programs are not used: mutmut 3.8 mutates functions only, hence none of the modules' constants (tolerances, numbers of
 standard deviations), leaves out functions with most decorators, takes no sample, and runs all tests again before the first
 mutant.  cosmic-ray 8.7 starts the whole test command anew for each mutant, which takes 3 s before the first test, runs all
 tests for each, and takes no sample either.
@@ -273,7 +273,7 @@ def _meets(mutant: Mutant, tests: list[Test]) -> list[Test]:
     lines = {(module, line) for line in range(first, last + 1)}
     mentioned: frozenset[str] = frozenset()
     if not mutant.function or not any(lines & test.lines for test in tests):
-        # run while the module is loaded: whoever uses the names, or else the module
+        # run while the module is loaded: the tests that use the names, or else the module
         source = mutant.source.decode().splitlines()
         uses = {(module, i) for i, line in enumerate(source, 1) if any(name in line for name in mutant.names)}
         if mutant.names and any(uses & test.lines for test in tests):
@@ -335,11 +335,11 @@ def _paths(patterns: list[str]) -> list[Path]:
     return list(found)
 
 
-def _sampled(found: list[Mutant], share: float, chance: random.Random) -> list[Mutant]:
-    """A share of the mutants of a module, in the order of the source."""
-    if share >= 1:
+def _sampled(found: list[Mutant], fraction: float, chance: random.Random) -> list[Mutant]:
+    """A fraction of the mutants of a module, in the order of the source."""
+    if fraction >= 1:
         return found
-    chosen = chance.sample(range(len(found)), min(len(found), max(1, round(share * len(found)))))
+    chosen = chance.sample(range(len(found)), min(len(found), max(1, round(fraction * len(found)))))
     return [found[i] for i in sorted(chosen)]
 
 
@@ -373,8 +373,8 @@ def run(modules: list[str], sample: int | None, seed: int, again: bool, most_sec
         alive = {(r["module"], r["change"]) for r in last if r["outcome"] in ("survived", "not reached")}
         found = [(group, [m for m in ms if (str(m.path), m.label) in alive]) for group, ms in found]
     elif sample is not None:
-        share = sample / max(1, sum(len(ms) for _, ms in found))
-        found = [(group, _sampled(ms, share, random.Random(f"{seed} {ms[0].path}"))) for group, ms in found if ms]
+        fraction = sample / max(1, sum(len(ms) for _, ms in found))
+        found = [(group, _sampled(ms, fraction, random.Random(f"{seed} {ms[0].path}"))) for group, ms in found if ms]
     # once for all targets, which have tests in common
     targets = [path for target in groups.values() for path in _paths(target["modules"])]
     results: list[Result] = []
