@@ -288,10 +288,12 @@ def test_the_slabs_of_a_pyramid():
         assert part.volume == pytest.approx(volume_of_frustum(low, high))
 
 
-def test_a_cap_that_reaches_the_apex_ends_there():
-    (*_, cap) = slabs(pyramid(-1.0, 7.0))
-    assert cap.corners[:, 2].max() == pytest.approx(4.0)
-    assert cap.volume == pytest.approx(volume_of_frustum(3.0, 4.0))
+@pytest.mark.parametrize("thickness", [1.5, 3.0, 15.0, 150.0, 2e4, 1e7])
+def test_a_cap_that_reaches_the_apex_ends_there(thickness):
+    """However much farther away the next empty slice is."""
+    (*_, cap) = slabs(pyramid(-1.0, 3 + thickness))
+    assert cap.corners[:, 2].max() == pytest.approx(4.0, abs=1e-15 * thickness + 1e-9)
+    assert cap.volume == pytest.approx(volume_of_frustum(3.0, 4.0), rel=1e-6)
     assert (cap.kind[cap.corners[:, 2] > 3.5] == Gap.CAPS).all()
     # all its half-spaces are straight, whether or not the cap's plane is bounded by others
     assert cap.straight[cap.corners[:, 2] > 3.5].all()
@@ -425,6 +427,10 @@ def test_thin_slabs_are_as_exact(scale, thickness):
     """Upright walls between slices that are close together, about a place far from the origin."""
     heights = scale * thickness * np.arange(4.0)
     stack = stack_of_rectangles(heights, [scale * 2.0] * 4, -scale * thickness, 4 * scale * thickness)
-    for part in slabs(stack):
+    parts = slabs(stack)
+    for part in parts:
         assert part.volume == pytest.approx(16 * scale**3 * thickness, rel=1e-9)
         assert np.abs(part.corners[:, :2]) == pytest.approx(np.full((len(part.corners), 2), 2.0 * scale), rel=1e-9)
+    # in the plane of the first slice, which has no slice below, no half-space of a slice bounds the slab above it
+    height = parts[1].corners[:, 2]
+    assert (parts[1].kind == np.where(height > height.mean(), Gap.CONTACTS, Gap.SLICES)).all()

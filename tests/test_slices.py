@@ -164,8 +164,10 @@ def test_the_steiner_point_of_a_slice_moves_with_it():
         ([0, 100, 170], False),
         ([-170, -80, 95], True),
         ([-170, -80, 105], False),  # a gap of 185° between the last two
-        ([0, 90, 180 + 1e-5], True),
-        ([0, 90, 180 - 1e-5], False),
+        ([-90, 0, 90 + 1e-5], True),
+        ([-90, 0, 90 - 1e-5], False),
+        ([-90, 0, 90 + np.degrees(3e-9)], True),
+        ([-90, 0, 90 + np.degrees(3e-10)], False),  # half a turn to rounding
         ([0, 179], False),
         ([0], False),
         ([], False),
