@@ -18,7 +18,7 @@ def directions(count, seed=3):
 
 
 @pytest.mark.parametrize("shift", [0.0, 1000.0])
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("scale", [1e-9, 1e-6, 1.0, 1e6])
 def test_a_hull_is_closed_and_outward_and_keeps_the_coordinates(scale, shift):
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)], dtype=float)
     points = scale * (np.vstack([corners, RNG.uniform(-1, 1, (30, 3))]) @ TURN.T + shift)

@@ -236,7 +236,9 @@ def test_in_a_cap_slopes_may_differ_by_rounding_only(change):
     assert _goes_on_straight(slices_of_squares([2.0, 1.0, 0.0], [7.0, 8.0, 9.0 - 1e-14]), None).all()
 
 
-@pytest.mark.parametrize(("beyond", "straight"), [(3.0, True), (5.9, False), (5.5, False), (5.0, True), (-4.0, True), (6.0, False)])
+@pytest.mark.parametrize(
+    ("beyond", "straight"), [(3.0, True), (5.9, False), (5.5, False), (5.0, True), (-4.0, True), (6.0, False)]
+)
 def test_slopes_are_equal_relative_to_the_slope_across_the_slab(beyond, straight):
     """The slopes behind the slab are -1 and -0.98; across it, to a slice 1 above, the slope is `beyond` - 7."""
     behind = slices_of_squares([2.0, 1.0, 0.0], [7.0, 8.0, 8.98])
