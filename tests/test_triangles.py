@@ -11,7 +11,7 @@ from scan3d.geometry.triangles import areas, distinct_rows, halve, longest_first
 def test_areas_of_known_triangles():
     corners = np.array([[(0, 0, 0), (3, 0, 0), (0, 4, 0)], [(1, 1, 1), (1, 1, 1), (2, 2, 2)]], dtype=float)
     assert areas(corners).tolist() == [6.0, 0.0]
-    turned = corners + [5.0, -7.0, 2.0]
+    turned = corners + np.array([5.0, -7.0, 2.0])
     assert areas(turned[:, [1, 2, 0]]) == pytest.approx([6.0, 0.0])
 
 
