@@ -129,7 +129,7 @@ def test_faces_wound_against_the_others_do_not_open_a_surface(step):
 
 
 def test_only_the_faces_that_are_too_many_to_be_examined_must_be_shallow(monkeypatch):
-    """As if the time allowed for twelve faces: the dent has fewer, and the others lie in the hull's faces."""
+    """With a limit of twelve faces: the dent has fewer, and the other faces lie in those of the hull."""
     body = dented(0.3)
     unlimited = distance_to_hull(body)
     planes = 6

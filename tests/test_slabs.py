@@ -201,7 +201,7 @@ def test_upright_walls_go_on_straight_where_three_slices_agree(box_cloud, levels
         ([1, 1, 1], [True, True, True], False, (False, True)),
         # the slab's own planes, of side -1, do not count between two slices
         ([0, 1, -1], [True, True, False], False, (True, True)),
-        # but they do in a cap, where both sides are those of the slices that there are
+        # but they do in a cap, which has slices on one side only
         ([0, 0, -1], [True, True, True], True, (True, True)),
         ([0, 0, -1], [True, True, False], True, (False, False)),
         ([0, 0, -1], [True, False, True], True, (False, False)),
@@ -224,7 +224,7 @@ def test_equal_slopes_go_on_straight():
     # heights that are not evenly spaced
     assert _goes_on_straight(slices_of_squares([5.0, 4.0, 0.0], [4.0, 5.0, 9.0]), None).all()
     assert not _goes_on_straight(slices_of_squares([5.0, 4.0, 0.0], [4.0, 5.0, 6.0]), None).any()
-    # two slices say nothing
+    # two slices are not enough
     assert _goes_on_straight(upward[:2], None).tolist() == [False] * 4
     # only the first three count
     assert _goes_on_straight((*upward, *slices_of_squares([-1.0], [3.0])), None).all()

@@ -241,7 +241,7 @@ def test_hermites_cubic_follows_a_smooth_contour():
 
 @pytest.mark.parametrize("offset", [0.0, 1024.0])
 def test_contacts_on_a_line_have_no_outline(offset):
-    """And the support function of the contacts is that of the line."""
+    """The support function of such contacts is that of the line."""
     line = np.outer(np.linspace(0, 1, 9), [3.0, 4.0]) + offset
     assert _outline(line).shape == (0, 2)
     assert _outline(line[:2]).shape == (0, 2)
