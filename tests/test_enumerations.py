@@ -9,6 +9,7 @@ from scan3d.surfaces.slabs import Gap
 MEMBERS = {
     planar.Phase: ["NONE", "TIP", "TANGENTIAL"],
     planar.Status: ["OK", "NO_FORCE", "WRONG_SIDE", "NO_ROD", "INFLECTION", "BEYOND_TIP", "UNDEFINED"],
+    planar.EventKind: ["TOUCH_DOWN", "TO_TANGENTIAL", "TO_TIP", "SNAP", "SNAP_OFF"],
     planar.NormalSource: ["NONE", "TANGENTIAL", "FRICTION"],
     NormalSource: ["UNKNOWN", "SLICES", "FIT", "FRICTION"],
     Gap: ["SLICES", "CONTACTS", "CAPS"],

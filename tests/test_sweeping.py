@@ -473,3 +473,13 @@ def test_newtons_method_finds_all_but_a_few_states_of_a_sweep(contour, friction,
     planar.sweep(contour, friction, samples=400)
     assert sum(left) <= 4, sum(left)
     assert sum(steps) <= 2.8 * 400, sum(steps) / 400
+
+
+def test_a_sweeps_table_shows_numbers_and_a_dash_for_unknown_ones():
+    touching = planar.sweep(CIRCLE, 0.2, samples=5)
+    shown = touching._repr_html_()
+    assert f"<td>{touching.x0[1]:.6g}</td>" in shown
+    beside = planar.sweep(CIRCLE, 0.2, base=[touching.x0[0] + 1.0])
+    assert (beside.phase == Phase.NONE).all()
+    assert "<td>–</td>" in beside._repr_html_()
+    assert "nan" not in beside._repr_html_()
