@@ -10,6 +10,8 @@ from scipy.spatial import ConvexHull
 import scan3d
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.slices import stacks
 
 MESHES = Path(__file__).parents[1] / "meshes"
 _spec = importlib.util.spec_from_file_location("make_meshes", MESHES / "make_meshes.py")
@@ -48,6 +50,12 @@ def rotated(mesh, seed=1):
 def scanned(mesh, **plan):
     """Contacts with normals, of 24 slices and friction between 0 and 0.4 unless the plan says otherwise."""
     return scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(**{"slices": 24, "friction": (0.0, 0.4), **plan})))
+
+
+def one_stack(mesh, **plan):
+    """The slices of a scan along one axis."""
+    (stack,) = stacks(contacts(scan3d.simulate(mesh, scan3d.Plan(**plan))))
+    return stack
 
 
 def convex_hausdorff(first, second):

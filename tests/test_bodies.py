@@ -186,3 +186,9 @@ def test_open_meshes_are_refused_unless_the_hull_is_wanted(tmp_path, mesh, bare)
     assert bare in message
     assert "--hull" in message
     assert_sound(load_mesh(path, hull=True))
+
+
+def test_a_path_may_be_a_string():
+    path = Path(__file__).parents[1] / "meshes" / "cube.stl"
+    for read in (load_mesh, read_mesh):
+        assert np.array_equal(read(str(path)).vertices, read(path).vertices)

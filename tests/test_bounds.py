@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 import trimesh
 from sample_bodies import convex_hausdorff, random_body, scanned
+from slices_by_hand import stack_of_rectangles
 
 import planar
 import scan3d
+from scan3d.geometry.distance import distances, signed_distances
 from scan3d.geometry.hulls import hull
+from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import Gap, certificate, enclosure, surface
+from scan3d.surfaces.bounds import _bounded_by_others, outside
+from scan3d.surfaces.slabs import Slab, slabs
 
 
 @pytest.mark.parametrize("block", range(24))
@@ -174,3 +180,196 @@ def test_a_hull_with_slivers_wound_the_wrong_way_is_certified_as_convex(ball):
     faces[::50] = faces[::50, ::-1]
     turned = trimesh.Trimesh(inner.vertices, faces, process=False)
     assert certificate(bounds, turned).bound == pytest.approx(certificate(bounds, inner).bound, rel=1e-9)
+
+
+# --- a box, whose outer body is known ---
+
+HALF = np.array([10.0, 15.0, 20.0])
+BOX = trimesh.creation.box(2 * HALF)
+
+
+@pytest.fixture(scope="module")
+def box_cloud():
+    return contacts(scan3d.simulate(BOX, scan3d.Plan(slices=8, spacing="uniform")))
+
+
+def test_other_axes_bound_the_ends_of_a_box_exactly():
+    """The walls that slices along one axis touch are the ends along another axis."""
+    bounds = enclosure(contacts(scan3d.simulate(BOX, scan3d.Plan(slices=6, axis="xyz", samples=32))))
+    end = HALF @ np.abs(bounds.stack.frame[2])
+    assert (bounds.stack.floor, bounds.stack.ceiling) == pytest.approx((-end, end))
+    assert bounds.stack.bounded_by_others == (True, True)
+    assert np.abs(bounds.corners).max(axis=0) == pytest.approx(HALF)
+    assert bounds.volume[1] == pytest.approx(BOX.volume)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_the_certificate_of_the_inner_body_is_its_bound(box_cloud, margin):
+    bounds = enclosure(box_cloud, margin)
+    bound, local = certificate(bounds, bounds.inner)
+    assert bounds.bound == pytest.approx(outside(bounds.corners, bounds.inner).max() + margin)
+    assert bound == pytest.approx(bounds.bound)
+    # the local bound is the largest next to the farthest corner
+    assert local.max() == pytest.approx(bound)
+    assert local.min() >= margin
+    farthest = bounds.corners[bounds.gap.argmax()]
+    near = np.linalg.norm(bounds.inner.vertices - farthest, axis=1) < 1.5 * bound
+    assert local[near] == pytest.approx(np.full(near.sum(), bound), rel=0.2)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_the_certificate_of_a_larger_body_counts_its_vertices_outside(box_cloud, margin):
+    """A hull twice as large: its vertices lie outside the inner body, and it contains all of the outer body."""
+    bounds = enclosure(box_cloud, margin)
+    larger = bounds.inner.copy()
+    larger.vertices = 2 * np.asarray(bounds.inner.vertices)
+    bound, local = certificate(bounds, larger)
+    expected = outside(np.asarray(larger.vertices), bounds.inner) + margin
+    assert local == pytest.approx(expected)
+    assert bound == pytest.approx(expected.max())
+
+
+# --- several stacks ---
+
+
+def slab_between(low, high, axis=2):
+    """A slab whose corners lie at two heights along an axis of the world."""
+    corners = np.zeros((2, 3))
+    corners[:, axis] = low, high
+    return Slab(corners, np.zeros(2, dtype=np.int8), np.zeros((2, 2), dtype=bool), 1.0)
+
+
+UNBOUNDED = Slab(np.full((1, 3), np.inf), np.zeros(1, dtype=np.int8), np.zeros((1, 2), dtype=bool), np.inf)
+
+
+@pytest.mark.parametrize(
+    ("others", "floor", "ceiling", "flags"),
+    [
+        ([(-5.0, 8.0)], -5.0, 8.0, (True, True)),
+        ([(-12.0, 8.0)], -10.0, 8.0, (False, True)),
+        ([(-5.0, 12.0)], -5.0, 10.0, (True, False)),
+        ([(-10.0, 10.0)], -10.0, 10.0, (False, False)),  # no tighter than the empty slices
+        ([(-12.0, 12.0)], -10.0, 10.0, (False, False)),
+        ([(-5.0, 12.0), (-7.0, 9.0)], -5.0, 9.0, (True, True)),
+        ([(-7.0, 8.0), (-5.0, 9.0)], -5.0, 8.0, (True, True)),
+        # never closer than the slices, which have contacts
+        ([(-0.5, 0.5)], -1.0, 1.0, (True, True)),
+        ([None], -10.0, 10.0, (False, False)),
+        ([None, (-5.0, 12.0)], -5.0, 10.0, (True, False)),
+    ],
+)
+def test_the_tightest_of_the_other_stacks_bounds_the_ends(others, floor, ceiling, flags):
+    stack = stack_of_rectangles([-1.0, 1.0], [2.0, 2.0], -10.0, 10.0)
+    # what is unbounded past its end slices bounds nothing, although the slab between the slices is finite
+    outer = [[UNBOUNDED, slab_between(-0.2, 0.2)] if other is None else [slab_between(*other)] for other in others]
+    for k in range(len(others) + 1):
+        # the stack's own slabs, which are tighter still, bound nothing
+        by_axis = [stack if j == k else None for j in range(len(others) + 1)]
+        bounded = _bounded_by_others(k, by_axis, [*outer[:k], [slab_between(-0.1, 0.1)], *outer[k:]])
+        assert (bounded.floor, bounded.ceiling) == (floor, ceiling)
+        assert bounded.bounded_by_others == flags
+        assert bounded.slices is stack.slices
+
+
+def test_the_other_stacks_bound_a_stack_along_its_own_axis():
+    frame = slice_frame(np.array([1.0, 0.0, 0.0]))
+    stack = stack_of_rectangles([-1.0, 1.0], [2.0, 2.0], frame=frame)
+    bounded = _bounded_by_others(0, [stack, None], [[UNBOUNDED], [slab_between(-3.0, 4.0, axis=0)]])
+    assert (bounded.floor, bounded.ceiling) == (-3.0, 4.0)
+    assert bounded.bounded_by_others == (True, True)
+
+
+@pytest.mark.parametrize("axes", ["xy", "xyz"])
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_of_several_stacks_the_one_with_the_smallest_bound_is_used(margin, axes):
+    mesh = trimesh.creation.icosphere(2, 20.0)
+    mesh.apply_scale((1.0, 0.6, 0.3))
+    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=6, axis=axes, samples=16, sweeps=6)))
+    by_axis = stacks(cloud)
+    outer = [slabs(stack, margin) for stack in by_axis]
+    candidates = []
+    for k in range(len(axes)):
+        stack = _bounded_by_others(k, by_axis, outer)
+        corners = np.concatenate([slab.corners for slab in slabs(stack, margin)])
+        candidates.append((outside(corners, hull(cloud.points)).max() + margin, stack))
+    smallest, stack = min(candidates, key=lambda candidate: candidate[0])
+    assert len({round(bound, 9) for bound, _ in candidates}) == len(axes)
+    bounds = enclosure(cloud, margin)
+    assert bounds.bound == pytest.approx(smallest, rel=1e-12)
+    assert (bounds.stack.frame == stack.frame).all()
+    assert (bounds.stack.floor, bounds.stack.ceiling) == (stack.floor, stack.ceiling)
+
+
+@pytest.mark.parametrize("margin", [0.01, 0.3])
+def test_a_margin_moves_the_ends_that_other_stacks_bound(margin):
+    """A box that is larger than the contacts show by the margin is still inside."""
+    bounds = enclosure(contacts(scan3d.simulate(BOX, scan3d.Plan(slices=6, axis="xyz", samples=32))), margin)
+    end = HALF @ np.abs(bounds.stack.frame[2])
+    assert bounds.stack.floor <= -end - margin * (1 - 1e-9)
+    assert bounds.stack.ceiling >= end + margin * (1 - 1e-9)
+    assert (np.abs(bounds.corners).max(axis=0) >= HALF + margin * (1 - 1e-9)).all()
+    # once for the contacts, twice for the inclination over half a spacing, and once more for that of the other stacks
+    assert (np.abs(bounds.corners).max(axis=0) <= HALF + 4.01 * margin).all()
+
+
+def test_oblique_slices_enclose_the_body():
+    """The corners of the slabs are given in the world, whatever the slices' axis."""
+    mesh = trimesh.creation.box(2 * HALF)
+    for axis in ((1.0, 2.0, 3.0), (-2.0, 1.0, 0.5)):
+        bounds = enclosure(contacts(scan3d.simulate(mesh, scan3d.Plan(slices=12, axis=axis, samples=32))))
+        assert signed_distances(mesh.vertices, hull(bounds.corners)).max() < 1e-9
+        assert bounds.bound >= scan3d.compare(bounds.inner, mesh).hausdorff - 1e-9
+        assert bounds.bound < 5.0
+        assert bounds.volume[0] <= mesh.volume <= bounds.volume[1] * (1 + 1e-9)
+
+
+def test_nothing_bounds_a_body_touched_from_one_side():
+    cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), scan3d.Plan(slices=4, sweeps=1)))
+    bounds = enclosure(cloud)
+    assert bounds.bound == np.inf
+    assert bounds.volume[1] == np.inf
+
+
+def test_the_part_of_a_kind_without_corners_is_zero(box_cloud):
+    bounds = dataclasses.replace(
+        enclosure(box_cloud), kind=np.full(3, Gap.CAPS, dtype=np.int8), gap=np.array([1.0, 3, 2])
+    )
+    assert bounds.part(Gap.CAPS) == 3.0
+    assert bounds.part(Gap.SLICES) == 0.0
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_a_surface_that_is_not_convex_is_compared_with_the_inner_body(box_cloud, margin):
+    """The inner body with the middle of a face pushed in: the distance to the inner body is added to the bound of that."""
+    bounds = enclosure(box_cloud, margin)
+    dented = bounds.inner.subdivide()
+    vertices = np.asarray(dented.vertices).copy()
+    outer_face = np.abs(np.abs(vertices[:, 0]) - HALF[0]) < 1e-9
+    middle = np.flatnonzero(outer_face)[np.abs(vertices[outer_face, 1:]).sum(axis=1).argmin()]
+    vertices[middle, 0] *= 0.5
+    dented = trimesh.Trimesh(vertices, dented.faces, process=False)
+    distance = scan3d.compare(dented, bounds.inner)
+    bound, at_vertices = certificate(bounds, dented)
+    assert distance.upper > 1.0
+    assert bound == pytest.approx(distance.upper + bounds.bound, rel=1e-12)
+    assert at_vertices == pytest.approx(np.abs(distances(vertices, bounds.inner)) + bounds.bound)
+
+
+def test_the_distance_outside_a_convex_body_is_zero_inside():
+    points = np.array([(0.0, 0.0, 0.0), (9.9, 0.0, 0.0), (10.1, 0.0, 0.0), (13.0, 19.0, 0.0), (0.0, 0.0, -20.5)])
+    assert outside(points, BOX) == pytest.approx([0.0, 0.0, 0.1, 5.0, 0.5])
+
+
+@pytest.mark.parametrize(("depth", "convex"), [(0.0, True), (2e-9, True), (1e-6, False)])
+def test_a_surface_is_convex_to_rounding_relative_to_its_diagonal(box_cloud, depth, convex):
+    """A surface twice as large as the inner body, one vertex of which is pushed into a face."""
+    bounds = enclosure(box_cloud)
+    larger = bounds.inner.subdivide()
+    vertices = 2 * np.asarray(larger.vertices)
+    on_face = np.flatnonzero(np.abs(vertices[:, 0] - 2 * HALF[0]) < 1e-9)
+    vertices[on_face[np.abs(vertices[on_face, 1:]).sum(axis=1).argmin()], 0] -= depth
+    surface = trimesh.Trimesh(vertices, larger.faces, process=False)
+    by_vertices = outside(vertices, bounds.inner).max()
+    expected = by_vertices if convex else by_vertices + bounds.bound
+    assert bounds.bound > 0.1
+    assert certificate(bounds, surface).bound == pytest.approx(expected, rel=2e-3 if not convex else 1e-6)

@@ -125,6 +125,29 @@ def test_averages_over_cubes(all_samples):
         assert result.volume_error == pytest.approx(1 / 1.1**3 - 1)
 
 
+def test_a_quantile_is_the_smallest_value_that_enough_weight_does_not_exceed():
+    values, weights = np.array([3.0, np.nan, 1.0, 2.0]), np.array([0.6, 5.0, 0.1, 0.3])
+    for fraction, expected in ((0.05, 1.0), (0.15, 2.0), (0.39, 2.0), (0.5, 3.0), (1.0, 3.0)):
+        assert comparison._quantile(values, weights, fraction) == expected
+    assert np.isnan(comparison._quantile(np.full(2, np.nan), np.ones(2), 0.5))
+
+
+def test_averages_are_over_the_area_even_with_faces_that_have_none():
+    """A large square at the height 1 and many small triangles at the height 0, over a square at the height 0."""
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+    faces = [(0, 1, 2), (0, 2, 3)]
+    large, low = (trimesh.Trimesh(np.column_stack([square, np.full(4, z)]), faces, process=False) for z in (1.0, 0.0))
+    small = moved(low, scale=0.01)
+    for _ in range(4):
+        small = small.subdivide()
+    both = trimesh.util.concatenate([large, small])
+    with_point = trimesh.Trimesh(both.vertices, np.vstack([both.faces, [(0, 0, 1)]]), process=False)
+    expected, result = compare(both, low), compare(with_point, low)
+    assert expected.mean > 0.8
+    assert result.mean == pytest.approx(expected.mean, abs=1e-3)
+    assert result.rms == pytest.approx(expected.rms, abs=1e-3)
+
+
 def test_normals_of_a_turned_cube():
     angle = np.radians(5.0)
     turn = np.array([(np.cos(angle), -np.sin(angle), 0), (np.sin(angle), np.cos(angle), 0), (0, 0, 1)])

@@ -97,6 +97,16 @@ def test_path_begins_where_the_tip_of_the_straight_rod_touches(contour):
     np.testing.assert_allclose((path.slope + path.turn)[:-1], path.slope[1:], atol=1e-15)
 
 
+@pytest.mark.parametrize("lowest", [0.2, 0.7, 0.99])
+@pytest.mark.parametrize("radius", [0.1, 0.6])
+def test_path_ends_at_the_leftmost_point_or_at_the_tips_height(radius, lowest):
+    """Past slopes of -75° there still are equilibria: nothing of the side that the rod can reach may be missing."""
+    path = planar.Circle(radius, (0.3, lowest + radius)).path()
+    above = (1.0 - lowest - radius) / radius  # of the tip over the centre, in radii
+    assert path.slope[-1] + path.turn[-1] == pytest.approx(-np.pi / 2 if above > 0 else -np.arccos(-above))
+    assert path.slope[0] == pytest.approx(np.pi / 2 if above > 0 else np.arccos(-above))
+
+
 def test_contours_keep_their_precision_when_they_are_large():
     # y = 1 is reached by differences of numbers a hundred times as large
     for radius in (10.0, 100.0):

@@ -118,3 +118,20 @@ def test_a_pinhole_counts_by_its_size(side):
 def test_what_has_no_hull_is_refused(mesh):
     with pytest.raises(InputError, match=r"^the surface should have "):
         distance_to_hull(mesh)
+
+
+@pytest.mark.parametrize("step", [2, 3, 7])
+def test_faces_wound_against_the_others_do_not_open_a_surface(step):
+    body = BODIES["ball"]
+    faces = body.faces.copy()
+    faces[::step] = faces[::step, ::-1]
+    assert distance_to_hull(as_mesh(body.vertices, faces)) <= CONVEX_DEPTH * body.scale
+
+
+def test_only_the_faces_that_are_too_many_to_be_examined_must_be_shallow(monkeypatch):
+    """With a limit of twelve faces: the dent has fewer, and the other faces lie in those of the hull."""
+    body = dented(0.3)
+    unlimited = distance_to_hull(body)
+    planes = 6
+    monkeypatch.setattr(hull_distance, "_MAX_DISTANCES", 12 * planes)
+    assert distance_to_hull(body) == unlimited < np.inf

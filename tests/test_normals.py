@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import formulas
+from sample_bodies import formulas, one_stack
 
 import planar
 import scan3d
 from scan3d.cloud import NormalSource
+from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes, with_slice_normals
 from scan3d.reconstruction.slices import stacks
@@ -51,9 +52,9 @@ def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
 @pytest.mark.slow
 def test_the_fitted_surface_is_closer_than_the_hull(smooth):
     name, mesh, cloud = smooth
-    fitted, hull = (scan3d.compare(scan3d.surface(cloud, method), mesh).relative for method in ("auto", "hull"))
+    fitted, convex = (scan3d.compare(scan3d.surface(cloud, method), mesh).relative for method in ("auto", "hull"))
     assert fitted < 1e-4
-    assert fitted < hull
+    assert fitted < convex
 
 
 def test_bodies_with_edges_are_not_fitted():
@@ -88,3 +89,60 @@ def test_where_friction_varies_tip_contacts_have_no_normal():
     tip = cloud.phase == planar.Phase.TIP
     assert (cloud.normal_source[tip] == NormalSource.UNKNOWN).all()
     assert np.isnan(cloud.normals[tip]).all()
+
+
+# --- slopes over the height, on bodies with edges ---
+
+
+def house():
+    """An upright box, 20 wide and 20 high, under a pyramid of height 10."""
+    walls = [(x, y, z) for x in (-10, 10) for y in (-10, 10) for z in (-20, 0)]
+    return hull(np.array([*walls, (0, 0, 10)], dtype=float))
+
+
+def test_walls_stay_upright_below_a_roof():
+    """Where the slices below and above are equally wide, both secants are 0, although the spline oscillates there."""
+    stack = one_stack(house(), slices=12, spacing="uniform")
+    slopes = height_slopes(stack)
+    walls = [i for i in range(1, len(stack.slices) - 1) if stack.heights[i + 1] < 0]
+    assert len(walls) >= 3
+    for i in walls:
+        assert np.abs(slopes[i].tangential).max() < 1e-9
+
+
+@pytest.mark.parametrize("mesh", [house(), trimesh.creation.icosphere(1, 15.0)], ids=["house", "polyhedron"])
+@pytest.mark.parametrize("spacing", ["uniform", "cosine"])
+def test_slopes_lie_between_the_secants_to_the_slices_below_and_above(mesh, spacing):
+    stack = one_stack(mesh, slices=12, spacing=spacing)
+    closed = [section for section in stack.slices if section.closed]
+    assert len(closed) > 6
+    for below, section, above in zip(closed, closed[1:], closed[2:], strict=False):
+        (slope,) = (
+            s.tangential for s, other in zip(height_slopes(stack), stack.slices, strict=True) if other is section
+        )
+        angle = np.arctan2(section.normals[:, 1], section.normals[:, 0])
+        here = section.support(angle)
+        lower = (here - below.support(angle)) / (section.height - below.height)
+        upper = (above.support(angle) - here) / (above.height - section.height)
+        # where the support between normals is interpolated, the secants may be the wrong way round
+        assert (slope >= np.minimum(lower, upper) - 1e-12).all()
+        assert (slope <= np.maximum(lower, upper) + 1e-12).all()
+
+
+def test_the_slope_of_a_pyramid_is_found():
+    """The pyramid's half width divided by its height, on its slices that have one of its slices on either side."""
+    stack = one_stack(house(), slices=20, spacing="uniform")
+    slopes = height_slopes(stack)
+    checked = 0
+    for i in range(1, len(stack.slices) - 1):
+        if stack.heights[i - 1] > 0:
+            along_axis = np.abs(stack.slices[i].normals).max(axis=1) > 1 - 1e-9
+            assert slopes[i].tangential[along_axis] == pytest.approx(-1.0, abs=1e-6)
+            checked += np.count_nonzero(along_axis)
+    assert checked > 8
+
+
+def test_one_slice_alone_has_no_slope():
+    slopes = height_slopes(one_stack(house(), slices=1))
+    assert len(slopes) == 1
+    assert all(np.isnan(part).all() for part in slopes[0])

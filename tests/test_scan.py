@@ -19,6 +19,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
 from scan3d.simulation import scan as simulation
+from scan3d.surfaces import certificate, enclosure
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
@@ -317,6 +318,28 @@ def test_friction_and_noise_each_follow_the_seed(random):
     first, second, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
     assert np.array_equal(first.force_N, second.force_N)
     assert not np.allclose(first.force_N, third.force_N)
+
+
+@pytest.mark.parametrize("axis", ["z", "xyz"])
+def test_no_two_sweeps_draw_the_same_friction(watched_sweeps, axis):
+    """Whether they differ by their axis, by their slice or by their number in the slice."""
+    plan = dict(slices=4, sweeps=5, samples=16, friction=(0.0, 0.4), axis=axis, seed=3)
+    scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(**plan))
+    drawn = [sweep.friction.tobytes() for sweep in watched_sweeps]
+    assert len(drawn) == 4 * 5 * len(axis)
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_the_certificate_allows_for_four_standard_deviations_of_the_contacts(tmp_path, no_pictures):
+    folder = scan(tmp_path / "out", "--noise", "1e-4", "--method", "hull")
+    certified = json.loads((folder / "report.json").read_text())["certificate"]
+    cloud = scan3d.reconstruct(scan3d.read_recording(folder / "recording.csv"))
+    assert cloud.noise > 0
+    by_hand = certificate(enclosure(cloud, 4 * cloud.noise), scan3d.surface(cloud, "hull")).bound
+    assert certified["parts"]["noise"] == pytest.approx(4 * cloud.noise)
+    assert certified["bound"] == pytest.approx(by_hand)
+    # once for the hull's contacts, once more for the half-spaces, which are also inclined farther outwards
+    assert by_hand > enclosure(cloud).bound + 8 * cloud.noise
 
 
 def test_cloud_ply_holds_the_cloud(scanned, read_ply):

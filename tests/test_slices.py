@@ -1,16 +1,21 @@
 """Support functions of slices, and the bounds that concavity sets to their slopes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import random_body, rotated, scanned
+from sample_bodies import one_stack, random_body, rotated, scanned
 from scipy.optimize import linprog
+from slices_by_hand import rectangle, slice_of
 
+import planar
 import scan3d
+from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes
-from scan3d.reconstruction.slices import stacks
+from scan3d.reconstruction.slices import _outline, stacks
 
 
 @pytest.fixture(scope="module", params=[0, 4, 8])
@@ -96,3 +101,230 @@ def test_a_slice_of_two_contacts_has_no_outline():
     (smallest,) = [section for section in stack.slices if len(section.rows) == 2]
     assert len(smallest.outline) == 0
     assert not smallest.closed
+
+
+# --- prisms and cylinders, whose slices have support functions in closed form ---
+
+
+def prism(sides, radius=10.0, height=40.0):
+    """Vertices (sides, 2) of a regular polygon, and the upright prism over it."""
+    angle = 2 * np.pi * (np.arange(sides) + 0.3) / sides
+    polygon = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return polygon, hull(np.array([(*p, z) for p in polygon for z in (-height / 2, height / 2)]))
+
+
+@pytest.mark.parametrize("sides", [3, 4, 7])
+@pytest.mark.parametrize("samples", [4, 8, 64])
+def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_vertices(sides, samples):
+    """The intersection of two neighbouring support lines is a vertex of the polygon, where all its edges are known."""
+    polygon, mesh = prism(sides)
+    exact = (NORMALS @ polygon.T).max(axis=1)
+    complete = 0
+    for section in one_stack(mesh, slices=4, samples=samples).slices:
+        support = section.support(ANGLES)
+        assert section.support(section.angle) == pytest.approx(section.value, abs=1e-9)
+        assert (support >= (NORMALS @ section.points[section.tangential].T).max(axis=1) - 1e-9).all()
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        off = np.arctan2(-edges[:, 0], edges[:, 1])[:, None] - section.angle
+        if (np.abs(np.exp(1j * off) - 1).min(axis=1) < 1e-6).all():
+            complete += 1
+            assert (support <= exact + 1e-9).all()
+    assert complete or samples < 64
+
+
+def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
+    """An ellipse, whose support function is √(a² cos² + b² sin²), from a few dozen contacts."""
+    a, b = 10.0, 6.0
+    mesh = trimesh.creation.cylinder(1.0, 40.0, sections=4000)
+    mesh.apply_scale((a, b, 1.0))
+    stack = one_stack(mesh, slices=3, samples=16, sweeps=4)
+    exact = np.hypot(a * np.cos(ANGLES), b * np.sin(ANGLES))
+    for section in stack.slices:
+        assert 20 < len(section.angle) < 80
+        assert section.support(ANGLES) == pytest.approx(exact, abs=2e-3 * a)
+
+
+def test_the_steiner_point_of_a_slice_moves_with_it():
+    """The Steiner point of a centrally symmetric slice is its centre."""
+    mesh = trimesh.creation.cylinder(8.0, 40.0, sections=200)
+    mesh.apply_translation((3.0, -5.0, 0.0))
+    for section in one_stack(mesh, slices=3).slices:
+        assert section.steiner_point() == pytest.approx([3.0, -5.0], abs=1e-3)
+
+
+# --- slices with few normals ---
+
+
+@pytest.mark.parametrize(
+    ("degrees", "closed"),
+    [
+        ([0, 120, -120], True),
+        ([0, 90, 180], False),  # a gap of exactly half a turn
+        ([-90, 0, 90], False),  # the gap from the last to the first
+        ([0, 100, 170], False),
+        ([-170, -80, 95], True),
+        ([-170, -80, 105], False),  # a gap of 185° between the last two
+        ([-90, 0, 90 + 1e-5], True),
+        ([-90, 0, 90 - 1e-5], False),
+        ([-90, 0, 90 + np.degrees(3e-9)], True),
+        ([-90, 0, 90 + np.degrees(3e-10)], False),  # half a turn to rounding
+        ([0, 179], False),
+        ([0], False),
+        ([], False),
+    ],
+)
+def test_a_slice_is_closed_if_its_normals_leave_no_gap_of_half_a_turn(degrees, closed):
+    section = dataclasses.replace(slice_of(rectangle(1.0), 0.0), angle=np.radians(np.sort(np.array(degrees, float))))
+    assert section.closed == closed
+
+
+def test_with_one_normal_the_support_is_bounded_from_below_only():
+    """The edge from (3, -1) to (3, 2): beside its normal no support line bounds the slice, and the contacts do from below."""
+    section = slice_of([(3, -1), (3, 2), (0, 0)], 0.0, edges=[0])
+    assert len(section.angle) == 1
+    assert section.support(np.zeros(1)) == pytest.approx([3.0])
+    support = section.support(ANGLES)
+    assert np.isfinite(support).all()
+    ends = np.array([(3.0, -1.0), (3.0, 2.0)])
+    assert (support >= (NORMALS @ ends.T).max(axis=1) - 1e-12).all()
+    # next to the edge's normal it follows the contact at the end of the edge on that side
+    step = 1e-4
+    assert section.support(np.array([step, -step])) == pytest.approx([3 + 2 * step, 3 + step], abs=1e-6)
+    # Hermite's cubic over a whole turn, with the slopes 2 and -1 at its ends, above the contacts' support there
+    assert section.support(np.array([np.pi / 2])) == pytest.approx([3 + 2 * np.pi * (2 * 9 / 64 + 3 / 64)])
+
+
+@pytest.mark.parametrize("edges", [[0, 1], [0, 2], [1, 3], [0, 1, 2]])
+def test_beside_a_gap_of_half_a_turn_the_support_is_bounded_from_below_only(edges):
+    section = slice_of(rectangle(3.0, 1.0), 0.0, edges=edges)
+    support = section.support(ANGLES)
+    assert np.isfinite(support).all()
+    assert (support >= section.support_of_contacts(NORMALS) - 1e-12).all()
+    assert section.support(section.angle) == pytest.approx(section.value)
+    assert section.support(section.angle - 2 * np.pi) == pytest.approx(section.value)
+    if edges == [0, 1]:
+        # between the two normals the polygon's vertex is both bounds
+        between = np.radians(np.linspace(-90, 0, 7))
+        expected = np.stack([np.cos(between), np.sin(between)], axis=1) @ [3.0, -1.0]
+        assert section.support(between) == pytest.approx(expected)
+
+
+def test_with_all_normals_the_support_is_that_of_the_polygon():
+    for polygon in (rectangle(3.0, 1.0), prism(5)[0], prism(3)[0] + np.array([100.0, -40.0])):
+        section = slice_of(polygon, 0.0)
+        exact = (NORMALS @ polygon.T).max(axis=1)
+        assert section.support(ANGLES) == pytest.approx(exact, abs=1e-9)
+        assert section.support_of_contacts(NORMALS) == pytest.approx(exact, abs=1e-12)
+        assert section.closed
+
+
+def test_hermites_cubic_follows_a_smooth_contour():
+    """Points and tangents of a unit circle about (5, 0), 45° apart: closer to it than contacts and support lines are."""
+    angle = np.radians(np.arange(-180, 180, 45.0))
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = normals + np.array([5.0, 0.0])
+    tangential = 5 * -np.sin(angle)
+    section = dataclasses.replace(
+        slice_of(rectangle(1.0), 0.0),
+        points=points,
+        outline=points,
+        angle=angle,
+        value=(points * normals).sum(axis=1),
+        slope=np.stack([tangential, tangential]),
+        corner=np.stack([points, points], axis=1),
+    )
+    exact = 1 + 5 * np.cos(ANGLES)
+    assert np.abs(section.support_of_contacts(NORMALS) - exact).max() > 0.07
+    assert np.abs(section.support(ANGLES) - exact).max() < 0.01
+    assert section.steiner_point() == pytest.approx([5.0, 0.0], abs=3e-3)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1024.0])
+def test_contacts_on_a_line_have_no_outline(offset):
+    """The support function of such contacts is that of the line."""
+    line = np.outer(np.linspace(0, 1, 9), [3.0, 4.0]) + offset
+    assert _outline(line).shape == (0, 2)
+    assert _outline(line[:2]).shape == (0, 2)
+    assert _outline(np.empty((0, 2))).shape == (0, 2)
+    triangle = np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 3.0)]) + offset
+    with_middle = np.vstack([triangle, triangle.mean(axis=0)])
+    assert (
+        {tuple(p) for p in _outline(triangle)}
+        == {tuple(p) for p in _outline(with_middle)}
+        == {tuple(p) for p in triangle}
+    )
+    section = dataclasses.replace(slice_of(rectangle(1.0), 0.0), points=line, outline=_outline(line))
+    assert section.support_of_contacts(NORMALS) == pytest.approx((NORMALS @ line[[0, -1]].T).max(axis=1))
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (1.0, 2.0, 3.0), (-2.0, 0.5, 1.0), (1.0, 0.0, 0.0)])
+def test_slices_across_any_axis_hold_the_contacts_in_their_frame(axis):
+    mesh = rotated(trimesh.creation.box((20, 30, 40)))
+    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=6, axis=axis, samples=12, sweeps=5)))
+    (stack,) = stacks(cloud)
+    assert stack.frame[2] == pytest.approx(np.array(axis) / np.linalg.norm(axis))
+    assert (np.diff(stack.heights) > 0).all()
+    polygons = slice_polygons(mesh, stack.frame, stack.heights)
+    for section, polygon in zip(stack.slices, polygons, strict=True):
+        points = cloud.points[section.rows] @ stack.frame.T
+        assert points[:, 2] == pytest.approx(np.full(len(points), section.height), abs=1e-7)
+        assert section.points == pytest.approx(points[:, :2])
+        tangential = section.points[section.tangential]
+        # the contacts lie on the support lines of the exact polygon
+        exact = (section.normals @ polygon.T).max(axis=1)
+        assert (section.normals * tangential).sum(axis=1) == pytest.approx(exact, abs=1e-6)
+        known = np.stack([np.cos(section.angle), np.sin(section.angle)], axis=1)
+        assert (np.diff(section.angle) > 1e-9).all()
+        assert section.value == pytest.approx((known @ polygon.T).max(axis=1), abs=1e-6)
+        across = np.stack([-known[:, 1], known[:, 0]], axis=1)
+        for end in (0, 1):
+            assert (section.corner[:, end] * known).sum(axis=1) == pytest.approx(section.value, abs=1e-6)
+            assert (section.corner[:, end] * across).sum(axis=1) == pytest.approx(section.slope[end], abs=1e-9)
+        assert (section.slope[0] <= section.slope[1]).all()
+        # an edge's contacts are all between its ends
+        for angle, low, high in zip(section.angle, *section.slope, strict=True):
+            same = np.abs(np.arctan2(section.normals[:, 1], section.normals[:, 0]) - angle) < 1e-9
+            along = tangential[same] @ [-np.sin(angle), np.cos(angle)]
+            assert (along.min(), along.max()) == pytest.approx((low, high), abs=1e-7)
+
+
+def test_the_nearest_empty_slices_bound_a_stack():
+    """Empty slices below and above, in any order; those farther away do not matter."""
+    mesh = trimesh.creation.box((20, 30, 40))
+    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=4, spacing="uniform", samples=12, sweeps=4)))
+    filled = np.unique(cloud.slice)
+    heights = cloud.slice_height[filled]
+    rank = np.searchsorted(filled, cloud.slice)
+    empty = np.array([50.0, 25.0, -70.0, -30.0])
+    order = np.array([5, 0, 6, 2, 4, 1, 7, 3])[: len(filled) + 4]
+    number = np.argsort(order)
+    changed = dataclasses.replace(
+        cloud,
+        slice=number[rank].astype(np.int32),
+        slice_height=np.concatenate([heights, empty])[order],
+        slice_axis=np.tile([0.0, 0.0, 1.0], (len(order), 1)),
+    )
+    (stack,) = stacks(changed)
+    assert (stack.floor, stack.ceiling) == (-30.0, 25.0)
+    assert stack.heights == pytest.approx(heights)
+    assert stack.bounded_by_others == (False, False)
+
+
+def test_normals_inferred_from_friction_belong_to_tip_contacts():
+    """They do not enter the support function of the slice."""
+    plan = scan3d.Plan(slices=4, samples=16, sweeps=4, friction=0.3)
+    cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), plan))
+    (stack,) = stacks(cloud)
+    number_of_tips = 0
+    for section in stack.slices:
+        for part, normals, phase in (
+            (section.tangential, section.normals, planar.Phase.TANGENTIAL),
+            (section.tip, section.tip_normals, planar.Phase.TIP),
+        ):
+            rows = section.rows[part]
+            assert (cloud.phase[rows] == phase).all()
+            assert normals == pytest.approx(cloud.in_plane_normals[rows] @ stack.frame[:2].T)
+        angles = np.arctan2(section.normals[:, 1], section.normals[:, 0])
+        assert np.abs(np.exp(1j * section.angle)[:, None] - np.exp(1j * angles)).min(axis=1).max() < 1e-8
+        number_of_tips += len(section.tip)
+    assert number_of_tips > 4

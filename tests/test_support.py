@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from scan3d.geometry.support import fit_support, harmonics
 
@@ -37,3 +38,77 @@ def test_an_ellipsoid_of_any_aspect_is_fitted_exactly(axes):
     # the moments of inertia are those of the points' hull: the degrees above 1 make up for what it lacks
     fitted = fit_support(points, normals, 8)
     assert np.abs(fitted.points(normals) - points).max() < 1e-3 * min(axes)
+
+
+# --- bodies in any place and orientation, from contacts with inexact normals ---
+
+TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
+
+
+def directions(count, seed=3):
+    """Unit vectors (count, 3)."""
+    vectors = np.random.default_rng(seed).standard_normal((count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+CENTER = np.array([3.0, -2.0, 7.0])
+
+
+def ellipsoid(semi_axes, normals):
+    """Points (n, 3) of an ellipsoid, turned and moved, with the given outward normals."""
+    shape = TURN @ np.diag(np.square(semi_axes)) @ TURN.T
+    scaled = normals @ shape
+    return CENTER + scaled / np.sqrt((normals * scaled).sum(axis=1))[:, None]
+
+
+@pytest.mark.parametrize("count", [1500, 9000])
+@pytest.mark.parametrize("semi_axes", [(5.0, 5.0, 5.0), (9.0, 4.0, 2.0)])
+def test_an_ellipsoid_is_found_with_its_place_and_axes(semi_axes, count):
+    normals = directions(count)
+    fitted = fit_support(ellipsoid(semi_axes, normals), normals, 6)
+    # both are those of the hull of some thousand contacts
+    assert fitted.center == pytest.approx(CENTER, abs=0.02 * max(semi_axes))
+    values, axes = np.linalg.eigh(fitted.shape)
+    assert values == pytest.approx(sorted(semi_axes), rel=0.03)
+    assert fitted.shape == pytest.approx(fitted.shape.T)
+    if len(set(semi_axes)) == 3:
+        assert np.abs(axes.T @ TURN[:, ::-1]) == pytest.approx(np.eye(3), abs=0.05)
+    assert fitted.rms < 1e-6
+    elsewhere = directions(2500, seed=4)
+    exact = ellipsoid(semi_axes, elsewhere)
+    assert fitted.points(elsewhere) == pytest.approx(exact, abs=1e-4 * min(semi_axes))
+    rough = elsewhere + 0.05 * directions(2500, seed=5)
+    normals_there = fitted.normals(exact, rough / np.linalg.norm(rough, axis=1)[:, None])
+    assert np.linalg.norm(normals_there, axis=1) == pytest.approx(1.0)
+    assert np.abs(normals_there - elsewhere).max() < 2e-3
+
+
+def test_rough_normals_are_enough():
+    """The contacts are exact, their normals deviate by 3°: the fit follows the contacts."""
+    normals = directions(3000)
+    rough = normals + 0.05 * directions(3000, seed=6)
+    rough /= np.linalg.norm(rough, axis=1)[:, None]
+    semi_axes = (9.0, 4.0, 2.0)
+    fitted = fit_support(ellipsoid(semi_axes, normals), rough, 4)
+    assert fitted.rms < 1e-4
+    assert fitted.points(normals) == pytest.approx(ellipsoid(semi_axes, normals), abs=0.02)
+
+
+def pillow(normals, bulge=0.08):
+    """Gradient of ``|u| + bulge z⁴/|u|³`` at unit vectors: a ball that is longer along z, and no ellipsoid."""
+    z = normals[:, 2:]
+    return normals + bulge * (4 * z**3 * [0, 0, 1] - 3 * z**4 * normals)
+
+
+def test_a_body_that_is_no_ellipsoid_is_found_with_its_degree():
+    normals = directions(3000)
+    worst = [
+        np.abs(fit_support(pillow(normals), normals, degree).points(normals) - pillow(normals)).max()
+        for degree in (2, 4, 8)
+    ]
+    assert worst[0] > 5e-3
+    assert worst[1] < 0.5 * worst[0]
+    assert worst[2] < 1e-4
+    fitted = fit_support(pillow(normals), normals, 8)
+    off = ((pillow(normals) - fitted.points(normals)) * normals).sum(axis=1)
+    assert fitted.rms == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.2)

@@ -1,0 +1,57 @@
+"""Convex hulls as meshes: closed, outward, and with the points' own coordinates."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull
+
+RNG = np.random.default_rng(11)
+TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
+
+
+def directions(count, seed=3):
+    """Unit vectors (count, 3)."""
+    vectors = np.random.default_rng(seed).standard_normal((count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("shift", [0.0, 1000.0])
+@pytest.mark.parametrize("scale", [1e-9, 1e-6, 1.0, 1e6])
+def test_a_hull_is_closed_and_outward_and_keeps_the_coordinates(scale, shift):
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)], dtype=float)
+    points = scale * (np.vstack([corners, RNG.uniform(-1, 1, (30, 3))]) @ TURN.T + shift)
+    made = hull(points)
+    assert made.is_watertight
+    assert made.volume == pytest.approx(48 * scale**3, rel=1e-6)
+    outward = np.cross(*(made.triangles[:, i] - made.triangles[:, 0] for i in (1, 2)))
+    assert (((made.triangles_center - points.mean(axis=0)) * outward).sum(axis=1) > 0).all()
+    # the vertices are the box's corners, to the last digit
+    assert {tuple(p) for p in np.asarray(made.vertices)} == {tuple(p) for p in points[:8]}
+
+
+def test_all_faces_of_a_round_hull_are_outward():
+    points = directions(500) * [1.0, 2.0, 0.1]
+    made = hull(points)
+    assert len(made.vertices) == 500
+    assert len(made.faces) == 2 * 500 - 4
+    outward = np.cross(*(made.triangles[:, i] - made.triangles[:, 0] for i in (1, 2)))
+    assert ((made.triangles_center * outward).sum(axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("shift", [0.0, 7.0])
+@pytest.mark.parametrize("thickness", [0.0, 1e-6, 1e-3])
+def test_points_in_one_plane_span_no_body(thickness, shift):
+    points = np.column_stack([RNG.uniform(-1, 1, (60, 2)), thickness * RNG.uniform(-1, 1, 60)]) @ TURN.T + shift
+    if thickness > 1e-9:
+        assert hull(points).volume > 0
+    else:
+        with pytest.raises(InputError, match="the 60 contacts span no body"):
+            hull(points)
+
+
+@pytest.mark.parametrize("points", [np.zeros((5, 3)), np.eye(3), np.outer(np.arange(6.0), [1, 2, 3])])
+def test_points_that_are_too_few_or_in_one_place_span_no_body(points):
+    with pytest.raises(InputError, match=f"the {len(points)} contacts span no body"):
+        hull(points)

@@ -1,0 +1,77 @@
+"""Triangles: areas, halves, and which faces of a closed surface are wound against the others."""
+
+import numpy as np
+import pytest
+import trimesh
+from shapes import ball, cube, without
+
+from scan3d.geometry.triangles import areas, distinct_rows, halve, longest_first, mirrored_faces, row_minima
+
+
+def test_areas_of_known_triangles():
+    corners = np.array([[(0, 0, 0), (3, 0, 0), (0, 4, 0)], [(1, 1, 1), (1, 1, 1), (2, 2, 2)]], dtype=float)
+    assert areas(corners).tolist() == [6.0, 0.0]
+    turned = corners + np.array([5.0, -7.0, 2.0])
+    assert areas(turned[:, [1, 2, 0]]) == pytest.approx([6.0, 0.0])
+
+
+def test_the_longest_edge_comes_first_and_the_winding_stays():
+    corners = np.array([[(0, 0, 0), (3, 0, 0), (0, 4, 0)]], dtype=float)
+    for shift in range(3):
+        rolled = np.roll(corners, shift, axis=1)
+        order = longest_first(rolled)
+        assert rolled[0, order[0]].tolist() == [[3, 0, 0], [0, 4, 0], [0, 0, 0]]
+
+
+def test_halves_share_the_area_and_the_longest_edge():
+    corners = np.array([[(3, 0, 0), (0, 4, 0), (0, 0, 0)], [(0, 0, 0), (8, 0, 0), (4, 1, 0)]], dtype=float)
+    halves, order = halve(corners)
+    assert halves.shape == (4, 3, 3)
+    assert areas(halves) == pytest.approx([3.0, 2.0, 3.0, 2.0])
+    assert (longest_first(halves) == np.arange(3)).all()
+    middles = [(1.5, 2.0, 0.0), (4.0, 0.0, 0.0)]
+    for i, triangle in enumerate(halves):
+        assert sum(np.allclose(corner, middles[i % 2]) for corner in triangle) == 1
+        # the order is that in which the corners of the unsorted halves were put
+        unsorted = triangle[np.argsort(order[i])]
+        assert unsorted[1 if i < 2 else 0] == pytest.approx(middles[i % 2])
+
+
+def test_the_minimum_of_each_row_and_its_label():
+    values, labels = np.array([(3.0, 1.0, 2.0), (0.0, 5.0, 4.0)]), np.array([(7, 8, 9), (1, 2, 3)])
+    smallest, label = row_minima(values, labels)
+    assert smallest.tolist() == [1.0, 0.0]
+    assert label.tolist() == [8, 1]
+
+
+def test_distinct_rows_stand_for_all():
+    rows = np.array([(1.0, 2.0), (0.0, 2.0), (1.0, 2.0), (1.0, 3.0), (0.0, 2.0)])
+    first, number = distinct_rows(rows)
+    assert len(first) == 3
+    assert (rows[first][number] == rows).all()
+
+
+@pytest.mark.parametrize("body", [cube(), ball(3, 40)], ids=["cube", "ball"])
+@pytest.mark.parametrize("turned", [[], [0], [1], [2, 5], [0, 1, 7]])
+def test_faces_wound_against_the_first_one_are_found(body, turned):
+    faces = body.faces.copy()
+    faces[turned] = faces[turned, ::-1]
+    expected = np.isin(np.arange(len(faces)), turned) != (0 in turned)
+    assert mirrored_faces(faces).tolist() == expected.tolist()
+
+
+def test_no_face_is_mirrored_on_a_surface_that_is_not_one_closed_one():
+    body = cube()
+    two = trimesh.util.concatenate([cube(), cube(shift=(5.0, 0.0, 0.0))])
+    # the projective plane: six vertices, each edge in two of the ten faces, and one side only
+    one_sided = np.array(
+        [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5), (0, 5, 1), (1, 2, 4), (2, 3, 5), (3, 4, 1), (4, 5, 2), (5, 1, 3)]
+    )
+    for faces in (
+        without(body, np.arange(12) > 0).faces,  # an odd number of edges
+        without(body, np.arange(12) > 1).faces,
+        np.vstack([body.faces, body.faces]),
+        two.faces,
+        one_sided,
+    ):
+        assert mirrored_faces(np.asarray(faces)) is None
