@@ -46,6 +46,7 @@ def test_the_bound_is_never_below_the_true_distance(block):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])
+@pytest.mark.slow
 def test_the_certificate_holds_for_any_convex_surface(seed):
     mesh = random_body(seed)
     bounds = enclosure(contacts(scan3d.simulate(mesh, scan3d.Plan(slices=16, friction=(0.0, 0.4)))))
@@ -131,6 +132,7 @@ def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
         assert bound < 0.2 * distance.diagonal
 
 
+@pytest.mark.slow
 def test_an_open_hull_is_not_certified_as_convex(ball):
     """The hull without the faces above a height: nothing of the surface is near the removed part's pole."""
     mesh, cloud, bounds = ball
@@ -144,6 +146,7 @@ def test_an_open_hull_is_not_certified_as_convex(ball):
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.05])
+@pytest.mark.slow
 def test_the_certificate_of_a_hull_is_the_largest_distance_of_an_outer_corner(margin):
     """Against the distance of every outer corner from every face, in its plane, from its edges and from its vertices."""
     cloud = scanned(trimesh.creation.icosphere(3, 20.0), slices=7, samples=12, sweeps=6)

@@ -62,6 +62,7 @@ def test_the_estimate_between_the_bounds_is_closer_to_a_smooth_body_than_its_hul
     assert distance <= certificate(bounds, estimate).bound <= bounds.bound
 
 
+@pytest.mark.slow
 def test_a_proven_hull_is_taken_without_an_estimate():
     cloud = scanned(trimesh.creation.box((40, 30, 50)), spacing="adaptive", slices=40)
     proven = surface(cloud)
@@ -70,6 +71,7 @@ def test_a_proven_hull_is_taken_without_an_estimate():
 
 
 @pytest.mark.parametrize("seed", range(8))
+@pytest.mark.slow
 def test_the_estimate_lies_between_the_bounds(seed):
     """Whatever the body: no point lies outside the outer body, and the certificate holds."""
     rng = np.random.default_rng(seed)

@@ -43,6 +43,7 @@ def test_the_error_of_a_surface_is_the_distance_of_the_held_out_contacts():
     assert error.rms == pytest.approx(np.sqrt((0.5**2 + 0.1**2) / 2))
 
 
+@pytest.mark.slow
 def test_the_error_of_a_fit_contains_no_facets(ball):
     directions = ball.points[:100] / np.linalg.norm(ball.points[:100], axis=1, keepdims=True)
     error = error_of_fit(ball.fit, 20.5 * directions, directions)

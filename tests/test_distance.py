@@ -12,6 +12,7 @@ from scan3d.geometry.triangles import areas, longest_first
 
 
 @pytest.mark.parametrize("height", [1e-1, 1e-3, 1e-6, 1e-8, 1e-9, 1e-11, 1e-13, 1e-15, 0.0])
+@pytest.mark.slow
 def test_distances_to_slivers_against_60_digits(height):
     rng = np.random.default_rng(2)
     a, along = rng.random((200, 3)), 0.5 * rng.standard_normal((200, 3))

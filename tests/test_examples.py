@@ -52,6 +52,7 @@ def test_imports_and_draws(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["one_sweep", "paper_figure_3", "paper_figure_4", "paper_figure_5"])
+@pytest.mark.slow
 def test_saves_its_picture_in_the_current_folder(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = str(EXAMPLES / f"{name}.py")
     monkeypatch.chdir(tmp_path)
@@ -221,6 +222,7 @@ def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "have a reliable friction" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_own_measurements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("own_measurements")
     # the conversion to the laboratory's table and back loses nothing: the recording is that of the simulation

@@ -41,6 +41,7 @@ def contours():
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 1.0, 5.0])
+@pytest.mark.slow
 def test_sweeps_have_no_inflections(friction):
     for contour in contours():
         swept = planar.sweep(contour, friction, samples=40)
@@ -54,6 +55,7 @@ def test_sweeps_have_no_inflections(friction):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 1.0, 5.0])
+@pytest.mark.slow
 def test_tips_are_pushed_and_not_pulled(friction):
     tips = 0
     for contour in contours():

@@ -90,6 +90,7 @@ def test_no_more_frames_than_there_are_samples():
 
 
 @pytest.mark.parametrize("name", ["sweep.gif", "sweep.mp4"])
+@pytest.mark.slow
 def test_the_command(tmp_path, monkeypatch, capsys, name):
     recording = tmp_path / "log.csv"
     scan3d.write_recording(scanned(CUBE).recording, recording)

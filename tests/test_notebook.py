@@ -135,6 +135,7 @@ def test_text_from_files_stays_text(recording):
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_a_cloud_shows_itself(cloud):
     shown = Reader(cloud._repr_html_())
     rows = dict(shown.rows)
@@ -253,6 +254,7 @@ def test_clouds_of_a_few_contacts(cloud, count):
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_clouds_and_surfaces_in_pictures(recording, cloud, surface, mesh):
     by_force, by_error = cloud.plot(), scan3d.plot(cloud, mesh, color="error")
     assert by_force.size == by_error.size

@@ -91,6 +91,7 @@ def test_more_slices_give_a_closer_surface(method):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize(("method", "within"), [(poisson, 0.03), (ball_pivoting, 0.01)])
+@pytest.mark.slow
 def test_a_cube_with_contacts_on_all_faces(method, within):
     made = method(*cube())
     check_well_made(made)
@@ -106,6 +107,7 @@ def test_the_vertices_of_ball_pivoting_are_contacts():
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.slow
 def test_the_result_is_the_same_bytes_for_any_order_of_the_contacts(method):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     order = np.random.default_rng(1).permutation(len(points))
@@ -121,6 +123,7 @@ def test_the_result_is_the_same_bytes_for_any_order_of_the_contacts(method):
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e7])
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_unit(method, scale):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     here, there = method(points, normals), method(scale * points, normals)
@@ -243,6 +246,7 @@ def test_unsuitable_contacts_are_refused(method, points, normals, message):
 @pytest.mark.parametrize(
     "error", ["ImportError('No module named open3d')", "OSError('libGL.so.1: cannot open shared object file')"]
 )
+@pytest.mark.slow
 def test_without_open3d_a_sentence_says_what_to_install(method, error):
     """In a child process whose import of open3d fails, as it does where the package or a system library is missing."""
     code = f"""

@@ -262,6 +262,7 @@ def drawn(image):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_the_page_in_a_browser(tab, cube):
     first = tab.picture()
     assert first.shape == (HEIGHT, WIDTH, 3)

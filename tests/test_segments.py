@@ -65,6 +65,7 @@ def test_folds_are_minima_of_the_base_position(contour):
 
 
 @pytest.mark.parametrize("contour", CONTOURS.values(), ids=CONTOURS)
+@pytest.mark.slow
 def test_the_last_sample_of_a_sweep_is_stable(contour):
     # the end of a sweep is a fold, or the end of the path
     for friction in FRICTIONS:

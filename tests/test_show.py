@@ -71,6 +71,7 @@ def test_options_that_would_change_nothing(folder, tmp_path, monkeypatch, capsys
 
 @pytest.mark.rendering
 @pytest.mark.parametrize(("options", "same_as"), [(("--color", "phase"), "cloud"), ((), "surface")])
+@pytest.mark.slow
 def test_a_colour_shows_the_contacts(folder, tmp_path, options, same_as):
     """Without a view: the contacts if their colour is named, else the surface."""
     written = tmp_path / "written.png"

@@ -188,6 +188,7 @@ def test_sweeps_are_immutable():
 @pytest.mark.parametrize("radius", [1e-3, 0.1, 1.0, 100.0])
 @pytest.mark.parametrize("lowest", [1e-6, 0.5, 0.99, 1 - 1e-9])
 @pytest.mark.parametrize("friction", [0.0, 5.0])
+@pytest.mark.slow
 def test_circles_of_all_sizes_at_all_heights(radius, lowest, friction):
     circle = planar.Circle(radius, (0.3, lowest + radius))
     swept = planar.sweep(circle, friction, samples=30)
@@ -214,6 +215,7 @@ def test_a_contour_only_just_within_reach():
 
 @pytest.mark.parametrize("degrees", range(0, 180, 15))
 @pytest.mark.parametrize("friction", [0.0, 1.0])
+@pytest.mark.slow
 def test_needles_at_all_angles(degrees, friction):
     angle = np.radians(degrees)
     height = np.hypot(np.sin(angle), np.cos(angle) / 20)
@@ -317,6 +319,7 @@ def test_events_on_a_square():
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("sides", [4, 7, 24, 60, 200])
+@pytest.mark.slow
 def test_a_tip_snaps_around_every_corner(sides, friction):
     around = 2 * np.pi * (np.arange(sides) + 0.3) / sides
     polygon = planar.Polygon(CIRCLE.center + 0.9 * np.stack([np.cos(around), np.sin(around)], axis=1))

@@ -39,6 +39,7 @@ BAR = (slice(None), slice(1150, 1210))
 
 
 @pytest.mark.rendering
+@pytest.mark.slow
 def test_the_surface_by_its_deviation(cube, tmp_path):
     image = draw(cube, tmp_path / "surface.png", "surface")
     # the hull's lid, in the picture's middle, lies farthest inside; its sides in the true ones
@@ -74,6 +75,7 @@ def test_the_surface_by_its_bound(egg, tmp_path):
 
 @pytest.mark.rendering
 @pytest.mark.parametrize("color", COLORS)
+@pytest.mark.slow
 def test_the_cloud_by_each_colour(egg, tmp_path, color):
     image = draw(egg, tmp_path / "cloud.png", "cloud", color)
     body, right = image[:, :1090], image[:, 1100:]
