@@ -284,6 +284,7 @@ def test_the_other_stacks_bound_a_stack_along_its_own_axis():
 
 @pytest.mark.parametrize("axes", ["xy", "xyz"])
 @pytest.mark.parametrize("margin", [0.0, 0.3])
+@pytest.mark.slow
 def test_of_several_stacks_the_one_with_the_smallest_bound_is_used(margin, axes):
     mesh = trimesh.creation.icosphere(2, 20.0)
     mesh.apply_scale((1.0, 0.6, 0.3))
@@ -304,6 +305,7 @@ def test_of_several_stacks_the_one_with_the_smallest_bound_is_used(margin, axes)
 
 
 @pytest.mark.parametrize("margin", [0.01, 0.3])
+@pytest.mark.slow
 def test_a_margin_moves_the_ends_that_other_stacks_bound(margin):
     """A box that is larger than the contacts show by the margin is still inside."""
     bounds = enclosure(contacts(scan3d.simulate(BOX, scan3d.Plan(slices=6, axis="xyz", samples=32))), margin)
@@ -376,3 +378,30 @@ def test_a_surface_is_convex_to_rounding_relative_to_its_diagonal(box_cloud, dep
     expected = by_vertices if convex else by_vertices + bounds.bound
     assert bounds.bound > 0.1
     assert certificate(bounds, surface).bound == pytest.approx(expected, rel=2e-3 if not convex else 1e-6)
+
+
+def test_where_nothing_bounds_the_body_the_local_bound_is_infinite_and_never_nan():
+    # one sweep for each slice sees one side only, so that no slab is closed
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=20)
+    cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=1)))
+    certified = certificate(enclosure(cloud), hull(cloud.points))
+    assert certified.bound == np.inf
+    assert (certified.at_vertices == np.inf).all()
+    # without the empty slices nothing bounds the caps, while the slabs between the slices are closed
+    cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=6)))
+    filled = np.unique(cloud.slice)
+    number = np.full(len(cloud.slice_height), -1, dtype=np.int32)
+    number[filled] = np.arange(len(filled))
+    open_ended = dataclasses.replace(
+        cloud,
+        slice=number[cloud.slice],
+        slice_axis=cloud.slice_axis[filled],
+        slice_height=cloud.slice_height[filled],
+    )
+    body = hull(cloud.points)
+    certified = certificate(enclosure(open_ended), body)
+    assert certified.bound == np.inf
+    heights = body.vertices[:, 2]
+    at_ends = np.isclose(heights, heights.min()) | np.isclose(heights, heights.max())
+    assert (certified.at_vertices[at_ends] == np.inf).all()
+    assert np.isfinite(certified.at_vertices[~at_ends]).all()

@@ -85,6 +85,7 @@ def test_the_estimate_lies_between_the_bounds(seed):
     assert certificate(bounds, estimate).bound >= scan3d.compare(estimate, mesh).hausdorff * (1 - 1e-9)
 
 
+@pytest.mark.slow
 def test_without_empty_slices_there_is_still_a_surface(box):
     """Nothing bounds the ends then: the surface ends where the contacts do."""
     _, cloud = box

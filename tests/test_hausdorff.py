@@ -46,6 +46,7 @@ def test_against_support_functions(pair):
 
 
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+@pytest.mark.slow
 def test_one_sided_distances_against_dense_points(pair):
     result = compare(*pair)
     for source, target, lower, upper in (

@@ -5,6 +5,7 @@ the square root of rounding, and no sample lies closer to a fold than some 1e-6.
 """
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +71,7 @@ def mirror(contour):
 
 @twenty_examples
 @given(contours, frictions)
+@pytest.mark.slow
 def test_mirror(contour, friction):
     base = inner_base(contour, friction)
     to_the_left = planar.sweep(contour, friction, base=base)
@@ -173,6 +175,7 @@ def test_an_ellipse_by_other_parameters(ellipse, friction):
 
 @eight_examples
 @given(st.floats(0.02, 3.0), st.floats(0.05, 0.9), frictions)
+@pytest.mark.slow
 def test_a_circle_by_other_classes(radius, gap, friction):
     center = (0.1, gap + radius)
     circle = planar.Circle(radius, center)
@@ -199,6 +202,7 @@ def test_a_circle_by_other_classes(radius, gap, friction):
 
 @twenty_examples
 @given(st.floats(0.1, 1.5), st.floats(0.1, 0.9), frictions)
+@pytest.mark.slow
 def test_a_circle_by_its_polygon(radius, gap, friction):
     count = 2000
     around = 2 * np.pi * np.arange(count) / count
@@ -245,6 +249,7 @@ def test_a_sweep_does_not_depend_on_its_samples(contour, friction, step):
 
 @twenty_examples
 @given(contours, frictions)
+@pytest.mark.slow
 def test_the_same_friction_for_every_sample(contour, friction):
     base = inner_base(contour, friction)
     swept = planar.sweep(contour, friction, base=base)
@@ -268,6 +273,7 @@ def test_friction_per_sample_gives_the_state_of_a_sweep_with_that_friction(conto
 
 @eight_examples
 @given(st.lists(contours, min_size=1, max_size=4), frictions)
+@pytest.mark.slow
 def test_sweeping_together_is_sweeping_alone(several, friction):
     bases = [inner_base(contour, friction, count=8) for contour in several]
     together = planar.sweep_all(several, [friction] * len(several), base=bases)

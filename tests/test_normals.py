@@ -72,6 +72,7 @@ def test_bodies_with_edges_are_not_fitted():
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.slow
 def test_tip_contacts_get_normals_by_the_friction_that_the_tangential_contacts_agree_on(noise):
     plan = scan3d.Plan(slices=24, samples=32, friction=0.3, noise=noise)
     cloud = with_slice_normals(contacts(scan3d.simulate(formulas.make("ellipsoid", subdivisions=60), plan)))

@@ -246,6 +246,7 @@ def test_a_recording_of_one_sweep(recording):
 
 @pytest.mark.rendering
 @pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.slow
 def test_clouds_of_a_few_contacts(cloud, count):
     few = cloud.select(np.arange(count))
     assert len(Reader(few._repr_html_()).pictures) == 1

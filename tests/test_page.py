@@ -292,6 +292,7 @@ def test_the_page_in_a_browser(tab, cube):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_layers_and_colours_in_a_browser(tab):
     before = tab.picture()
     tab.run("for (const box of document.querySelectorAll('input')) if (box.checked) box.click()")

@@ -113,6 +113,7 @@ def watched_sweeps(monkeypatch):
 
 
 @pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
+@pytest.mark.slow
 def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(path, watched_sweeps):
     recording, cloud = places(scan3d.load_mesh(path), slices=12, friction=(0.0, 0.4), seed=7)
 
@@ -132,6 +133,7 @@ def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(pat
 
 
 @pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
+@pytest.mark.slow
 def test_constant_friction_is_found_in_every_tangential_contact(path):
     _, cloud = places(scan3d.load_mesh(path), slices=4, friction=0.3)
     tangential = cloud.phase == TANGENTIAL
@@ -543,6 +545,7 @@ def test_adaptive_slices_go_where_the_body_has_edges():
     )
 
 
+@pytest.mark.slow
 def test_adaptive_slices_stop_at_their_tolerance():
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
     number = [

@@ -35,6 +35,7 @@ def test_show_writes_what_it_is_asked_for(folder, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out) == {"shown": "cloud", "files": [str(picture)]}
 
 
+@pytest.mark.slow
 def test_the_page_of_a_folder_is_that_of_its_scan(folder, tmp_path):
     assert main(["show", str(folder), "--html", str(tmp_path / "again.html"), "--quiet"]) == 0
     assert (tmp_path / "again.html").read_bytes() == (folder / "view.html").read_bytes()

@@ -108,6 +108,7 @@ def test_truth_and_reconstruction_side_by_side(cube, tmp_path):
 
 @pytest.mark.rendering
 @pytest.mark.parametrize("scene", ["egg", "cube"])
+@pytest.mark.slow
 def test_the_view_that_explains(scene, tmp_path, request):
     image = draw(request.getfixturevalue(scene), tmp_path / "explain.png", "explain")
     upper = image[:-150]  # without the legend

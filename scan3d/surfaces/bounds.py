@@ -30,6 +30,8 @@ from scan3d.surfaces.slabs import Gap, Slab, slabs
 # distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
 # only to rounding are certified by the weaker rule for surfaces that are not convex.
 _CONVEX = 1e-9
+# Heights that differ by less than this fraction of their size are equal: a few thousand units in the last place.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -122,11 +124,24 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
         local = np.abs(nearest(vertices, bounds.inner)[0])
         return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
     local = outside(vertices, bounds.inner)
-    signed, face, _ = nearest(bounds.corners, surface)
+    bounded = np.isfinite(bounds.corners).all(axis=1)
+    signed, face, _ = nearest(bounds.corners[bounded], surface)
     distance = np.maximum(signed, 0.0)
     np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
+    local[_in_slabs(vertices, bounds, bounds.slab[~bounded])] = np.inf
     bound = float(max(local.max(), distance.max(initial=0.0))) if np.isfinite(bounds.bound) else np.inf
     return Certificate(bound + bounds.margin + deviation, local + bounds.margin + deviation)
+
+
+def _in_slabs(points: Array, bounds: Enclosure, numbers: Index) -> Mask:
+    """Whether points (n, 3) lie in one of some slabs, or on a plane that bounds it."""
+    heights = points @ bounds.stack.frame[2]
+    levels = np.array([-np.inf, *bounds.stack.heights, np.inf])
+    rounding = _ROUNDING * float(np.abs(heights).max())
+    inside = np.zeros(len(points), dtype=bool)
+    for number in numbers:
+        inside |= (heights >= levels[number] - rounding) & (heights <= levels[number + 1] + rounding)
+    return inside
 
 
 def outside(points: Array, body: Any) -> Array:
