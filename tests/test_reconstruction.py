@@ -4,6 +4,7 @@ from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import planar
 from planar import NormalSource, Phase, Status
@@ -269,3 +270,24 @@ def test_columns_of_different_lengths_are_refused(call):
 def test_a_line_of_one_point_is_refused():
     with pytest.raises(ValueError, match="at least 2 points, got 1"):
         planar.elastic_lines(*row(), points=1)
+
+
+def test_wills_contact_lies_on_the_rod_that_the_reactions_bend():
+    """Under friction (10) finds another arc length, and the point there must be the rod's, integrated from the clamp."""
+    sweep = planar.sweep(planar.Circle(radius=0.6, center=(0.1, 1.0)), friction=0.4, samples=40)
+    rows = np.flatnonzero(sweep.phase == Phase.TANGENTIAL)[::6]
+    columns = [getattr(sweep, name)[rows] for name in ("x0", "f0x", "f0y", "m0z")]
+    contacts = planar.reconstruct(*columns, method="will")
+    defined = np.flatnonzero(np.isfinite(contacts.s1))
+    assert len(defined) >= 3
+    assert (np.abs(contacts.s1 - sweep.s1[rows])[defined] > 1e-3).any()  # friction misleads it
+    for i in defined:
+        x0, fx, fy, m0z = (column[i] for column in columns)
+        force, alpha = np.hypot(fx, fy), np.arctan2(-fx, fy)
+
+        def rod(_, state, force=force, alpha=alpha):
+            phi, kappa = state[2:]
+            return [np.cos(phi), np.sin(phi), kappa, force * np.cos(phi - alpha)]
+
+        path = solve_ivp(rod, (0, contacts.s1[i]), [x0, 0.0, np.pi / 2, -m0z], rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(contacts.point[i], path.y[:2, -1], atol=1e-8)

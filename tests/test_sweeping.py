@@ -487,3 +487,18 @@ def test_a_sweeps_table_shows_numbers_and_a_dash_for_unknown_ones():
     assert (beside.phase == Phase.NONE).all()
     assert "<td>–</td>" in beside._repr_html_()
     assert "nan" not in beside._repr_html_()
+
+
+def test_a_sweep_that_begins_before_touch_down_has_the_contacts_of_one_that_begins_there():
+    """With friction per sample: samples before touch-down touch nothing, and do not end the sweep."""
+    circle = planar.Circle(radius=0.5, center=(0.0, 0.9))
+    touching = planar.sweep(circle, friction=0.2, samples=30)
+    base = np.concatenate([touching.x0[0] + np.linspace(0.5, 0.01, 5), touching.x0])
+    friction = np.full(len(base), 0.2)
+    friction[1::2] = 0.1
+    early = planar.sweep(circle, friction=friction, base=base)
+    late = planar.sweep(circle, friction=friction[5:], base=touching.x0)
+    assert (early.phase[:5] == Phase.NONE).all()
+    assert (late.phase != Phase.NONE).sum() > 20
+    np.testing.assert_array_equal(early.phase[5:], late.phase)
+    np.testing.assert_array_equal(early.m0z[5:], late.m0z)
