@@ -307,3 +307,16 @@ def test_the_slack_of_both_bodies_widens_the_bound():
         worst = max(one_sided_distances((pair, pair[::-1]), exact=False), key=lambda side: side.lower)
         assert worst.lower == pytest.approx(0.1 * np.sqrt(3), rel=1e-12)
         assert worst.upper == pytest.approx(worst.lower + 1e-5 + 3e-5 + 3e-5, rel=1e-12)
+
+
+def test_the_nearest_triangle_need_not_have_the_nearest_middle():
+    """A bar with one long side finely divided: middles near a point beyond the other side are all on it."""
+    bar = trimesh.creation.box(bounds=[[0, 0, 0], [100, 1, 1]])
+    far_side = np.flatnonzero(bar.face_normals[:, 1] > 0.5)
+    vertices, faces = trimesh.remesh.subdivide_to_size(bar.vertices, bar.faces[far_side], 0.3)
+    rest = np.delete(bar.faces, far_side, axis=0) + len(vertices)
+    bar = trimesh.Trimesh(np.concatenate([vertices, bar.vertices]), np.concatenate([faces, rest]), process=False)
+    small = trimesh.creation.box(bounds=[[50, -0.5, 0.4], [50.1, -0.4, 0.6]])
+    result = compare(small, bar)
+    assert result.surface_to_mesh == pytest.approx(0.5, abs=1e-12)
+    assert result.surface_to_mesh_upper == pytest.approx(0.5, rel=1e-3)
