@@ -152,7 +152,7 @@ def test_no_imports_in_a_circle():
             return
         done.add(name)
         for target in sorted(imported(name) & set(MODULES) - {name}):
-            # a package hands on names of its own modules
+            # a package hands on names of the modules in it
             if MODULES[target].name != "__init__.py":
                 visit(target, [*path, name])
         order.append(name)

@@ -59,7 +59,7 @@ def test_heights_at_gaps_are_those_of_the_worst_corners():
     assert heights_at_gaps(known, slab, corners, gaps, creases, 4, 4).tolist() == [0.4, 0.6]
     assert heights_at_gaps(known, slab, corners, gaps, creases, 1, 4).tolist() == [0.4]
     assert len(heights_at_gaps(known, slab, corners, np.zeros(4), creases, 4, 4)) == 0
-    # a corner on an end slice gives no height of its own; the new slice is between the end slice and the empty one
+    # a corner on an end slice gives no height; the new slice is between the end slice and the empty one
     on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), creases[:1], 4, 4)
     assert on_end == pytest.approx([0.35])
     # not where slices stand close enough

@@ -278,7 +278,7 @@ def main() -> None:
     inverse_ratio = lines[0].rate / lines[1].rate
     print(f"closed form over Scholz & Rahn's integration: {rounded(inverse_ratio)} x the contacts")
 
-    print(f"\nGrowth, each in a process of its own (peak memory; {empty:.2f} GB of it are Python's and its modules')")
+    print(f"\nGrowth, each in a separate process (peak memory; {empty:.2f} GB of it are Python's and its modules')")
     print(f"{'contacts':>12}{'sweep, s':>12}{'GB':>8}{'reconstruct, s':>18}{'GB':>8}")
     for size, (sweep_s, sweep_gb), (inverse_s, inverse_gb) in growth:
         print(f"{size:>12,}{sweep_s:>12.3f}{sweep_gb:>8.2f}{inverse_s:>18.4f}{inverse_gb:>8.2f}")
