@@ -24,6 +24,7 @@ from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.sweeping import Phase, Sweep, sweep, sweep_all
+from planar.uncertainty import jacobian
 
 __all__ = [
     "TOLERANCE",
@@ -42,6 +43,7 @@ __all__ = [
     "Sweep",
     "elastic_lines",
     "events",
+    "jacobian",
     "reconstruct",
     "sweep",
     "sweep_all",

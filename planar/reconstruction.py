@@ -136,7 +136,7 @@ def reconstruct(
     method: str = "closed-form",
     *,
     friction: ArrayLike | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: ArrayLike = TOLERANCE,
     direction: int = -1,
 ) -> Contacts:
     """Contacts from the base positions and support reactions (n,) of a sweep.
@@ -146,8 +146,9 @@ def reconstruct(
     friction
         coefficient of friction, one number or (n,), if known: tip contacts have a slope and a normal only if it is given.
     tolerance
-        differences that count as zero: ``s1 < 1 - tolerance`` is tangential contact, and friction angles down to
-        ``-tolerance`` (in radians) are admissible.  For noisy reactions give some standard deviations of s1.
+        differences that count as zero, one number or (n,): ``s1 < 1 - tolerance`` is tangential contact, and friction angles
+        down to ``-tolerance`` (in radians) are admissible.  For noisy reactions give some standard deviations of s1 and of the
+        friction angle, by `planar.jacobian`.
     direction
         -1 or 1, the sign of the base's motion along x.
 
@@ -159,8 +160,10 @@ def reconstruct(
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if direction not in (-1, 1):
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
-    if not 0 <= tolerance < 1:
-        raise ValueError(f"tolerance must lie between 0 and 1, got {tolerance}")
+    zero = np.asarray(tolerance, dtype=float)
+    if zero.shape not in ((), reactions.x0.shape) or not ((zero >= 0) & (zero < 1)).all():
+        given = f"an array of the shape {zero.shape}" if zero.ndim else f"{zero}"
+        raise ValueError(f"tolerance must lie between 0 and 1, got {given}")
     zeta = None
     if friction is not None:
         zeta = np.arctan(np.asarray(friction, dtype=float))
@@ -172,7 +175,8 @@ def reconstruct(
         rows = slice(first, first + _BLOCK)
         block = Contacts(**{column.name: getattr(contacts, column.name)[rows] for column in fields(contacts)})
         zeta_block = zeta[rows] if zeta is not None and zeta.ndim else zeta
-        _fill(block, Reactions(*(column[rows] for column in reactions)), method, zeta_block, tolerance, -direction)
+        zero_block = zero[rows] if zero.ndim else zero
+        _fill(block, Reactions(*(column[rows] for column in reactions)), method, zeta_block, zero_block, -direction)
     return contacts
 
 
@@ -218,7 +222,7 @@ def _measured(f0x: Array, f0y: Array, m0z: Array) -> _Measured:
 
 
 def _fill(
-    contacts: Contacts, reactions: Reactions, method: str, zeta: Array | None, tolerance: float, side: int
+    contacts: Contacts, reactions: Reactions, method: str, zeta: Array | None, tolerance: Array, side: int
 ) -> None:
     """Reconstruct the rows of `reactions` into the arrays of `contacts`; `side` is 1 for sweeps in -x, -1 in +x."""
     x0, f0x, f0y, m0z = reactions
@@ -264,7 +268,7 @@ def _fill(
 
 
 def _reasons(
-    measured: _Measured, solved: RodContacts, pulled: Mask, present: Mask, tolerance: float
+    measured: _Measured, solved: RodContacts, pulled: Mask, present: Mask, tolerance: Array
 ) -> list[tuple[Status, Mask]]:
     """Why rows give no contact, and which rows; where several reasons apply, the last one counts."""
     undefined = np.zeros(len(present), dtype=bool) if solved.undefined is None else solved.undefined

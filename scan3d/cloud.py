@@ -12,6 +12,11 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
 from scan3d.shown import Shown
 
+# A contact's place is much less certain than most if its standard deviation is more than this many times the median, and than
+# this fraction of the rod's length.  Larger, surfaces are drawn to places outside the body; smaller, more of the body is left
+# without contacts.
+_LIGHT, _NEGLIGIBLE = 4.0, 2e-5
+
 
 class NormalSource(IntEnum):
     """Where a contact's normal comes from."""
@@ -59,7 +64,29 @@ class Cloud(Shown):
     rod_length: float
     """In the recording's unit."""
     noise: float
-    """Standard deviation of a contact's place, in the recording's unit; 0 for exact data."""
+    """Median standard deviation of a contact's place, in its least certain direction, in the recording's unit; 0 for exact
+    data."""
+    covariance: Array | None = None
+    """(n, 3, 3) covariance of each contact's place, in the recording's unit squared; None for exact data."""
+    place_sd: Array | None = None
+    """(n,) standard deviation of each contact's place in its least certain direction; None for exact data."""
+    normal_sd: Array | None = None
+    """(n,) standard deviation of the angle of the in-plane normal in tangential contact, in radians, infinite in tip contact;
+    None for exact data."""
+    unresolved: NDArray[np.bool_] | None = None
+    """(s,) whether a slice has forces that stand out from the noise, but no contact: such a slice is not empty.  None: none."""
+    light: int = 0
+    """Number of contacts left out because the rod touched too lightly for the noise."""
+    pose_error: float = 0.0
+    """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
+
+    def accurate(self) -> Cloud:
+        """The cloud without the contacts whose place is much less certain than most, as under light touches."""
+        if self.place_sd is None:
+            return self
+        limit = max(_LIGHT * self.noise, _NEGLIGIBLE * self.rod_length)
+        return self if (self.place_sd <= limit).all() else self.select(self.place_sd <= limit)
+
     fit: SupportFit | None = None
     """The support function fitted to the contacts, if the body proved smooth."""
     fit_error: float = np.inf
@@ -70,7 +97,8 @@ class Cloud(Shown):
 
     def select(self, rows: Mask | Index) -> Cloud:
         """A cloud of some of the contacts, selected by (n,) booleans or by indices; slices, fit and settings stay the same."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _PER_CONTACT})
+        columns = {name: getattr(self, name) for name in _PER_CONTACT}
+        return replace(self, **{name: column[rows] for name, column in columns.items() if column is not None})
 
 
 _PER_CONTACT = (
@@ -84,4 +112,7 @@ _PER_CONTACT = (
     "row",
     "force_N",
     "friction",
+    "covariance",
+    "place_sd",
+    "normal_sd",
 )

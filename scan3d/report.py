@@ -15,8 +15,9 @@ import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
+from scan3d.reconstruction import Contradiction, noise_of
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure, Gap
+from scan3d.surfaces import Certificate, Enclosure, Gap, sigmas
 
 SCHEMA = 1
 # Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
@@ -51,6 +52,8 @@ class Analysis:
     """Hausdorff distance of the contacts' convex hull to the truth."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Time spent on each step."""
+    warnings: tuple[Contradiction, ...] = ()
+    """Contradictions between the recording and the model; with any of them nothing is certified."""
 
 
 def report(
@@ -90,6 +93,8 @@ def report(
         "friction": _friction(cloud, friction_set),
         "hausdorff": _hausdorff(comparison, unit),
         "certificate": _certificate(analysis),
+        "warnings": [warning._asdict() for warning in analysis.warnings],
+        "noise": _noise(analysis),
         "error_budget": _budget(analysis),
         "coverage": _coverage(analysis),
         "surface": {
@@ -128,6 +133,7 @@ def _counts(analysis: Analysis) -> dict[str, int]:
         "contacts": len(cloud),
         "tangential": int((cloud.phase == planar.Phase.TANGENTIAL).sum()),
         "tip": int((cloud.phase == planar.Phase.TIP).sum()),
+        "light": cloud.light,
     }
 
 
@@ -157,8 +163,29 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "relative": bound / diagonal,
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
-        "parts": {gap.name.lower(): bounds.part(gap) for gap in Gap} | {"noise": bounds.margin},
+        "confidence": bounds.confidence,
+        "parts": {gap.name.lower(): bounds.part(gap) for gap in Gap} | {"noise": _contacts_off(analysis)},
         "volume": list(bounds.volume),
+    }
+
+
+def _contacts_off(analysis: Analysis) -> float:
+    """The largest error of a contact that the certificate allows for."""
+    cloud, bounds = analysis.cloud, analysis.bounds
+    if cloud.place_sd is None or not 0 < bounds.confidence < 1:
+        return bounds.margin
+    return bounds.margin + sigmas(len(cloud), bounds.confidence) * float(cloud.place_sd.max())
+
+
+def _noise(analysis: Analysis) -> dict[str, float]:
+    """Standard deviations of force and moment: those that the recording states, and those that count, with its digits."""
+    recording, known = analysis.recording, noise_of(analysis.recording)
+    return {
+        "force_N": known.force_N,
+        "moment_Nm": known.moment_Nm,
+        "stated_force_N": recording.noise_force_N,
+        "stated_moment_Nm": recording.noise_moment_Nm,
+        "contact_median": analysis.cloud.noise,
     }
 
 
@@ -171,14 +198,14 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
 
     return {
         "unit": analysis.cloud.unit,
-        "contacts_off": step(bounds.margin, None if contact_error is None else float(contact_error.max())),
+        "contacts_off": step(_contacts_off(analysis), None if contact_error is None else float(contact_error.max())),
         "between_slices": step(bounds.part(Gap.SLICES), None),
         "between_contacts": step(bounds.part(Gap.CONTACTS), None),
         "past_end_slices": step(bounds.part(Gap.CAPS), None),
         "hull": step(bounds.bound, analysis.hull_error),
         "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
-        "sum": "hull, at most = largest of between_slices, between_contacts and past_end_slices, plus contacts_off; "
-        "surface: what its method makes of that",
+        "sum": "hull, at most = largest of between_slices, between_contacts and past_end_slices, which contain the errors of "
+        "the contacts; surface: what its method makes of that",
     }
 
 
@@ -253,6 +280,8 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if median is not None:
         given = data["friction"]["set"]
         rows.append(("friction", f"{median:.4g} (median, estimated from touch{f'; set: {given}' if given else ''})"))
+    if counts["light"]:
+        rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
     rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
@@ -260,9 +289,12 @@ def summary(data: Mapping[str, Any]) -> Summary:
         relative = f"{hausdorff['relative']:.1e} of the diagonal"
         rows.append(("Hausdorff distance", f"{hausdorff['two_sided']:.4g} {hausdorff['unit']} ({relative})"))
     certified = data["certificate"]
-    if certified["bound"] is not None and np.isfinite(certified["bound"]):
+    if data["warnings"]:
+        rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
+    elif certified["bound"] is not None and np.isfinite(certified["bound"]):
         bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
-        rows.append(("certified", f"within {bound}, from touch alone"))
+        confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
+        rows.append(("certified", f"within {bound}, from touch alone{confidence}"))
     return Summary(heading, rows)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.comparison import compare
+from scan3d.errors import InputError
 from scan3d.files.atomic import atomic, write_atomic
 from scan3d.files.ply import ply
 from scan3d.files.recordings import write_recording
@@ -22,14 +23,11 @@ from scan3d.geometry.distance import distances
 from scan3d.pictures import page, rendering, views
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.words import key_figures
-from scan3d.reconstruction import reconstruct
+from scan3d.reconstruction import cause_of_no_contact, contradictions, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
-from scan3d.surfaces import certificate, enclosure, surface
+from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
-NOISE_SIGMAS = 4.0
-"""The certificate's margin for noise, in standard deviations of a contact's place.  Larger, the certified bound is wider than
-it need be; smaller, contacts outside the margin can make the certificate false."""
 # Files that `write` replaces in a folder.
 _RESULTS = ("cloud.ply", "surface.ply", "report.json", "cloud.png", "surface.png", "view.html")
 _RECORDING = ("recording.csv", "recording.toml")
@@ -43,18 +41,29 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> An
     method
         the method of the surface, as in `scan3d.surface`.
 
-    Writes and prints nothing.  Raises InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
+    Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
+    InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
     """
     clock = _Clock()
     with clock("reconstruct"):
-        cloud = reconstruct(recording)
+        try:
+            cloud = reconstruct(recording)
+        except InputError as error:
+            raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
+    with clock("check"):
+        warnings = tuple(contradictions(recording, cloud))
     with clock("bounds"):
-        bounds = enclosure(cloud, NOISE_SIGMAS * cloud.noise)
+        bounds = enclosure(cloud)
     with clock("surface"):
-        mesh = surface(cloud, method, bounds=None if cloud.noise else bounds)
+        # a hull is only taken as proven where the recording agrees with the model
+        known = replace(bounds, bound=np.inf) if warnings else bounds
+        mesh = surface(cloud, method, bounds=known)
     with clock("certificate"):
-        certified = certificate(bounds, mesh)
-    analysis = Analysis(recording, cloud, bounds, mesh, certified, seconds=clock.seconds)
+        if warnings:
+            bounds, certified = withdrawn(bounds, mesh)
+        else:
+            certified = certificate(bounds, mesh)
+    analysis = Analysis(recording, cloud, bounds, mesh, certified, seconds=clock.seconds, warnings=warnings)
     if truth is None:
         return analysis
     with clock("compare"):

@@ -115,6 +115,7 @@ def parser() -> argparse.ArgumentParser:
     scan.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
     scan.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     _add_settings(scan)
+    _add_strict(scan)
     scan.set_defaults(command="scan")
 
     simulate = commands.add_parser("simulate", help="step 1 only: a recording of a simulated scan")
@@ -142,6 +143,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"{_METHOD} (default {METHODS[0]})",
     )
     _add_output(reconstruct)
+    _add_strict(reconstruct)
     reconstruct.set_defaults(command="reconstruct")
 
     compare = commands.add_parser("compare", help="Hausdorff distance and other measures of two meshes")
@@ -257,6 +259,12 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--print-config", action="store_true", help="print the resulting settings as such a file, and exit"
     )
     _add_output(parser)
+
+
+def _add_strict(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--strict", action="store_true", help="exit with 1 if the recording contradicts the model (results are written)"
+    )
 
 
 def _add_output(parser: argparse.ArgumentParser) -> None:

@@ -278,7 +278,10 @@ def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
     from scan3d.report import summary
 
     heading, rows = summary(data)
-    return _print(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))
+    _print(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))
+    for warning in data["warnings"]:
+        _say(f"warning: {warning['message']}")
+    return 1 if arguments.strict and data["warnings"] else 0
 
 
 def _print(arguments: Namespace, data: Any, text: str) -> int:

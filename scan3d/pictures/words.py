@@ -38,6 +38,10 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         rows.append(("friction", f"{entry('friction', 'estimated_median'):.4g} (median)"))
     if entry("surface", "method") is not None:
         rows.append(("surface", f"{entry('surface', 'method')}, {entry('surface', 'faces')} faces"))
+    warnings = report.get("warnings")
+    if isinstance(warnings, list) and warnings:
+        codes = [str(warning.get("code")) for warning in warnings if isinstance(warning, Mapping)]
+        rows.append(("not certified", ", ".join(codes)))
     for label, section, name in (
         ("Hausdorff distance", "hausdorff", "two_sided"),
         ("certified within", "certificate", "bound"),

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError
+from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
 # A row counts as touching if its force exceeds this many standard deviations of the noise.  Larger, weak contacts are lost;
 # smaller, rows without contact give contacts that do not exist.
-_FORCE_SIGMAS = 8.0
+FORCE_SIGMAS = 8.0
 # A contact counts as a tip contact if it lies within this many standard deviations of the tip.  Larger, tangential contacts
 # near the tip lose their normals; smaller, noisy tip contacts get normals that belong to tangential contact.
-_TIP_SIGMAS = 4.0
-# Standard deviation of a contact's place, in rod lengths, over that of force and moment, in EI/L² and EI/L, in the middle of
-# the working range; contacts under small forces are less accurate.  Larger, the certified bound is wider than it need be;
-# smaller, contacts may lie outside the margin that the certificate allows for.
-_NOISE_GAIN = 0.4
+_TIP_SIGMAS = 5.0
+# A contact is left out if the standard deviation of its place is larger than this many times the median, and than this fraction
+# of the rod's length: the rod touched too lightly.  Larger, such contacts lie far outside the body; smaller, more of the body
+# is left without contacts.
+_LIGHT, _TOLERABLE = 4.0, 1e-3
 # The friction angles of the tangential contacts agree if 95 % of them are within this many radians of the median, plus this
 # many per standard deviation of the noise.  Larger, a coefficient that varies passes for common and tip contacts get wrong
 # normals; smaller, rounding or noise hides a common coefficient and tip contacts get no normals.
@@ -46,14 +49,18 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     rod = recording.rod
     fx, fy = (recording.force_N / rod.force_unit_N).T
     moment = recording.moment_Nm / rod.moment_unit_Nm
-    noise = max(recording.noise_force_N / rod.force_unit_N, recording.noise_moment_Nm / rod.moment_unit_Nm)
-    tolerance = min(max(planar.TOLERANCE, _TIP_SIGMAS * noise), _LARGEST_TOLERANCE)
+    known = noise_of(recording)
+    noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
+    error = _errors(fx, fy, moment, *noise)
     columns = np.zeros(len(moment)), fx, fy, moment
-    in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance)
-    common = _common_friction(in_plane, noise)
+    in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance)
+    felt = np.hypot(fx, fy) > FORCE_SIGMAS * max(noise)
+    touching = felt & (in_plane.phase != planar.Phase.NONE)
+    light = touching & error.light(touching)
+    touching &= ~light
+    common = _common_friction(in_plane.friction_angle[touching], max(noise))
     if common is not None:
-        in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common)
-    touching = (in_plane.phase != planar.Phase.NONE) & (np.hypot(fx, fy) > _FORCE_SIGMAS * noise)
+        in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance, friction=common)
     rows = np.flatnonzero(touching)
     if not len(rows):
         raise InputError(
@@ -65,6 +72,11 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
     slice_of, slice_axis, slice_height = _slices(recording, axes[:, 2])
+    unresolved = np.zeros(len(slice_height), dtype=bool)
+    unresolved[slice_of[felt]] = True
+    unresolved[slice_of[rows]] = False
+    covariance = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
+    tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
     return Cloud(
         points=points / scale,
         normals=np.full((len(rows), 3), np.nan),
@@ -80,13 +92,60 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         slice_height=slice_height / scale,
         unit=recording.unit,
         rod_length=rod.length_m / scale,
-        noise=noise * _NOISE_GAIN * rod.length_m / scale,
+        noise=float(np.median(error.largest[rows])) * rod.length_m / scale,
+        covariance=covariance * (rod.length_m / scale) ** 2 if max(noise) else None,
+        place_sd=error.largest[rows] * rod.length_m / scale if max(noise) else None,
+        normal_sd=np.where(tangential, error.slope[rows], np.inf) if max(noise) else None,
+        unresolved=unresolved if unresolved.any() else None,
+        light=int(light.sum()),
+        pose_error=known.place_m / scale,
     )
 
 
-def _common_friction(in_plane: planar.Contacts, noise: float) -> float | None:
-    """The coefficient of friction that the tangential contacts agree on, None if they do not."""
-    angle = in_plane.friction_angle[np.isfinite(in_plane.friction_angle)]
+class _Errors(NamedTuple):
+    """Standard deviations and covariances (n,) of what the reactions give, dimensionless; infinite without a rod."""
+
+    place: Array
+    """(n, 2, 2) covariance of the contact's place in the clamp's frame."""
+    largest: Array
+    """(n,) standard deviation of the place in its least certain direction."""
+    slope: Array
+    """(n,) standard deviation of the slope in tangential contact."""
+    tolerance: Array
+    """(n,) differences in s1 and in the friction angle that the noise can make."""
+
+    def light(self, touching: Mask) -> Mask:
+        """(n,) whether the rod touched too lightly, by comparison with all touching rows."""
+        if not touching.any():
+            return np.zeros(len(touching), dtype=bool)
+        light: Mask = self.largest > max(_LIGHT * float(np.median(self.largest[touching])), _TOLERABLE)
+        return light
+
+
+def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_moment: float) -> _Errors:
+    """Errors of the first order from the Jacobian of the closed form."""
+    n = len(fx)
+    if not max(noise_force, noise_moment):
+        return _Errors(np.zeros((n, 2, 2)), np.zeros(n), np.zeros(n), np.full(n, planar.TOLERANCE))
+    spread = planar.jacobian(fx, fy, moment) * [noise_force, noise_force, noise_moment]
+    place = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
+    mean, half = (place[:, 0, 0] + place[:, 1, 1]) / 2, (place[:, 0, 0] - place[:, 1, 1]) / 2
+    largest = np.sqrt(mean + np.hypot(half, place[:, 0, 1]))
+    s1, beta = (np.linalg.norm(spread[:, k], axis=1) for k in (2, 4))
+    slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
+    tolerance = np.clip(_TIP_SIGMAS * np.maximum(s1, beta), planar.TOLERANCE, _LARGEST_TOLERANCE)
+    known = np.isfinite(largest)
+    return _Errors(
+        place,
+        np.where(known, largest, np.inf),
+        np.where(known, slope, np.inf),
+        np.where(known, tolerance, planar.TOLERANCE),
+    )
+
+
+def _common_friction(angle: Array, noise: float) -> float | None:
+    """The coefficient that the friction angles (n,), NaN in tip contact, agree on; None if they do not."""
+    angle = angle[np.isfinite(angle)]
     if not len(angle):
         return None
     median = float(np.median(angle))

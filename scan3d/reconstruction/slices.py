@@ -112,6 +112,8 @@ class SliceStack:
     """Height of the nearest empty slice above, inf if there is no empty slice."""
     bounded_by_others: tuple[bool, bool] = (False, False)
     """Whether floor and ceiling come from contacts in slices along other axes, rather than from empty slices."""
+    confident: bool = False
+    """Whether the slices' points and support lines allow for noise (`scan3d.surfaces.confidence`)."""
 
     @property
     def heights(self) -> Array:
@@ -129,7 +131,10 @@ def stacks(cloud: Cloud) -> list[SliceStack]:
         filled = [slice_ for slice_ in slices if len(slice_.rows)]
         if not filled:
             continue
-        empty = [slice_.height for slice_ in slices if not len(slice_.rows)]
+        unresolved = np.zeros(len(order), dtype=bool) if cloud.unresolved is None else cloud.unresolved[order]
+        empty = [
+            slice_.height for slice_, felt in zip(slices, unresolved, strict=True) if not (len(slice_.rows) or felt)
+        ]
         low, high = filled[0].height, filled[-1].height
         floor = max((z for z in empty if z < low), default=-np.inf)
         ceiling = min((z for z in empty if z > high), default=np.inf)

@@ -1,9 +1,21 @@
 """The second half of step 2: closed surfaces from contacts, with certified bounds of their distance to the body."""
 
 from scan3d.choices import METHODS
-from scan3d.surfaces.bounds import Certificate, Enclosure, certificate, enclosure
+from scan3d.surfaces.bounds import Certificate, Enclosure, certificate, enclosure, withdrawn
 from scan3d.surfaces.choice import surface
+from scan3d.surfaces.confidence import sigmas
 from scan3d.surfaces.slabs import Gap
 from scan3d.surfaces.tuning import Tuning
 
-__all__ = ["METHODS", "Certificate", "Enclosure", "Gap", "Tuning", "certificate", "enclosure", "surface"]
+__all__ = [
+    "METHODS",
+    "Certificate",
+    "Enclosure",
+    "Gap",
+    "Tuning",
+    "certificate",
+    "enclosure",
+    "sigmas",
+    "surface",
+    "withdrawn",
+]

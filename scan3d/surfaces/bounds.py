@@ -5,13 +5,15 @@ slices leave (`scan3d.surfaces.slabs`).
 
 The distance to a convex set is a convex function, and so it is largest over a polyhedron at one of the polyhedron's corners.
 The largest distance of the outer body's corners from the hull is therefore an upper bound of the Hausdorff distance between
-the hull and the unknown body, provided that the body is convex and the contacts are exact.  Where contacts are noisy, the
-half-spaces are first moved outwards by a margin.
+the hull and the unknown body, provided that the body is convex and the contacts are exact.  Where contacts are noisy, each
+slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
+(`scan3d.surfaces.confidence`), or the half-spaces are moved outwards by a given margin.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,10 +22,12 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare
+from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.slices import SliceStack, stacks
+from scan3d.surfaces.confidence import CONFIDENCE, confident, sigmas
 from scan3d.surfaces.slabs import Gap, Slab, slabs
 
 # A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
@@ -58,6 +62,8 @@ class Enclosure:
     """Largest error of a contact that the bounds allow for, contained in `bound`."""
     volume: tuple[float, float]
     """Lower and upper bound of the true volume."""
+    confidence: float = 1.0
+    """Probability with which bound and volume hold: 1 for exact contacts, and for a given margin."""
 
     def part(self, kind: Gap) -> float:
         """The largest gap of one kind, 0 if no corner is of that kind."""
@@ -74,24 +80,83 @@ class Certificate(NamedTuple):
     """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""
 
 
-def enclosure(cloud: Cloud, margin: float = 0.0) -> Enclosure:
-    """The enclosure of a cloud whose contacts are accurate to within `margin`, in the cloud's unit.
+def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = CONFIDENCE) -> Enclosure:
+    """The enclosure of a cloud's body.
+
+    margin
+        the largest error of a contact's place, in the cloud's unit, if it is known.  By default the contacts' own uncertainty
+        counts: of exact contacts the enclosure is certain, of noisy ones it holds with `confidence`, and it allows for the
+        digits of the poses.
+    confidence
+        probability with which the enclosure of noisy contacts holds.
 
     Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.
     Raises InputError for contacts that do not span a body.
     """
-    inner = hull(cloud.points)
     by_axis = stacks(cloud)
+    inner = hull(cloud.points)
+    if margin is None and cloud.covariance is not None:
+        confident_stacks = [confident(stack, cloud, sigmas(len(cloud), confidence)) for stack in by_axis]
+        proven = _proven_hull(confident_stacks)
+        if proven is None:
+            return _unbounded(inner, by_axis[0], confidence)
+        by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
+    else:
+        confidence = 1.0
+    margin = cloud.pose_error if margin is None else margin
     outer = [slabs(stack, margin) for stack in by_axis]
     if len(by_axis) > 1:
         # another stack may bound the height of a stack more tightly than its empty slices do
         by_axis = [_bounded_by_others(k, by_axis, outer) for k in range(len(by_axis))]
         outer = [slabs(stack, margin) for stack in by_axis]
-    candidates = [_of_stack(inner, stack, parts, margin) for stack, parts in zip(by_axis, outer, strict=True)]
+    candidates = [
+        _of_stack(inner, stack, parts, margin, confidence) for stack, parts in zip(by_axis, outer, strict=True)
+    ]
     return min(candidates, key=lambda candidate: candidate.bound)
 
 
-def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float) -> Enclosure:
+def _proven_hull(by_axis: list[SliceStack]) -> Any:
+    """The hull of all points that lie in the body with the stacks' confidence; None if they span no body."""
+    points = [
+        np.column_stack([slice_.points, np.full(len(slice_.points), slice_.height)]) @ stack.frame
+        for stack in by_axis
+        for slice_ in stack.slices
+    ]
+    with suppress(InputError):
+        return hull(np.concatenate(points)) if points else None
+    return None
+
+
+def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> Enclosure:
+    """The enclosure by contacts that prove nothing, because their errors are too large."""
+    return Enclosure(
+        inner=inner,
+        corners=np.full((1, 3), np.inf),
+        gap=np.full(1, np.inf),
+        kind=np.full(1, Gap.SLICES, dtype=np.int8),
+        straight=np.zeros((1, 2), dtype=bool),
+        slab=np.zeros(1, dtype=np.intp),
+        stack=stack,
+        bound=np.inf,
+        margin=np.inf,
+        volume=(0.0, np.inf),
+        confidence=confidence,
+    )
+
+
+def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
+    """The enclosure and the certificate of a surface where the recording contradicts the premises: nothing is bounded."""
+    nothing = replace(
+        bounds,
+        gap=np.full(len(bounds.gap), np.inf),
+        bound=np.inf,
+        volume=(0.0, np.inf),
+        confidence=0.0,
+    )
+    return nothing, Certificate(np.inf, np.full(len(surface.vertices), np.inf))
+
+
+def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float, confidence: float) -> Enclosure:
     """The enclosure by the slabs of one stack."""
     corners = np.concatenate([part.corners for part in parts])
     gap = np.full(len(corners), np.inf)
@@ -108,6 +173,7 @@ def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float) -
         bound=float(gap.max()) + margin,
         margin=margin,
         volume=(inner.volume, max(sum(part.volume for part in parts), inner.volume)),
+        confidence=confidence,
     )
 
 
@@ -162,4 +228,4 @@ def _bounded_by_others(k: int, by_axis: list[SliceStack], outer: list[list[Slab]
             ceiling_bounded |= bool(heights.max() < high)
             low, high = max(low, float(heights.min())), min(high, float(heights.max()))
     low, high = min(low, stack.slices[0].height), max(high, stack.slices[-1].height)
-    return SliceStack(stack.frame, stack.slices, low, high, (floor_bounded, ceiling_bounded))
+    return replace(stack, floor=low, ceiling=high, bounded_by_others=(floor_bounded, ceiling_bounded))

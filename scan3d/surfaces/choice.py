@@ -51,6 +51,8 @@ def surface(
     """
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    bounds = bounds or (enclosure(cloud) if method in ("auto", "bracket") else None)
+    cloud = cloud.accurate()
     if method == "support" and cloud.fit is None:
         raise InputError(
             "the body is not smooth enough for the method support, or has too few contacts; use auto, bracket or hull"
@@ -66,7 +68,8 @@ def surface(
     if method == "support":
         assert cloud.fit is not None
         return _labelled(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
-    return _best(cloud, bounds or enclosure(cloud), tuning or Tuning(), with_fit=method == "auto")
+    assert bounds is not None
+    return _best(cloud, bounds, tuning or Tuning(), with_fit=method == "auto")
 
 
 @dataclass(frozen=True)
@@ -84,8 +87,14 @@ def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) ->
     """
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if with_fit and bounds.bound <= tuning.proven * diagonal:
-        reason = f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body"
+        confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
+        reason = (
+            f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body{confidence}"
+        )
         return _labelled(bounds.inner.copy(), "hull", reason)
+    if bounds.confidence < 1:
+        # the estimate is made between the contacts' hull and their half-spaces as they are, not as noise allows them to be
+        bounds = enclosure(cloud, margin=0.0)
     errors = _cross_validate(cloud, tuning, with_fit=with_fit)
     if errors is None:
         reason = "between hull and outer body; too few slices for cross-validation"
@@ -113,7 +122,7 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     if parts is None:
         return None
     kept, held_out = parts
-    bounds = enclosure(kept)
+    bounds = enclosure(kept, margin=0.0)
     estimates = {edges: error_of_surface(_between(kept, bounds, edges, tuning), held_out) for edges in Edges}
     fit = None
     if with_fit and cloud.fit is not None:

@@ -47,6 +47,7 @@ def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Array] | None:
         slice=number[kept.slice].astype(np.int32),
         slice_axis=cloud.slice_axis[keep],
         slice_height=cloud.slice_height[keep],
+        unresolved=None if cloud.unresolved is None else cloud.unresolved[keep],
         fit=None,
         fit_error=np.inf,
     )

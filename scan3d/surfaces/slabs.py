@@ -141,11 +141,13 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
     planes, side, straight = [np.empty((0, 4))], [np.empty(0)], [np.empty(0, dtype=bool)]
     if below is not None and i >= 2:
-        planes.append(_half_spaces(below, slices[i - 2], margin))
+        behind = slices[: i - 1][::-1] if stack.confident else (slices[i - 2],)
+        planes.append(_half_spaces(below, behind, margin))
         side.append(np.full(len(planes[-1]), 0.0))
         straight.append(_goes_on_straight(slices[:i][::-1], above))
     if above is not None and i + 1 < count:
-        planes.append(_half_spaces(above, slices[i + 1], margin))
+        behind = slices[i + 1 :] if stack.confident else (slices[i + 1],)
+        planes.append(_half_spaces(above, behind, margin))
         side.append(np.full(len(planes[-1]), 1.0))
         straight.append(_goes_on_straight(slices[i:], below))
     # where an empty slice bounds the cap, the corner in its plane does not follow from the body's shape: not straight
@@ -157,11 +159,16 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     )
 
 
-def _half_spaces(slice_: Slice, behind: Slice, margin: float) -> Array:
-    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the secants from the slice behind."""
+def _half_spaces(slice_: Slice, behind: tuple[Slice, ...], margin: float) -> Array:
+    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the secants from a slice behind.
+
+    Of several slices behind, that with the tightest secant is taken: by concavity the nearest, if the contacts are exact.
+    """
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
     value = slice_.value + margin
-    secant = (value - (behind.support_of_contacts(normals) - margin)) / (slice_.height - behind.height)
+    secants = [(value - (b.support_of_contacts(normals) - margin)) / (slice_.height - b.height) for b in behind]
+    # behind means below for slices above, where the secant's slope bounds the slope from above
+    secant = np.min(secants, axis=0) if slice_.height > behind[0].height else np.max(secants, axis=0)
     return np.column_stack([normals, -secant, secant * slice_.height - value])
 
 
@@ -223,7 +230,9 @@ def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
         for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond or behind[1]))
     )
     rounding = (
-        _ROUNDING * np.abs(behind[0].value).max() / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
+        _ROUNDING
+        * np.abs(behind[0].value).max(initial=0.0)
+        / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
     )
     straight: Mask = np.abs(near - far) <= _STRAIGHT * np.abs(near - across) + rounding
     return straight

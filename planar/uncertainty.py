@@ -1,0 +1,69 @@
+"""How errors of the support reactions carry over to the contact: the derivatives of the closed form.
+
+With ``q = m0z / (2 √f)`` and the shape of the rod in units of ``1/√f`` (`planar.elastica`), place and arc length of the
+contact are products of a function of ``α`` and ``q`` with ``1/√f``; ``α``, ``f`` and ``q`` follow from the reactions by (9),
+``β`` by (12).
+Errors of the place grow as ``1/f`` near touch-down, where the place is a quotient of a small moment and a small force.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.arrays import Array
+from planar.elastica import bend_with_slopes
+from planar.reactions import checked_reactions
+
+
+def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int = -1) -> Array:
+    """Derivatives (n, 5, 3) of a contact's place x and y, arc length s1, α and β (rows) by f0x, f0y and m0z (columns).
+
+    Reactions (n,) in ``EI/L²`` and ``EI/L``; lengths in rod lengths, angles in radians; `direction` is the sign of the base's
+    motion along x.  The covariance of these five is ``J C Jᵀ``, with C that of the reactions; the slope (14) of a tangential
+    contact is ``α - β``.  NaN where no rod has these reactions, and where there is no force.  The errors are those of the first
+    order: they hold where the errors of the force are small compared with the force.
+    Raises ValueError for arrays of different lengths and for another direction than -1 or 1.
+    """
+    if direction not in (-1, 1):
+        raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    _, across, along, moment = checked_reactions(np.zeros_like(np.asarray(f0x, dtype=float)), f0x, f0y, m0z)
+    side = -direction
+    # a sweep in +x is the mirror image of a sweep in -x
+    across, moment = side * across, side * moment
+    n = len(across)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        force = np.hypot(across, along)
+        alpha, root = np.arctan2(-across, along), np.sqrt(force)
+        q = moment / (2 * root)
+        q = np.where((q >= 0) & (q * q <= np.cos(alpha / 2) ** 2), q, np.nan)
+        shape, s1_alpha, s1_q, x_alpha, x_q, y_alpha, y_q = bend_with_slopes(alpha, q)
+        by_alpha = np.stack([-along / force**2, across / force**2, np.zeros(n)], axis=1)
+        by_force = np.stack([across / force, along / force, np.zeros(n)], axis=1)
+        by_q = -(q / (2 * force))[:, None] * by_force
+        by_q[:, 2] = 1 / (2 * root)
+
+        def scaled(value: Array, alpha_slope: Array, q_slope: Array) -> Array:
+            """Derivatives (n, 3) of value / √f."""
+            changed: Array = alpha_slope[:, None] * by_alpha + q_slope[:, None] * by_q
+            derivative: Array = (changed - (value / (2 * force))[:, None] * by_force) / root[:, None]
+            return derivative
+
+        # β = 2 arcsin(k) - π/2 with k² = sin²(α/2) + q²
+        square = np.sin(alpha / 2) ** 2 + q * q
+        k_complement = np.sqrt(square * (1 - square))
+        beta = (np.sin(alpha)[:, None] * by_alpha / 2 + (2 * q)[:, None] * by_q) / k_complement[:, None]
+        rows = [
+            scaled(shape.x, x_alpha, x_q),
+            scaled(shape.y, y_alpha, y_q),
+            scaled(shape.length, s1_alpha, s1_q),
+            by_alpha,
+            beta,
+        ]
+    result = np.stack(rows, axis=1)
+    if side < 0:
+        # x, α and β are odd under the reflection; so are f0x and m0z
+        result[:, [0, 3], :] *= -1
+        result[:, :, [0, 2]] *= -1
+    result[~np.isfinite(result).all(axis=(1, 2))] = np.nan
+    return result

@@ -1,0 +1,246 @@
+"""Whether a recording agrees with the model: a convex body, touched by a rod whose reactions are those that are recorded.
+
+The tests use the recording alone.  Each has a threshold that correct recordings do not reach, whatever the body, the friction,
+the noise that they state and the digits that they keep; errors of signs, axes, units, scales, offsets and times usually do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from scan3d.arrays import Index
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.reconstruction.contacts import FORCE_SIGMAS, contacts
+from scan3d.reconstruction.resolution import noise_of
+from scan3d.reconstruction.slices import stacks
+from scan3d.recording import Recording
+
+# Largest fraction of the rows with a force that may lack a contact.  Larger, faulty recordings pass; smaller, single
+# disturbed rows of a measurement count as a contradiction.
+_WITHOUT_CONTACT = 0.02
+# A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel.  Larger,
+# wrong orientations pass; smaller, the errors of a robot's path count as wrong orientations.
+_OFF_LINE = 0.05
+# Rounding of a contact's place, in rod lengths.  Larger, small faults pass; smaller, rounding counts as a fault.
+_ROUNDING = 1e-9
+# Probability that noise makes a correct recording exceed the allowed distances.  Larger, false alarms; smaller, faults pass.
+_FALSE_ALARM = 1e-5
+# Lines and points of a slice that are compared at most.  More take longer; fewer may miss the worst pair.
+_COMPARED = 1500
+# A cause is named if correcting it leaves at most this fraction of the contradiction.  Larger, a wrong cause is named more
+# often; smaller, no cause is named.
+_EXPLAINED = 0.2
+
+
+class Contradiction(NamedTuple):
+    """A contradiction between a recording and the model."""
+
+    code: str
+    message: str
+    value: float
+    """The number that the test found, as the message says."""
+
+
+class _Found(NamedTuple):
+    """What the tests measure, before thresholds are applied."""
+
+    without_contact: float
+    """Fraction of the rows with a force that have no contact."""
+    beyond: float
+    """Largest distance of a contact beyond a tangent, in the cloud's unit, over what is allowed is `excess`."""
+    allowed: float
+    """Distance that noise and rounding allow for that pair."""
+
+    @property
+    def excess(self) -> float:
+        return self.beyond / self.allowed
+
+    @property
+    def contradicts(self) -> bool:
+        return self.without_contact > _WITHOUT_CONTACT or self.excess > 1
+
+
+def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    """The contradictions between a recording, its contacts and the model; an empty list if there is none."""
+    warnings = _off_line(recording)
+    found = _tests(recording, cloud)
+    if not found.contradicts:
+        return warnings
+    cause = "" if warnings else _cause(recording, found)
+    if found.without_contact > _WITHOUT_CONTACT:
+        warnings.append(
+            Contradiction(
+                "force-without-contact",
+                f"{100 * found.without_contact:.2g} % of the rows with a force have no contact: no bent rod has their "
+                f"reactions (at most {100 * _WITHOUT_CONTACT:.0f} % are expected){cause}",
+                found.without_contact,
+            )
+        )
+    if found.excess > 1:
+        warnings.append(
+            Contradiction(
+                "beyond-tangent",
+                f"contacts lie up to {found.beyond:.3g} {cloud.unit} beyond the tangent at a contact of the same slice, where "
+                f"noise and rounding allow {found.allowed:.2g} {cloud.unit}: the contacts are not those of a convex "
+                f"body{cause}",
+                found.beyond,
+            )
+        )
+    return warnings
+
+
+def _tests(recording: Recording, cloud: Cloud) -> _Found:
+    noise, rod = noise_of(recording), recording.rod
+    threshold = FORCE_SIGMAS * max(noise.force_N, noise.moment_Nm / rod.moment_unit_Nm * rod.force_unit_N)
+    felt = int((np.hypot(*recording.force_N.T) > threshold).sum())
+    without = 1 - (len(cloud) + cloud.light) / felt if felt else 0.0
+    return _Found(without, *_beyond_tangents(cloud))
+
+
+def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
+    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two."""
+    kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
+    rounding = _ROUNDING * cloud.rod_length + 2 * cloud.pose_error
+    worst = 0.0, rounding
+    for stack in stacks(cloud):
+        for slice_ in stack.slices:
+            lines, points = _some(slice_.tangential), _some(np.arange(len(slice_.rows)))
+            if not len(lines):
+                continue
+            place, normals = slice_.points[lines], slice_.normals[np.searchsorted(slice_.tangential, lines)]
+            beyond = normals @ slice_.points[points].T - (normals * place).sum(axis=1)[:, None]
+            allowed = np.full(beyond.shape, rounding)
+            if cloud.covariance is not None and cloud.normal_sd is not None:
+                rows = slice_.rows
+                covariance = np.einsum("ij,njk,lk->nil", stack.frame[:2], cloud.covariance[rows], stack.frame[:2])
+                tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+                along = tangents @ slice_.points[points].T - (tangents * place).sum(axis=1)[:, None]
+                tilt = kappa * cloud.normal_sd[rows[lines]][:, None]
+                quadratic = np.stack(
+                    [normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1
+                )
+                entries = np.stack([covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]], axis=1)
+                spread = kappa * np.sqrt(np.maximum(quadratic @ entries[points].T, 0.0))
+                own = kappa * np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
+                reach = kappa * np.sqrt(entries[:, 0] + entries[:, 2])
+                # and errors of the second order
+                pairs = reach[lines][:, None] + reach[points]
+                allowed += spread + own + tilt * (np.abs(along) + pairs) + pairs**2 / cloud.rod_length
+            ratio = beyond / allowed
+            i = np.unravel_index(np.argmax(ratio), ratio.shape)
+            if ratio[i] > worst[0] / worst[1]:
+                worst = float(beyond[i]), float(allowed[i])
+    return worst
+
+
+def _some(rows: Index) -> Index:
+    """At most `_COMPARED` of the rows, evenly spread."""
+    return rows if len(rows) <= _COMPARED else rows[np.linspace(0, len(rows) - 1, _COMPARED).astype(np.intp)]
+
+
+def _off_line(recording: Recording) -> list[Contradiction]:
+    """Whether every sweep moves along -x of the clamp's frame, which the poses alone decide."""
+    _, first = np.unique(recording.sweep, return_index=True)
+    last = np.append(first[1:], len(recording)) - 1
+    travel = recording.position_m[last] - recording.position_m[first]
+    length = np.linalg.norm(travel, axis=1)
+    moved = length > 0
+    if not moved.any():
+        return []
+    along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / length[moved]
+    wrong = along < np.sqrt(1 - _OFF_LINE**2)
+    if not wrong.any():
+        return []
+    angle = float(np.degrees(np.arccos(np.clip(along.min(), -1, 1))))
+    return [
+        Contradiction(
+            "sweep-direction",
+            f"the clamp moves at up to {angle:.0f}° to the -x axis of its own frame in {wrong.sum()} of {moved.sum()} sweeps: "
+            "check the order of the quaternion (qw first), the axes and the direction of the sweeps",
+            angle,
+        )
+    ]
+
+
+def cause_of_no_contact(recording: Recording) -> str:
+    """What is likeliest to be wrong with a recording that has no contact, as the end of a sentence; "" if nothing is found."""
+    cause = _best_correction(recording, _Found(1.0, 0.0, 1.0))
+    return f"; most likely {cause}" if cause else ""
+
+
+def _cause(recording: Recording, found: _Found) -> str:
+    cause = _best_correction(recording, found)
+    if cause:
+        return f"; most likely {cause}"
+    return "; check signs, axes and units, the tare of force and moment, the rod, and that the body is convex"
+
+
+def _best_correction(recording: Recording, found: _Found) -> str | None:
+    """The fault whose correction leaves least of the contradiction; None if none leaves little."""
+    left = {}
+    for fault, corrected in _CORRECTIONS.items():
+        candidate = corrected(recording)
+        try:
+            remaining = _tests(candidate, contacts(candidate))
+        except InputError:
+            continue
+        left[fault] = max(
+            remaining.without_contact / max(found.without_contact, _WITHOUT_CONTACT),
+            remaining.excess / max(found.excess, 1.0),
+        )
+    best = min(left, key=lambda fault: left[fault], default=None)
+    return best if best is not None and left[best] <= _EXPLAINED else None
+
+
+def _scaled(force_x: float, force_y: float, moment: float) -> Callable[[Recording], Recording]:
+    def corrected(recording: Recording) -> Recording:
+        return replace(
+            recording,
+            force_N=recording.force_N * [force_x, force_y],
+            moment_Nm=recording.moment_Nm * moment,
+            noise_force_N=recording.noise_force_N * abs(force_x),
+            noise_moment_Nm=recording.noise_moment_Nm * abs(moment),
+        )
+
+    return corrected
+
+
+def _without_offset(recording: Recording) -> Recording:
+    """The wrench without its median at the starts of the sweeps, before the rod touches."""
+    first = np.unique(recording.sweep, return_index=True)[1]
+    return replace(
+        recording,
+        force_N=recording.force_N - np.median(recording.force_N[first], axis=0),
+        moment_Nm=recording.moment_Nm - np.median(recording.moment_Nm[first]),
+    )
+
+
+def _without_drift(recording: Recording) -> Recording:
+    """The wrench without its value at the start of each sweep."""
+    _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
+    return replace(
+        recording,
+        force_N=recording.force_N - recording.force_N[first][sweep],
+        moment_Nm=recording.moment_Nm - recording.moment_Nm[first][sweep],
+    )
+
+
+_CORRECTIONS: dict[str, Callable[[Recording], Recording]] = {
+    "fx has the opposite sign": _scaled(-1, 1, 1),
+    "fy has the opposite sign": _scaled(1, -1, 1),
+    "mz has the opposite sign": _scaled(1, 1, -1),
+    "the forces have the opposite signs": _scaled(-1, -1, 1),
+    "fx and mz have the opposite signs": _scaled(-1, 1, -1),
+    "the wrench has the opposite sign (that of the rod on the clamp)": _scaled(-1, -1, -1),
+    "the moment is in N mm, not in N m": _scaled(1, 1, 1e-3),
+    "the forces are in mN, not in N": _scaled(1e-3, 1e-3, 1),
+    "fx and fy are exchanged": lambda recording: replace(recording, force_N=recording.force_N[:, ::-1]),
+    "force and moment were not tared": _without_offset,
+    "the zero of force and moment drifts from sweep to sweep": _without_drift,
+}

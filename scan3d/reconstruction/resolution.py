@@ -1,0 +1,101 @@
+"""The resolution of recorded numbers, estimated from the numbers themselves: digits of a log, single precision, steps of a
+converter.
+
+Rounding to steps of size q has the standard deviation q/√12.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from scan3d.arrays import Array
+from scan3d.recording import Recording
+
+# Numbers whose digits are counted at most, evenly spread over the column.  More take longer; fewer may be rounder than the rest
+# by chance.
+_COUNTED = 2000
+# Significant digits from which a column counts as not rounded: double precision has 15 to 17.  Larger, rounding in the last
+# place counts as coarse; smaller, a log of that many digits counts as exact.
+_FULL = 15
+# A column has steps if its numbers take at most this fraction of different values, and lie on a common grid to within this
+# fraction of a step.  Larger, numbers that repeat by symmetry count as steps; smaller, the steps of a converter are missed.
+_DISTINCT, _ON_GRID = 0.5, 1e-3
+# Steps in the smallest gap between two numbers of a column, at most.  Larger, few numbers lie on a common grid by chance;
+# smaller, coarse steps are missed in columns with few different numbers.
+_PARTS = 12
+# Different numbers from which a common grid is no chance.
+_FEWEST = 20
+# Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
+# are taken for those of a plan, which are round but exact.  Larger, planned poses count as uncertain; smaller, the rounding
+# of logged poses is overlooked.
+_FINE = 1e-4
+# The largest error by rounding of three coordinates, over the standard deviation of one.
+_LARGEST_OVER_SD = 3.0
+
+
+def rounding_sd(values: Array) -> float:
+    """Standard deviation of the rounding of numbers (n,), by the step at the largest of them; 0 for full precision."""
+    nonzero = values[values != 0]
+    if len(nonzero) < 2:
+        return 0.0
+    largest = float(np.abs(nonzero).max())
+    step = max(_decimal_step(nonzero, largest), _binary_step(nonzero, largest), _grid_step(values))
+    return step / float(np.sqrt(12))
+
+
+def _decimal_step(values: Array, largest: float) -> float:
+    """The place value of the last significant digit at the largest number; 0 with 15 digits or more."""
+    some = values[np.linspace(0, len(values) - 1, min(len(values), _COUNTED)).astype(np.intp)].tolist()
+    digits = 1
+    for value in some:
+        while digits < _FULL and float(f"{value:.{digits - 1}e}") != value:
+            digits += 1
+        if digits == _FULL:
+            return 0.0
+    return float(10.0 ** (np.floor(np.log10(largest)) + 1 - digits))
+
+
+def _binary_step(values: Array, largest: float) -> float:
+    """The spacing of single precision at the largest number; 0 if the numbers do not fit into single precision."""
+    with np.errstate(over="ignore", under="ignore"):
+        fits = bool((values.astype(np.float32) == values).all())
+    return float(np.spacing(np.float32(largest))) if fits else 0.0
+
+
+def _grid_step(values: Array) -> float:
+    """The step of the grid on which all numbers lie; 0 if they do not lie on one."""
+    distinct = np.unique(values)
+    if len(distinct) < _FEWEST or len(distinct) > _DISTINCT * len(values):
+        return 0.0
+    gaps = np.diff(distinct)
+    smallest = float(gaps.min())
+    for part in range(1, _PARTS + 1):  # the smallest gap may be a few steps
+        multiples = gaps * (part / smallest)
+        if (np.abs(multiples - np.round(multiples)) <= _ON_GRID).all():
+            return smallest / part
+    return 0.0
+
+
+class Noise(NamedTuple):
+    """Errors of a recording."""
+
+    force_N: float
+    """Standard deviation of each force component: the stated one, or that of rounding if it is larger."""
+    moment_Nm: float
+    """Standard deviation of the moment, likewise."""
+    place_m: float
+    """Largest error of a contact's place by the digits of the poses."""
+
+
+def noise_of(recording: Recording) -> Noise:
+    """The errors that a recording states, and at least those of its digits."""
+    force = max(rounding_sd(column) for column in recording.force_N.T)
+    moment = rounding_sd(recording.moment_Nm)
+    length = recording.rod.length_m
+    position = rounding_sd(recording.position_m.ravel())
+    turn = 2 * rounding_sd(recording.quaternion.ravel())
+    size = float(np.linalg.norm(np.ptp(recording.position_m, axis=0))) + length
+    place = position * (position <= _FINE * length) + turn * size * (turn <= _FINE)
+    return Noise(max(recording.noise_force_N, force), max(recording.noise_moment_Nm, moment), place * _LARGEST_OVER_SD)

@@ -1,0 +1,269 @@
+"""What noisy contacts prove of a slice, with a stated confidence: a polygon inside the body's section and one around it.
+
+Premises: the body is convex, and the errors of the reactions are independent from row to row, Gaussian, and have the standard
+deviations that the recording states.  To first order, everything that is said about one contact is then a linear function of
+three standard normal numbers.  All such functions together stay within κ of their standard deviations with the probability
+that the χ² distribution of three degrees of freedom assigns to κ²; κ is chosen so that this holds for all contacts and
+averages at once (Bonferroni).
+
+Notation: a contact at p̂ with the normal n̂ and the tangent t̂ in the slice's plane was truly at p, with the normal n; its place
+has the covariance C, its normal's angle the standard deviation σδ.  K is the true section.
+
+Inside.  K contains p, so that its support function is at least ``<u, p̂> - κ √(uᵀCu)`` in every direction u.  The largest of
+these numbers over all contacts, g(u), bounds the support function from below, and the polygon ``{x: <u, x> <= g(u)}`` lies in
+K.  Errors along the contour, which are large where the rod hardly touches, hardly matter in this polygon.
+
+Outside.  For all x of K, ``<n, x - p> <= 0``, and hence ``<n̂, x - p̂> <= κ √(n̂ᵀCn̂) + κ σδ |<t̂, x - p̂>|`` up to the product of
+two errors.  Where a polygon around K is known, the distance along t̂ is limited to the part of that polygon that lies beyond
+the line through p̂, and the line need only be moved by what remains: on a curved body that part is short, on a flat face it is
+the face.  This is repeated with the polygon of the lines so moved.  The first polygon is a rectangle; if the lines moved by its
+extents enclose a polygon in the rectangle's interior, then K lies in that polygon, since K is connected.
+
+Averages.  The mean of several points of K lies in K, and the mean of several of these inequalities holds for all x of K.  Means
+over successive rows of a sweep have smaller errors and lie a little inside or outside; the polygons take both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from scipy.stats import chi2
+
+from scan3d.arrays import Array
+from scan3d.cloud import Cloud
+from scan3d.geometry.polygons import beyond, polygon_of_lines
+from scan3d.reconstruction.slices import Slice, SliceStack
+from scan3d.surfaces.averages import AVERAGED, Averages, averages_of
+
+CONFIDENCE = 0.95
+"""Probability with which the bounds hold under noise."""
+# Directions, beside the contacts' normals, in which the contacts are searched that bound the inner polygon.  More take longer;
+# fewer make it smaller.
+_DIRECTIONS = 90
+# The rectangle about a slice's contacts is larger than they are by this fraction of their size, on each side; the second is
+# tried where the first is too small.
+_WIDENED = (0.1, 2.0)
+# Times that the support lines are moved by the polygon of the lines before.  More gain little; fewer leave lines of curved
+# bodies farther out.
+_PASSES = 4
+# Largest standard deviation of a normal's angle, times κ, in radians, of a contact whose support line is used.  Larger, errors
+# of the second order are no longer small; smaller, more lines are left out under strong noise.
+_LARGEST_TILT = 0.3
+# Directions of the outer polygon's support function, beside those of its sides.  More take longer; fewer lose a little where
+# the body narrows towards the next slice.
+_OUTER_DIRECTIONS = 90
+
+
+def sigmas(count: int, confidence: float = CONFIDENCE) -> float:
+    """The number of standard deviations κ within which all linear functions of the errors of `count` contacts stay.
+
+    Averages are counted as well, two for every run of rows, once for the inner and once for the outer polygon.
+    """
+    events = max(count, 1) * (1 + 4 * sum(1 / size for size in AVERAGED))
+    return float(np.sqrt(chi2.isf((1 - confidence) / events, 3)))
+
+
+def confident(stack: SliceStack, cloud: Cloud, kappa: float) -> SliceStack:
+    """The stack with slices whose points lie in the body's section, and whose support lines enclose it.
+
+    Slices whose contacts prove no point of the body are left out.
+    """
+    assert cloud.covariance is not None
+    assert cloud.normal_sd is not None
+    slices = (_confident_slice(slice_, stack.frame, cloud, kappa) for slice_ in stack.slices)
+    return replace(stack, slices=tuple(slice_ for slice_ in slices if slice_ is not None), confident=True)
+
+
+def _confident_slice(slice_: Slice, frame: Array, cloud: Cloud, kappa: float) -> Slice | None:
+    assert cloud.covariance is not None
+    assert cloud.normal_sd is not None
+    order = np.lexsort((cloud.row[slice_.rows], cloud.sweep[slice_.rows]))
+    rows = slice_.rows[order]
+    covariance = np.einsum("ij,njk,lk->nil", frame[:2], cloud.covariance[rows], frame[:2])
+    points = slice_.points[order]
+    known = np.zeros(len(rows), dtype=bool)
+    known[slice_.tangential] = True
+    normals = np.full((len(rows), 2), np.nan)
+    normals[slice_.tangential] = slice_.normals
+    lines = (known & (kappa * cloud.normal_sd[slice_.rows] < _LARGEST_TILT))[order]
+    measured = np.arctan2(normals[order][lines, 1], normals[order][lines, 0])
+    inner = _inner_polygon(points, covariance, cloud.sweep[rows], measured, kappa, cloud.rod_length)
+    if inner is None:
+        return None
+    angle, value = _outer_lines(
+        _Lines(points[lines], normals[order][lines], covariance[lines], cloud.normal_sd[rows][lines]),
+        cloud.sweep[rows][lines],
+        inner,
+        kappa,
+        cloud.rod_length,
+    )
+    outline = inner
+    return replace(
+        slice_,
+        points=inner,
+        outline=outline,
+        angle=angle,
+        value=value,
+        normals=np.stack([np.cos(angle), np.sin(angle)], axis=1),
+        tangential=np.empty(0, dtype=np.intp),
+        tip=np.empty(0, dtype=np.intp),
+        tip_normals=np.empty((0, 2)),
+        slope=np.empty((2, 0)),
+        corner=np.empty((0, 2, 2)),
+    )
+
+
+def _bias(covariance: Array, length: float) -> Array:
+    """(n,) allowance for the second order of a contact's errors, which averages do not reduce."""
+    spread: Array = np.trace(covariance, axis1=1, axis2=2) * 2 / length
+    return spread
+
+
+def _inner_polygon(
+    points: Array, covariance: Array, sweep: NDArray[np.int32], measured: Array, kappa: float, length: float
+) -> Array | None:
+    """Corners (v, 2), in order, of a polygon inside the section; None if the contacts prove no point of it.
+
+    measured (k,)
+        angles of the contacts' normals, in whose directions those contacts are likely to reach farthest.
+    """
+    smallest = np.linalg.eigvalsh(covariance)[:, 0]
+    averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
+    bias = _bias(covariance, length)
+    place = np.concatenate([points, averages.mean(points)])
+    spread = np.concatenate([covariance, averages.variance(covariance)])
+    entries = np.stack([spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]], axis=1)
+    biased = np.concatenate([bias, averages.mean(bias)])
+    sigma = np.concatenate([np.full(len(points), kappa), averages.kappa])
+
+    def reach(u: Array) -> Array:
+        """(d, n) how far in the directions (d, 2) each contact and average proves the body to reach."""
+        quadratic = np.stack([u[:, 0] ** 2, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1)
+        proven: Array = u @ place.T - sigma * np.sqrt(np.maximum(quadratic @ entries.T, 0.0)) - biased
+        return proven
+
+    inside = points.mean(axis=0)
+    # First directions that are evenly spread, and the normals; then those of the sides that join the points which these prove:
+    # a polygon with other sides would have its corners outside the body.
+    uniform = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS - np.pi
+    first = _directions(np.unique(np.concatenate([uniform, measured])))
+    proven = reach(first)
+    best = proven.argmax(axis=1)
+    deflated = place[best] - (sigma[best] * np.sqrt(_quadratic(first, spread[best])))[:, None] * first
+    try:
+        sides = ConvexHull(deflated).equations[:, :2]
+    except QhullError:
+        return None
+    angle = np.unique(np.concatenate([np.arctan2(sides[:, 1], sides[:, 0]), np.arctan2(first[:, 1], first[:, 0])]))
+    u = _directions(angle)
+    proven = reach(u)
+    support = proven.max(axis=1)
+    # Between two neighbouring directions the polygon's support function is at most the interpolation of g, and g is at least
+    # that of one contact's reach: of the contact that reaches farthest halfway, or at one of the two.
+    each = np.arange(len(angle))
+    after = np.roll(each, -1)
+    halfway = u + u[after]
+    halfway /= np.linalg.norm(halfway, axis=1)[:, None]
+    farthest = proven.argmax(axis=1)
+    candidates = np.stack([farthest, farthest[after], reach(halfway).argmax(axis=1)])
+    excess = np.maximum(support - proven[each, candidates], support[after] - proven[after, candidates]).min(axis=0)
+    corners = polygon_of_lines(u, support - np.maximum(excess, np.roll(excess, 1)), inside)
+    return None if corners is None else corners[0]
+
+
+def _directions(angle: Array) -> Array:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _quadratic(directions: Array, covariance: Array) -> Array:
+    """(n,) variances in directions (n, 2) of places with covariances (n, 2, 2)."""
+    value: Array = np.einsum("ni,nij,nj->n", directions, covariance, directions)
+    return np.maximum(value, 0.0)
+
+
+class _Lines:
+    """Support lines (k,) of contacts or of averages: offset, place, and the errors across and along them."""
+
+    def __init__(self, points: Array, normals: Array, covariance: Array, normal_sd: Array) -> None:
+        self.points, self.normals, self.covariance, self.normal_sd = points, normals, covariance, normal_sd
+        self.tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+
+    def spread(self, directions: Array) -> Array:
+        """(k,) standard deviations of the places in directions (k, 2)."""
+        value: Array = np.sqrt(np.einsum("ni,nij,nj->n", directions, self.covariance, directions))
+        return value
+
+
+def _outer_lines(
+    lines: _Lines, sweep: NDArray[np.int32], inner: Array, kappa: float, length: float
+) -> tuple[Array, Array]:
+    """Angles (a,), increasing, and values (a,) of support lines that enclose the section; none if they do not close."""
+    none = np.empty(0), np.empty(0)
+    if len(lines.points) < 3:
+        return none
+    across, along = lines.spread(lines.normals), lines.spread(lines.tangents)
+    offset = (lines.normals * lines.points).sum(axis=1)
+    products = kappa**2 * lines.normal_sd * along + _bias(lines.covariance, length)
+    averages = averages_of(lines.points, sweep, across**2, kappa)
+    averaged = _Averaged(lines, averages, across, along, offset)
+    low, high = lines.points.min(axis=0), lines.points.max(axis=0)
+    size_of = float(np.linalg.norm(high - low))
+    inside = inner.mean(axis=0)
+    for widened in _WIDENED:
+        box_normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+        box = np.concatenate([high + widened * size_of, -(low - widened * size_of)])
+        found = polygon_of_lines(box_normals, box, inside)
+        if found is None:
+            return none
+        corners, sides = found
+        normals = np.concatenate([lines.normals, averaged.normals, box_normals])
+        for _ in range(_PASSES):
+            extent, _ = beyond(corners, lines.points, lines.normals, lines.tangents, offset)
+            tilt = kappa * lines.normal_sd
+            moved = offset + (kappa * across + tilt * extent + products) / (1 - tilt**2)
+            values = [moved, averaged.moved(corners), box]
+            found = polygon_of_lines(normals, np.concatenate(values), inside)
+            if found is None:
+                return none
+            corners, sides = found
+        if sides.max() < len(normals) - 4:
+            break
+    else:
+        return none
+    directions = 2 * np.pi * np.arange(_OUTER_DIRECTIONS) / _OUTER_DIRECTIONS - np.pi
+    angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), directions]))
+    u = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return angle, (u @ corners.T).max(axis=1)
+
+
+class _Averaged:
+    """Support lines of averages."""
+
+    def __init__(self, lines: _Lines, averages: Averages, across: Array, along: Array, offset: Array) -> None:
+        average = averages.mean(lines.normals)
+        self.length = np.linalg.norm(average, axis=1)
+        self.normals = average / self.length[:, None]
+        self.tangents = np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
+        self.points = averages.mean(lines.points)
+        self.offset = averages.mean(offset) / self.length
+        self.kappa = averages.kappa
+        row, group = averages.row, averages.group
+        tangent = lines.tangents[row]
+        arm = lines.normal_sd[row] * (tangent * (self.points[group] - lines.points[row])).sum(axis=1)
+        turn = lines.normal_sd[row] * (tangent * self.normals[group]).sum(axis=1)
+        self.across, self.tilt = np.sqrt(averages.variance(across**2)), np.sqrt(averages.variance(lines.normal_sd**2))
+        self.arm, self.turn = (
+            np.sqrt(np.bincount(group, (averages.weight * part) ** 2, len(self.kappa))) for part in (arm, turn)
+        )
+        # the product of two errors has a mean, which averaging keeps
+        self.products = 2 * averages.mean(lines.normal_sd * along)
+
+    def moved(self, corners: Array) -> Array:
+        """(k,) values of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""
+        extent, height = beyond(corners, self.points, self.normals, self.tangents, self.offset)
+        spread = self.across + self.tilt * extent + self.arm + self.turn * height
+        moved: Array = self.offset + (self.kappa * spread + self.products) / self.length
+        return moved

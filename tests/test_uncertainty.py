@@ -1,0 +1,110 @@
+"""Derivatives of the closed form by the reactions: against differences, numerical integration and random errors."""
+
+import numpy as np
+import pytest
+
+import planar
+
+CIRCLE = planar.Circle(0.9, (0.0, 1.3))
+
+
+def reactions(friction, direction=-1, samples=60):
+    """Reactions (3, n) of a sweep past the paper's circle, from light touches to snap-off."""
+    sweep = planar.sweep(CIRCLE, friction=friction, samples=samples)
+    rows = np.hypot(sweep.f0x, sweep.f0y) > 1e-3
+    mirrored = -direction
+    return np.stack([mirrored * sweep.f0x[rows], sweep.f0y[rows], mirrored * sweep.m0z[rows]])
+
+
+def quantities(f0x, f0y, m0z, direction=-1, method="closed-form"):
+    """(n, 5) place, arc length, force's direction and friction angle, as in the rows of the Jacobian."""
+    contacts = planar.reconstruct(np.zeros(len(f0x)), f0x, f0y, m0z, method=method, tolerance=0.5, direction=direction)
+    return np.column_stack([contacts.point, contacts.s1, contacts.force_angle, contacts.friction_angle_bound])
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.6])
+def test_the_jacobian_agrees_with_central_differences(friction, direction):
+    measured = reactions(friction, direction)
+    jacobian = planar.jacobian(*measured, direction=direction)
+    assert jacobian.shape == (measured.shape[1], 5, 3)
+    step = 1e-6
+    for column in range(3):
+        change = np.zeros((3, 1))
+        change[column] = step
+        ahead, behind = (quantities(*(measured + sign * change), direction=direction) for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step)
+        scale = np.abs(jacobian).max(axis=(1, 2))
+        assert np.isfinite(difference).all()
+        assert (np.abs(jacobian[:, :, column] - difference) < 1e-8 * scale[:, None]).all()
+
+
+def test_the_jacobian_agrees_with_differences_of_the_integrated_rod():
+    """Against equation (3), integrated from the clamp: no elliptic integral has a part in it."""
+    measured = reactions(0.3, samples=12)
+    jacobian = planar.jacobian(*measured)
+    for column in range(3):
+        change = np.zeros((3, 1))
+        change[column] = 1e-4
+        ahead, behind = (quantities(*(measured + sign * change), method="scholz-rahn") for sign in (1, -1))
+        difference = (ahead - behind)[:, :3] / 2e-4
+        scale = np.abs(jacobian).max(axis=(1, 2))
+        assert (np.abs(jacobian[:, :3, column] - difference) < 1e-6 * scale[:, None]).all()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_random_errors_have_the_covariance_of_the_jacobian(friction):
+    """From touch-down over the tip and tangential contacts to snap-off: 95 % of 1,000 draws lie in the 95 % ellipse."""
+    sigma = np.array([2e-5, 2e-5, 1e-5])
+    measured = reactions(friction, samples=40)
+    spread = planar.jacobian(*measured)[:, :2] * sigma
+    covariance = spread @ spread.swapaxes(1, 2)
+    inverse = np.linalg.inv(covariance)
+    exact = quantities(*measured)[:, :2]
+    rng = np.random.default_rng(5)
+    inside = []
+    for _ in range(1000):
+        noisy = measured + sigma[:, None] * rng.standard_normal(measured.shape)
+        error = quantities(*noisy)[:, :2] - exact
+        inside.append(np.einsum("ni,nij,nj->n", error, inverse, error) < -2 * np.log(0.05))
+    share = np.mean(inside, axis=0)
+    # light touches are left out where the errors of the force are not small
+    heavy = np.hypot(*measured[:2]) > 50 * sigma[0]
+    assert heavy.sum() >= len(heavy) - 1
+    assert ((share[heavy] > 0.93) & (share[heavy] < 0.97)).all()
+
+
+def test_errors_of_the_place_grow_as_the_reciprocal_of_the_force_near_touch_down():
+    sweep = planar.sweep(CIRCLE, friction=0.2, samples=20_000)
+    rows = (np.hypot(sweep.f0x, sweep.f0y) > 1e-4) & (np.hypot(sweep.f0x, sweep.f0y) < 1e-2)
+    jacobian = planar.jacobian(sweep.f0x[rows], sweep.f0y[rows], sweep.m0z[rows])
+    product = np.linalg.norm(jacobian[:, :2], axis=(1, 2)) * np.hypot(sweep.f0x[rows], sweep.f0y[rows])
+    assert len(product) > 10
+    assert np.ptp(product) < 0.02 * product.mean()
+
+
+def test_reactions_without_a_rod_have_no_derivatives():
+    no_force, wrong_side, too_large = (0.0, 0.0, 0.0), (-1.0, 1.0, -1.0), (-1.0, 1.0, 9.0)
+    jacobian = planar.jacobian(*np.transpose([no_force, wrong_side, too_large, reactions(0.2)[:, 5]]))
+    assert np.isnan(jacobian[:3]).all()
+    assert np.isfinite(jacobian[3]).all()
+
+
+def test_bad_arguments_are_refused():
+    with pytest.raises(ValueError, match=r"direction must be -1 or 1.*got 2"):
+        planar.jacobian([-1.0], [1.0], [1.0], direction=2)
+    with pytest.raises(ValueError, match="one shape"):
+        planar.jacobian([-1.0, -1.0], [1.0], [1.0])
+
+
+def test_each_row_can_have_its_own_tolerance():
+    f0x, f0y, m0z = reactions(0.2)
+    s1 = quantities(f0x, f0y, m0z)[:, 2]
+    tangential = np.flatnonzero(s1 < 0.99)
+    tolerance = np.full(len(s1), 1e-9)
+    tolerance[tangential[0]] = 1 - s1[tangential[0]] + 1e-6
+    phase = planar.reconstruct(np.zeros(len(s1)), f0x, f0y, m0z, tolerance=tolerance).phase
+    assert phase[tangential[0]] == planar.Phase.TIP
+    assert (phase[tangential[1:]] == planar.Phase.TANGENTIAL).all()
+    with pytest.raises(ValueError, match=r"tolerance.*array of the shape"):
+        planar.reconstruct(np.zeros(len(s1)), f0x, f0y, m0z, tolerance=tolerance[:3])
