@@ -12,7 +12,7 @@ from scan3d.reconstruction.contacts import contacts
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 PER_CONTACT = {"points", "normals", "normal_source", "in_plane_normals", "phase", "slice", "sweep", "row"}
-PER_CONTACT |= {"force_N", "friction"}
+PER_CONTACT |= {"force_N", "friction", "covariance", "place_sd", "normal_sd"}
 
 
 @pytest.fixture(scope="module")

@@ -52,8 +52,8 @@ def test_contacts_moved_by_less_than_the_margin_leave_the_body_inside(margin):
     rng = np.random.default_rng(0)
     for i in range(2, len(stack.slices)):
         below, behind = stack.slices[i - 1], stack.slices[i - 2]
-        exact = _half_spaces(below, behind, 0.0)
-        widened = _half_spaces(below, behind, margin)
+        exact = _half_spaces(below, (behind,), 0.0)
+        widened = _half_spaces(below, (behind,), margin)
         # the support function is larger by the margin at this slice, and may be smaller by it at the one behind
         for z, change in ((below.height, margin), (behind.height, -margin)):
             supports = [-(planes[:, 2] * z + planes[:, 3]) for planes in (exact, widened)]

@@ -42,7 +42,8 @@ def rounding_sd(values: Array) -> float:
         return 0.0
     largest = float(np.abs(nonzero).max())
     step = max(_decimal_step(nonzero, largest), _binary_step(nonzero, largest), _grid_step(values))
-    return step / float(np.sqrt(12))
+    # numbers of full precision are multiples of their last place
+    return step / float(np.sqrt(12)) if step > largest * 10.0**-_FULL else 0.0
 
 
 def _decimal_step(values: Array, largest: float) -> float:

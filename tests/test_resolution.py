@@ -1,0 +1,125 @@
+"""The resolution of recorded numbers: decimal digits, single precision, steps of a converter, full precision."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planar
+import scan3d
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.resolution import noise_of, rounding_sd
+from scan3d.workflow import analyse
+
+EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
+
+
+def rounded(values, digits):
+    return np.vectorize(lambda value: float(f"{value:.{digits - 1}e}"))(values)
+
+
+@pytest.fixture(scope="module")
+def values():
+    rng = np.random.default_rng(0)
+    return rng.standard_normal(5000) * 10.0 ** rng.uniform(-3, 0, 5000)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=12, friction=0.3))
+
+
+@pytest.mark.parametrize("digits", [3, 5, 8, 12])
+def test_digits_of_a_log(values, digits):
+    largest = np.abs(values).max()
+    assert rounding_sd(rounded(values, digits)) == pytest.approx(
+        10.0 ** (np.floor(np.log10(largest)) + 1 - digits) / 12**0.5
+    )
+
+
+@pytest.mark.parametrize("decimals", [2, 4, 7])
+def test_fixed_decimals(values, decimals):
+    assert rounding_sd(np.round(values, decimals)) == pytest.approx(10.0**-decimals / 12**0.5)
+
+
+def test_the_estimate_is_the_error_of_rounding_of_large_numbers(values):
+    large = np.abs(values) > 0.1 * np.abs(values).max()
+    error = rounded(values, 6)[large] - values[large]
+    assert 0.2 * rounding_sd(rounded(values, 6)) < error.std() < 1.05 * rounding_sd(rounded(values, 6))
+
+
+def test_single_precision(values):
+    largest = np.float32(np.abs(values).max())
+    assert rounding_sd(values.astype(np.float32).astype(float)) == pytest.approx(float(np.spacing(largest)) / 12**0.5)
+    assert rounding_sd(values.astype(np.float32)) == pytest.approx(float(np.spacing(largest)) / 12**0.5)
+
+
+@pytest.mark.parametrize("step", [0.0123456789, 2.0**-9 * np.pi])
+def test_steps_of_a_converter(values, step):
+    assert rounding_sd(np.round(values / step) * step) == pytest.approx(step / 12**0.5)
+    # numbers that skip steps
+    few = np.repeat(np.unique(np.round(values[:200] / step)) * 3 * step, 3)
+    assert rounding_sd(few) == pytest.approx(3 * step / 12**0.5)
+
+
+def test_full_precision_and_empty_columns_have_no_rounding(values):
+    assert rounding_sd(values) == 0
+    assert rounding_sd(np.repeat(values[:100], 50)) == 0  # a symmetric scan repeats its numbers
+    assert rounding_sd(np.zeros(10)) == 0
+    assert rounding_sd(np.array([0.5])) == 0
+
+
+@pytest.mark.parametrize("digits", [9, 8, 7])
+def test_a_log_with_few_digits_keeps_its_contacts(recording, digits):
+    """Without an estimate of the digits, tip contacts were lost, 60, 38, 4, 0, and friction read down to 0.12 for 0.3."""
+    exact = contacts(recording)
+    log = dataclasses.replace(
+        recording,
+        **{
+            name: rounded(getattr(recording, name), digits)
+            for name in ("position_m", "quaternion", "force_N", "moment_Nm")
+        },
+    )
+    cloud = contacts(log)
+    assert len(cloud) + cloud.light == len(exact)
+    assert np.isin(exact.row[exact.phase == planar.Phase.TIP], cloud.row[cloud.phase == planar.Phase.TIP]).all()
+    tangential = cloud.phase == planar.Phase.TANGENTIAL
+    assert np.abs(cloud.friction[tangential] - 0.3).max() < 1e-3
+    assert cloud.noise > 0
+    noise = noise_of(log)
+    assert noise.force_N > 0
+    assert noise.moment_Nm > 0
+    assert 0 < cloud.pose_error < 1e-3
+
+
+def test_stated_noise_counts_where_it_is_larger_than_the_digits(recording):
+    log = dataclasses.replace(recording, force_N=rounded(recording.force_N, 6), noise_force_N=1.0, noise_moment_Nm=0.0)
+    assert noise_of(log).force_N == 1.0
+    assert noise_of(log).moment_Nm == 0.0
+    assert noise_of(recording) == (0.0, 0.0, 0.0)
+
+
+def test_round_positions_of_a_plan_are_exact(recording):
+    """Positions in whole tenths of a millimetre are those of a plan; their digits are no errors."""
+    planned = dataclasses.replace(recording, position_m=np.round(recording.position_m, 4))
+    assert noise_of(planned).place_m == 0
+    logged = dataclasses.replace(recording, position_m=np.round(recording.position_m, 8))
+    assert 1e-9 < noise_of(logged).place_m < 1e-7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("digits", [5, 6, 7])
+def test_the_certificate_allows_for_the_digits(recording, digits):
+    mesh = scan3d.load_mesh(EGG)
+    log = dataclasses.replace(
+        recording,
+        **{
+            name: rounded(getattr(recording, name), digits)
+            for name in ("position_m", "quaternion", "force_N", "moment_Nm")
+        },
+    )
+    analysis = analyse(log, mesh, "hull")
+    assert analysis.warnings == ()
+    assert analysis.comparison.hausdorff <= analysis.certificate.bound
+    assert analysis.certificate.bound < 1.2 * analyse(recording, mesh, "hull").certificate.bound
