@@ -15,7 +15,6 @@ inclined to the slice, are ignored.
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -70,6 +69,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
+        from importlib.metadata import version
+
         return version("scan3d")
     if name in _HOME:
         return getattr(import_module(f"scan3d.{_HOME[name]}"), name)
