@@ -76,12 +76,16 @@ class Work:
 
     def release(self) -> None:
         """Remove the work folder and end the lock; a journal whose moves could not be finished stays for the next run."""
+        is_done = not (self.path / _JOURNAL).exists()
         try:
-            if not (self.path / _JOURNAL).exists():
+            if is_done:
                 _remove(self.path, os.name == "nt")
+        except BaseException:  # once more, so that an interruption leaves nothing behind
+            _remove(self.path, os.name == "nt")
+            raise
         finally:
             os.close(self.handle)
-            if os.name == "nt":  # an open file can't be removed there
+            if os.name == "nt" and is_done:  # an open file can't be removed there
                 with suppress(OSError):
                     _remove(self.path, False)
 
@@ -108,27 +112,41 @@ def claim(folder: Path, owner: str = "") -> Work:
     """Lock the work folder, which is created, and bring it and the folder in order."""
     path = work_path(folder, owner)
     while True:
-        with suppress(FileExistsError):
-            path.mkdir()
-        _check_is_ours(path)
         try:
+            with suppress(FileExistsError):
+                path.mkdir()
+            _check_is_ours(path)
             handle = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
-        except FileNotFoundError:  # another run has just ended and removed the folder
+        except (
+            FileNotFoundError
+        ):  # another run has just ended and removed the work folder, if its parent is still there
+            if not folder.is_dir():
+                raise
             continue
+        except BaseException:
+            with suppress(OSError):  # it holds files
+                path.rmdir()
+            raise
+        work = Work(folder, path, handle)
         try:
             if not lock(handle):
                 raise BusyError(_who(path, folder / owner))
-            if _is_same(handle, path / _LOCK):
-                os.truncate(handle, 0)
-                os.write(handle, _introduction().encode(errors="replace"))
-                work = Work(folder, path, handle)
-                _roll_forward(work)
-                _remove(path, True)
-                return work
+            is_there = _is_same(handle, path / _LOCK)
         except BaseException:
             os.close(handle)
             raise
-        os.close(handle)
+        if not is_there:
+            os.close(handle)
+            continue
+        try:
+            os.truncate(handle, 0)
+            os.write(handle, _introduction().encode(errors="replace"))
+            _roll_forward(work)
+            _remove(path, True)
+            return work
+        except BaseException:
+            work.release()
+            raise
 
 
 def finish(folder: Path, owner: str = "") -> None:
