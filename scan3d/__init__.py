@@ -15,9 +15,11 @@ inclined to the slice, are ignored.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # that of `typing`, whose import would be the longest part of this one
 if TYPE_CHECKING:
+    from typing import Any
+
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison, compare
     from scan3d.errors import InputError

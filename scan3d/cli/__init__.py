@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 __all__ = ["main"]
@@ -9,8 +10,11 @@ __all__ = ["main"]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
-    from scan3d.cli.interruptions import Interruptions
-
+    try:
+        from scan3d.cli.interruptions import Interruptions
+    except KeyboardInterrupt:  # the signals are not handled yet
+        print("scan3d: interrupted", file=sys.stderr)
+        return 130
     with Interruptions(ends_process=argv is None) as interruptions:
         # imported here, so that Ctrl-C during the import is handled as well
         from scan3d.cli.command import run
