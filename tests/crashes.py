@@ -106,12 +106,12 @@ def run(action, how, kth):
     return code == 0
 
 
-def every(action, how, prepare, check):
-    """For k = 1, 2, …: prepare, run the action with a fault at its kth call, and check; returns the number of calls."""
-    kth = 0
+def every(action, how, prepare, check, step=1):
+    """For k = 1, 1 + step, …: prepare, run the action with a fault at its kth call, and check; returns the number of calls."""
+    kth = 1 - step
     ended = False
     while not ended:
-        kth += 1
+        kth += step
         prepare()
         ended = run(action, how, kth)
         check(kth, ended)

@@ -1,5 +1,6 @@
 """At whatever call of the file system a run ends, its folder holds the whole earlier or the whole new result."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -267,3 +268,54 @@ def test_the_results_of_an_earlier_version_are_replaced(place):
     assert seen(folder) == OLD
     write(folder, NEW)
     assert contents(folder) == {**NEW, **FOREIGN}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", HOW)
+def test_the_commands_read_one_result_wherever_a_scan_was_stopped(tmp_path, monkeypatch, how):
+    """The same with real results, as `show`, `export` and `reconstruct` read them."""
+    import dataclasses
+
+    import trimesh
+
+    import scan3d
+    from scan3d import workflow
+    from scan3d.cli import main
+    from scan3d.pictures import rendering
+
+    # without the child process that draws
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    monkeypatch.setattr(workflow, "_draw", lambda *_: None)
+    monkeypatch.setattr(workflow, "Drawing", contextlib.nullcontext)
+    folder, made = tmp_path / "out", {}
+    for name, size in (("old", 20), ("new", 30)):
+        body = trimesh.creation.box((size, 30, 40))
+        recording = scan3d.simulate(body, scan3d.Plan(slices=4, samples=8, sweeps=4))
+        analysis = dataclasses.replace(workflow.analyse(recording, body), seconds={})
+        place = tmp_path / name
+        workflow.write(analysis, place, settings={}, with_recording=True)
+        made[name] = {path.name: path.read_bytes() for path in place.iterdir() if path.name != "report.json"}, analysis
+
+    def put(name):
+        if name == "old":
+            shutil.rmtree(folder, ignore_errors=True)
+        workflow.write(made[name][1], folder, settings={}, with_recording=True)
+
+    def check(kth, ended):
+        # each of the three commands comes first in its turn
+        commands = [
+            ["show", str(folder), "--html", str(tmp_path / "a.html")],
+            ["export", str(folder), "--to", str(tmp_path / "a.stl")],
+            ["reconstruct", str(folder / "recording.csv"), "--out", str(tmp_path / "again")],
+        ]
+        for turn in range(3):
+            assert main([*commands[(kth + turn) % 3], "--quiet"]) == 0, kth
+        found = contents(folder)
+        assert found in (made["old"][0], made["new"][0]), kth
+        assert (tmp_path / "again" / "cloud.ply").read_bytes() != b""
+        extent = 20 if found == made["old"][0] else 30
+        assert round(float(scan3d.load_mesh(tmp_path / "a.stl").extents[0])) == extent
+        for name in ("a.html", "a.stl"):
+            (tmp_path / name).unlink()
+
+    assert every(lambda: put("new"), how, lambda: put("old"), check, step=3) > 40
