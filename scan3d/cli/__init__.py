@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import os
 from collections.abc import Sequence
 
 __all__ = ["main"]
@@ -13,7 +13,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         from scan3d.cli.interruptions import Interruptions
     except KeyboardInterrupt:  # the signals are not handled yet
-        print("scan3d: interrupted", file=sys.stderr)
+        os.write(2, b"scan3d: interrupted\n")
         return 130
     with Interruptions(ends_process=argv is None) as interruptions:
         # imported here, so that Ctrl-C during the import is handled as well
