@@ -15,10 +15,11 @@ inclined to the slice, are ignored.
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # that of `typing`, whose import would be the longest part of this one
 if TYPE_CHECKING:
+    from typing import Any
+
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison, compare
     from scan3d.errors import InputError
@@ -70,6 +71,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
+        from importlib.metadata import version
+
         return version("scan3d")
     if name in _HOME:
         return getattr(import_module(f"scan3d.{_HOME[name]}"), name)

@@ -14,23 +14,20 @@ import numpy as np
 
 from scan3d.comparison import compare
 from scan3d.errors import InputError
-from scan3d.files.atomic import atomic, write_atomic
+from scan3d.files.ownership import RECORDING
 from scan3d.files.ply import ply
-from scan3d.files.recordings import write_recording
+from scan3d.files.recordings import recording_files
+from scan3d.files.results import Result, opened
 from scan3d.files.tables import cloud_table, surface_table
-from scan3d.files.text import to_json
 from scan3d.geometry.distance import distances
-from scan3d.pictures import page, rendering, views
+from scan3d.pictures import page, rendering
+from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.words import key_figures
 from scan3d.reconstruction import cause_of_no_contact, contradictions, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
-
-# Files that `write` replaces in a folder.
-_RESULTS = ("cloud.ply", "surface.ply", "report.json", "cloud.png", "surface.png", "view.html")
-_RECORDING = ("recording.csv", "recording.toml")
 
 
 def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> Analysis:
@@ -78,15 +75,21 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> An
 
 def write(
     analysis: Analysis,
-    folder: Path,
+    folder: str | Path | Result,
     *,
     settings: Mapping[str, Any],
     with_recording: bool,
     seconds: Mapping[str, float] | None = None,
     notify: Callable[[str], None] = lambda _: None,
+    overwrite: bool = False,
+    mesh_path: bool = False,
 ) -> dict[str, Any]:
-    """Write an analysis into a folder that exists: cloud, surface, pictures, page and report, which is returned.
+    """Write an analysis into a folder: cloud, surface, pictures, page and report, which is returned.
 
+    All files appear together: an earlier result in the folder stays as it is until the new one is complete.
+
+    folder
+        its path, or the result that `files.results.opened` has opened there.
     settings
         those of the run, which the report repeats.
     with_recording
@@ -95,36 +98,52 @@ def write(
         time spent on steps before the analysis, for the report.
     notify
         called with a sentence if pictures cannot be rendered.
+    overwrite
+        whether files that the program did not write may be replaced.
+    mesh_path
+        whether the report states where the true body's file lies, relative to the folder.
+
+    Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
     """
+    if not isinstance(folder, Result):
+        with opened(folder, with_recording=with_recording, overwrite=overwrite) as result:
+            return write(
+                analysis,
+                result,
+                settings=settings,
+                with_recording=with_recording,
+                seconds=seconds,
+                notify=notify,
+                mesh_path=mesh_path,
+            )
     clock = _Clock({**(seconds or {}), **analysis.seconds})
-    for name in _RESULTS:
-        (folder / name).unlink(missing_ok=True)
-    files = ["cloud.ply", "surface.ply"]
-    cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
-    with clock("write"):
-        if with_recording:
-            write_recording(analysis.recording, folder / _RECORDING[0])
-            files = [*_RECORDING, *files]
-        write_atomic(folder / "cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
-        vertices = surface_table(mesh, analysis.certificate.at_vertices)
-        write_atomic(folder / "surface.ply", ply(vertices, mesh.faces, comments=comments))
     friction = settings.get("friction") if with_recording else None
-    with clock("pictures"):
-        figures = key_figures(report(analysis, settings=settings, friction_set=friction))
-        files += _draw(to_scene(analysis, figures), folder, notify)
-    data = report(
-        analysis,
-        settings=settings,
-        friction_set=friction,
-        timings_s=clock.seconds,
-        files=[*files, "report.json"],
-    )
-    if analysis.truth is not None:
-        # by this path `scan3d show` finds the mesh
-        with suppress(ValueError):  # on another drive
-            data["mesh"]["path"] = os.path.relpath(analysis.truth.metadata["path"], folder.resolve())
-    write_atomic(folder / "report.json", to_json(data))
-    return data
+    with Drawing() as drawing:
+        with clock("pictures"):  # while the child process imports what it needs
+            can_draw = rendering.can_render()
+            if not can_draw:
+                drawing.stop()
+        with clock("write"):
+            _put_tables(analysis, folder, with_recording)
+        with clock("pictures"):
+            figures = key_figures(report(analysis, settings=settings, friction_set=friction))
+            _draw(to_scene(analysis, figures), folder, drawing if can_draw else None, notify)
+    data = report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds)
+    if mesh_path and analysis.truth is not None:
+        with suppress(ValueError, KeyError):  # on another drive, or not read from a file
+            data["mesh"]["path"] = os.path.relpath(analysis.truth.metadata["path"], folder.folder.resolve())
+    return folder.commit(data)
+
+
+def _put_tables(analysis: Analysis, result: Result, with_recording: bool) -> None:
+    """Add the recording, if it is wanted, the cloud and the surface to a result."""
+    cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
+    if with_recording:
+        for name, data in recording_files(analysis.recording, RECORDING[0]).items():
+            result.put(name, data)
+    result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
+    vertices = surface_table(mesh, analysis.certificate.at_vertices)
+    result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
 
 
 def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
@@ -148,16 +167,20 @@ def _name(analysis: Analysis) -> str:
     return Path(str(named)).stem if named else "body"
 
 
-def _draw(scene: Scene, folder: Path, notify: Callable[[str], None]) -> list[str]:
-    """Write the page and, where they can be rendered, the pictures; returns the names of the files."""
-    write_atomic(folder / "view.html", page.page(scene))
-    if not rendering.can_render():
+def _draw(scene: Scene, result: Result, drawing: Drawing | None, notify: Callable[[str], None]) -> None:
+    """Add the page and, where they can be rendered, the pictures to a result."""
+    result.put("view.html", page.page(scene))
+    if drawing is None:
         notify(rendering.NO_RENDERER)
-        return ["view.html"]
-    for view in ("cloud", "surface"):
-        with atomic(folder / f"{view}.png") as picture:
-            views.picture(scene, picture, view)
-    return ["view.html", "cloud.png", "surface.png"]
+        return
+    names = ("cloud", "surface")
+    try:
+        pictures = drawing.draw(scene, [(".png", {"view": name}) for name in names])
+    except DrawingError as error:
+        notify(f"no pictures: {error}; all other files are written")
+        return
+    for name, data in zip(names, pictures, strict=True):
+        result.put(f"{name}.png", data)
 
 
 class _Clock:
@@ -170,4 +193,4 @@ class _Clock:
     def __call__(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
-        self.seconds[name] = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

@@ -58,8 +58,9 @@ def test_the_old_file_stays_when_the_writing_fails(tmp_path):
 
     def draw():
         with atomic(path) as temporary:
-            assert temporary.parent == tmp_path
-            assert temporary.suffix == ".png"
+            # beside it, on the same disk, with the name whose ending determines the format
+            assert temporary.parent.parent == tmp_path
+            assert temporary.name == "picture.png"
             temporary.write_bytes(b"ne")
             raise DisasterError
 
@@ -71,10 +72,13 @@ def test_the_old_file_stays_when_the_writing_fails(tmp_path):
 
 def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match=r"can't write .*: Is a directory"):
+        write_together(tmp_path / "a", {"a": b"new", "b": b"new"})
     with pytest.raises(InputError, match=r"can't write .*missing"):
-        write_together({tmp_path / "a": b"new", tmp_path / "missing" / "b": b"new"})
+        write_together(tmp_path / "missing" / "a", {"a": b"new", "b": b"new"})
     assert (tmp_path / "a").read_bytes() == b"old"
-    assert names(tmp_path) == ["a"]
+    assert names(tmp_path) == ["a", "b"]
 
 
 def test_a_path_that_cannot_be_written_is_named_with_the_option_to_change(tmp_path):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import types
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -96,8 +97,10 @@ def test_the_command(tmp_path, monkeypatch, capsys, name):
     scan3d.write_recording(scanned(CUBE).recording, recording)
     written = []
 
-    def write_frames(path, size, fps, macro_block_size, ffmpeg_log_level):
+    def write_frames(path, size, fps, macro_block_size, ffmpeg_log_level, output_params):
         assert (size, macro_block_size) == (SIZE, 2)
+        assert output_params == ["-metadata", "comment=scan3d"]
+        Path(path).touch()
         while True:
             image = yield
             written.append(image)

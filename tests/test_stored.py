@@ -37,23 +37,41 @@ def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_
 
 
 @pytest.mark.slow
-def test_the_truth_is_found_where_it_was(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("options", [(), ("--mesh-path",)])
+def test_the_truth_is_found_where_it_was_if_the_report_may_say_so(tmp_path, monkeypatch, options):
     """However far it lies from where the results are, and from where `show` is called."""
     (tmp_path / "parts" / "old").mkdir(parents=True)
     mesh = tmp_path / "parts" / "old" / "egg.stl"
     mesh.write_bytes(EGG.read_bytes())
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
-    assert (
-        main(["scan", "../parts/old/egg.stl", "--out", "deep/out", "--slices", "4", "--samples", "8", "--quiet"]) == 0
-    )
+    scan = ["scan", "../parts/old/egg.stl", "--out", "deep/out", "--slices", "4", "--samples", "8", "--quiet"]
+    assert main([*scan, *options]) == 0
     report = stored.read_report(Path("deep/out"))
-    assert report["mesh"]["path"] == os.path.join("..", "..", "..", "parts", "old", "egg.stl")
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "work" / "deep" / "out"
+    if not options:
+        assert "path" not in report["mesh"]
+        assert stored.find_truth(folder, report) is None
+        return
+    assert report["mesh"]["path"] == os.path.join("..", "..", "..", "parts", "old", "egg.stl")
     assert Path(stored.find_truth(folder, report)).samefile(mesh)
     mesh.unlink()
     assert stored.find_truth(folder, report) is None
+
+
+def strings(value):
+    if isinstance(value, dict):
+        value = [*value, *value.values()]
+    return [text for item in value for text in strings(item)] if isinstance(value, list) else [str(value)]
+
+
+def test_a_report_names_no_place_outside_its_folder(folder):
+    report = stored.read_report(folder)
+    assert report["mesh"]["file"] == report["source"]["mesh"] == "egg.stl"
+    words = strings(dict(report))
+    assert len(words) > 100
+    assert not [word for word in words if ".." in word or "/" in word.replace("Hausdorff/", "") or "\\" in word]
 
 
 def test_a_folder_is_shown_as_it_was_scanned(folder):

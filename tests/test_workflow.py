@@ -1,6 +1,7 @@
 """From a recording to results: `analyse` computes and does nothing else, `write` writes what it is given."""
 
 import dataclasses
+import functools
 import json
 import math
 
@@ -10,7 +11,7 @@ import trimesh
 
 import scan3d
 from scan3d import workflow
-from scan3d.pictures import rendering
+from scan3d.pictures import drawing, rendering
 from scan3d.recording import Recording
 
 
@@ -112,6 +113,7 @@ def without_renderer(monkeypatch):
 
 RESULTS = {"cloud.ply", "surface.ply", "report.json", "view.html"}
 RECORDING = {"recording.csv", "recording.toml"}
+PICTURES = {"cloud.png", "surface.png"}
 
 
 @pytest.mark.usefixtures("without_renderer")
@@ -140,14 +142,31 @@ def test_write_writes_the_recording_only_if_asked_to(scan, tmp_path, with_record
         assert_same(scan3d.read_recording(tmp_path / "recording.csv").force_N, recording.force_N)
 
 
-@pytest.mark.usefixtures("without_renderer")
-def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path):
+def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypatch):
     """A picture of an earlier run must not stand beside the results of this one."""
     _, _, analysis = scan
-    for name in ("cloud.png", "notes.txt"):
-        (tmp_path / name).write_text("earlier")
-    workflow.write(dataclasses.replace(analysis, truth=None), tmp_path, settings={}, with_recording=False)
+    analysis = dataclasses.replace(analysis, truth=None)
+    with monkeypatch.context() as patched:
+        patched.setattr(rendering, "can_render", lambda: True)
+        patched.setattr(drawing.Drawing, "draw", lambda self, scene, jobs: [b"a picture"] * len(jobs))
+        data = workflow.write(analysis, tmp_path, settings={}, with_recording=True)
+    assert set(data["files"]) == RESULTS | RECORDING | PICTURES
+    (tmp_path / "notes.txt").write_text("earlier")
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    workflow.write(analysis, tmp_path, settings={}, with_recording=False)
     assert {path.name for path in tmp_path.iterdir()} == RESULTS | {"notes.txt"}
+
+
+@pytest.mark.usefixtures("without_renderer")
+def test_write_replaces_what_others_have_written_only_if_asked_to(scan, tmp_path):
+    _, _, analysis = scan
+    (tmp_path / "cloud.png").write_text("a picture of a cloud")
+    write = functools.partial(workflow.write, dataclasses.replace(analysis, truth=None), tmp_path, settings={})
+    with pytest.raises(scan3d.InputError, match=r"cloud\.png was not written by scan3d; give --overwrite"):
+        write(with_recording=False)
+    assert {path.name for path in tmp_path.iterdir()} == {"cloud.png"}
+    write(with_recording=False, overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} >= RESULTS
 
 
 @pytest.mark.usefixtures("without_renderer")

@@ -12,6 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from scan3d.processes import python
+
 # Packages that every scan needs, and what the others are used for.
 NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
 OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces", "imageio-ffmpeg": "movies as .mp4"}
@@ -120,9 +122,7 @@ def _apt(packages: str) -> str | None:
 def _error_of(code: str) -> str | None:
     """The last line of the error message of a child process that runs the code; None if it succeeds."""
     try:
-        completed = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
-        )
+        completed = subprocess.run(python(code), capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
     if completed.returncode == 0:

@@ -115,6 +115,8 @@ def parser() -> argparse.ArgumentParser:
     scan.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
     scan.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     _add_settings(scan)
+    _add_mesh_path(scan)
+    _add_overwrite(scan)
     _add_strict(scan)
     scan.set_defaults(command="scan")
 
@@ -127,6 +129,7 @@ def parser() -> argparse.ArgumentParser:
         help="the recording, a .csv; a .toml of the same name is written as well",
     )
     _add_settings(simulate)
+    _add_overwrite(simulate)
     simulate.set_defaults(command="simulate")
 
     reconstruct = commands.add_parser("reconstruct", help="step 2 only, from a simulated or measured recording")
@@ -142,6 +145,8 @@ def parser() -> argparse.ArgumentParser:
         default=METHODS[0],
         help=f"{_METHOD} (default {METHODS[0]})",
     )
+    _add_mesh_path(reconstruct)
+    _add_overwrite(reconstruct)
     _add_output(reconstruct)
     _add_strict(reconstruct)
     reconstruct.set_defaults(command="reconstruct")
@@ -191,6 +196,7 @@ def parser() -> argparse.ArgumentParser:
     show.add_argument(
         "--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="unit of a mesh (default mm)"
     )
+    _add_overwrite(show)
     _add_output(show)
     show.set_defaults(command="show", misuse=show.error)
 
@@ -209,6 +215,7 @@ def parser() -> argparse.ArgumentParser:
         choices=EXPORTS,
         help=f"{one_of(EXPORTS)}, for .ply and .vtp (default {EXPORTS[0]}, unless DIR is a file with a cloud)",
     )
+    _add_overwrite(export)
     _add_output(export)
     export.set_defaults(command="export")
 
@@ -264,6 +271,22 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 def _add_strict(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strict", action="store_true", help="exit with 1 if the recording contradicts the model (results are written)"
+    )
+
+
+def _add_mesh_path(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--mesh-path",
+        action="store_true",
+        help="state in the report where the mesh lies, so that show finds it there (default: its name only)",
+    )
+
+
+def _add_overwrite(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace also files that scan3d did not write, or that were changed since",
     )
 
 

@@ -22,7 +22,7 @@ from scan3d.errors import InputError
 def scan(arguments: Namespace) -> int:
     """All steps, with the results written into a folder."""
     from scan3d import workflow
-    from scan3d.files.atomic import folder
+    from scan3d.files.results import opened
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
@@ -33,17 +33,19 @@ def scan(arguments: Namespace) -> int:
     start = time.perf_counter()
     body = load_mesh(arguments.mesh, hull=chosen.hull)
     loaded = time.perf_counter()
-    with folder(arguments.out) as path:
+    inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
+    with opened(arguments.out, with_recording=True, inputs=inputs, overwrite=arguments.overwrite) as result:
         recording = _with_origin(simulate_scan(body, plan, _progress(arguments)), body)
         seconds = {"load": loaded - start, "simulate": time.perf_counter() - loaded}
         analysis = workflow.analyse(recording, body, chosen.method)
         data = workflow.write(
             analysis,
-            path,
+            result,
             settings=dataclasses.asdict(chosen),
             with_recording=True,
             seconds=seconds,
             notify=_say,
+            mesh_path=arguments.mesh_path,
         )
     return _print_report(arguments, data)
 
@@ -53,20 +55,22 @@ def simulate(arguments: Namespace) -> int:
     import numpy as np
 
     from scan3d.files.atomic import folder
-    from scan3d.files.recordings import check_path, write_recording
+    from scan3d.files.ownership import check_recording
+    from scan3d.files.recordings import check_path, sidecar, write_recording
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
     chosen = _settings(arguments)
     if arguments.print_config:
         return _print_config(chosen)
-    _check_config(arguments)
     check_path(arguments.out)
+    inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
+    check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
     plan = chosen.plan()
     body = load_mesh(arguments.mesh, hull=chosen.hull)
     with folder(Path(arguments.out).parent):
         recording = simulate_scan(body, plan, _progress(arguments))
-        write_recording(_with_origin(recording, body), arguments.out)
+        write_recording(_with_origin(recording, body), arguments.out, overwrite=True)  # checked above
     data = {
         "recording": str(arguments.out),
         "samples": len(recording),
@@ -79,8 +83,8 @@ def simulate(arguments: Namespace) -> int:
 def reconstruct(arguments: Namespace) -> int:
     """Step 2 only: write the results of a recording, compared with the true body if it is given."""
     from scan3d import workflow
-    from scan3d.files.atomic import folder
-    from scan3d.files.recordings import read_recording
+    from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.files.results import opened
     from scan3d.simulation.bodies import load_mesh
 
     chosen = settings({"hull": arguments.hull, "method": arguments.method})
@@ -90,9 +94,22 @@ def reconstruct(arguments: Namespace) -> int:
     seconds = {"load": time.perf_counter() - start}
     # the remaining settings concern the simulation
     used = {"method": chosen.method, "hull": chosen.hull}
-    with folder(arguments.out) as path:
+    inputs = {
+        "recording": arguments.recording,
+        "TOML file of the recording": sidecar(arguments.recording),
+        "true body": arguments.truth,
+    }
+    with opened(arguments.out, with_recording=False, inputs=inputs, overwrite=arguments.overwrite) as result:
         analysis = workflow.analyse(recording, body, chosen.method)
-        data = workflow.write(analysis, path, settings=used, with_recording=False, seconds=seconds, notify=_say)
+        data = workflow.write(
+            analysis,
+            result,
+            settings=used,
+            with_recording=False,
+            seconds=seconds,
+            notify=_say,
+            mesh_path=arguments.mesh_path,
+        )
     return _print_report(arguments, data)
 
 
@@ -111,7 +128,8 @@ def show(arguments: Namespace) -> int:
     """Show a scan's folder, a recording, a cloud or a mesh in files, or in a window if no file is named."""
     _check_show(arguments)
     from scan3d.files.atomic import atomic, write_atomic
-    from scan3d.pictures import movie, page, views, window
+    from scan3d.files.ownership import check_file
+    from scan3d.pictures import drawing, movie, page, views, window
 
     screenshot, html, film = arguments.screenshot, arguments.html, arguments.movie
     if not (screenshot or html or film) and not window.can_open():
@@ -121,19 +139,26 @@ def show(arguments: Namespace) -> int:
         views.check_path(screenshot)
     if film:
         movie.check_path(film)
+    inputs = {"file": arguments.path, "true body": arguments.truth}
+    for option, file in (("--html", html), ("--movie", film), ("--screenshot", screenshot)):
+        if file:
+            check_file(file, inputs, arguments.overwrite, option)
     scene = _scene(Path(arguments.path), arguments.truth, arguments.hull, arguments.unit)
     files = []
     if html:
-        write_atomic(html, page.page(scene))
+        write_atomic(html, page.page(scene), "--html")
         files.append(html)
     if film:
-        with atomic(film) as file:
-            movie.movie(scene, file, arguments.movie_of or "sweep")
+        if arguments.movie_of == "growth":
+            write_atomic(film, drawing.draw(scene, [(Path(film).suffix.lower(), {"subject": "growth"})])[0], "--movie")
+        else:  # nothing is rendered
+            with atomic(film, "--movie") as path:
+                movie.movie(scene, path)
         files.append(film)
     if screenshot:
         default = "cloud" if arguments.color or scene.surface is None else "surface"
-        with atomic(screenshot) as file:
-            views.picture(scene, file, arguments.view or default, arguments.color or "force")
+        keywords = {"view": arguments.view or default, "color": arguments.color or "force"}
+        write_atomic(screenshot, drawing.draw(scene, [(Path(screenshot).suffix.lower(), keywords)])[0], "--screenshot")
         files.append(screenshot)
     if not files:
         window.open_window(scene, print, arguments.color or "force")
@@ -167,8 +192,7 @@ def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
             f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
         )
     if path.is_dir():
-        report = stored.read_report(path)
-        scene = stored.of_folder(path, report, unit)
+        scene, report = stored.read_folder(path, unit)
         truth = truth or stored.find_truth(path, report)
         hull = hull or bool((report.get("settings") or {}).get("hull"))
     elif path.suffix.lower() == ".csv":
@@ -198,7 +222,7 @@ def export(arguments: Namespace) -> int:
     """Write the cloud or the surface in another format."""
     from scan3d.files.exports import export as export_shape
 
-    written = export_shape(arguments.source, arguments.to, arguments.what)
+    written = export_shape(arguments.source, arguments.to, arguments.what, overwrite=arguments.overwrite)
     cloud, surface = (
         f"{written['points']} contacts",
         f"a surface of {written['points']} vertices and {written['faces']} faces",
@@ -253,17 +277,6 @@ def _with_origin(recording: Any, body: Any) -> Any:
     """The recording, with the file name and the hash of its mesh added to the source."""
     origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
     return dataclasses.replace(recording, source={**recording.source, **origin})
-
-
-def _check_config(arguments: Namespace) -> None:
-    """Raise InputError if the TOML file of the recording would overwrite that of the settings."""
-    from scan3d.files.recordings import sidecar
-
-    beside = sidecar(arguments.out)
-    if arguments.config is not None and beside.resolve() == Path(arguments.config).resolve():
-        raise InputError(
-            f"{beside.name} contains the settings and would be overwritten by the rod of the recording; choose another --out"
-        )
 
 
 def _print_config(chosen: Settings) -> int:

@@ -8,7 +8,7 @@ lists which program reads which format.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from scan3d.arrays import Array
 from scan3d.choices import EXPORTS
 from scan3d.errors import InputError
 from scan3d.files.atomic import atomic, folder
+from scan3d.files.journal import locate
+from scan3d.files.ownership import check_belongs, check_file, read_report
 from scan3d.files.ply import ply, read_ply
 from scan3d.units import UNITS_M
 
@@ -74,13 +76,14 @@ class Shape:
         return f"scan3d {self.what}", f"unit {self.unit}", f"frame {_FRAME}"
 
 
-def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[str, Any]:
+def export(source: str | Path, to: str | Path, what: str | None = None, *, overwrite: bool = False) -> dict[str, Any]:
     """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
 
     The ending of `to` determines the format.  Where the format can contain either (.ply, .vtp) `what` is 'cloud' or
     'surface'; the default is the surface, unless `source` is a cloud.  Returns what was written, as plain values.  Raises
-    InputError for unknown endings and sources, for sources that cannot be written in the format, and for missing normals
-    that the format needs.
+    InputError for unknown endings and sources, for sources that cannot be written in the format, for missing normals that the
+    format needs, and if `to` is part of a scan's folder, the source itself, or, unless `overwrite` is true, a file that can't
+    be recognised as an earlier export.
     """
     source, to = Path(source), Path(to)
     ending = to.suffix.lower()
@@ -91,11 +94,13 @@ def export(source: str | Path, to: str | Path, what: str | None = None) -> dict[
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
             f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
+    data = None if ending == ".vtp" else _WRITERS[ending](shape)
+    check_file(to, {"source": source}, overwrite, "--to", data)
     with folder(to.parent, option="--to"), atomic(to, option="--to") as file:
-        if ending == ".vtp":
+        if data is None:
             _write_vtp(shape, file)
         else:
-            file.write_bytes(_WRITERS[ending](shape))
+            file.write_bytes(data)
     faces = 0 if shape.faces is None else len(shape.faces)
     unit = "m" if ending == ".glb" else shape.unit
     return {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
@@ -123,12 +128,22 @@ def _read(source: Path, what: str) -> Shape:
     if not source.exists():
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
     if source.is_dir():
-        if not (source / f"{what}.ply").is_file():
+        name = f"{what}.ply"
+        if not locate(source / name, "").is_file():
             raise InputError(
-                f"there is no {what}.ply in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
+                f"there is no {name} in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
             )
-        source = source / f"{what}.ply"
-    return read_shape(source)
+        check_belongs(source, _report(source), [name])
+        return read_shape(locate(source / name, ""))
+    return read_shape(locate(source))
+
+
+def _report(folder: Path) -> Mapping[str, Any]:
+    """The report in a folder; empty if it is another program's, beside which a cloud can be exported as well."""
+    try:
+        return read_report(folder)
+    except InputError:
+        return {}
 
 
 def read_shape(path: str | Path) -> Shape:

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.atomic import write_together
+from scan3d.files.journal import locate
+from scan3d.files.ownership import check_sidecar
 from scan3d.files.text import to_toml
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -38,10 +40,22 @@ def check_path(path: str | Path) -> None:
         raise InputError(f"a recording is written as .csv, got {Path(path).name!r}")
 
 
-def write_recording(recording: Recording, path: str | Path) -> None:
-    """Write the table and its TOML file; numbers have all digits, so that reading gives the same bits."""
+def write_recording(recording: Recording, path: str | Path, *, overwrite: bool = False) -> None:
+    """Write the table and its TOML file; numbers have all digits, so that reading gives the same bits.
+
+    Raises InputError if they can't be written, and, unless `overwrite` is true, if the TOML file would replace one that is not
+    that of a recording.
+    """
     path = Path(path)
     check_path(path)
+    if not overwrite:
+        check_sidecar(sidecar(path), "; choose another name for the recording, or write with overwrite=True")
+    # both files or neither: a table with the rod of another one would be read without a warning
+    write_together(path, recording_files(recording, path.name))
+
+
+def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
+    """The two files of a recording by name, of which `name` is that of the table."""
     values = [recording.position_m, recording.quaternion, recording.force_N, recording.moment_Nm[:, None]]
     lines = [",".join(COLUMNS)]
     table = np.concatenate(values, axis=1).tolist()
@@ -55,8 +69,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
         "noise": {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm},
         "source": dict(recording.source),
     }
-    # both files or neither: a table with the rod of another one would be read without a warning
-    write_together({sidecar(path): to_toml(meta).encode(errors="replace"), path: ("\n".join(lines) + "\n").encode()})
+    return {sidecar(name).name: to_toml(meta).encode(errors="replace"), name: ("\n".join(lines) + "\n").encode()}
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -89,7 +102,7 @@ def _read_table(path: Path) -> dict[str, Array]:
     """The columns (n,) that a recording needs, by name; other columns are ignored."""
     try:
         # spreadsheets write a byte order mark before the header
-        with open(path, newline="", encoding="utf-8-sig") as file:
+        with open(locate(path), newline="", encoding="utf-8-sig") as file:
             lines = list(enumerate(csv.reader(file), start=1))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"can't read the recording {path}: {getattr(error, 'strerror', None) or error}") from None
@@ -133,7 +146,7 @@ def _is_number(text: str) -> bool:
 def _read_sidecar(path: Path) -> dict[str, Any]:
     beside = sidecar(path)
     try:
-        return tomllib.loads(beside.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(locate(beside, path.name).read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(
             f"{path.name} needs {beside.name} beside it, with the rod's length_m and bending_stiffness_Nm2"

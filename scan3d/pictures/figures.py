@@ -149,7 +149,9 @@ def figure_height(canvas: Canvas, fraction: float) -> float:
 def save(figure: Any, path: Path) -> None:
     """Write a figure, without the time, so that the same figure gives the same file."""
     pdf = path.suffix.lower() == ".pdf"
-    figure.savefig(path, dpi=DPI, metadata={"CreationDate": None} if pdf else {"Software": "scan3d"})
+    figure.savefig(
+        path, dpi=DPI, metadata={"CreationDate": None, "Creator": "scan3d"} if pdf else {"Software": "scan3d"}
+    )
 
 
 @contextmanager

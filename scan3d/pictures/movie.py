@@ -50,6 +50,9 @@ _CONTACT_SIZE = 3
 # Height of the rendered body as a fraction of the frame; the caption is below.
 _BODY_HEIGHT = 0.92
 
+MARK = b"scan3d"
+"""The comment in a movie, by which it is recognised as written by this program."""
+
 Image = NDArray[np.uint8]
 
 
@@ -94,7 +97,8 @@ def _gif(path: Path, images: Iterator[Image]) -> None:
     quantized = [frame.quantize(palette=palette, dither=Pillow.Dither.NONE) for frame in frames]
     duration_ms = 1000 // _PER_SECOND
     times = [duration_ms] * (len(quantized) - 1) + [duration_ms * _HELD]
-    quantized[0].save(path, save_all=True, append_images=quantized[1:], duration=times, loop=0, optimize=False)
+    quantized[0].save(path, save_all=True, append_images=quantized[1:], duration=times, loop=0, optimize=False,
+                      comment=MARK)  # fmt: skip
 
 
 def _mp4() -> Any:
@@ -105,7 +109,8 @@ def _mp4() -> Any:
 
     def write(path: Path, images: Iterator[Image]) -> None:
         size = tuple(round(inches * _DPI) for inches in _SIZE)
-        writer = ffmpeg.write_frames(str(path), size, fps=_PER_SECOND, macro_block_size=2, ffmpeg_log_level="error")
+        writer = ffmpeg.write_frames(str(path), size, fps=_PER_SECOND, macro_block_size=2, ffmpeg_log_level="error",
+                                     output_params=["-metadata", f"comment={MARK.decode()}"])  # fmt: skip
         writer.send(None)
         for image in images:
             writer.send(image)

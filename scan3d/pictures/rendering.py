@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 from scan3d.errors import InputError
+from scan3d.processes import python
 
 # Without X and EGL, VTK ends the process that renders: a child process tries first, by drawing a sphere on a black image.
 _PROBE = """
@@ -34,21 +35,22 @@ NO_RENDERER = (
     "no pictures: nothing here can render off screen; on Debian or Ubuntu install it with "
     "'apt-get install libegl1 libgl1', then run again"
 )
-# The environment variable that names the class of VTK's windows.
-_WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+"""The environment variable that names the class of VTK's windows."""
 # A busy machine may take this many seconds to import VTK; a driver that hangs is waited for as long.
 _TIMEOUT_S = 120
+_is_assumed = False
 
 
 @functools.cache
 def can_render() -> bool:
     """Whether VTK can render off screen on this machine, tried in a child process once."""
-    if sys.platform == "linux" and not os.environ.get("DISPLAY") and _WINDOW not in os.environ:
+    if sys.platform == "linux" and not os.environ.get("DISPLAY") and WINDOW not in os.environ:
         # by default VTK tries X first, and prints warnings without a display
-        os.environ[_WINDOW] = "vtkEGLRenderWindow"
+        os.environ[WINDOW] = "vtkEGLRenderWindow"
         if renders():
             return True
-        del os.environ[_WINDOW]
+        del os.environ[WINDOW]
     return renders()
 
 
@@ -58,7 +60,7 @@ def renders(*, on_screen: bool = False) -> bool:
     try:
         # in a separate session: Ctrl-C in the terminal would end the child, which would look like a failure to render
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE, target],
+            python(_PROBE, target),
             capture_output=True,
             timeout=_TIMEOUT_S,
             check=False,
@@ -69,7 +71,13 @@ def renders(*, on_screen: bool = False) -> bool:
     return done.returncode == 0
 
 
+def assume_renderer() -> None:
+    """Let `need_renderer` try nothing, in a process that has been started to render."""
+    global _is_assumed
+    _is_assumed = True
+
+
 def need_renderer() -> None:
     """Raises InputError where `can_render` is false."""
-    if not can_render():
+    if not (_is_assumed or can_render()):
         raise InputError(NO_RENDERER)

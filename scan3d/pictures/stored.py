@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.errors import InputError
+from scan3d.files.journal import locate
+from scan3d.files.ownership import check_belongs, read_report
 from scan3d.files.ply import read_ply
 from scan3d.files.recordings import read_recording
 from scan3d.pictures.scene import Scene, columns
@@ -22,9 +23,26 @@ from scan3d.units import UNITS_M
 _UNIT_COMMENT = "unit "
 
 
+def read_folder(folder: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
+    """The scene in a scan's folder, without the truth, and the report.
+
+    Raises InputError if the folder holds neither cloud nor surface, or files that do not belong to its report.
+    """
+    while True:
+        report = read_report(folder)
+        try:
+            return of_folder(folder, report, unit), report
+        except InputError:
+            if read_report(folder) == report:
+                raise
+        # a run has written its results into the folder in the meantime
+
+
 def of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
-    """The scene in a scan's folder, without the truth.  Raises InputError if it holds neither cloud nor surface."""
-    cloud, surface, log = (folder / name for name in ("cloud.ply", "surface.ply", "recording.csv"))
+    """The scene in a scan's folder, without the truth.  Raises InputError as `read_folder`."""
+    names = ("cloud.ply", "surface.ply", "recording.csv", "recording.toml")
+    check_belongs(folder, report, names)
+    cloud, surface, log = (locate(folder / name, "") for name in names[:3])
     if not (cloud.exists() or surface.exists()):
         raise InputError(f"{folder} holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'")
     parts: dict[str, Any] = {"key_figures": key_figures(report)}
@@ -35,8 +53,9 @@ def of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
                 raise InputError(f"{path} does not hold what its name says; run the scan again")
             fields = {name: getattr(part, name) for name in ("unit", "contacts", "surface", "bound")}
             parts |= {name: value for name, value in fields.items() if value is not None}
-    if log.exists():
-        parts["recording"] = read_recording(log)
+    # beside a result there may be a recording that it was not made from
+    if log.exists() and log.name in (report.get("sha256") or names):
+        parts["recording"] = read_recording(folder / log.name)
     mesh, source = report.get("mesh") or {}, report.get("source") or {}
     origin = mesh.get("file") or source.get("mesh") or folder.resolve().name
     return Scene(**{"name": Path(str(origin)).stem, **parts})
@@ -107,17 +126,3 @@ def unit_of(comments: tuple[str, ...], default: str) -> str:
     """The unit that a PLY's comments state, or the default."""
     stated = [line.removeprefix(_UNIT_COMMENT) for line in comments if line.startswith(_UNIT_COMMENT)]
     return stated[0] if stated and stated[0] in UNITS_M else default
-
-
-def read_report(folder: Path) -> Mapping[str, Any]:
-    """A scan's report.json; empty if the file does not exist.  Raises InputError if it can't be read."""
-    path = folder / "report.json"
-    if not path.exists():
-        return {}
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't read {path}: {error}; run the scan again") from None
-    if not isinstance(data, Mapping):
-        raise InputError(f"{path} is not a report: expected a JSON object; run the scan again")
-    return data

@@ -1,7 +1,7 @@
-"""The `scan3d` command.
+"""Running a command line.
 
 Results are printed to stdout, progress and messages to stderr.  The exit code is 0 for success, 1 for a failure, 2 for wrong
-usage and 130 for an interrupted run.
+usage; `interruptions` adds 130 for an interrupted run and 143 for a terminated one.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from scan3d.cli.parser import parser
 from scan3d.errors import InputError
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def run(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot print µ prints ? instead
+    # no window of matplotlib is opened; the name of a backend that does not exist would end its import
+    os.environ.pop("MPLBACKEND", None)
     try:
         arguments = parser().parse_args(argv)
         from scan3d.cli.verbs import VERBS
@@ -32,11 +34,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"scan3d: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        # on a terminal the cursor is behind the progress or behind ^C
-        newline = "\n" if sys.stderr.isatty() else ""
-        print(f"{newline}scan3d: interrupted", file=sys.stderr)
-        return 130
     except OSError as error:
         if not isinstance(error, BrokenPipeError):  # the reader of a pipe has ended, and needs no message
             where = "" if error.filename is None else f" ({error.filename})"
@@ -44,7 +41,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # Python would report an error at exit for output that is left
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

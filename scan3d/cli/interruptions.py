@@ -1,0 +1,87 @@
+"""Ctrl-C and the signals that end a process: the run cleans up, says so in a sentence, and exits with 128 + the signal.
+
+This module is imported before all others, so that Ctrl-C is handled from the first moments on; it needs little itself.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType, TracebackType
+
+TYPE_CHECKING = False  # that of `typing`, whose import takes longer than the rest of this module's
+if TYPE_CHECKING:
+    from typing import Any
+
+_WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminated: its terminal was closed"}
+# Seconds after which a postponed interruption is tried again.
+_AGAIN_S = 0.01
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C.  After a plain KeyboardInterrupt within `exec`, Python would end by the signal even if it is caught."""
+
+
+class Terminated(BaseException):
+    """The process was asked to end."""
+
+
+class Interruptions:
+    """A context in which signals unwind the run; afterwards `code` is the exit code of a run that was interrupted."""
+
+    def __init__(self, *, ends_process: bool) -> None:
+        """`ends_process` states whether the process ends afterwards: nothing is left to interrupt then."""
+        self.code = 0
+        self._ends_process = ends_process
+        self._received: int | None = None
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruptions:
+        # Python allows handlers in the main thread only
+        if threading.current_thread() is threading.main_thread():
+            for name in _WORDS:
+                number = getattr(signal, name, None)
+                # an ignored signal stays so, as with nohup
+                if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                    self._handlers[number] = signal.signal(number, self._receive)
+        return self
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._received = number
+        # while VTK is being imported an exception ends in a crash, and trimesh would go on without what it was importing
+        if _is_importing(frame) and hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, lambda _, frame: self._receive(number, frame))
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        else:
+            raise Interrupted if number == signal.SIGINT else Terminated
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> bool:
+        if self._received is not None and hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in self._handlers.items():
+            signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
+        # a library may turn the interruption into an error of its own
+        is_interruption = isinstance(error, (KeyboardInterrupt, Terminated)) or self._received is not None
+        if error is None or not is_interruption or isinstance(error, SystemExit):
+            return False
+        number = self._received or signal.SIGINT
+        if sys.stderr is not None:
+            # on a terminal the cursor is behind the progress or behind ^C
+            newline = "\n" if sys.stderr.isatty() else ""
+            print(f"{newline}scan3d: {_WORDS[signal.Signals(number).name]}", file=sys.stderr)
+            sys.stderr.flush()
+        self.code = 128 + number
+        if self._ends_process:  # at once: a library that was interrupted may crash when Python ends it
+            os._exit(self.code)
+        return True
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Whether the code of a frame runs within an import."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False

@@ -1,0 +1,221 @@
+"""A run ends at once and in a sentence when it is interrupted, terminated, or when its renderer crashes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from small_scans import CUBE, FEW
+
+from scan3d.cli import main
+from scan3d.cli.interruptions import Interruptions, Terminated
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are different there")
+# The seconds after its beginning at which a run is interrupted: while it imports, computes and writes.
+MOMENTS = [0.08, 0.16, 0.24, 0.32, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2]
+# SIGINT may be ignored in this process, and a child process would inherit that; what it prints states that it is ready.
+_CODE = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from scan3d.cli import main
+print("ready", flush=True)
+sys.exit(main())
+"""
+
+
+def start(*arguments, **options):
+    command = [sys.executable, "-c", _CODE, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_ctrl_c_at_any_moment(tmp_path, moment):
+    """An exception while VTK is imported would end in a crash, and trimesh would swallow it."""
+    child = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "300", "--quiet")
+    assert child.stdout.readline() == "ready\n"
+    time.sleep(moment - MOMENTS[0])
+    child.send_signal(signal.SIGINT)
+    stdout, stderr = child.communicate(timeout=60)
+    assert (child.returncode, stdout, stderr) == (130, "", "scan3d: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("number", "sentence"),
+    [(signal.SIGTERM, "terminated"), (getattr(signal, "SIGHUP", None), "terminated: its terminal was closed")],
+)
+def test_a_run_that_is_asked_to_end_cleans_up(tmp_path, number, sentence):
+    child = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "20000", "--quiet")
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "out").exists():
+        assert child.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(0.2)
+    child.send_signal(number)
+    stdout, stderr = child.communicate(timeout=60)
+    assert (child.returncode, stdout, stderr) == (128 + number, "ready\n", f"scan3d: {sentence}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_signals_are_as_before_afterwards(capsys):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    with Interruptions(ends_process=False) as interruptions:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+    assert interruptions.code == 143
+    assert capsys.readouterr().err == "scan3d: terminated\n"
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+
+
+def test_an_import_is_not_interrupted(tmp_path, monkeypatch, capsys):
+    """It goes on, and the run is interrupted directly after it."""
+    (tmp_path / "slowly_imported.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(0.2)\ncomplete = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with Interruptions(ends_process=False) as interruptions:
+        import slowly_imported
+
+        time.sleep(5)
+        pytest.fail("it was not interrupted")
+    assert slowly_imported.complete
+    assert interruptions.code == 143
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    capsys.readouterr()
+
+
+def test_errors_of_other_kinds_pass():
+    with pytest.raises(ZeroDivisionError), Interruptions(ends_process=False):
+        raise ZeroDivisionError
+    with pytest.raises(SystemExit), Interruptions(ends_process=False):
+        sys.exit(2)
+    # a library that was interrupted may raise an error of its own instead
+    with Interruptions(ends_process=False) as interruptions:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+        except Terminated:
+            raise ImportError("cannot import name") from None
+    assert interruptions.code == 143
+
+
+def test_a_second_run_is_told_who_is_there(tmp_path, capsys):
+    first = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "20000", "--quiet")
+    try:
+        lock = tmp_path / "out" / ".scan3d-run" / ".scan3d-lock"
+        deadline = time.monotonic() + 60
+        while not (lock.exists() and lock.read_text()):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert main(["scan", str(CUBE), "--out", str(tmp_path / "out"), *FEW]) == 1
+        stderr = capsys.readouterr().err
+        assert f"out is being written by another run (process {first.pid} on " in stderr
+        assert "wait until it has ended, or choose another place with --out" in stderr
+        assert first.poll() is None
+    finally:
+        first.kill()
+        first.communicate()
+    # a killed run leaves no lock
+    assert main(["simulate", str(CUBE), "--out", str(tmp_path / "out" / "log.csv"), *FEW]) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["log.csv", "log.toml"]
+
+
+CRASH = """
+import os, signal, sys
+from pathlib import Path
+from scan3d import processes
+from scan3d.cli import main
+from scan3d.pictures import drawing
+drawing._CODE = {code!r}
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("code", "sentence"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the renderer crashed (SIGSEGV)"),
+        ("raise MemoryError('no room')", "the process that draws has failed (MemoryError: no room)"),
+        ("import sys; sys.exit(3)", "the process that draws has failed (exit code 3)"),
+    ],
+)
+def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, code, sentence):
+    def run(*arguments):
+        command = [sys.executable, "-c", CRASH.format(code=code), *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    out = tmp_path / "out"
+    done = run("scan", CUBE, "--out", out, *FEW)
+    assert (done.returncode, done.stderr) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
+    assert {path.name for path in out.iterdir()} == {
+        "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
+    }  # fmt: skip
+    done = run("show", out, "--screenshot", tmp_path / "a.png")
+    assert (done.returncode, done.stderr) == (1, f"scan3d: {sentence}\n")
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.rendering
+def test_drawing_that_takes_too_long(monkeypatch):
+    from small_scans import scanned
+
+    from scan3d.pictures import drawing
+
+    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
+    monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.2)
+    with pytest.raises(drawing.DrawingError, match=r"drawing took more than 0\.2 s"):
+        drawing.draw(scanned(CUBE), [(".png", {})])
+
+
+@pytest.mark.slow
+def test_files_of_the_current_folder_are_not_executed(tmp_path):
+    """Neither by the command, nor by `python -m`, nor by their child processes."""
+    for name in ("numpy", "scipy", "trimesh", "pyvista", "vtkmodules", "matplotlib", "pickle", "planar"):
+        (tmp_path / f"{name}.py").write_text(f"open('executed-{name}', 'w'); raise SystemExit('executed')")
+    home = str(Path(__file__).parents[1])
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([home, *filter(None, [os.environ.get("PYTHONPATH")])])}
+    command = Path(sys.executable).with_name("scan3d")
+    for program in ([command], [sys.executable, "-m", "scan3d"]):
+        for arguments in (["scan", CUBE, "--out", "out", *FEW], ["doctor", "--quiet"]):
+            done = subprocess.run(
+                [*program, *map(str, arguments)],
+                cwd=tmp_path,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.glob("executed*"))
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+def test_a_backend_that_does_not_exist_does_no_harm(tmp_path):
+    environment = {**os.environ, "MPLBACKEND": "nonsense"}
+    code = "import sys; from scan3d.cli import main; sys.exit(main())"
+
+    def run(*arguments):
+        command = [sys.executable, "-c", code, *map(str, arguments)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+    run("scan", CUBE, "--out", tmp_path / "out", *FEW)
+    assert (tmp_path / "out" / "cloud.png").exists()
+    run(
+        "show",
+        tmp_path / "out",
+        "--screenshot",
+        tmp_path / "a.png",
+        "--movie",
+        tmp_path / "a.gif",
+        "--html",
+        tmp_path / "a.html",
+    )

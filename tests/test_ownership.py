@@ -1,0 +1,248 @@
+"""Whose files there are: own inputs are never overwritten, and other files only where the user asks for it."""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from small_scans import CUBE, EGG, FEW, scanned, scanned_folder
+
+import scan3d
+from scan3d.cli import main
+from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.ownership import earlier_files
+from scan3d.pictures import rendering
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return scanned_folder(tmp_path_factory.mktemp("owner"))
+
+
+@pytest.fixture
+def folder(made, tmp_path, monkeypatch):
+    """A copy of a scan's folder in the current one, which can be changed."""
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(made, tmp_path / "out")
+    shutil.copy(EGG, tmp_path / "egg.stl")
+    return tmp_path / "out"
+
+
+def tree(place=Path()):
+    return {str(path): path.read_bytes() for path in place.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def refused(capsys, monkeypatch):
+    """A function that checks that a command is refused in a sentence before it computes, and changes nothing."""
+
+    def check(arguments, sentence):
+        before = tree()
+        capsys.readouterr()
+        with monkeypatch.context() as patched:
+            for name in ("simulation.scan.simulate", "workflow.analyse", "pictures.page.page", "pictures.movie.movie"):
+                patched.setattr(f"scan3d.{name}", lambda *_, **__: pytest.fail("it was computed"))
+            assert main([str(argument) for argument in arguments]) == 1
+        stdout, stderr = capsys.readouterr()
+        assert stdout == ""
+        assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", stderr), stderr
+        assert tree() == before
+
+    return check
+
+
+NEVER = "is the {} that this run reads, which is never overwritten; choose another place with {}"
+
+
+@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
+@pytest.mark.parametrize("link", [None, os.symlink, os.link])
+def test_a_run_never_overwrites_what_it_reads(folder, refused, overwrite, link):
+    mesh = Path("out/surface.ply")
+    if link:
+        link(mesh.resolve(), "link.ply")
+        mesh = Path("link.ply")
+    refused(["scan", mesh, "--out", "out", *FEW, *overwrite], rf"out/surface\.ply {NEVER.format('mesh', '--out')}")
+    refused(
+        ["reconstruct", "out/recording.csv", "--truth", mesh, "--out", "out", *overwrite],
+        rf"surface\.ply {NEVER.format('true body', '--out')}",
+    )
+    for option, name in (("--html", "a.html"), ("--screenshot", "a.png"), ("--movie", "a.gif")):
+        (link or shutil.copy)(EGG, name)
+        source = EGG if link else name
+        refused(["show", source, option, name, *overwrite], rf"{name} {NEVER.format('file', option)}")
+        refused(["show", "out", "--truth", source, option, name, *overwrite], NEVER.format("true body", option))
+    shutil.copy("out/cloud.ply", "cloud copy.ply")
+    refused(["export", "cloud copy.ply", "--to", "cloud copy.ply", *overwrite], NEVER.format("source", "--to"))
+
+
+@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
+def test_settings_are_never_overwritten(folder, refused, overwrite):
+    Path("log.toml").write_text("slices = 3\n")
+    sentence = NEVER.format("file of settings", "--out")
+    refused(["simulate", CUBE, "--config", "log.toml", "--out", "log.csv", *overwrite], rf"log\.toml {sentence}")
+    os.replace("log.toml", "out/recording.toml")
+    refused(["scan", CUBE, "--config", "out/recording.toml", "--out", "out", *overwrite], sentence)
+
+
+def test_a_result_replaces_only_what_the_program_wrote(folder, refused, capsys):
+    scan = ["scan", str(CUBE), "--out", "out", *FEW]
+    assert main(scan) == 0
+    # written by another program, and changed since it was written
+    for name, since in (("cloud.png", ""), ("surface.ply", " or was changed since"), ("recording.toml", " or was")):
+        before = tree(folder)
+        with open(folder / name, "ab") as file:
+            file.write(b"\n")
+        refused(scan, rf"{name} was not written by scan3d{since}.*; give --overwrite to replace it, or choose .* --out")
+        if name in RECORDING_ONLY:
+            # this run has no recording of its own, and leaves that of the user alone
+            assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
+            assert name not in earlier_files(folder)
+        assert main([*scan, "--overwrite"]) == 0
+        if name == "cloud.png":  # this run has no picture that would replace it
+            os.unlink(folder / name)
+        assert tree(folder).keys() == before.keys()
+    for report in ("{}", "[1]", "Dear Sir or Madam", '{"files": ["report.json"], "versions": {"pandas": "2"}}'):
+        (folder / "report.json").write_text(report)
+        refused(scan, r"was not written by scan3d; give --overwrite")
+    assert main([*scan, "--overwrite"]) == 0
+    (folder / "cloud.png").mkdir()
+    refused([*scan, "--overwrite"], r"can't write .*cloud\.png: Is a directory")
+
+
+RECORDING_ONLY = ("recording.csv", "recording.toml")
+
+
+def test_reconstruct_leaves_no_other_recording_beside_its_cloud(folder):
+    shutil.copy("out/recording.csv", "log.csv")
+    shutil.copy("out/recording.toml", "log.toml")
+    # its own input stays, and still counts as written by the program
+    assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
+    assert {"recording.csv", "recording.toml"} <= {path.name for path in folder.iterdir()}
+    assert earlier_files(folder).keys() == {path.name for path in folder.iterdir()}
+    # that of another run does not
+    assert main(["reconstruct", "log.csv", "--out", "out", "--quiet"]) == 0
+    assert not {"recording.csv", "recording.toml"} & {path.name for path in folder.iterdir()}
+    # one that the user has put there stays, and is not taken for that of the result
+    shutil.copy("log.csv", "out/recording.csv")
+    shutil.copy("log.toml", "out/recording.toml")
+    assert main(["reconstruct", "log.csv", "--out", "out", "--quiet"]) == 0
+    assert (folder / "recording.csv").exists()
+    from scan3d.pictures.stored import read_folder
+
+    assert read_folder(folder, "mm")[0].recording is None
+    # as the input of a run it belongs to the result, but remains the user's
+    assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
+    assert read_folder(folder, "mm")[0].recording is not None
+    assert "recording.csv" not in earlier_files(folder)
+
+
+@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
+@pytest.mark.parametrize("name", ["cloud.ply", "surface.ply", "report.json", "view.html", "cloud.png", "recording.csv"])
+def test_no_file_of_a_result_is_replaced_by_another(folder, refused, name, overwrite):
+    sentence = rf"{name} belongs to the scan in out; choose another place with "
+    if name.endswith((".ply", ".csv")):
+        refused(["export", "out", "--to", f"out/{name}", *overwrite], f"{sentence}--to")
+    if name == "recording.csv":
+        refused(["simulate", CUBE, "--out", f"out/{name}", *FEW, *overwrite], f"{sentence}--out")
+    if name.endswith(".png"):
+        refused(["show", "out", "--screenshot", f"out/{name}", *overwrite], f"{sentence}--screenshot")
+    refused(["show", "out", "--html", f"out/{name}", *overwrite], f"{sentence}--html")
+
+
+@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
+def test_devices_pipes_and_folders_are_not_replaced(folder, refused, overwrite):
+    Path("folder.png").mkdir()
+    refused(["show", "out", "--screenshot", "folder.png", *overwrite], r"can't write folder\.png: Is a directory")
+    if os.name != "nt":
+        os.mkfifo("pipe.html")
+        Path("device.stl").symlink_to("/dev/null")
+        refused(["show", "out", "--html", "pipe.html", *overwrite], r"pipe\.html: it is a device or a pipe; .* --html")
+        refused(["show", "out", "--html", "/dev/null", *overwrite], r"can't write /dev/null: it is a device or a pipe")
+        refused(["export", "out", "--to", "device.stl", *overwrite], r"device\.stl: it is a device or a pipe; .* --to")
+        for path, kind in ((Path("pipe.html"), "is_fifo"), (Path("/dev/null"), "is_char_device")):
+            assert getattr(path, kind)()
+
+
+@pytest.mark.parametrize("ending", [*CLOUD_ENDINGS, *SURFACE_ENDINGS])
+def test_an_export_replaces_an_earlier_one_and_nothing_else(folder, ending):
+    to = Path(f"exported{ending}")
+    what = "surface" if ending in SURFACE_ENDINGS else "cloud"
+    export(folder, to, what)
+    first = to.read_bytes()
+    export(folder, to, what)
+    assert to.read_bytes() == first
+    # that of another scan; points as bare numbers can't be recognised
+    assert main(["scan", str(CUBE), "--out", "cube", *FEW]) == 0
+    if ending in (".xyz", ".xyzn"):
+        with pytest.raises(scan3d.InputError, match="can't be recognised as written by scan3d; give --overwrite"):
+            export("cube", to, what)
+        assert to.read_bytes() == first
+    export("cube", to, what, overwrite=ending in (".xyz", ".xyzn"))
+    assert to.read_bytes() != first
+    for foreign in (b"", b"ply\ncomment a surface\n", b"0.5 1.5 2.5\n", b"scan3d is what I use\n"):
+        to.write_bytes(foreign)
+        with pytest.raises(scan3d.InputError, match="can't be recognised as written by scan3d; give --overwrite"):
+            export(folder, to, what)
+        assert to.read_bytes() == foreign
+    export(folder, to, what, overwrite=True)
+    assert to.read_bytes() == first
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a.html", "a.png", "a.pdf", "a.gif", "a.mp4"])
+def test_what_show_writes_replaces_an_earlier_one_and_nothing_else(made, tmp_path, capsys, name):
+    option = {".html": "--html", ".gif": "--movie", ".mp4": "--movie"}.get(Path(name).suffix, "--screenshot")
+    if name == "a.mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="pip install imageio-ffmpeg")
+    show = ["show", str(made), option, str(tmp_path / name)]
+    assert main(show) == 0
+    assert main(show) == 0
+    assert main(["show", str(made), "--html", str(tmp_path / "other.html")]) == 0
+    (tmp_path / name).write_bytes(b"of the user, who likes scan3d's pictures")
+    if name != "a.mp4":  # the mark of a movie is the name alone
+        assert main(show) == 1
+        assert "can't be recognised as written by scan3d; give --overwrite" in capsys.readouterr().err
+        assert (tmp_path / name).read_bytes().startswith(b"of the user")
+    assert main([*show, "--overwrite"]) == 0
+
+
+def test_a_recording_replaces_a_simulated_one_and_nothing_else(folder, refused):
+    simulate = ["simulate", CUBE, "--out", "log.csv", *FEW]
+    assert main([*map(str, simulate)]) == 0
+    assert main([*map(str, simulate)]) == 0
+    toml = Path("log.toml").read_text()
+    for other, sentence in (
+        ("[tool]\nname = 'x'\n", r"log\.toml is not the TOML file of a recording; give --overwrite"),
+        ("not TOML", r"log\.toml is not the TOML file of a recording; give --overwrite"),
+        (toml.replace("simulation", "laboratory"), r"log\.csv is not a recording that scan3d has simulated; give --ov"),
+    ):
+        Path("log.toml").write_text(other)
+        refused(simulate, sentence)
+        if "laboratory" not in other:
+            with pytest.raises(scan3d.InputError, match=r"is not the TOML file of a recording; choose another name"):
+                scan3d.write_recording(scanned(CUBE).recording, "log.csv")
+    Path("log.toml").unlink()
+    refused(simulate, r"log\.csv is not a recording that scan3d has simulated; give --overwrite")
+    Path("pyproject.toml").write_text("[project]\n")
+    refused(["simulate", CUBE, "--out", "pyproject.csv", *FEW], r"pyproject\.toml is not the TOML file of a recording")
+    assert main([*map(str, simulate), "--overwrite"]) == 0
+    assert "simulation" in Path("log.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "surface.ply", "recording.csv", "recording.toml"])
+def test_a_file_that_does_not_belong_to_the_report_is_not_shown_with_it(folder, capsys, name):
+    with open(folder / name, "ab") as file:
+        file.write(b"\n")
+    assert main(["show", "out", "--html", "a.html"]) == 1
+    sentence = f"out/{name} is not the file that report.json beside it names: it was changed, or is of another run"
+    assert sentence in capsys.readouterr().err
+    assert not Path("a.html").exists()
+    if name.endswith(".ply"):
+        assert main(["export", "out", "--what", name.removesuffix(".ply"), "--to", "a.ply"]) == 1
+        assert sentence in capsys.readouterr().err
+    # files that were removed are missed by nobody
+    (folder / name).unlink()
+    assert main(["show", "out", "--html", "a.html"]) == (1 if name == "recording.toml" else 0)
