@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -53,11 +54,29 @@ def signed_distances(points: Array, mesh: trimesh.Trimesh) -> Array:
     return nearest(points, mesh)[0]
 
 
+def check_mesh(mesh: Any, name: str) -> None:
+    """Raises InputError, in which the mesh is called `name`, for what is no `trimesh.Trimesh` with faces of its vertices."""
+    import trimesh
+
+    if not isinstance(mesh, trimesh.Trimesh):
+        advice = ""
+        if isinstance(mesh, trimesh.Scene):
+            advice = "; a scene becomes a mesh by its method to_mesh()"
+        elif isinstance(mesh, (str, os.PathLike)):
+            advice = "; read a file with scan3d.load_mesh"
+        raise InputError(f"the {name} must be a trimesh.Trimesh, got {type(mesh).__name__}{advice}")
+    faces = np.asarray(mesh.faces)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(mesh.vertices):
+        raise InputError(f"the {name} has a face with a vertex that does not exist; repair or export it again")
+
+
 def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
     """Bounding box (2, 3) of a mesh's faces.
 
-    Raises InputError, in which the mesh is called `name`, if it has no faces, coordinates that aren't finite, or no extent.
+    Raises InputError, in which the mesh is called `name`, if it is no mesh, has no faces, coordinates that
+    aren't finite, or no extent.
     """
+    check_mesh(mesh, name)
     if len(mesh.faces) == 0:
         raise InputError(
             f"the {name} should have at least one triangle, but it has {len(mesh.vertices)} vertices and no faces; "

@@ -49,7 +49,10 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
     if scene.truth is None and scene.bound is None:
         return scene.surface, None, None
     mesh, weights, corners = _subdivide(scene.surface, scene.diagonal * _LONGEST_EDGE)
-    bound = None if scene.bound is None else (weights * scene.bound[corners]).sum(axis=1)
+    bound = None
+    if scene.bound is not None:
+        # an infinite bound counts at its own vertices, and not where its weight is zero
+        bound = np.where(weights == 0, 0.0, scene.bound[corners] * np.where(weights == 0, 1.0, weights)).sum(axis=1)
     deviation = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
     return mesh, deviation, bound
 

@@ -50,6 +50,10 @@ def surface(
     `metadata` has the `method` that was used and the `reason` for it.  Raises InputError for an unknown method, for contacts
     that do not span a body, for 'support' if the body is not smooth, and if open3d is needed but cannot be imported.
     """
+    if not isinstance(cloud, Cloud):
+        raise InputError(
+            f"a surface is made from a scan3d.Cloud, got {type(cloud).__name__}; reconstruct a recording first"
+        )
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if method == "support" and cloud.fit is None:
