@@ -11,6 +11,8 @@ from scan3d.errors import InputError
 # Taken where a system does not say how much it has, in bytes.  Larger, some machines would be brought to swap; smaller, large
 # recordings would be refused that could be computed.
 _UNKNOWN = 16 << 30
+# Numbers of bytes that are not printed, because their digits mean nothing.
+_MOST = 1e18
 # Where Linux states the limit of a container.
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
@@ -42,7 +44,8 @@ def check_memory(needed: float, what: str, advice: str) -> None:
     """
     limit = memory_bytes()
     if needed > limit:
-        raise InputError(f"{what} needs about {_in_words(needed)}, and this machine has {_in_words(limit)}; {advice}")
+        amount = f"about {_in_words(needed)}" if needed < _MOST else "more memory than any machine has"
+        raise InputError(f"{what} needs {amount}, and this machine has {_in_words(limit)}; {advice}")
 
 
 def _in_words(count: float) -> str:

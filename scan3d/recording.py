@@ -40,8 +40,8 @@ def _plain(name: str, values: Any) -> NDArray[Any]:
         array = np.asarray(values)
     except ValueError:  # rows of different lengths
         raise InputError(f"recording: {name} must be an array of numbers, but its rows differ in length") from None
-    kinds = "iu" if name == "sweep" else "iuf"
-    if array.dtype.kind not in kinds:
+    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and bool((np.round(array) == array).all()))
+    if array.dtype.kind not in "iuf" or (name == "sweep" and not whole):
         expected = "whole numbers" if name == "sweep" else "real numbers"
         raise InputError(
             f"recording: {name} must be an array of {expected}, got {array.dtype.name} {_shortened(values)}"

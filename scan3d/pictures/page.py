@@ -164,4 +164,5 @@ def _scale(title: str, values: Array, low: float, high: float, map: str, *, log:
 
 
 def _floats(values: Array) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
+    with np.errstate(over="ignore"):  # what is too large for float32 is drawn as infinite
+        return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()

@@ -51,8 +51,9 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
     mesh, weights, corners = _subdivide(scene.surface, scene.diagonal * _LONGEST_EDGE)
     bound = None
     if scene.bound is not None:
-        # an infinite bound counts at its own vertices, and not where its weight is zero
-        bound = np.where(weights == 0, 0.0, scene.bound[corners] * np.where(weights == 0, 1.0, weights)).sum(axis=1)
+        # an infinite bound does not count where its weight is zero but for rounding
+        counts = weights > 0
+        bound = np.where(counts, scene.bound[corners] * np.where(counts, weights, 1.0), 0.0).sum(axis=1)
     deviation = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
     return mesh, deviation, bound
 
@@ -85,6 +86,8 @@ def outlines(scene: Scene) -> list[tuple[Array, int]]:
     lines = []
     for number in np.unique(slices):
         points = scene.points[slices == number]
+        if len(points) < 2:
+            continue
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         # the plane of the slice: the two main directions of its contacts
         plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]

@@ -94,6 +94,8 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     unit = unit_of(comments, unit)
     if faces is None:
         return Scene(path.stem, unit, contacts=rows)
+    if not len(faces):
+        raise InputError(f"{path.name} has no triangles, where a surface is expected; run the scan again")
     import trimesh
 
     bound = rows["bound"] if "bound" in (rows.dtype.names or ()) else None

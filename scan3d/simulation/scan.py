@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.files.reading import to_float
 from scan3d.geometry.meshes import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.memory import check_memory
@@ -216,10 +217,10 @@ def _check_size(plan: Plan) -> None:
     """Raise InputError if the samples of a plan need more memory than there is."""
     sweeps = plan.sweeps or len(first_directions(plan))
     axes = len(plan.axes())
+    slices = axes * plan.slices
     check_memory(
-        float(axes * plan.slices * sweeps * plan.samples) * _MEMORY_PER_SAMPLE
-        + float(axes * plan.slices) * _MEMORY_PER_SLICE,
-        f"a scan of {axes * plan.slices:.4g} slices with {sweeps:.4g} sweeps of {plan.samples:.4g} samples",
+        to_float(slices * (sweeps * plan.samples * _MEMORY_PER_SAMPLE + _MEMORY_PER_SLICE)),
+        f"a scan of {to_float(slices):.4g} slices with {to_float(sweeps):.4g} sweeps of {to_float(plan.samples):.4g} samples",
         "choose fewer slices, sweeps or samples",
     )
 
