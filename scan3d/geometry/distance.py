@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 # Faces that `Search.near` tries for each point: those whose middles are nearest.  More take longer; with fewer, the face that
 # is found is more often not the nearest one, and the bounds that rest on it are wider.
 _TRIED_FACES = 4
+# Largest coordinate, and the inverse of the smallest extent.  Larger, and products of lengths overflow or vanish; smaller,
+# there is no need.
+_LARGEST = 1e100
 # A triangle whose height is less than this fraction of its longest edge counts as degenerate.  Larger, thin triangles would
 # be replaced by their edge; smaller, VTK would pass over some without a warning.
 _DEGENERATE = 1e-14
@@ -94,6 +97,12 @@ def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
         raise InputError(
             f"the {name} should have an extent, but all its {len(used)} vertices are at {box[0].tolist()}; "
             "check its file and its scale"
+        )
+    largest, extent = float(np.abs(box).max()), float((box[1] - box[0]).max())
+    if largest > _LARGEST or extent < 1 / _LARGEST:
+        raise InputError(
+            f"the {name} has an extent of {extent:.3g} and coordinates up to {largest:.3g}, whose powers are no numbers of a "
+            "computer; check its file and its scale"
         )
     return box
 

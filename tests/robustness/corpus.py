@@ -98,6 +98,16 @@ def _meshes(folder, box):
         (folder / f"scaled{power}.off").write_text(big.export(file_type="off", digits=20))
         cases.append(Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 0))
         cases.append(Case(f"compare 1e{power} back", ("compare", f"scaled{power}.off", "box.stl"), 0))
+    for power in (-300, -150, 150, 300):
+        lines = text.split("\n")
+        corners = [" ".join(f"{word}e{power}" for word in line.split()) for line in lines[2:10]]
+        (folder / f"scaled{power}.off").write_text("\n".join([*lines[:2], *corners, *lines[10:]]))
+        cases.append(
+            Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 1, "no numbers of a computer")
+        )
+        cases.append(
+            Case(f"scan 1e{power}", ("scan", f"scaled{power}.off", "--out", "o"), 1, "no numbers of a computer")
+        )
     return cases
 
 

@@ -14,6 +14,9 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
+from scan3d.geometry.hulls import hull
 from tests.robustness import corpus, runner
 
 NUMBERS = ("0", "-1", "1", "2", "3", "1e-300", "1e300", "-1e300", "nan", "inf", "-inf", "1e-9", "0.5", "1e9", "4294967296",
@@ -23,6 +26,10 @@ OPTIONS = ("slices", "samples", "sweeps", "friction", "clearance", "tolerance", 
            "standoff", "unit", "method")  # fmt: skip
 WORDS = ("auto", "hull", "bracket", "support", "poisson", "adaptive", "uniform", "fixed", "xyz", "y", "1,1,0", "0:0.4", "m",
          "um", "in", "steel:0.3x50", "nylon:1x20", "steel:0.01x2000")  # fmt: skip
+KINDS = ("mesh", "compare", "table", "rod", "options", "options", "config", "show", "show", "export", "body", "body", "columns",
+         "columns")  # fmt: skip
+METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
+UNITS = ("mm", "m", "um", "in")
 SMALL = ("--slices=4", "--samples=20")
 
 
@@ -67,6 +74,61 @@ def _replace(data, pattern, chance, word):
     return data[: match.start()] + word() + data[match.end() :]
 
 
+def body(chance):
+    """An OFF of a random convex body: of any size, far from the origin, thin, with many or few corners, or in one plane."""
+    draw = np.random.default_rng(chance.getrandbits(32))
+    points = draw.standard_normal((chance.choice((4, 5, 8, 30, 200)), 3))
+    if chance.random() < 0.3:
+        points = np.sign(points) * (1 + 1e-9 * points * (chance.random() < 0.5))
+    if chance.random() < 0.3:
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points *= 10.0 ** draw.uniform(-1, 0, 3) if chance.random() < 0.7 else 10.0 ** draw.uniform(-9, 0, 3)
+    points += draw.standard_normal(3) * 10.0 ** chance.choice((-9, 0, 0, 1, 3, 6, 9))
+    try:
+        shape = hull(points)
+        faces, used = np.asarray(shape.faces), np.asarray(shape.vertices)
+    except ValueError:
+        faces, used = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]), points
+    used = used * 10.0 ** chance.choice((0, 0, 1, 1, 2, -3, 3, -6, 6, -12, 12, -30, 30, -150, 150, -300, 290))
+    lines = [f"{x!r} {y!r} {z!r}" for x, y, z in used.tolist()] + [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    return "\n".join([f"OFF\n{len(used)} {len(faces)} 0", *lines, ""])
+
+
+def columns(text, chance):
+    """A recording with some columns scaled, shifted, exchanged or made constant, or some rows left out or in another order."""
+    draw = np.random.default_rng(chance.getrandbits(32))
+    head, *lines = text.splitlines()
+    table = np.array([line.split(",") for line in lines], dtype=float)
+    for _ in range(chance.randint(1, 2)):
+        first, second = draw.integers(0, table.shape[1], 2)
+        rows = slice(None) if chance.random() < 0.6 else slice(*sorted(draw.integers(0, len(table), 2).tolist()))
+        how = chance.choice(
+            ("scale", "shift", "swap", "constant", "shuffle", "choose", "repeat", "noise", "sign", "sweeps")
+        )
+        values = table[rows, first]
+        if how == "scale":
+            table[rows, first] = values * 10.0 ** draw.uniform(-20, 20)
+        elif how == "shift":
+            table[rows, first] = values + draw.standard_normal() * 10.0 ** draw.uniform(-9, 3)
+        elif how == "noise":
+            table[rows, first] = values + draw.standard_normal(len(values)) * 10.0 ** draw.uniform(-12, 0)
+        elif how == "swap":
+            table[rows, [first, second]] = table[rows, [second, first]]
+        elif how == "constant":
+            table[rows, first] = draw.choice([0.0, 1.0, values[0] if len(values) else 0.0])
+        elif how == "sign":
+            table[rows, first] = -values
+        elif how == "sweeps":
+            table[rows, 0] = draw.integers(-3, 3, len(values))
+        elif how == "shuffle":
+            table = draw.permutation(table)
+        else:
+            kept = draw.integers(0, len(table), chance.choice((1, 2, 3, 30, len(table))))
+            table = table[np.sort(kept)] if how == "choose" else np.concatenate([table, table[kept]])
+    rows = (",".join(map(repr, row)) for row in table.tolist())
+    return "\n".join([head, *rows]) + "\n"
+
+
 def attempt(chance, source, folder):
     """Copy the files of the source into a folder, change some, and return the command to run there."""
     shutil.copytree(source, folder, dirs_exist_ok=True)
@@ -76,9 +138,7 @@ def attempt(chance, source, folder):
             path = folder / name
             path.write_bytes(mutated(path.read_bytes(), chance))
 
-    kind = chance.choice(
-        ("mesh", "mesh", "compare", "table", "rod", "options", "options", "config", "show", "show", "export")
-    )
+    kind = chance.choice(KINDS)
     mesh = chance.choice(MESHES)
     hull = chance.choice(([], ["--hull"]))
     if kind in ("mesh", "compare", "options"):
@@ -91,8 +151,25 @@ def attempt(chance, source, folder):
         options = {f"--{chance.choice(OPTIONS)}={chance.choice(NUMBERS + WORDS)}" for _ in range(chance.randint(1, 3))}
         given = [*SMALL, *(sorted(options) if kind == "options" else [])]
         return [chance.choice(("scan", "simulate", "simulate")), mesh, "--out", "o.csv", *given, *hull]
-    if kind in ("table", "rod"):
-        change("log.csv" if kind == "table" else "log.toml")
+    if kind == "body":
+        (folder / "body.off").write_text(body(chance))
+        (folder / "other.off").write_text(body(chance))
+        scan = [
+            "scan",
+            "body.off",
+            "--out",
+            "o",
+            *SMALL,
+            f"--method={chance.choice(METHODS)}",
+            f"--unit={chance.choice(UNITS)}",
+        ]
+        scan += chance.choice(([], ["--spacing=adaptive"], ["--axis=1,2,3"], ["--axis=xyz"], ["--noise=1e-3"]))
+        return chance.choice((scan, scan, ["compare", "body.off", "other.off"], ["compare", "body.off", "box.stl"]))
+    if kind in ("table", "rod", "columns"):
+        if kind == "columns":
+            (folder / "log.csv").write_text(columns((folder / "log.csv").read_text(), chance))
+        else:
+            change("log.csv" if kind == "table" else "log.toml")
         truth = chance.choice(([], [], ["--truth", "box.stl"]))
         reconstruct = ["reconstruct", "log.csv", "--out", "o", *truth]
         return chance.choice((reconstruct, reconstruct, ["show", "log.csv", "--html", "o.html"]))
