@@ -98,6 +98,13 @@ def _meshes(folder, box):
         (folder / f"scaled{power}.off").write_text(big.export(file_type="off", digits=20))
         cases.append(Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 0))
         cases.append(Case(f"compare 1e{power} back", ("compare", f"scaled{power}.off", "box.stl"), 0))
+    # beside the distance of the two either one is a point
+    near, far = (f"OFF\n4 4 0\n{x} 0 0\n{x} 1 0\n{x} 0 1\n{y} 0 0\n3 0 1 2\n3 0 1 3\n3 1 2 3\n3 2 0 3\n" for x, y in (
+        (0, 1), ("1e25", "1.0000000001e25")))  # fmt: skip
+    (folder / "near.off").write_text(near)
+    (folder / "far.off").write_text(far)
+    cases.append(Case("compare far", ("compare", "near.off", "far.off"), 0))
+    cases.append(Case("compare far back", ("compare", "far.off", "near.off"), 0))
     for power in (-300, -150, 150, 300):
         lines = text.split("\n")
         corners = [" ".join(f"{word}e{power}" for word in line.split()) for line in lines[2:10]]
