@@ -6,11 +6,13 @@ OUT ?= out
 ARGS ?=
 # Tests that run side by side; each keeps to one thread, so that they do not take the cores from each other.
 WORKERS ?= 2
+# Random inputs of `make trust`.
+FUZZ ?= 2000
 PYTEST = OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist worksteal
 PIP = .venv/bin/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help scan test fast lint format check mutants docs dev
+.PHONY: help scan test fast trust lint format check mutants docs dev
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -36,6 +38,10 @@ format: .venv/dev ## put the code into the project's format
 	.venv/bin/ruff format .
 
 check: lint fast ## lint and fast: what to run before a commit
+
+trust: .venv/installed ## the long versions of the tests of trust: odd files, and FUZZ=2000 random inputs
+	$(PYTEST) tests/test_robustness.py tests/test_merging.py tests/test_misuse.py $(ARGS)
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)
 
 mutants: .venv/dev ## mutation tests: change the code in small ways, list the changes that no test notices
 	.venv/bin/python tests/mutation/run.py $(ARGS)

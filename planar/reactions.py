@@ -20,10 +20,22 @@ class Reactions(NamedTuple):
 
 
 def checked_reactions(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike) -> Reactions:
-    """Columns (n,) of floats; single numbers become columns of length 1.  Raises ValueError if their shapes differ."""
-    columns = [np.atleast_1d(np.asarray(column, dtype=float)) for column in (x0, f0x, f0y, m0z)]
+    """Columns (n,) of floats; single numbers become columns of length 1.  Raises ValueError if their shapes differ.
+
+    Masked values, which would count as measured, and numbers that are not real are a ValueError as well.
+    """
+    columns = [np.atleast_1d(_real(column)) for column in (x0, f0x, f0y, m0z)]
     if any(column.shape != columns[0].shape or column.ndim != 1 for column in columns):
         raise ValueError(
             f"x0, f0x, f0y and m0z must have one shape (n,), got {', '.join(str(column.shape) for column in columns)}"
         )
     return Reactions(*columns)
+
+
+def _real(column: ArrayLike) -> Array:
+    if np.ma.isMaskedArray(column):
+        raise ValueError("x0, f0x, f0y and m0z must be plain arrays, got a masked one; leave the masked rows out")
+    array = np.asarray(column)
+    if array.dtype.kind not in "iufb":
+        raise ValueError(f"x0, f0x, f0y and m0z must hold real numbers, got {array.dtype.name}")
+    return array.astype(float, copy=False)

@@ -124,7 +124,8 @@ def _spread(corners: Array) -> _Samples:
     while True:  # halve the pieces with long edges
         length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
         long = length > length.max() / 2
-        if len(pieces) + np.count_nonzero(long) > SAMPLES:
+        # none is long if the surface is but a point beside the other one
+        if not long.any() or len(pieces) + np.count_nonzero(long) > SAMPLES:
             break
         pieces = np.concatenate([pieces[~long], halve(pieces[long])[0]])
         owner = np.concatenate([owner[~long], owner[long], owner[long]])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,31 @@ from scan3d.units import UNITS_M
 # Largest error of a quaternion's length.  Larger, errors in a log would be taken for rounding; smaller, quaternions written
 # with three digits would be refused.
 _QUATERNION_TOLERANCE = 1e-3
+
+
+def _plain(name: str, values: Any) -> NDArray[Any]:
+    """The values of a column as an array of real numbers."""
+    if np.ma.isMaskedArray(values):
+        raise InputError(
+            f"recording: {name} is a masked array, whose masked values would count as measured; leave those rows out and "
+            "give plain arrays"
+        )
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        raise InputError(f"recording: {name} must be an array of numbers, but its rows differ in length") from None
+    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and bool((np.round(array) == array).all()))
+    if array.dtype.kind not in "iuf" or (name == "sweep" and not whole):
+        expected = "whole numbers" if name == "sweep" else "real numbers"
+        raise InputError(
+            f"recording: {name} must be an array of {expected}, got {array.dtype.name} {_shortened(values)}"
+        )
+    return array
+
+
+def _shortened(values: Any) -> str:
+    text = " ".join(str(values).split())
+    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 @dataclass(frozen=True)
@@ -57,7 +83,11 @@ class Recording(Shown):
     """Where the data came from, for the report."""
 
     def __post_init__(self) -> None:
-        n = len(self.sweep)
+        for name in ("sweep", "position_m", "quaternion", "force_N", "moment_Nm"):
+            object.__setattr__(self, name, _plain(name, getattr(self, name)))
+        if not isinstance(self.rod, Rod):
+            raise InputError(f"recording: rod must be a scan3d.Rod, got {type(self.rod).__name__}")
+        n = self.sweep.size
         shapes = dict(sweep=(n,), position_m=(n, 3), quaternion=(n, 4), force_N=(n, 2), moment_Nm=(n,))
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
@@ -70,16 +100,18 @@ class Recording(Shown):
                 raise InputError(
                     f"recording: {name} is not a number in {bad.sum()} of {n} rows, first in row {np.argmax(bad) + 1}"
                 )
-        length = np.linalg.norm(self.quaternion, axis=1)
+        with np.errstate(over="ignore"):  # the length of huge quaternions is infinite, and is refused
+            length = np.linalg.norm(self.quaternion, axis=1)
         worst = np.argmax(np.abs(length - 1))
         if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
             raise InputError(
                 f"recording: orientations must be unit quaternions (qw, qx, qy, qz); that of row {worst + 1} has the length "
                 f"{length[worst]:.4g}"
             )
-        if self.unit not in UNITS_M:
+        if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"recording: unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
-        if not (0 <= self.noise_force_N < math.inf and 0 <= self.noise_moment_Nm < math.inf):
+        noises = (self.noise_force_N, self.noise_moment_Nm)
+        if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
 
     def __len__(self) -> int:

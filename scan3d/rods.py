@@ -13,6 +13,9 @@ MODULI_PA = {"steel": 210e9, "nitinol": 75e9, "carbon": 120e9, "nylon": 3e9}
 # Diameter of the rod that is taken by default, relative to its length: that of a 0.3 mm wire of 50 mm.  A thicker rod has
 # larger forces for the same shape, a thinner one forces closer to a sensor's noise; contacts do not depend on it.
 SLENDERNESS = 0.006
+# Lengths, forces and moments below this, or above its inverse, in SI units, belong to no rod, and squares of them would not be
+# numbers of a computer.
+_SMALLEST_UNIT = 1e-100
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,18 @@ class Rod:
             raise InputError(f"a rod needs a positive length in metres, got {self.length_m}")
         if not (math.isfinite(self.bending_stiffness_Nm2) and self.bending_stiffness_Nm2 > 0):
             raise InputError(f"a rod needs a positive bending stiffness in N·m², got {self.bending_stiffness_Nm2}")
+        if not all(_SMALLEST_UNIT < unit < 1 / _SMALLEST_UNIT for unit in (*self._units(), self.length_m)):
+            raise InputError(
+                f"a rod of {self.length_m:g} m with a bending stiffness of {self.bending_stiffness_Nm2:g} N·m² has reactions "
+                "that are no numbers of a computer; check the units of its length and its stiffness"
+            )
+
+    def _units(self) -> tuple[float, float]:
+        """The units (1) of force and moment; infinite where they are too large for a number."""
+        try:
+            return self.force_unit_N, self.moment_unit_Nm
+        except (OverflowError, ZeroDivisionError):
+            return math.inf, math.inf
 
     @property
     def force_unit_N(self) -> float:
@@ -41,9 +56,12 @@ class Rod:
     @classmethod
     def wire(cls, length_m: float, diameter_m: float, modulus_Pa: float) -> Rod:
         """A round wire, ``I = π d⁴ / 64``."""
-        if not (diameter_m > 0 and modulus_Pa > 0):
+        if not (0 < diameter_m < math.inf and 0 < modulus_Pa < math.inf):
             raise InputError(f"a wire needs a positive diameter and modulus, got {diameter_m} m and {modulus_Pa} Pa")
-        return cls(length_m, modulus_Pa * math.pi * diameter_m**4 / 64)
+        try:
+            return cls(length_m, modulus_Pa * math.pi * diameter_m**4 / 64)
+        except OverflowError:
+            raise InputError(f"a wire of {diameter_m:g} m is too thick for a number of a computer") from None
 
     @classmethod
     def of_length(cls, length_m: float) -> Rod:

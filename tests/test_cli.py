@@ -154,8 +154,8 @@ def test_invalid_settings(call, tmp_path, command, arguments, sentence):
     given = [f"{arguments[0]}={arguments[1]}"]
     for asked in ([], ["--print-config"]):
         code, stdout, stderr = call(command, CUBE, "--out", out, *given, *asked)
-        assert (code, stdout) == (1, "")
-        assert_sentence(stderr, sentence)
+        assert (code, stdout) == (2, "")
+        assert_sentence(stderr, sentence + f".*; see 'scan3d {command} --help'")
         assert tree(tmp_path) == {}
 
 
@@ -163,7 +163,7 @@ def test_invalid_settings(call, tmp_path, command, arguments, sentence):
     ("name", "sentence"),
     [
         ("missing", r"can't read the settings .*missing\.toml: No such file or directory"),
-        ("unknown", r"unknown\.toml: unknown setting slises; known are slices, spacing"),
+        ("unknown", r"unknown\.toml: unknown setting slises; known are slices, spacing.*; did you mean slices\?"),
         ("type", r"type\.toml: slices must be a whole number, got 'many'"),
         ("whole", r"whole\.toml: slices must be a whole number, got 3\.5"),
         ("flag", r"flag\.toml: hull must be true or false, got 1"),

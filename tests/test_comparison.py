@@ -192,3 +192,12 @@ def test_what_cannot_be_compared_is_refused(mesh, words):
         compare(mesh, cube())
     with pytest.raises(InputError, match=f"the mesh should .*{words}"):
         compare(cube(), mesh)
+
+
+@pytest.mark.parametrize("apart", [1e18, 1e25, 1e33])
+def test_bodies_that_are_points_beside_their_distance(apart):
+    small, far = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1))
+    far.apply_translation((apart, 0, 0))
+    assert np.isclose(compare(small, far).hausdorff, apart)
+    large = trimesh.creation.box((apart, apart, apart))
+    assert compare(small, large).hausdorff == pytest.approx(apart / 2 * np.sqrt(3))

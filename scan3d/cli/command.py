@@ -7,12 +7,15 @@ usage; `interruptions` adds 130 for an interrupted run and 143 for a terminated 
 from __future__ import annotations
 
 import io
+import logging
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 from scan3d.cli.parser import parser
+from scan3d.cli.settings import UsageError
+from scan3d.cli.terminal import one_line
 from scan3d.errors import InputError
 
 
@@ -27,17 +30,34 @@ def run(argv: Sequence[str] | None = None) -> int:
         arguments = parser().parse_args(argv)
         from scan3d.cli.verbs import VERBS
 
-        code = VERBS[arguments.command](arguments)
+        with _quiet():
+            code = VERBS[arguments.command](arguments)
         if sys.stdout is not None:  # it is None if closed by the shell, with >&-
             sys.stdout.flush()
         return code
+    except UsageError as error:
+        print(f"scan3d: {one_line(str(error))}; see 'scan3d {arguments.command} --help'", file=sys.stderr)
+        return 2
     except InputError as error:
-        print(f"scan3d: {error}", file=sys.stderr)
+        print(f"scan3d: {one_line(str(error))}", file=sys.stderr)
+        return 1
+    except MemoryError:
+        print(f"scan3d: there is not enough memory for this {arguments.command}; take a smaller one", file=sys.stderr)
         return 1
     except OSError as error:
         if not isinstance(error, BrokenPipeError):  # the reader of a pipe has ended, and needs no message
             where = "" if error.filename is None else f" ({error.filename})"
-            print(f"scan3d: {error.strerror or error}{where}", file=sys.stderr)
+            print(one_line(f"scan3d: {error.strerror or error}{where}"), file=sys.stderr)
         with suppress(OSError):  # Python would report an error at exit for output that is left
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Within it warnings of libraries go to the logger py.warnings, which is silent unless a program sets it up."""
+    logging.captureWarnings(True)
+    try:
+        yield
+    finally:
+        logging.captureWarnings(False)

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
 from scan3d.cli.settings import Settings
+from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
 
 _DESCRIPTION = """\
@@ -102,7 +103,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose error messages are one line, which ends with a reference to the help."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"scan3d: {message}; see '{self.prog} --help'\n")
+        self.exit(2, f"scan3d: {one_line(message)}; see '{self.prog} --help'\n")
 
 
 def parser() -> argparse.ArgumentParser:

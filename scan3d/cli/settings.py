@@ -5,7 +5,6 @@ Settings from a TOML file take precedence over the defaults, and those of the co
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from scan3d.choices import METHODS
 from scan3d.errors import InputError
+from scan3d.files.reading import did_you_mean, read_toml, to_float
 from scan3d.rods import parse_rod
 
 if TYPE_CHECKING:
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 # The types of settings as error messages name them.
 _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
+
+
+class UsageError(InputError):
+    """An option with a value that can't be used.  The command line exits with 2, as for an option that it does not know."""
 
 
 @dataclass(frozen=True)
@@ -71,24 +75,38 @@ class Settings:
 def settings(given: Mapping[str, Any], config: str | Path | None = None) -> Settings:
     """The defaults, replaced by the settings of the file `config` and then by those in `given`.
 
-    Raises InputError for a file that cannot be read, for unknown settings and for values of the wrong type.
+    Raises InputError for a file that cannot be read, for unknown settings and for values of the wrong type or out of range;
+    UsageError if the file is not at fault.
     """
+    try:
+        chosen = _merged(given, config)
+        chosen.plan()
+    except InputError as error:
+        if config is not None:
+            _merged({}, config).plan()
+        raise UsageError(str(error)) from None
+    return chosen
+
+
+def _merged(given: Mapping[str, Any], config: str | Path | None) -> Settings:
     merged: Settings = Settings()
     known = {field.name: type(field.default) for field in fields(Settings)}
     for source, values in ((config, {} if config is None else _read(config)), ("the command line", given)):
         unknown = sorted(set(values) - set(known))
         if unknown:
-            raise InputError(f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}")
+            raise InputError(
+                f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}{did_you_mean(unknown, known)}"
+            )
         merged = replace(merged, **{name: _typed(str(source), name, values[name], known[name]) for name in values})
     return merged
 
 
 def _read(path: str | Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        return read_toml(path)
     except OSError as error:
-        raise InputError(f"can't read the settings {path}: {error.strerror}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"can't read the settings {path}: {error.strerror or error}") from None
+    except ValueError as error:
         raise InputError(f"{path} is not a TOML file of settings: {error}") from None
 
 
@@ -99,7 +117,7 @@ def _typed(source: str, name: str, value: Any, kind: type) -> Any:
     if kind is str and isinstance(value, (int, float)) and not isinstance(value, bool):
         value = str(value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = to_float(value)
     if type(value) is not kind:
         raise InputError(f"{source}: {name} must be {_KINDS[kind]}, got {value!r}")
     return value

@@ -15,6 +15,36 @@ _KEY = re.compile(r"[^,(]*[^,( ]")
 # Control sequences of ANSI terminals (ECMA-48): bold, dim, and back to normal.
 _BOLD, _DIM, _OFF = "\x1b[1m", "\x1b[2m", "\x1b[0m"
 
+# Characters that a terminal obeys instead of showing them: the control characters (C0, DEL, C1), the line and paragraph
+# separators, the marks that turn the direction of writing (Unicode's "Trojan source"), and surrogates, which are no characters.
+_OBEYED = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+# Characters of a message; a longer one, such as one that repeats a number of 400 digits, loses its middle.
+_LONGEST = 1000
+
+
+def printable(text: str) -> str:
+    """The text with the characters that a terminal would obey written as escapes (\\x1b, \\u202e).
+
+    File names and texts from files may hold such characters.
+    """
+
+    def escape(match: re.Match[str]) -> str:
+        code = ord(match[0])
+        return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+
+    return _OBEYED.sub(escape, text)
+
+
+def printable_json(text: str) -> str:
+    """JSON or TOML with the characters in its strings that a terminal would obey written as its own escapes."""
+    return _OBEYED.sub(lambda match: match[0] if match[0] == "\n" else f"\\u{ord(match[0]):04x}", text)
+
+
+def one_line(message: str) -> str:
+    """A message in one line of printable characters, without its middle if it is very long."""
+    line = printable(" ".join(message.splitlines()))
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+
 
 def is_terminal(stream: Any, environment: Mapping[str, str] = os.environ) -> bool:
     """Whether the stream is a terminal that can move its cursor."""
@@ -37,6 +67,8 @@ def table(
 
     On a terminal the key figures are bold, and there is a rule under the heading and between label and value.
     """
+    heading = printable(heading)
+    rows = [(label, printable(value)) for label, value in rows]
     plain = [f"{label:{_LABEL}} {value}" for label, value in rows]
     if not is_terminal(stream, environment):
         return "\n".join([*([heading] if heading else []), *plain])

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from scan3d.cli.settings import Settings, settings
-from scan3d.cli.terminal import is_terminal, table
+from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
 from scan3d.errors import InputError
 
 
@@ -76,7 +76,7 @@ def simulate(arguments: Namespace) -> int:
         "samples": len(recording),
         "sweeps": len(np.unique(recording.sweep)),
     }
-    text = f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}"
+    text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
     return _print(arguments, data, text)
 
 
@@ -163,7 +163,7 @@ def show(arguments: Namespace) -> int:
     if not files:
         window.open_window(scene, print, arguments.color or "force")
         return 0
-    text = "\n".join(f"written to {file}" for file in files)
+    text = "\n".join(printable(f"written to {file}") for file in files)
     return _print(arguments, {"shown": scene.name, "files": files}, text)
 
 
@@ -228,7 +228,7 @@ def export(arguments: Namespace) -> int:
         f"a surface of {written['points']} vertices and {written['faces']} faces",
     )
     shape = cloud if written["what"] == "cloud" else surface
-    return _print(arguments, written, f"{shape} in {written['unit']}, written to {written['file']}")
+    return _print(arguments, written, printable(f"{shape} in {written['unit']}, written to {written['file']}"))
 
 
 def doctor(arguments: Namespace) -> int:
@@ -240,7 +240,7 @@ def doctor(arguments: Namespace) -> int:
     state = examine()
     # `files.text` is not used here, because it needs numpy, which may be missing
     if arguments.json:
-        print(json.dumps(state, indent=2))
+        print(printable_json(json.dumps(state, indent=2)))
     elif not arguments.quiet:
         print(_table("", summary(state)))
     return 0 if state["ok"] else 1
@@ -282,8 +282,7 @@ def _with_origin(recording: Any, body: Any) -> Any:
 def _print_config(chosen: Settings) -> int:
     from scan3d.files.text import to_toml
 
-    chosen.plan()  # invalid settings are an error here as well
-    print(to_toml(dataclasses.asdict(chosen)), end="")
+    print(printable_json(to_toml(dataclasses.asdict(chosen))), end="")
     return 0
 
 
@@ -301,7 +300,7 @@ def _print(arguments: Namespace, data: Any, text: str) -> int:
     from scan3d.files.text import to_json
 
     if arguments.json:
-        print(to_json(data).decode(), end="")
+        print(printable_json(to_json(data).decode()), end="")
     elif not arguments.quiet:
         print(text)
     return 0
@@ -312,7 +311,7 @@ def _table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
 
 
 def _say(sentence: str) -> None:
-    print(f"scan3d: {sentence}", file=sys.stderr)
+    print(f"scan3d: {one_line(sentence)}", file=sys.stderr)
 
 
 def _progress(arguments: Namespace) -> Callable[[int, int], None]:

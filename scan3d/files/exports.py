@@ -23,6 +23,7 @@ from scan3d.files.atomic import atomic, folder
 from scan3d.files.journal import locate
 from scan3d.files.ownership import check_belongs, check_file, read_report
 from scan3d.files.ply import ply, read_ply
+from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.units import UNITS_M
 
 # The formats of clouds and of surfaces, in the order in which messages list them.
@@ -30,6 +31,8 @@ CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv")
 SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
 # The formats of each of `EXPORTS`, the default first.
 _ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
+# Formats whose coordinates are in float32.
+_SINGLE = (".stl", ".glb")
 
 _FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 _POINT, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
@@ -94,6 +97,8 @@ def export(source: str | Path, to: str | Path, what: str | None = None, *, overw
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
             f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
+    if shape.faces is not None:
+        shape = _readable(shape, ending)
     data = None if ending == ".vtp" else _WRITERS[ending](shape)
     check_file(to, {"source": source}, overwrite, "--to", data)
     with folder(to.parent, option="--to"), atomic(to, option="--to") as file:
@@ -104,6 +109,21 @@ def export(source: str | Path, to: str | Path, what: str | None = None, *, overw
     faces = 0 if shape.faces is None else len(shape.faces)
     unit = "m" if ending == ".glb" else shape.unit
     return {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
+
+
+def _readable(shape: Shape, ending: str) -> Shape:
+    """The surface with the vertices merged that readers of the format would merge, and without triangles between these."""
+    assert shape.faces is not None
+    points = shape.points * (UNITS_M[shape.unit] if ending == ".glb" else 1.0)
+    if ending in _SINGLE:
+        points = points.astype(np.float32).astype(np.float64)
+    if not np.isfinite(points).all() or len(points) == 0:
+        return shape
+    chosen = representatives(points, distance_of_readers(points))
+    if (chosen == np.arange(len(points))).all():
+        return shape
+    used, faces = without_unused(collapsed(shape.faces, chosen))
+    return Shape(shape.rows[used], faces.astype(np.int32), shape.unit)
 
 
 def _contents(ending: str, what: str | None) -> list[str]:

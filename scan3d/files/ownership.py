@@ -14,6 +14,7 @@ from typing import Any
 
 from scan3d.errors import InputError
 from scan3d.files.journal import digest, locate
+from scan3d.files.reading import read_small
 from scan3d.units import UNITS_M
 
 REPORT = "report.json"
@@ -162,8 +163,10 @@ def read_report(folder: Path) -> Mapping[str, Any]:
     if not path.exists():
         return {}
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        data = json.loads(read_small(path))
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"can't read {path}: {error}; run the scan again") from None
     if not isinstance(data, Mapping):
         raise InputError(f"{path} is not a report: expected a JSON object; run the scan again")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.errors import InputError
+from scan3d.files.reading import check_file
 
 # Types of PLY by the codes of numpy; only those that the tables of scan3d need.
 _PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
@@ -17,6 +18,8 @@ _PLY_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 # Bytes in which the end of the header is searched.  Shorter, long comments would not fit; longer, a large file that is no
 # PLY would be searched in vain.
 _PLY_HEADER_LIMIT = 1 << 16
+# Digits of the largest count: no file has as many bytes as a number of more digits says.
+_PLY_DIGITS = 18
 
 
 def ply(vertices: NDArray[Any], faces: NDArray[np.integer] | None = None, comments: tuple[str, ...] = ()) -> bytes:
@@ -43,9 +46,10 @@ def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, 
     """
     path = Path(path)
     try:
+        check_file(path)
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"can't read {path}: {error.strerror}; give a PLY written by scan3d") from None
+        raise InputError(f"can't read {path}: {error.strerror or error}; give a PLY written by scan3d") from None
     try:
         return _parse_ply(data)
     except ValueError as error:
@@ -91,4 +95,6 @@ def _ply_count(lines: list[list[str]], name: str) -> int:
     """The number of an element; `lines` has its line of the header, or is empty."""
     if [line[:2] for line in lines] != [["element", name]] or len(lines[0]) != 3 or not lines[0][2].isdecimal():
         raise ValueError(f"expected 'element {name} COUNT', got {' '.join(lines[0]) if lines else 'nothing'!r}")
+    if len(lines[0][2]) > _PLY_DIGITS:
+        raise ValueError(f"it declares a number of {len(lines[0][2])} digits of {name} elements")
     return int(lines[0][2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 # Faces that `Search.near` tries for each point: those whose middles are nearest.  More take longer; with fewer, the face that
 # is found is more often not the nearest one, and the bounds that rest on it are wider.
 _TRIED_FACES = 4
+# Largest coordinate, and the inverse of the smallest extent.  Larger, and products of lengths overflow or vanish; smaller,
+# there is no need.
+_LARGEST = 1e100
 # A triangle whose height is less than this fraction of its longest edge counts as degenerate.  Larger, thin triangles would
 # be replaced by their edge; smaller, VTK would pass over some without a warning.
 _DEGENERATE = 1e-14
@@ -53,11 +57,29 @@ def signed_distances(points: Array, mesh: trimesh.Trimesh) -> Array:
     return nearest(points, mesh)[0]
 
 
+def check_mesh(mesh: Any, name: str) -> None:
+    """Raises InputError, in which the mesh is called `name`, for what is no `trimesh.Trimesh` with faces of its vertices."""
+    import trimesh
+
+    if not isinstance(mesh, trimesh.Trimesh):
+        advice = ""
+        if isinstance(mesh, trimesh.Scene):
+            advice = "; a scene becomes a mesh by its method to_mesh()"
+        elif isinstance(mesh, (str, os.PathLike)):
+            advice = "; read a file with scan3d.load_mesh"
+        raise InputError(f"the {name} must be a trimesh.Trimesh, got {type(mesh).__name__}{advice}")
+    faces = np.asarray(mesh.faces)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(mesh.vertices):
+        raise InputError(f"the {name} has a face with a vertex that does not exist; repair or export it again")
+
+
 def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
     """Bounding box (2, 3) of a mesh's faces.
 
-    Raises InputError, in which the mesh is called `name`, if it has no faces, coordinates that aren't finite, or no extent.
+    Raises InputError, in which the mesh is called `name`, if it is no mesh, has no faces, coordinates that
+    aren't finite, or no extent.
     """
+    check_mesh(mesh, name)
     if len(mesh.faces) == 0:
         raise InputError(
             f"the {name} should have at least one triangle, but it has {len(mesh.vertices)} vertices and no faces; "
@@ -75,6 +97,12 @@ def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
         raise InputError(
             f"the {name} should have an extent, but all its {len(used)} vertices are at {box[0].tolist()}; "
             "check its file and its scale"
+        )
+    largest, extent = float(np.abs(box).max()), float((box[1] - box[0]).max())
+    if largest > _LARGEST or extent < 1 / _LARGEST:
+        raise InputError(
+            f"the {name} has an extent of {extent:.3g} and coordinates up to {largest:.3g}, whose powers are no numbers of a "
+            "computer; check its file and its scale"
         )
     return box
 

@@ -7,12 +7,17 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.geometry.merging import representatives, without_unused
+from scan3d.geometry.triangles import mirrored_faces
 
 # Points whose root mean square distance from a plane is less than this fraction of their extent span no body.  Larger, thin
 # bodies would be refused; smaller, the hull of points in one plane would be made of rounding.
 _FLATTEST = 1e-9
+# Points closer than this fraction of their extent are merged if their hull is not a closed surface.  Larger, the hull loses
+# accuracy; smaller, it may stay open.
+_COINCIDENT = 1e-11
 
 
 def hull(points: Array) -> Any:
@@ -20,8 +25,6 @@ def hull(points: Array) -> Any:
 
     Raises InputError if the points do not span a body.
     """
-    import trimesh
-
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     size = float(np.ptp(points, axis=0).max()) or 1.0
     scaled = (points - centre) / size
@@ -36,10 +39,36 @@ def hull(points: Array) -> Any:
         raise InputError(
             f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"
         ) from None
-    faces = qhull.simplices.copy()
+    faces = _outward(qhull)
+    if faces is None:
+        # between points that nearly coincide Qhull leaves edges with one face, or with three
+        apart = np.unique(representatives(scaled, _COINCIDENT))
+        return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
+    return _mesh(points, faces)
+
+
+def _outward(qhull: ConvexHull) -> Index | None:
+    """The facets (m, 3), counterclockwise from outside; None if they are no closed surface."""
+    faces: Index = qhull.simplices.astype(np.int64)
+    mirrored = mirrored_faces(faces)
+    if mirrored is None:
+        return None
+    faces[mirrored] = faces[mirrored, ::-1]
+    return faces[:, ::-1] if np.linalg.det(qhull.points[faces]).sum() < 0 else faces
+
+
+def _by_planes(qhull: ConvexHull) -> Index:
+    """The facets (m, 3), each turned by its own plane, which leaves the sides of slivers to rounding."""
+    faces: Index = qhull.simplices.astype(np.int64)
     corners = qhull.points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = (normals * qhull.equations[:, :3]).sum(axis=1) < 0
     faces[inward] = faces[inward, ::-1]
-    kept, faces = np.unique(faces, return_inverse=True)
-    return trimesh.Trimesh(points[kept], faces.reshape(-1, 3), process=False)
+    return faces
+
+
+def _mesh(points: Array, faces: Index) -> Any:
+    import trimesh
+
+    used, renumbered = without_unused(faces)
+    return trimesh.Trimesh(points[used], renumbered, process=False)

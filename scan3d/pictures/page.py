@@ -28,6 +28,7 @@ from scan3d.pictures.shading import (
     ROD,
     TANGENTIAL,
     TIP,
+    largest_known,
     shade_contacts,
 )
 from scan3d.pictures.words import unit_symbol
@@ -82,7 +83,7 @@ def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
         largest = float(np.abs(deviation).max()) or 1.0
         colors.append(_scale(f"signed deviation in {scene.unit}", deviation, -largest, largest, "RdBu_r"))
     if bound is not None and scene.bound is not None:
-        largest = float(np.nanmax(scene.bound)) or 1.0
+        largest = largest_known(scene.bound) or 1.0
         colors.append(_scale(f"certified bound in {scene.unit}", bound, 0.0, largest, "YlGnBu"))
     return _triangles("surface", mesh, center, on=True, colors=colors)
 
@@ -163,4 +164,5 @@ def _scale(title: str, values: Array, low: float, high: float, map: str, *, log:
 
 
 def _floats(values: Array) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
+    with np.errstate(over="ignore"):  # what is too large for float32 is drawn as infinite
+        return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()

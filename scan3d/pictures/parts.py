@@ -49,7 +49,11 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
     if scene.truth is None and scene.bound is None:
         return scene.surface, None, None
     mesh, weights, corners = _subdivide(scene.surface, scene.diagonal * _LONGEST_EDGE)
-    bound = None if scene.bound is None else (weights * scene.bound[corners]).sum(axis=1)
+    bound = None
+    if scene.bound is not None:
+        # an infinite bound does not count where its weight is zero but for rounding
+        counts = weights > 0
+        bound = np.where(counts, scene.bound[corners] * np.where(counts, weights, 1.0), 0.0).sum(axis=1)
     deviation = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
     return mesh, deviation, bound
 
@@ -82,6 +86,8 @@ def outlines(scene: Scene) -> list[tuple[Array, int]]:
     lines = []
     for number in np.unique(slices):
         points = scene.points[slices == number]
+        if len(points) < 2:
+            continue
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         # the plane of the slice: the two main directions of its contacts
         plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]

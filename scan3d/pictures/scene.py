@@ -40,7 +40,7 @@ class Scene:
     @property
     def normals(self) -> Array:
         """(n, 3) outward normals, NaN where unknown."""
-        if self.contacts is None or "nx" not in (self.contacts.dtype.names or ()):
+        if self.contacts is None or not {"nx", "ny", "nz"} <= set(self.contacts.dtype.names or ()):
             return np.full((len(self.points), 3), np.nan)
         return columns(self.contacts, "nx", "ny", "nz")
 

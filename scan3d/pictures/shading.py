@@ -37,6 +37,12 @@ class Shade(NamedTuple):
     """A matplotlib norm; None for kinds of contact."""
 
 
+def largest_known(values: Array) -> float:
+    """The largest finite value; 0 if there is none."""
+    known = values[np.isfinite(values)]
+    return float(known.max()) if len(known) else 0.0
+
+
 def shade(values: Array, title: str, low: float, high: float, *, map: str = "viridis", log: bool = False) -> Shade:
     """Colours of values (n,) on a scale from `low` to `high`; values that are not finite are grey."""
     import matplotlib
@@ -64,13 +70,13 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         pair = (255 * np.array([to_rgb(TANGENTIAL), to_rgb(TIP)]) + 0.5).astype(np.uint8)
         return Shade(pair[(values == planar.Phase.TIP).astype(int)], "contact", "", None)
     if color == "force":
-        return shade(values * 1e3, "contact force in mN", 0.0, float(np.nanmax(values)) * 1e3 or 1.0)
+        return shade(values * 1e3, "contact force in mN", 0.0, largest_known(values) * 1e3 or 1.0)
     if color == "friction":
-        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        low, high = -largest_known(-values), largest_known(values)
         if high - low <= _SAME_FRICTION:
             low, high = max(low - _FRICTION_HALF_WIDTH, 0.0), high + _FRICTION_HALF_WIDTH
         return shade(values, "coefficient of friction", low, high)
-    high = float(np.nanmax(values)) or 1.0
+    high = largest_known(values) or 1.0
     return shade(values, f"distance from the truth in {scene.unit}", high * 10**-_DECADES, high, log=True)
 
 
@@ -93,7 +99,7 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
         mesh, _, bound = shown_surface(scene)
         assert bound is not None
         title = f"certified bound in {scene.unit}"
-        return mesh, shade(bound, title, 0.0, float(np.nanmax(scene.bound)) or 1.0, map="YlGnBu")
+        return mesh, shade(bound, title, 0.0, largest_known(scene.bound) or 1.0, map="YlGnBu")
     if view == "bound":
         raise InputError(
             f"the bound of {scene.name} is not known; show a scan's folder, its surface.ply, or a recording"

@@ -3,24 +3,40 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import planar
 from scan3d.errors import InputError
+from scan3d.files.declared import shortfall
 from scan3d.files.journal import locate
-from scan3d.files.ownership import check_belongs, read_report
+from scan3d.files.ownership import REPORT, check_belongs
+from scan3d.files.ownership import read_report as read_any_report
 from scan3d.files.ply import read_ply
+from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
+from scan3d.pictures.edited import checked_report
 from scan3d.pictures.scene import Scene, columns
 from scan3d.pictures.words import key_figures
 from scan3d.units import UNITS_M
 
 # Begins the comment of a PLY that states its unit.
 _UNIT_COMMENT = "unit "
+# Largest coordinate that is drawn: libraries that draw compute in float32, and its squares must be numbers as well.
+_LARGEST = 1e15
+# Columns of a cloud that are used as numbers of something, with their smallest and their largest value.
+_INDICES = {
+    "phase": (int(planar.Phase.TIP), int(planar.Phase.TANGENTIAL)),
+    "slice": (0, 2**31 - 1),
+    "sweep": (-(2**31), 2**31 - 1),
+    "row": (0, 2**31 - 1),
+}
 
 
 def read_folder(folder: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
@@ -69,12 +85,20 @@ def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
     """
     mesh = report.get("mesh") or {}
     name, digest = Path(str(mesh.get("file"))).name, mesh.get("sha256")
+    if not digest:
+        return None
     places = (folder, folder.resolve().parent, Path(), *sorted(path for path in Path().iterdir() if path.is_dir()))
     original = [folder / str(mesh["path"])] if mesh.get("path") else []
     for path in (*original, *(place / name for place in places)):
-        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == digest:
-            return str(path)
+        with suppress(OSError, ValueError):  # a name that can't be one of a file, or a file that can't be read
+            if path.is_file() and _sha256(path) == digest:
+                return str(path)
     return None
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_ply_scene(path: Path, unit: str) -> Scene | None:
@@ -90,6 +114,8 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     unit = unit_of(comments, unit)
     if faces is None:
         return Scene(path.stem, unit, contacts=rows)
+    if not len(faces):
+        raise InputError(f"{path.name} has no triangles, where a surface is expected; run the scan again")
     import trimesh
 
     bound = rows["bound"] if "bound" in (rows.dtype.names or ()) else None
@@ -103,9 +129,20 @@ def _read_foreign(path: Path, unit: str) -> Scene | None:
     import trimesh
 
     try:
-        shape = trimesh.load(path)
-    except (OSError, ValueError, KeyError, IndexError, AttributeError, NotImplementedError) as error:
-        raise InputError(f"can't read {path}: {error}; expected a PLY of points or triangles") from None
+        check_file(path)
+        lacking = shortfall("ply", path.read_bytes())
+        if lacking:
+            raise InputError(f"{path.name} is cut off, damaged, or not PLY: {lacking}; export or download it again")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of points that are not finite, judged below
+            shape = trimesh.load(path)
+    except InputError:
+        raise
+    # trimesh's parser raises various errors for foreign bytes
+    except Exception as error:
+        raise InputError(
+            f"can't read {path}: {type(error).__name__}, {error}; expected a PLY of points or triangles"
+        ) from None
     if not isinstance(shape, trimesh.PointCloud):
         return None
     rows = np.empty(len(shape.vertices), dtype=[(name, "f8") for name in "xyz"])
@@ -120,9 +157,29 @@ def _check(path: Path, rows: NDArray[Any]) -> None:
         raise InputError(f"{path.name} has no points: expected the columns x, y and z")
     if not len(rows) or not np.isfinite(columns(rows, "x", "y", "z")).all():
         raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
+    largest = float(np.abs(columns(rows, "x", "y", "z")).max())
+    if largest > _LARGEST:
+        raise InputError(
+            f"{path.name} has a coordinate of {largest:.3g}, which can't be drawn; expected those of a body"
+        )
+    # columns of kinds and of numbers are used as indices
+    for name, (low, high) in _INDICES.items():
+        if name in (rows.dtype.names or ()):
+            values = columns(rows, name)[:, 0]
+            bad = ~((values >= low) & (values <= high) & (values == np.round(values)))
+            if bad.any():
+                raise InputError(
+                    f"{path.name} has {values[np.argmax(bad)]:g} for {name} in row {np.argmax(bad) + 1}, where a whole number "
+                    f"from {low} to {high} is expected; was it edited?"
+                )
 
 
 def unit_of(comments: tuple[str, ...], default: str) -> str:
     """The unit that a PLY's comments state, or the default."""
     stated = [line.removeprefix(_UNIT_COMMENT) for line in comments if line.startswith(_UNIT_COMMENT)]
     return stated[0] if stated and stated[0] in UNITS_M else default
+
+
+def read_report(folder: Path) -> Mapping[str, Any]:
+    """A scan's report.json; empty if the file does not exist.  Raises InputError if it can't be read or shown."""
+    return checked_report(read_any_report(folder), folder / REPORT)

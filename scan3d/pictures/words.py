@@ -48,7 +48,8 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     ):
         value, relative = entry(section, name), entry(section, "relative")
         if value is not None and np.isfinite(value):
-            rows.append((label, f"{value:.3g} {unit} ({100 * relative:.2g} %)"))
+            share = "" if relative is None else f" ({100 * relative:.2g} %)"
+            rows.append((label, f"{value:.3g} {unit}{share}"))
     return tuple(rows)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,13 @@ from scan3d.errors import InputError
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
+LARGEST_FRICTION = 100.0
+"""Largest coefficient of friction.  No materials come near it, and beyond it steep forces lose their digits."""
+SMALLEST_CLEARANCE = 1e-6
+"""Smallest distance of the base line from a slice, in rod lengths.  Smaller, rounding would put the base line into the body."""
+LARGEST_NOISE = 1.0
+"""Largest standard deviation of force and moment, in EI/L² and EI/L.  Contact forces are of that size, so that beyond it
+nothing would be measured."""
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -54,43 +62,66 @@ class Plan:
             _check_whole(name, getattr(self, name), minimum)
         if self.sweeps is not None:
             _check_whole("sweeps", self.sweeps, 1)
-        if self.spacing not in SPACINGS:
+        if not isinstance(self.spacing, str) or self.spacing not in SPACINGS:
             raise InputError(f"spacing must be one of {', '.join(SPACINGS)}, got {self.spacing!r}")
-        if self.standoff not in STANDOFFS:
+        if not isinstance(self.standoff, str) or self.standoff not in STANDOFFS:
             raise InputError(f"standoff must be one of {', '.join(STANDOFFS)}, got {self.standoff!r}")
-        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
+        if not (_is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
-        if self.unit not in UNITS_M:
+        if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         low, high = self.friction_range
-        if not (math.isfinite(low) and math.isfinite(high) and 0 <= low <= high):
+        if not 0 <= low <= high:
             raise InputError(f"friction must be a number >= 0 or a rising range LOW:HIGH of such, got {self.friction}")
-        if not (math.isfinite(self.noise) and self.noise >= 0):
+        if high > LARGEST_FRICTION:
+            raise InputError(f"friction must be at most {LARGEST_FRICTION:g}, got {self.friction}")
+        if not (_is_finite(self.noise) and self.noise >= 0):
             raise InputError(f"noise must be a number >= 0, got {self.noise}")
-        if not 0 < self.clearance < 1:
+        if not (_is_finite(self.clearance) and 0 < self.clearance < 1):
             raise InputError(f"clearance must lie between 0 and 1 rod lengths, got {self.clearance}")
+        if self.clearance < SMALLEST_CLEARANCE:
+            raise InputError(f"clearance must be at least {SMALLEST_CLEARANCE:g} rod lengths, got {self.clearance}")
+        if not (_is_finite(self.noise) and self.noise <= LARGEST_NOISE):
+            raise InputError(f"noise must be at most {LARGEST_NOISE:g}, got {self.noise}")
+        if self.rod is not None and not isinstance(self.rod, Rod):
+            raise InputError(f"rod must be a scan3d.Rod or None, got {self.rod!r}")
         self.axes()
 
     @property
     def friction_range(self) -> tuple[float, float]:
         """Lowest and highest coefficient of friction."""
-        if isinstance(self.friction, (int, float)):
-            return float(self.friction), float(self.friction)
-        if len(self.friction) != 2:
+        ends: list[Any] = [self.friction] * 2 if np.ndim(self.friction) == 0 else list(self.friction)  # type: ignore[arg-type]
+        if len(ends) != 2:
             raise InputError(f"a range of friction has two ends, got {self.friction}")
-        return float(self.friction[0]), float(self.friction[1])
+        if not all(map(_is_finite, ends)):
+            raise InputError(f"friction must be a number >= 0, or a range of two such numbers, got {self.friction!r}")
+        return float(ends[0]), float(ends[1])
 
     def axes(self) -> Array:
         """Unit normals (k, 3) of the slices."""
         given = [_AXES.get(letter, ()) for letter in self.axis] if isinstance(self.axis, str) else [self.axis]
-        vectors = [np.asarray(vector, dtype=float) for vector in given]
-        valid = all(v.shape == (3,) and np.isfinite(v).all() and np.linalg.norm(v) > 0 for v in vectors)
+        try:
+            vectors = [np.asarray(vector, dtype=float) for vector in given]
+        except (TypeError, ValueError, OverflowError):
+            vectors = []
+        valid = all(v.shape == (3,) and np.isfinite(v).all() and v.any() for v in vectors)
         if not vectors or not valid or (len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str)):
             raise InputError(
                 f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
                 f"got {self.axis!r}"
             )
-        return np.array([vector / np.linalg.norm(vector) for vector in vectors])
+        scaled = [vector / np.abs(vector).max() for vector in vectors]  # so that squares are numbers of a computer
+        return np.array([vector / np.linalg.norm(vector) for vector in scaled])
+
+
+def _is_finite(value: object) -> bool:
+    """Whether it is one real number; a whole number may be too large for a float."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def _check_whole(name: str, value: object, minimum: int) -> None:

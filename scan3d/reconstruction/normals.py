@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud, NormalSource
+from scan3d.errors import InputError
 from scan3d.geometry.support import SupportFit, fit_support
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SliceStack, stacks
@@ -43,6 +44,9 @@ SMOOTH = 5e-4
 # Standard deviations of a contact's place by which noise may raise that limit.  Larger, noise hides edges; smaller, noisy
 # scans of smooth bodies are not fitted.
 _NOISE_SIGMAS = 2
+# Largest position, force and moment in SI units.  Larger, and products of them would not be numbers of a computer; smaller,
+# there is no need.
+_LARGEST = 1e60
 
 
 def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
@@ -51,8 +55,14 @@ def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
     `method` is that of `planar.reconstruct`.  The direction of a normal within its slice's plane comes from (14), its
     inclination to the plane from the slices below and above.  If the body proves smooth, all normals come from the support
     function fitted to all contacts.
-    Raises InputError if the recording has no contact.
+    Raises InputError if the recording has no contact, or numbers so large that their squares are none.
     """
+    if not isinstance(recording, Recording):
+        raise InputError(f"contacts are reconstructed from a scan3d.Recording, got {type(recording).__name__}")
+    for name in ("position_m", "force_N", "moment_Nm"):
+        largest = float(np.abs(getattr(recording, name)).max())
+        if largest > _LARGEST:
+            raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
     cloud = with_slice_normals(contacts(recording, method))
     fit = smooth_fit(cloud)
     return cloud if fit is None else _with_fit(cloud, *fit)

@@ -14,8 +14,11 @@ from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.files.declared import shortfall
+from scan3d.files.reading import check_file
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_hull
 from scan3d.geometry.triangles import areas, distinct_rows
+from scan3d.memory import check_memory
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
@@ -24,6 +27,8 @@ oblique flat sheets, which rounding to float32 leaves 1e-8 to 1e-7 thick, would 
 OPEN_TOLERANCE = 1e-3
 """Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding
 of the areas of fine meshes would count as a hole."""
+# Memory while a mesh is read: per byte of its file, and per triangle with its corners, in bytes.
+_MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 300
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Trimesh:
@@ -122,6 +127,8 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
 
 def _read(path: Path) -> bytes:
     """The bytes of a mesh file.  Raises InputError if they can't be read, or if its ending is not one of `FORMATS`."""
+    if "\0" in str(path):
+        raise InputError("the name of a mesh file has a null character; check the path")
     if path.is_dir():
         raise InputError(f"{path.name or path} is a folder, where a mesh file is expected; name a file in it")
     if not path.exists():
@@ -129,6 +136,7 @@ def _read(path: Path) -> bytes:
     if path.suffix[1:].lower() not in FORMATS:
         raise InputError(f"{path.name} isn't a mesh file by its ending, which should be one of .{', .'.join(FORMATS)}")
     try:
+        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path.name} can't be read: {error.strerror or error}; check its permissions") from error
@@ -140,12 +148,20 @@ def _read(path: Path) -> bytes:
 def _triangles(path: Path, data: bytes) -> Array:
     """Corners (t, 3, 3) of all triangles in a file, without merging or dropping any."""
     kind = path.suffix[1:].lower()
+    lacking = shortfall(kind, data)
+    if lacking:
+        raise InputError(
+            f"{path.name} is cut off, damaged, or not {kind.upper()}: {lacking}; export or download it again"
+        )
     try:
         with warnings.catch_warnings():
             # On a broken number older versions of numpy only warn, and return the numbers before it, which are part of a
             # body.
             warnings.filterwarnings("error", message="string or file could not be read")
+            warnings.filterwarnings("ignore", category=RuntimeWarning)  # of numbers that are not finite, judged below
             meshes = _parse(kind, data)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
     # trimesh's parsers raise various errors for foreign bytes: KeyError, IndexError, struct.error, MemoryError and others.
     except Exception as error:
         raise InputError(
@@ -175,6 +191,13 @@ def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
     layout = {key: raw[key] for key in ("graph", "base_frame") if key in raw}
     scene = trimesh.load_scene({"geometry": geometries, **layout})
     meshes = []
+    parts = [
+        scene.geometry[scene.graph[node][1]]
+        for node in scene.graph.nodes_geometry
+        if scene.graph[node][1] in scene.geometry
+    ]
+    faces = sum(len(part.faces) for part in parts)
+    check_memory(_MEMORY_PER_FACE * faces, f"a mesh of {faces} triangles", "take a coarser mesh")
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
         if name in scene.geometry:

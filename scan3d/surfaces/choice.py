@@ -13,6 +13,7 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
+from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.support import SupportFit, fit_support
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.surfaces.bounds import Enclosure, enclosure
@@ -49,6 +50,10 @@ def surface(
     `metadata` has the `method` that was used and the `reason` for it.  Raises InputError for an unknown method, for contacts
     that do not span a body, for 'support' if the body is not smooth, and if open3d is needed but cannot be imported.
     """
+    if not isinstance(cloud, Cloud):
+        raise InputError(
+            f"a surface is made from a scan3d.Cloud, got {type(cloud).__name__}; reconstruct a recording first"
+        )
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     bounds = bounds or (enclosure(cloud) if method in ("auto", "bracket") else None)
@@ -161,5 +166,21 @@ def _degree(fit: SupportFit) -> str:
 
 
 def _labelled(mesh: Any, method: str, reason: str) -> Any:
+    """The surface as it is given out: no two of its vertices are merged by programs that read its file."""
+    mesh = _readable(mesh, convex=method not in ("poisson", "ball-pivoting"))
     mesh.metadata.update(method=method, reason=reason)
     return mesh
+
+
+def _readable(mesh: Any, *, convex: bool) -> Any:
+    import trimesh
+
+    vertices = mesh.vertices.view(np.ndarray)
+    chosen = representatives(vertices, distance_of_readers(vertices))
+    apart = np.unique(chosen)
+    if len(apart) == len(vertices):
+        return mesh
+    if convex:
+        return hull(vertices[apart])
+    used, faces = without_unused(collapsed(mesh.faces.view(np.ndarray), chosen))
+    return trimesh.Trimesh(vertices[used], faces, process=False, metadata=mesh.metadata)

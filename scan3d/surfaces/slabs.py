@@ -222,7 +222,7 @@ def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
     `behind` begins with that slice and goes on with those ever farther from the slab; `beyond` is the slice on the slab's
     other side.  In a cap there is none, and the slopes may differ by rounding only.
     """
-    if len(behind) < 3:
+    if len(behind) < 3 or not len(behind[0].angle):
         return np.zeros(len(behind[0].angle), dtype=bool)
     normals = np.stack([np.cos(behind[0].angle), np.sin(behind[0].angle)], axis=1)
     near, far, across = (

@@ -1,0 +1,372 @@
+"""Odd meshes, recordings, settings, reports and clouds, made by this script, each with what a command should answer to it.
+
+`python -m tests.robustness.corpus FOLDER` writes the files and prints the commands, to try them by hand.
+"""
+
+import json
+import os
+import struct
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+import scan3d
+from scan3d import workflow
+from scan3d.files.ply import ply
+from scan3d.files.recordings import write_recording
+from scan3d.pictures import rendering
+
+HUGE = "1" * 400
+"""A number of 400 digits, which no float can hold."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command and what it should do."""
+
+    name: str
+    argv: tuple[str, ...]
+    code: int
+    message: str = ""
+    """Part of what is printed to stderr."""
+
+
+def make(folder):
+    """Write the files of the corpus into a folder and return its cases; the commands run in that folder."""
+    folder = Path(folder)
+    box = trimesh.creation.box((20, 30, 40))
+    for ending in ("stl", "ply", "obj", "off", "glb"):
+        box.export(folder / f"box.{ending}")
+    recording = scan3d.simulate(scan3d.load_mesh(folder / "box.stl"), scan3d.Plan(slices=4, samples=20))
+    write_recording(recording, folder / "log.csv")
+    (folder / "scan").mkdir()
+    could, rendering.can_render = rendering.can_render, lambda: False
+    try:
+        analysis = workflow.analyse(recording, scan3d.load_mesh(folder / "box.stl"))
+        workflow.write(analysis, folder / "scan", settings={"friction": "0.3"}, with_recording=True)
+    finally:
+        rendering.can_render = could
+    return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder), *_scans(folder)]
+
+
+# --- meshes ---
+
+
+def _meshes(folder, box):
+    stl, glb = (folder / "box.stl").read_bytes(), (folder / "box.glb").read_bytes()
+    text = (folder / "box.off").read_text()
+    header = b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
+    lists = b"property list uchar int vertex_indices\nend_header\n"
+    files = {
+        "cut.stl": (stl[:-120], "declares 12 triangles and holds 9"),
+        "count.stl": (stl[:80] + struct.pack("<I", 4_000_000_000) + stl[84:], "declares 4000000000 triangles"),
+        "cut_text.stl": (box.export(file_type="stl_ascii").encode()[:-300], "does not end with 'endsolid'"),
+        "cut.off": ("\n".join(text.split("\n")[:-4]).encode(), "declares 12 faces and holds"),
+        "cut.ply": ((folder / "box.ply").read_bytes()[:-60], "declares 12 faces"),
+        "cut.glb": (glb[:-40], "declares"),
+        "faces.ply": (header + b"element face " + b"1" + b"0" * 30 + b"\n" + lists + b"\0" * 200, "faces, more than"),
+        "digits.ply": (header + b"element face " + b"9" * 5000 + b"\n" + lists + b"\0" * 200, "PLY"),
+        "accessor.glb": (_glb_with_count(glb, 100_000_000), "declares 100000000 elements"),
+        "nan.off": (text.replace("-10.00000000", "nan", 1).encode(), "OFF"),
+        "huge.off": (text.replace("-10.00000000", HUGE, 1).encode(), "NaN or infinite"),
+        "index.off": (text.replace("3 ", "3 99 ", 1).encode(), "OFF"),
+        "null.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "OBJ"),
+        "escape\x1b[31m.stl": (b"solid x", "escape\\x1b[31m.stl"),
+        "line\nbreak.stl": (b"solid x", "break.stl"),
+        "turn\u202egnp.stl": (b"solid x", "turn\\u202egnp.stl"),
+        "empty.glb": (b"", "is empty"),
+    }
+    cases = []
+    for name, (data, message) in files.items():
+        (folder / name).write_bytes(data)
+        for hull in ([], ["--hull"]):
+            cases.append(Case(f"simulate {name}", ("simulate", name, "--out", "o.csv", *hull), 1, message))
+        cases.append(Case(f"compare {name}", ("compare", name, "box.stl"), 1, message))
+    os.mkfifo(folder / "pipe.stl")
+    os.symlink("/dev/zero", folder / "zero.stl")
+    os.symlink("/dev/zero", folder / "zero.csv")
+    (folder / "folder.stl").mkdir()
+    far = {"pipe.stl": "device or a pipe", "zero.stl": "device or a pipe", "folder.stl": "is a folder"}
+    cases += [Case(f"compare {name}", ("compare", name, "box.stl"), 1, message) for name, message in far.items()]
+    cases.append(Case("scan a device", ("scan", "/dev/zero", "--out", "o"), 1, "isn't a mesh file"))
+    for power in (18, -18):
+        big = box.copy()
+        big.apply_scale(10.0**power)
+        (folder / f"scaled{power}.off").write_text(big.export(file_type="off", digits=20))
+        cases.append(Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 0))
+        cases.append(Case(f"compare 1e{power} back", ("compare", f"scaled{power}.off", "box.stl"), 0))
+    # beside the distance of the two either one is a point
+    near, far = (f"OFF\n4 4 0\n{x} 0 0\n{x} 1 0\n{x} 0 1\n{y} 0 0\n3 0 1 2\n3 0 1 3\n3 1 2 3\n3 2 0 3\n" for x, y in (
+        (0, 1), ("1e25", "1.0000000001e25")))  # fmt: skip
+    (folder / "near.off").write_text(near)
+    (folder / "far.off").write_text(far)
+    cases.append(Case("compare far", ("compare", "near.off", "far.off"), 0))
+    cases.append(Case("compare far back", ("compare", "far.off", "near.off"), 0))
+    for power in (-300, -150, 150, 300):
+        lines = text.split("\n")
+        corners = [" ".join(f"{word}e{power}" for word in line.split()) for line in lines[2:10]]
+        (folder / f"scaled{power}.off").write_text("\n".join([*lines[:2], *corners, *lines[10:]]))
+        cases.append(
+            Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 1, "no numbers of a computer")
+        )
+        cases.append(
+            Case(f"scan 1e{power}", ("scan", f"scaled{power}.off", "--out", "o"), 1, "no numbers of a computer")
+        )
+    return cases
+
+
+def _glb_with_count(data, count):
+    """The GLB with another count in its first accessor, which has no data any more."""
+    size = struct.unpack_from("<I", data, 12)[0]
+    tree = json.loads(data[20 : 20 + size])
+    tree["accessors"][0] = {**tree["accessors"][0], "count": count}
+    tree["accessors"][0].pop("bufferView")
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+# --- recordings ---
+
+
+def _recordings(folder):
+    table, rod = (folder / "log.csv").read_text(), (folder / "log.toml").read_text()
+    lines = table.splitlines()
+    column = lines[0].split(",")
+
+    def changed(row, name, value):
+        cells = lines[row].split(",")
+        cells[column.index(name)] = value
+        return "\n".join([*lines[:row], ",".join(cells), *lines[row + 1 :]])
+
+    tables = {
+        "word": (changed(7, "fx_N", "north"), "line 8 has 'north' for fx_N"),
+        "empty cell": (changed(7, "mz_Nm", ""), "line 8 has '' for mz_Nm"),
+        "nan": (changed(7, "x_m", "nan"), "position_m is not a number in 1 of"),
+        "huge": (changed(7, "fy_N", HUGE), "force_N is not a number in 1 of"),
+        "large": (changed(7, "fy_N", "1e200"), "force_N holds 1e+200"),
+        "half a sweep": (changed(7, "sweep", "0.5"), "sweep must hold whole numbers"),
+        "far sweep": (changed(7, "sweep", "1e18"), "sweep must hold whole numbers"),
+        "quaternion": (changed(7, "qw", "3"), "must be unit quaternions"),
+        "zero quaternion": (changed(7, "qw", "1e300"), "must be unit quaternions"),
+        "short row": ("\n".join([*lines[:7], lines[7][:20], *lines[8:]]), "is it cut off?"),
+        "two rows in one": ("\n".join([*lines[:7], lines[7] + "," + lines[8], *lines[9:]]), "line 8 has 22 values"),
+        "header only": (lines[0], "has no samples"),
+        "no header": ("\n".join(lines[1:]), "is not a recording"),
+        "empty": ("", "is not a recording"),
+        "binary": ("\0\1\2\3" * 50, "is not a recording"),
+        "twice": (table.replace("sweep,x_m", "sweep,sweep,x_m", 1), "more than once"),
+        "no contact": (
+            "\n".join([lines[0], *[",".join([*row.split(",")[:8], "0", "0", "0"]) for row in lines[1:]]]),
+            "no",
+        ),
+    }
+    rods = {
+        "misspelt": (rod.replace("length_m", "lenght_m"), "did you mean length_m?"),
+        "section": (rod.replace("[noise]", "[nosie]"), "did you mean noise?"),
+        "schema": (rod.replace("schema = 1", "schema = 7"), "schema 7 is not known"),
+        "schema text": (rod.replace("schema = 1", 'schema = "one"'), "schema 'one' is not known"),
+        "digits": (_replaced(rod, "length_m", HUGE), "positive length"),
+        "many digits": (_replaced(rod, "length_m", "1" * 5000), "can't read"),
+        "infinite": (_replaced(rod, "length_m", "inf"), "positive length"),
+        "tiny": (_replaced(rod, "length_m", "1e-300"), "reactions that are no numbers"),
+        "text": (_replaced(rod, "length_m", '"long"'), "must be a number"),
+        "list": (_replaced(rod, "unit", "[1]"), "unit must be one of"),
+        "rod": ('schema = 1\nrod = "steel"\n', "must be a section [rod]"),
+        "nested": ("a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+        "escape": (_replaced(rod, "unit", '"\\u001b[31mred"'), "\\x1b[31mred"),
+        "noise": (_replaced(rod, "force_N", "-1.0"), "must be numbers >= 0"),
+    }
+    cases = []
+    for name, (text, message) in tables.items():
+        place = f"table {name}.csv"
+        (folder / place).write_text(text)
+        (folder / f"table {name}.toml").write_text(rod)
+        cases.append(Case(place, ("reconstruct", place, "--out", "o"), 1, message))
+    for name, (text, message) in rods.items():
+        place = f"rod {name}.csv"
+        (folder / place).write_text(table)
+        (folder / f"rod {name}.toml").write_text(text)
+        cases.append(Case(place, ("reconstruct", place, "--out", "o"), 1, message))
+        cases.append(Case(f"show {place}", ("show", place, "--html", "o.html"), 1, message))
+    for name, text in {
+        "mac": table.replace("\n", "\r"),
+        "dos": table.replace("\n", "\r\n"),
+        "bom": "\ufeff" + table,
+    }.items():
+        (folder / f"{name}.csv").write_text(text, newline="")
+        (folder / f"{name}.toml").write_text(rod)
+        cases.append(Case(name, ("reconstruct", f"{name}.csv", "--out", f"out {name}"), 0))
+    cases.append(Case("device", ("reconstruct", "zero.csv", "--out", "o"), 1, "device or a pipe"))
+    return cases
+
+
+def _replaced(toml, name, value):
+    return "\n".join(f"{name} = {value}" if line.startswith(f"{name} =") else line for line in toml.splitlines())
+
+
+# --- options ---
+
+
+def _options():
+    small = ("--slices", "4", "--samples", "20")
+    simulate = ("simulate", "box.stl", "--out", "o.csv", *small)
+    wrong = {
+        "slices": ("0", "-1", "abc", "1.5", "nan", HUGE, "1" * 5000, "1000000000"),
+        "samples": ("0", "1", "-1", "x", HUGE, "1000000000000"),
+        "sweeps": ("0", "-1", "two", "1e3", HUGE, "10000000000"),
+        "friction": ("-1", "nan", "inf", "1e300", "0:1:2", "1:0", "0:nan", ":", HUGE),
+        "clearance": ("0", "-1", "1", "nan", "inf", "1e-300", "1e300", HUGE),
+        "tolerance": ("-1", "nan", "inf", HUGE),
+        "noise": ("-1", "nan", "inf", "1e300", HUGE),
+        "seed": ("-1", "1.5", "x"),
+        "rod": ("steel", "steel:1x0", "steel:1e-300x50", "steel:1e300x50", "steel:0.3x1e300", f"steel:{HUGE}x1", "a:b"),
+        "axis": ("w", "1,2", "0,0,0", "nan,0,1", "1e999,0,0", "xx", ",,", ""),
+        "spacing": ("even", ""),
+        "standoff": ("near",),
+        "unit": ("furlong", "\x1b[31m"),
+        "method": ("magic",),
+    }
+    cases = [
+        Case(f"--{name}={value[:20]!r}", (*simulate, f"--{name}={value}"), _wrong(name, value))
+        for name, values in wrong.items()
+        for value in values
+    ]
+    extreme = (
+        *(
+            "--samples=2",
+            "--samples=3",
+            "--clearance=0.9",
+            "--clearance=0.999999",
+            "--clearance=1e-6",
+            "--friction=100",
+        ),
+        *(
+            "--friction=0:100",
+            "--noise=1",
+            "--noise=1e-300",
+            "--tolerance=1e300",
+            "--sweeps=1",
+            "--slices=1",
+            "--slices=2",
+        ),
+        *("--axis=1e300,0,0", "--axis=1e-320,0,0", "--axis=1e308,1e308,1e308", "--rod=steel:0.3x40", f"--seed={HUGE}"),
+        *("--spacing=adaptive --samples=2", "--standoff=fixed --clearance=0.9", "--axis=xyz --slices=2"),
+        *("--rod=steel:0.3x1e10", "--rod=steel:1e20x1e20", "--spacing=adaptive --slices=1", "--sweeps=1 --samples=2"),
+    )
+    # they may fail, in a sentence
+    cases += [
+        Case(words, ("scan", "box.stl", "--out", f"out {words}", *small, *words.split()), -1) for words in extreme
+    ]
+    cases.append(
+        Case("reconstruct --method", ("reconstruct", "log.csv", "--out", "o", "--method", "magic"), 2, "method must")
+    )
+    cases.append(Case("an escape", ("scan", "a\x1b[2Jb.stl", "--out", "o"), 1, "a\\x1b[2Jb.stl"))
+    cases.append(Case("an option with an escape", ("scan", "box.stl", "--out", "o", "--a\x1b[2Jb"), 2, "--a\\x1b[2Jb"))
+    cases.append(Case("a null character", ("scan", "a\0b.stl", "--out", "o"), 1, "null character"))
+    return cases
+
+
+def _wrong(name, value):
+    """The exit code: what does not fit into memory is no wrong usage."""
+    return 1 if name in ("slices", "samples", "sweeps") and value.isdecimal() and 9 < len(value) < 4000 else 2
+
+
+def _configs(folder):
+    texts = {
+        "misspelt": ("slises = 3", 1, "did you mean slices?"),
+        "value": ("slices = -3", 1, "slices must be a whole number"),
+        "digits": (f"clearance = {HUGE}", 1, "clearance must lie"),
+        "many digits": ("slices = " + "1" * 5000, 1, "is not a TOML file"),
+        "date": ("noise = 2020-01-01", 1, "noise must be a number"),
+        "table": ("[rod]\nlength = 1", 1, "rod must be text"),
+        "nested": ("axis = " + "[" * 3000 + "]" * 3000, 1, "nested too deeply"),
+    }
+    cases = []
+    for name, (text, code, message) in texts.items():
+        (folder / f"config {name}.toml").write_text(text)
+        argv = ("simulate", "box.stl", "--out", "o.csv", "--config", f"config {name}.toml")
+        cases.append(Case(f"config {name}", argv, code, message))
+    # the file is right, the command line is wrong
+    (folder / "right.toml").write_text("slices = 4\nsamples = 20\n")
+    argv = ("simulate", "box.stl", "--out", "o.csv", "--config", "right.toml")
+    cases.append(Case("config right", (*argv, "--slices=-3"), 2, "slices must be"))
+    cases.append(Case("config is a device", (*argv[:-1], "/dev/zero"), 1, "device or a pipe"))
+    return cases
+
+
+# --- folders of scans ---
+
+
+def _scans(folder):
+    scan, cases = folder / "scan", []
+    report = json.loads((scan / "report.json").read_text())
+    values = {"text": "x", "list": [1], "object": {"a": 1}, "huge": int(HUGE), "true": True, "null": None}
+    for section, content in report.items():
+        for name in content if isinstance(content, dict) else [None]:
+            for kind, value in values.items():
+                data = json.loads(json.dumps(report))
+                if name is None:
+                    data[section] = value
+                else:
+                    data[section][name] = value
+                code = 1 if section == "schema" and value is not True else -1
+                cases.append(
+                    _show(
+                        folder, scan, f"{section} {name or ''} {kind}", {"report.json": json.dumps(data).encode()}, code
+                    )
+                )
+    texts = {
+        "cut": json.dumps(report)[:300],
+        "list": "[1]",
+        "deep": "[" * 100_000,
+        "digits": '{"schema": ' + "1" * 5000 + "}",
+    }
+    cases += [_show(folder, scan, f"report {name}", {"report.json": text.encode()}, 1) for name, text in texts.items()]
+    shape = (scan / "cloud.ply").read_bytes()
+    cloud, _, _ = scan3d.files.ply.read_ply(scan / "cloud.ply")
+    for name in cloud.dtype.names:
+        for value in (-1, 255, 1e300, np.nan, np.inf, 2e9):
+            rows = cloud.copy()
+            with np.errstate(all="ignore"):
+                rows[name][3] = np.array(value).astype(cloud.dtype[name])
+            cases.append(
+                _show(folder, scan, f"cloud {name} {value}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1)
+            )
+        kept = [other for other in cloud.dtype.names if other != name]
+        rows = np.empty(len(cloud), [(other, cloud.dtype[other]) for other in kept])
+        for other in kept:
+            rows[other] = cloud[other]
+        cases.append(_show(folder, scan, f"cloud without {name}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1))
+    surface, faces, _ = scan3d.files.ply.read_ply(scan / "surface.ply")
+    for value in (-1, 10_000, 2**31 - 1):
+        wrong = faces.copy()
+        wrong[2, 1] = value
+        data = {"surface.ply": ply(surface, wrong, comments=("unit mm",))}
+        cases.append(_show(folder, scan, f"surface index {value}", data, 1))
+    one = {"surface.ply": ply(surface, np.zeros((0, 3), np.int32), comments=("unit mm",))}
+    cases.append(_show(folder, scan, "surface without faces", one, -1))
+    for name, data in {"cut": shape[:-9], "empty": b"", "words": b"Dear reader,"}.items():
+        cases.append(_show(folder, scan, f"cloud {name}", {"cloud.ply": data}, 1))
+    return cases
+
+
+def _show(folder, scan, name, changed, code):
+    """A page of a copy of the scan with some files changed."""
+    copy = folder / "edited" / f"{len(os.listdir(folder / 'edited')) if (folder / 'edited').exists() else 0}"
+    copy.mkdir(parents=True)
+    for file in ("cloud.ply", "surface.ply", "report.json", "recording.csv", "recording.toml"):
+        if file in changed:
+            (copy / file).write_bytes(changed[file])
+        else:
+            os.link(scan / file, copy / file)
+    return Case(f"show {name}", ("show", str(copy), "--html", "o.html"), code)
+
+
+if __name__ == "__main__":
+    for case in make(sys.argv[1]):
+        sys.stdout.write(f"{case.code:2} {case.name}: scan3d {' '.join(case.argv)}\n")

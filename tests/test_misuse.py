@@ -1,0 +1,174 @@
+"""Functions given what they do not expect: a sentence that says what was expected, and no result."""
+
+import dataclasses
+import os
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import planar
+import scan3d
+from scan3d import InputError, memory
+from scan3d.cli.terminal import one_line, printable, printable_json
+from scan3d.files.declared import shortfall
+from scan3d.files.reading import check_file
+from tests.shapes import box, dimpled_box, letter_l, without
+
+PLAN = scan3d.Plan(slices=4, samples=20)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return scan3d.simulate(box(20, 30, 40), PLAN)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "sentence"),
+    [
+        (None, "the body must be a trimesh.Trimesh, got NoneType"),
+        (trimesh.Scene(box()), r"got Scene; a scene becomes a mesh by its method to_mesh\(\)"),
+        ("part.stl", "got str; read a file with scan3d.load_mesh"),
+        (Path("part.stl"), "read a file with scan3d.load_mesh"),
+        (np.eye(3), "must be a trimesh.Trimesh, got ndarray"),
+        (trimesh.PointCloud(np.eye(3)), "must be a trimesh.Trimesh, got PointCloud"),
+        (trimesh.creation.torus(9, 3), "the body isn't a closed convex surface: .*give mesh.convex_hull"),
+        (without(box(20, 30, 40), range(10)), "the body isn't a closed convex surface"),
+        (dimpled_box(0.01), "the body isn't a closed convex surface"),
+        (letter_l(), "the body isn't a closed convex surface"),
+        (trimesh.Trimesh(np.eye(3), [[0, 1, 5]], process=False), "a face with a vertex that does not exist"),
+        (trimesh.Trimesh(), "at least one triangle"),
+        (trimesh.Trimesh(np.full((3, 3), np.nan), [[0, 1, 2]], process=False), "finite coordinates"),
+    ],
+    ids=range(13),
+)
+def test_what_is_no_body_is_not_scanned(mesh, sentence):
+    with pytest.raises(InputError, match=sentence):
+        scan3d.simulate(mesh, PLAN)
+
+
+def test_bodies_of_files_are_scanned_as_before():
+    for name in ("cube.stl", "egg.stl", "lens.off"):
+        mesh = scan3d.load_mesh(Path(__file__).parents[1] / "meshes" / name)
+        mesh.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.9])))
+        assert len(scan3d.simulate(mesh, scan3d.Plan(slices=2, sweeps=2, samples=4)))
+
+
+@pytest.mark.parametrize("mesh", [None, trimesh.Scene(box()), "part.stl"])
+def test_what_is_no_mesh_is_not_compared(mesh):
+    for pair in ((mesh, box()), (box(), mesh)):
+        with pytest.raises(InputError, match=r"must be a trimesh\.Trimesh"):
+            scan3d.compare(*pair)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "sentence"),
+    [
+        ("force_N", lambda a: np.ma.masked_less(a, 0), "force_N is a masked array"),
+        ("moment_Nm", lambda a: a.astype(complex), "moment_Nm must be an array of real numbers, got complex128"),
+        ("position_m", lambda a: a.astype(str), "position_m must be an array of real numbers"),
+        ("position_m", lambda a: None, "position_m must be an array of real numbers, got object None"),
+        ("quaternion", lambda a: a.astype(object), "quaternion must be an array of real numbers, got object"),
+        ("sweep", lambda a: a + 0.5, "sweep must be an array of whole numbers, got float64"),
+        ("sweep", lambda a: None, "sweep must be an array of whole numbers"),
+        ("sweep", lambda a: [[1], [2, 3]], "rows differ in length"),
+        ("force_N", lambda a: a[:, :1], r"force_N must have the shape"),
+        ("rod", lambda a: None, "rod must be a scan3d.Rod, got NoneType"),
+        ("unit", lambda a: ["mm"], "unit must be one of"),
+        ("noise_force_N", lambda a: "0", "must be numbers >= 0"),
+        ("noise_moment_Nm", lambda a: 1j, "must be numbers >= 0"),
+    ],
+)
+def test_columns_that_are_no_real_numbers(recording, field, value, sentence):
+    with pytest.raises(InputError, match=sentence):
+        dataclasses.replace(recording, **{field: value(getattr(recording, field))})
+
+
+def test_lists_become_columns(recording):
+    columns = {name: getattr(recording, name).tolist() for name in ("sweep", "position_m", "force_N", "moment_Nm")}
+    again = dataclasses.replace(recording, **columns)
+    assert np.array_equal(scan3d.reconstruct(again).points, scan3d.reconstruct(recording).points)
+
+
+def test_arguments_of_other_types(recording):
+    with pytest.raises(InputError, match=r"from a scan3d\.Recording, got str"):
+        scan3d.reconstruct("log.csv")
+    with pytest.raises(InputError, match=r"from a scan3d\.Cloud, got Recording"):
+        scan3d.surface(recording)
+    with pytest.raises(InputError, match=r"must be a scan3d\.Plan, got dict"):
+        scan3d.simulate(box(), {"slices": 3})
+    large = dataclasses.replace(recording, force_N=recording.force_N + 1e200)
+    with pytest.raises(InputError, match=r"force_N holds 1e\+200; check its unit"):
+        scan3d.reconstruct(large)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        dict(friction=None), dict(friction="0.3"), dict(friction=1j), dict(friction=(0.1, None)), dict(friction=1e9),
+        dict(noise=None), dict(noise="1"), dict(noise=10**400), dict(clearance="x"), dict(clearance=1e-9), dict(tolerance=[]),
+        dict(axis=None), dict(axis=[["x"]]), dict(axis=(1, 2, "z")), dict(axis=(10**400, 0, 0)), dict(rod="steel:0.3x50"),
+        dict(spacing=None), dict(spacing=[]), dict(standoff={}), dict(unit=None), dict(unit=[]), dict(sweeps=1.5),
+        dict(slices=None), dict(seed="7"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_settings_of_other_types(setting):
+    with pytest.raises(InputError, match=next(iter(setting))):
+        scan3d.Plan(**setting)
+
+
+@pytest.mark.parametrize("column", range(4))
+def test_reactions_that_are_no_real_numbers(column):
+    def given(change):
+        return [change(np.ones(3)) if k == column else np.ones(3) for k in range(4)]
+
+    with pytest.raises(ValueError, match="masked"):
+        planar.reconstruct(*given(lambda a: np.ma.masked_equal(a, 1)))
+    with pytest.raises(ValueError, match="real numbers, got complex128"):
+        planar.reconstruct(*given(lambda a: a + 1j))
+    with pytest.raises(ValueError, match="real numbers"):
+        planar.reconstruct(*given(lambda a: None))
+
+
+def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch):
+    monkeypatch.setattr(memory, "memory_bytes", lambda: 24_000_000_000)
+    tracemalloc.start()
+    for plan in (scan3d.Plan(slices=10**9), scan3d.Plan(samples=10**12), scan3d.Plan(sweeps=10**400)):
+        with pytest.raises(InputError, match=r"needs (about|more).* memory|needs about .*, and this machine has 24 GB"):
+            scan3d.simulate(box(), plan)
+    assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    tracemalloc.stop()
+
+
+def test_the_memory_is_that_of_the_machine():
+    assert 10**8 < memory.memory_bytes() < 10**15
+
+
+def test_special_files_are_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(InputError, match="is a device or a pipe"):
+            check_file(path)
+    with pytest.raises(IsADirectoryError):
+        check_file(tmp_path)
+
+
+@pytest.mark.parametrize("ending", ["stl", "ply", "off", "glb"])
+def test_right_files_hold_what_they_declare(ending):
+    for mesh in (box(), trimesh.creation.icosphere(subdivisions=2)):
+        data = mesh.export(file_type=ending)
+        data = data.encode() if isinstance(data, str) else data
+        assert shortfall(ending, data) == ""
+        assert shortfall(ending, data[: len(data) // 2]) != ""
+    text = box().export(file_type="stl_ascii").encode()
+    assert shortfall("stl", text) == ""
+
+
+def test_what_a_terminal_obeys_is_escaped():
+    assert printable("a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ") == r"a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ"
+    assert printable_json('{\n "a": "\x9b\u202e"\n}') == '{\n "a": "\\u009b\\u202e"\n}'
+    assert one_line("a\nb\r\nc\td") == r"a b c\x09d"
+    assert len(one_line("1" * 10_000)) < 1100
