@@ -330,7 +330,7 @@ def _scans(folder):
     shape = (scan / "cloud.ply").read_bytes()
     cloud, _, _ = scan3d.files.ply.read_ply(scan / "cloud.ply")
     for name in cloud.dtype.names:
-        for value in (-1, 255, 1e300, np.nan, np.inf, 2e9):
+        for value in (-1, 255, 1e300, 1e306, np.nan, np.inf, 2e9):
             rows = cloud.copy()
             with np.errstate(all="ignore"):
                 rows[name][3] = np.array(value).astype(cloud.dtype[name])
