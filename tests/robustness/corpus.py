@@ -337,6 +337,9 @@ def _scans(folder):
             cases.append(
                 _show(folder, scan, f"cloud {name} {value}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1)
             )
+            # the cloud alone, whose columns nothing contradicts
+            argv = ("show", f"{cases[-1].argv[1]}/cloud.ply", "--html", "o.html")
+            cases.append(Case(f"show cloud alone {name} {value}", argv, -1))
         kept = [other for other in cloud.dtype.names if other != name]
         rows = np.empty(len(cloud), [(other, cloud.dtype[other]) for other in kept])
         for other in kept:
