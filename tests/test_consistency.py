@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from scan3d.cli import main
 from wrong_recordings import FAULTS
 
 import scan3d
+from scan3d.cli import main
 from scan3d.errors import InputError
 from scan3d.reconstruction.consistency import contradictions
 from scan3d.reconstruction.contacts import contacts
