@@ -133,11 +133,12 @@ def _inner_polygon(
     smallest = np.linalg.eigvalsh(covariance)[:, 0]
     averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
     bias = _bias(covariance, length)
-    place = np.concatenate([points, averages.mean(points)])
-    spread = np.concatenate([covariance, averages.variance(covariance)])
+    single = _some(np.arange(len(points)))
+    place = np.concatenate([points[single], averages.mean(points)])
+    spread = np.concatenate([covariance[single], averages.variance(covariance)])
     entries = np.stack([spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]], axis=1)
-    biased = np.concatenate([bias, averages.mean(bias)])
-    sigma = np.concatenate([np.full(len(points), kappa), averages.kappa])
+    biased = np.concatenate([bias[single], averages.mean(bias)])
+    sigma = np.concatenate([np.full(len(single), kappa), averages.kappa])
 
     def reach(u: Array) -> Array:
         """(d, n) how far in the directions (d, 2) each contact and average proves the body to reach."""
