@@ -214,6 +214,23 @@ def test_the_bound_of_several_axes_holds(axis):
     assert analysis.comparison.hausdorff <= analysis.certificate.bound
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_the_inner_body_allows_for_the_digits_of_the_poses(noise):
+    """The bound allowed for them, the inner body and its volume did not."""
+    mesh, recording, _ = scanned("cube.stl", noise, slices=8, samples=30)
+    position = np.round(recording.position_m, 6)
+    cloud = scan3d.reconstruct(dataclasses.replace(recording, position_m=position))
+    assert 1e-4 < cloud.pose_error < 1e-2
+    bounds = enclosure(cloud)
+    assert nearest(np.asarray(bounds.inner.vertices), mesh)[0].max() <= 0
+    assert nearest(np.asarray(mesh.vertices), bounds.inner)[0].max() <= bounds.bound
+    assert bounds.volume[0] < mesh.volume < bounds.volume[1]
+    # a given margin moves the half-spaces only
+    assert enclosure(cloud, margin=cloud.pose_error).inner.volume > bounds.inner.volume
+    # poses whose digits are coarser than the body is thick prove nothing
+    assert np.isinf(enclosure(dataclasses.replace(cloud, pose_error=1e3)).bound)
+
+
 # --- contacts ---
 
 

@@ -166,6 +166,19 @@ def test_200_right_recordings_are_not_remarked_on():
     assert [seed for seed in range(100, 300) if remarks(right_recording(seed))] == []
 
 
+def test_digits_of_the_poses_do_not_turn_short_sweeps(egg):
+    """A sweep that is a few last places long has no direction."""
+    axes = egg.axes()
+    back = (
+        egg.position_m
+        + 0.9999 * ((egg.position_m.mean(axis=0) - egg.position_m) * axes[:, 0]).sum(1)[:, None] * axes[:, 0]
+    )
+    last_place = 1e-6
+    short = dataclasses.replace(egg, position_m=np.round(back / last_place) * last_place)
+    assert "sweep-direction" not in remarks(short)
+    assert "sweep-direction" in remarks(FAULTS["quaternions with qw last"](egg))
+
+
 def test_a_few_disturbed_rows_are_no_contradiction(egg):
     force = np.hypot(*egg.force_N.T)
     rows = np.flatnonzero(force > 0)[::100]

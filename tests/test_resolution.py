@@ -71,6 +71,17 @@ def test_steps_of_a_converter(values, step):
     assert rounding_sd(few) == pytest.approx(3 * step / 12**0.5)
 
 
+@pytest.mark.parametrize("bits", [12, 16, 20, 24])
+def test_steps_of_a_converter_of_which_hardly_two_numbers_are_equal(values, bits):
+    """Steps were only looked for where numbers repeat: 300 numbers of 16 bits passed for exact."""
+    numbers = values[:300]
+    step = np.abs(numbers).max() * 2.0 ** (1 - bits)
+    converted = step * np.round(numbers / step)
+    assert rounding_sd(converted) == pytest.approx(step / 12**0.5)
+    if bits <= 16:
+        assert rounding_sd(rounded(converted, 9)) == pytest.approx(step / 12**0.5, rel=1e-4)
+
+
 def test_full_precision_and_empty_columns_have_no_rounding(values):
     assert rounding_sd(values) == 0
     assert rounding_sd(np.repeat(values[:100], 50)) == 0  # a symmetric scan repeats its numbers

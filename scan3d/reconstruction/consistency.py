@@ -17,7 +17,7 @@ from scan3d.arrays import Index
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.reconstruction.contacts import FORCE_SIGMAS, contacts
-from scan3d.reconstruction.resolution import noise_of
+from scan3d.reconstruction.resolution import LARGEST_OVER_SD, noise_of, rounding_sd
 from scan3d.reconstruction.slices import stacks
 from scan3d.recording import Recording
 
@@ -150,7 +150,8 @@ def _off_line(recording: Recording) -> list[Contradiction]:
     last = np.append(first[1:], len(recording)) - 1
     travel = recording.position_m[last] - recording.position_m[first]
     length = np.linalg.norm(travel, axis=1)
-    moved = length > 0
+    # the digits of two positions turn a short line by more than a fault would
+    moved = length > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / _OFF_LINE
     if not moved.any():
         return []
     along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / length[moved]

@@ -21,9 +21,12 @@ _COUNTED = 2000
 _FULL = 15
 # The same of numbers in single precision, which counts by its spacing.
 _FULL_SINGLE = 8
-# A column has steps if its numbers take at most this fraction of different values, and lie on a common grid to within this
-# fraction of a step.  Larger, numbers that repeat by symmetry count as steps; smaller, the steps of a converter are missed.
-_DISTINCT, _ON_GRID = 0.5, 1e-3
+# A column has steps if its numbers lie on a common grid to within this fraction of a step.  Larger, numbers lie on a grid by
+# chance; smaller, steps that were written with few digits are missed.
+_ON_GRID = 0.02
+# The grid's step is determined by ever larger distances, each at most this many times the one before if there is such a one.
+# Larger, digits that are missing make the number of steps in the next distance uncertain; smaller, it takes longer.
+_GROWTH = 8.0
 # Steps in the smallest gap between two numbers of a column, at most.  Larger, few numbers lie on a common grid by chance;
 # smaller, coarse steps are missed in columns with few different numbers.
 _PARTS = 12
@@ -33,8 +36,8 @@ _FEWEST = 20
 # are taken for those of a plan, which are round but exact.  Larger, planned poses count as uncertain; smaller, the rounding
 # of logged poses is overlooked.
 _FINE = 1e-4
-# The largest error by rounding of three coordinates, over the standard deviation of one.
-_LARGEST_OVER_SD = 3.0
+LARGEST_OVER_SD = 3.0
+"""The largest error by rounding of three coordinates, over the standard deviation of one."""
 
 
 def rounding_sd(values: Array) -> float:
@@ -70,15 +73,25 @@ def _decimal_step(values: Array, largest: float, single: bool) -> float:
 def _grid_step(values: Array) -> float:
     """The step of the grid on which all numbers lie; 0 if they do not lie on one."""
     distinct = np.unique(values)
-    if len(distinct) < _FEWEST or len(distinct) > _DISTINCT * len(values):
+    if len(distinct) < _FEWEST:
         return 0.0
-    gaps = np.diff(distinct)
-    smallest = float(gaps.min())
+    first = int(np.diff(distinct).argmin())
+    distances = np.sort(np.abs(distinct - distinct[first]))[1:]
     for part in range(1, _PARTS + 1):  # the smallest gap may be a few steps
-        multiples = gaps * (part / smallest)
+        step = _refined(distances, float(distances[0]) / part)
+        multiples = distances / step
         if (np.abs(multiples - np.round(multiples)) <= _ON_GRID).all():
-            return smallest / part
+            return step
     return 0.0
+
+
+def _refined(distances: Array, step: float) -> float:
+    """The step of which all distances (n,), increasing, are multiples if there is one, from its first estimate."""
+    k = 0
+    while k < len(distances) - 1:
+        k = max(k + 1, int(np.searchsorted(distances, _GROWTH * distances[k], side="right")) - 1)
+        step = float(distances[k] / max(np.round(distances[k] / step), 1.0))
+    return step
 
 
 class Noise(NamedTuple):
@@ -101,4 +114,4 @@ def noise_of(recording: Recording) -> Noise:
     turn = 2 * rounding_sd(recording.quaternion.ravel())
     size = float(np.linalg.norm(np.ptp(recording.position_m, axis=0))) + length
     place = position * (position <= _FINE * length) + turn * size * (turn <= _FINE)
-    return Noise(max(recording.noise_force_N, force), max(recording.noise_moment_Nm, moment), place * _LARGEST_OVER_SD)
+    return Noise(max(recording.noise_force_N, force), max(recording.noise_moment_Nm, moment), place * LARGEST_OVER_SD)

@@ -43,7 +43,7 @@ class Enclosure:
     """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
 
     inner: Any
-    """The inner body, the convex hull of the contacts: a `trimesh.Trimesh`."""
+    """The inner body, a `trimesh.Trimesh`: the convex hull of exact contacts, or of the points that noisy contacts prove."""
     corners: Array
     """(w, 3) corners of the outer body's slabs."""
     gap: Array
@@ -103,7 +103,12 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
         by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
     else:
         confidence = 1.0
-    margin = cloud.pose_error if margin is None else margin
+    if margin is None:
+        margin = cloud.pose_error
+        shrunk = _shrunk(inner, margin) if margin else inner
+        if shrunk is None:
+            return _unbounded(inner, by_axis[0], confidence)
+        inner = shrunk
     outer = [slabs(stack, margin) for stack in by_axis]
     if len(by_axis) > 1:
         # another stack may bound the height of a stack more tightly than its empty slices do
@@ -125,6 +130,15 @@ def _proven_hull(by_axis: list[SliceStack]) -> Any:
     with suppress(InputError):
         return hull(np.concatenate(points)) if points else None
     return None
+
+
+def _shrunk(body: Any, distance: float) -> Any:
+    """A convex body scaled about a point of it, so that it lies in the body deeper than `distance`; None if it is too thin."""
+    vertices = body.vertices.view(np.ndarray)
+    centre = vertices.mean(axis=0)
+    # the support function about the centre is at least the depth of the centre, and falls by the depth's part of itself
+    depth = -float(nearest(centre[None], body)[0][0])
+    return hull(centre + (1 - distance / depth) * (vertices - centre)) if depth > distance else None
 
 
 def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> Enclosure:

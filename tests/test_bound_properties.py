@@ -1,0 +1,61 @@
+"""What a scan states of the body holds, whatever the body, the plan, the noise and the digits; and so do the covariances."""
+
+import dataclasses
+
+import pytest
+
+from tests.robustness import bounds, covariances
+
+
+def wrong(seeds, **limits):
+    """Failures of the draws of some seeds, but for those that are to be expected."""
+    found = []
+    for seed in seeds:
+        draw = bounds.drawn(seed, **limits)
+        found += [
+            (seed, name, numbers, str(draw)) for name, numbers in bounds.failures(draw) or () if bounds.counts(name)
+        ]
+    return found
+
+
+def test_some_scans_are_as_stated():
+    assert wrong(range(10), most=(10, 24)) == []
+
+
+@pytest.mark.slow
+def test_scans_are_as_stated():
+    assert wrong(range(100, 160)) == []
+
+
+@pytest.mark.slow
+def test_exact_scans_are_as_stated():
+    assert wrong(range(200, 230), noise=(0.0,)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", covariances.BODIES)
+def test_covariances_are_as_stated(name):
+    for noise, checked in covariances.scans(name).items():
+        assert covariances.outside(checked) == [], noise
+
+
+def test_draws_repeat():
+    one, other = bounds.drawn(7), bounds.drawn(7)
+    assert str(one) == str(other)
+    assert (one.mesh.vertices == other.mesh.vertices).all()
+
+
+@pytest.mark.parametrize("part", [0.0, 0.05])
+def test_false_statements_are_found(part):
+    """Of a recording that states less noise than it has."""
+    draw = dataclasses.replace(bounds.drawn(4, noise=(1e-3,), most=(10, 24)), digits="")
+
+    def understated(recording):
+        return dataclasses.replace(
+            recording,
+            noise_force_N=part * recording.noise_force_N,
+            noise_moment_Nm=part * recording.noise_moment_Nm,
+        )
+
+    assert bounds.failures(draw) == []
+    assert bounds.failures(draw, understated)
