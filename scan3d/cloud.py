@@ -80,6 +80,9 @@ class Cloud(Shown):
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
 
+    independent: bool = True
+    """Whether the errors of successive contacts are independent, as those of noise are; those of rounding alone are not."""
+
     def accurate(self) -> Cloud:
         """The cloud without the contacts whose place is much less certain than most, as under light touches."""
         if self.place_sd is None:

@@ -121,6 +121,24 @@ def test_a_mean_of_contacts_lies_as_close_as_its_covariance_says():
     np.testing.assert_allclose(averages.variance(covariance), expected)
 
 
+def test_means_of_rounded_numbers_are_no_more_accurate():
+    """Of 500 samples of 8 bit many have the same error; their means were taken for accurate, and false."""
+    mesh = trimesh.convex.convex_hull(np.random.default_rng(24).standard_normal((4, 3)) * 10)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=500, spacing="uniform"))
+    steps = (2.0**-7 * np.abs(recording.force_N).max(), 2.0**-7 * np.abs(recording.moment_Nm).max())
+    log = dataclasses.replace(
+        recording,
+        force_N=steps[0] * np.round(recording.force_N / steps[0]),
+        moment_Nm=steps[1] * np.round(recording.moment_Nm / steps[1]),
+    )
+    cloud = scan3d.reconstruct(log)
+    assert not cloud.independent
+    assert nearest(np.asarray(enclosure(cloud).inner.vertices), mesh)[0].max() <= 0
+    by_means = enclosure(dataclasses.replace(cloud, independent=True)).inner
+    assert nearest(np.asarray(by_means.vertices), mesh)[0].max() > 0
+    assert len(averages_of(cloud.points, None, np.ones(len(cloud)), 5.0).kappa) == 0
+
+
 # --- polygons ---
 
 

@@ -116,7 +116,21 @@ def test_stated_noise_counts_where_it_is_larger_than_the_digits(recording):
     log = dataclasses.replace(recording, force_N=rounded(recording.force_N, 6), noise_force_N=1.0, noise_moment_Nm=0.0)
     assert noise_of(log).force_N == 1.0
     assert noise_of(log).moment_Nm == 0.0
-    assert noise_of(recording) == (0.0, 0.0, 0.0)
+    assert noise_of(recording) == (0.0, 0.0, 0.0, True)
+
+
+@pytest.mark.parametrize("ratio", [0.2, 1.0, 5.0])
+def test_rounding_adds_to_the_stated_noise(recording, ratio):
+    """The larger of the two counted, and left out up to 30 % of the error where they are about equal."""
+    step = 2.0**-12 * recording.rod.force_unit_N
+    noise = ratio * step / 12**0.5
+    rng = np.random.default_rng(1)
+    noisy = recording.force_N + noise * rng.standard_normal(recording.force_N.shape)
+    log = dataclasses.replace(recording, force_N=step * np.round(noisy / step), noise_force_N=noise)
+    error = (log.force_N - recording.force_N)[np.hypot(*recording.force_N.T) > 0]
+    assert noise_of(log).force_N == pytest.approx(error.std(), rel=0.03)
+    # errors of rounding repeat from row to row unless the noise is larger than half a step
+    assert noise_of(log).independent == (ratio > 3**0.5)
 
 
 def test_round_positions_of_a_plan_are_exact(recording):

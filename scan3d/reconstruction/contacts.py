@@ -99,6 +99,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         unresolved=unresolved if unresolved.any() else None,
         light=int(light.sum()),
         pose_error=known.place_m / scale,
+        independent=known.independent,
     )
 
 

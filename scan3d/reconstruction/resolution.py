@@ -36,6 +36,12 @@ _FEWEST = 20
 # are taken for those of a plan, which are round but exact.  Larger, planned poses count as uncertain; smaller, the rounding
 # of logged poses is overlooked.
 _FINE = 1e-4
+# Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
+# is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
+# Larger, means of rows are not used though their errors are smaller; smaller, errors count as independent that are not.
+_DITHER = 3**0.5
+# Rounding below this fraction of the noise does not count.  Larger, the noise is understated; smaller, nothing changes.
+_NEGLIGIBLE = 0.03
 LARGEST_OVER_SD = 3.0
 """The largest error by rounding of three coordinates, over the standard deviation of one."""
 
@@ -98,20 +104,34 @@ class Noise(NamedTuple):
     """Errors of a recording."""
 
     force_N: float
-    """Standard deviation of each force component: the stated one, or that of rounding if it is larger."""
+    """Standard deviation of each force component, by the stated noise and by rounding."""
     moment_Nm: float
     """Standard deviation of the moment, likewise."""
     place_m: float
     """Largest error of a contact's place by the digits of the poses."""
+    independent: bool
+    """Whether the errors of successive rows are independent.  Rounding alone gives successive rows the same errors where force
+    and moment change by less than a step; noise of some size makes the errors of rounding independent as well."""
 
 
 def noise_of(recording: Recording) -> Noise:
-    """The errors that a recording states, and at least those of its digits."""
+    """The errors that a recording states, and those of its digits."""
     force = max(rounding_sd(column) for column in recording.force_N.T)
     moment = rounding_sd(recording.moment_Nm)
+    stated_force, stated_moment = recording.noise_force_N, recording.noise_moment_Nm
     length = recording.rod.length_m
     position = rounding_sd(recording.position_m.ravel())
     turn = 2 * rounding_sd(recording.quaternion.ravel())
     size = float(np.linalg.norm(np.ptp(recording.position_m, axis=0))) + length
     place = position * (position <= _FINE * length) + turn * size * (turn <= _FINE)
-    return Noise(max(recording.noise_force_N, force), max(recording.noise_moment_Nm, moment), place * LARGEST_OVER_SD)
+    return Noise(
+        _together(stated_force, force),
+        _together(stated_moment, moment),
+        place * LARGEST_OVER_SD,
+        stated_force >= _DITHER * force and stated_moment >= _DITHER * moment,
+    )
+
+
+def _together(stated: float, rounding: float) -> float:
+    """Standard deviation of the sum of noise and rounding."""
+    return stated if rounding <= _NEGLIGIBLE * stated else float(np.hypot(stated, rounding))

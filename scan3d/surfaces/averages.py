@@ -42,6 +42,8 @@ class Averages(NamedTuple):
         return self._sums(values[self.row] * self._shaped(self.weight**2, values))
 
     def _sums(self, terms: Array) -> Array:
+        if not len(self.kappa):
+            return terms
         sums: Array = np.add.reduceat(terms, np.searchsorted(self.group, np.arange(len(self.kappa))))
         return sums
 
@@ -50,13 +52,15 @@ class Averages(NamedTuple):
         return weight.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def averages_of(points: Array, sweep: NDArray[np.int32], variance: Array, kappa: float) -> Averages:
+def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array, kappa: float) -> Averages:
     """Means over successive rows of each sweep, and over such runs of several sweeps that lie beside each other.
 
     Runs are fixed by the order of the rows, so that the errors do not choose what is averaged.  Which runs of other sweeps lie
     beside one is judged by the noisy points; each has at most `_CANDIDATES` for that, which κ allows for.  The weights are
-    inverse to the variances (n,).
+    inverse to the variances (n,).  There are no means where `sweep` is None, because the errors are not independent.
     """
+    if sweep is None:
+        return Averages(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0), np.empty(0))
     rows, groups, weights, kappas, count = [], [], [], [], 0
     start = np.flatnonzero(np.diff(sweep, prepend=sweep[:1] - 1))
     within = np.arange(len(sweep)) - np.repeat(start, np.diff(start, append=len(sweep)))

@@ -20,7 +20,8 @@ the face.  This is repeated with the polygon of the lines so moved.  The first p
 extents enclose a polygon in the rectangle's interior, then K lies in that polygon, since K is connected.
 
 Averages.  The mean of several points of K lies in K, and the mean of several of these inequalities holds for all x of K.  Means
-over successive rows of a sweep have smaller errors and lie a little inside or outside; the polygons take both.
+over successive rows of a sweep have smaller errors and lie a little inside or outside; the polygons take both.  Errors of
+rounding alone are not independent, but within √3 of their standard deviations; there are no averages then.
 """
 
 from __future__ import annotations
@@ -94,13 +95,14 @@ def _confident_slice(slice_: Slice, frame: Array, cloud: Cloud, kappa: float) ->
     normals[slice_.tangential] = slice_.normals
     lines = (known & (kappa * cloud.normal_sd[slice_.rows] < _LARGEST_TILT))[order]
     measured = np.arctan2(normals[order][lines, 1], normals[order][lines, 0])
-    inner = _inner_polygon(points, covariance, cloud.sweep[rows], measured, kappa, cloud.rod_length)
+    sweep = cloud.sweep[rows] if cloud.independent else None
+    inner = _inner_polygon(points, covariance, sweep, measured, kappa, cloud.rod_length)
     if inner is None:
         return None
     support_lines = _Lines(
         points[lines], normals[order][lines], covariance[lines], cloud.normal_sd[rows][lines], cloud.rod_length
     )
-    angle, value = _outer_lines(support_lines, cloud.sweep[rows][lines], inner, kappa)
+    angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa)
     return replace(
         slice_,
         points=inner,
@@ -123,10 +125,12 @@ def _bias(covariance: Array, length: float) -> Array:
 
 
 def _inner_polygon(
-    points: Array, covariance: Array, sweep: NDArray[np.int32], measured: Array, kappa: float, length: float
+    points: Array, covariance: Array, sweep: NDArray[np.int32] | None, measured: Array, kappa: float, length: float
 ) -> Array | None:
     """Corners (v, 2), in order, of a polygon inside the section; None if the contacts prove no point of it.
 
+    sweep (n,)
+        number of each contact's sweep; None if the errors of successive rows are not independent.
     measured (k,)
         angles of the contacts' normals, in whose directions those contacts are likely to reach farthest.
     """
@@ -204,7 +208,7 @@ class _Lines:
         return moved
 
 
-def _outer_lines(lines: _Lines, sweep: NDArray[np.int32], inner: Array, kappa: float) -> tuple[Array, Array]:
+def _outer_lines(lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, kappa: float) -> tuple[Array, Array]:
     """Angles (a,), increasing, and values (a,) of support lines that enclose the section; none if they do not close."""
     if len(lines.points) >= 3:
         averaged = _Averaged(lines, averages_of(lines.points, sweep, lines.across**2, kappa))

@@ -10,7 +10,8 @@ than the stated confidence allows on noisy data.
 
 Failures that are to be expected are counted apart.  Missed slices: a slice of the body that the recording has no contact in,
 because the rod does not reach it or the samples pass it by, counts as empty, and bounds the body where it goes on.  Coarse
-poses: digits of the poses that are coarser than 1e-4 rod lengths are taken for those of a plan, and for exact.
+poses: digits of the poses that are coarser than 1e-4 rod lengths are taken for those of a plan, and for exact; and slices that
+are closer than those digits count as one.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from scan3d.workflow import analyse
 
 NOISE = (0.0, 1e-7, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2)
 KINDS = ("points", "plate", "needle", "box", "prism", "cone", "drop", "ellipsoid", "chamfered", "tetrahedron")
+DIGITS = ("4", "5", "6", "7", "9", "12", "float32", "8 bit", "10 bit", "12 bit", "16 bit", "20 bit", "24 bit", "poses")
 METHODS = ("hull", "bracket", "auto")
 # Rounding of distances, relative to the diagonal.
 ROUNDING = 1e-9
@@ -58,7 +60,8 @@ class Draw:
     mesh: trimesh.Trimesh
     plan: scan3d.Plan
     digits: str
-    """'' for numbers of full precision, 'float32', a number of significant digits, or '12 bit' for a converter's steps."""
+    """'' for numbers of full precision, 'float32', a number of significant digits, '12 bit' for a converter's steps, or 'poses'
+    and the standard deviation of their rounding in rod lengths."""
     method: str
 
     def __str__(self) -> str:
@@ -121,7 +124,7 @@ def drawn(seed, noise=NOISE, fewest=(4, 16), most=(40, 80)):
     draw = np.random.default_rng([seed, 11])
     kind, mesh = body(draw)
     several = draw.random() < 0.15
-    slices, samples = (int(np.exp(draw.uniform(np.log(a), np.log(b)))) for a, b in zip(fewest, most, strict=True))
+    slices, samples = (int(a * (b / a) ** (draw.uniform() ** 1.5)) for a, b in zip(fewest, most, strict=True))
     friction = sorted(float(value) for value in draw.choice([0.0, 0.05, 0.2, 0.3, 0.6, 1.0], 2))
     plan = scan3d.Plan(
         slices=min(slices, 12) if several else slices,
@@ -140,14 +143,21 @@ def drawn(seed, noise=NOISE, fewest=(4, 16), most=(40, 80)):
         width = max(_width(mesh, slice_frame(axis)) for axis in plan.axes())
         length = float(np.exp(draw.uniform(np.log(0.4), np.log(2)))) * width * UNITS_M[plan.unit]
         plan = dataclasses.replace(plan, rod=Rod.of_length(length))
-    digits = str(draw.choice(["5", "6", "7", "9", "12", "float32", "12 bit", "16 bit", "20 bit"]))
-    return Draw(kind, mesh, plan, digits if draw.random() < 0.3 else "", str(draw.choice(METHODS)))
+    if draw.random() < 0.1:  # few and long sweeps
+        plan = dataclasses.replace(plan, slices=min(plan.slices, 5), samples=4 * most[1], sweeps=4)
+    digits = str(draw.choice(DIGITS))
+    if digits == "poses":
+        digits = f"poses {10 ** draw.uniform(-8, -4):.2g}"
+    return Draw(kind, mesh, plan, digits if draw.random() < 0.35 else "", str(draw.choice(METHODS)))
 
 
 def rounded(recording, digits):
-    """The recording with limited digits: all of its columns, or force and moment in steps of a converter."""
+    """The recording with limited digits: all of its columns, force and moment in steps of a converter, or the positions."""
     if not digits:
         return recording
+    if digits.startswith("poses"):
+        step = float(digits.split()[1]) * np.sqrt(12) * recording.rod.length_m
+        return dataclasses.replace(recording, position_m=step * np.round(recording.position_m / step))
     if digits.endswith("bit"):
         columns = {}
         for name in ("force_N", "moment_Nm"):
@@ -172,7 +182,8 @@ def failures(draw, changed=lambda recording: recording):
     with warnings.catch_warnings(record=True) as caught, mock.patch.object(comparison, "SAMPLES", 200):
         warnings.simplefilter("always")
         try:
-            recording = changed(rounded(scan3d.simulate(draw.mesh, draw.plan), draw.digits))
+            exact = scan3d.simulate(draw.mesh, draw.plan)
+            recording = changed(rounded(exact, draw.digits))
             analysis = analyse(recording, draw.mesh, draw.method)
         except InputError:
             return None
@@ -180,7 +191,9 @@ def failures(draw, changed=lambda recording: recording):
             return [("error", traceback.format_exc())]
         found = [("warning of numpy", str(warning.message)) for warning in caught]
     found += [("warning", f"{warning.code}: {warning.message}") for warning in analysis.warnings]
-    cloud = analysis.cloud
+    cloud, axes = analysis.cloud, exact.axes()[:, 2]
+    heights = (exact.position_m * axes).sum(axis=1) / exact.rod.length_m
+    exact_slices = len(np.unique(np.round(np.column_stack([axes, heights]), 9), axis=0))
     names = ["points", "force_N", "covariance", "place_sd"]
     columns = [getattr(cloud, name) for name in names if getattr(cloud, name) is not None]
     if not all(np.isfinite(column).all() for column in columns) or (
@@ -190,7 +203,8 @@ def failures(draw, changed=lambda recording: recording):
     false = _false(draw.mesh, analysis) if not analysis.warnings else []
     if false and _missed(draw.mesh, analysis):
         false = [(f"{MISSED}{name}", numbers) for name, numbers in false]
-    if rounding_sd(recording.position_m.ravel()) > FINE * recording.rod.length_m:
+    coarse = rounding_sd(recording.position_m.ravel()) > FINE * recording.rod.length_m
+    if coarse or len(cloud.slice_height) < exact_slices:
         return [(f"{COARSE}{name}", numbers) for name, numbers in found + false]
     return found + false
 
@@ -246,12 +260,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1500)
     parser.add_argument("--seed", type=int, default=0, help="of the first draw")
+    parser.add_argument("--digits", nargs="+", default=[], help="limited digits of every draw, such as 5, '10 bit'")
     parser.add_argument("--noise", type=float, nargs="+", default=NOISE, help="those that are drawn from")
     arguments = parser.parse_args()
     totals, failed, names = collections.Counter(), collections.Counter(), collections.Counter()
     start = time.monotonic()
     for seed in range(arguments.seed, arguments.seed + arguments.count):
         draw = drawn(seed, arguments.noise)
+        if arguments.digits:
+            draw = dataclasses.replace(draw, digits=arguments.digits[seed % len(arguments.digits)])
         found = failures(draw)
         if found is None:
             names["refused in a sentence"] += 1
