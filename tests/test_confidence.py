@@ -11,6 +11,7 @@ import scan3d
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.polygons import beyond, polygon_of_lines
 from scan3d.geometry.sections import slice_polygons
+from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import certificate, enclosure, surface
 from scan3d.surfaces.averages import AVERAGED, averages_of
@@ -170,6 +171,7 @@ def test_the_part_of_a_polygon_beyond_a_line():
 # --- enclosures and certificates ---
 
 
+@pytest.mark.slow
 def test_an_enclosure_allows_for_the_clouds_own_noise():
     """The bound that ignores the noise is smaller than the truth."""
     mesh, _, cloud = scanned("cube.stl", 1e-3, slices=48)
@@ -190,7 +192,7 @@ def test_exact_contacts_need_no_confidence():
     assert enclosure(cloud).bound == enclosure(cloud, margin=0.0).bound
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_the_certificates_that_were_false(seed):
     """One standard deviation for all contacts certified 0.056 mm; the truth was 0.074 to 0.10 mm."""
     mesh, recording, _ = scanned("cube.stl", 1e-4, seed=seed, slices=24)
@@ -252,7 +254,7 @@ def test_the_inner_body_allows_for_the_digits_of_the_poses(noise):
 # --- contacts ---
 
 
-@pytest.mark.parametrize("name", ["egg.stl", "cube.stl"])
+@pytest.mark.parametrize("name", [pytest.param("egg.stl", marks=pytest.mark.slow), "cube.stl"])
 def test_the_contacts_covariances_hold(name):
     """Against the same scan without noise, row by row: 95 % of the contacts lie in the ellipse of 95 %."""
     mesh = scan3d.load_mesh(MESHES / name)
@@ -295,7 +297,7 @@ def test_a_slice_with_a_force_but_no_contact_is_not_empty():
     """It would bound the body's height."""
     mesh = scan3d.load_mesh(MESHES / "egg.stl")
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=12, friction=0.3, samples=40))
-    (stack,) = stacks(scan3d.reconstruct(recording))
+    (stack,) = stacks(contacts(recording))
     assert np.isfinite(stack.ceiling)
     heights = recording.position_m[:, 2] * 1e3
     above = heights > stack.heights[-1] + 1e-6
@@ -304,5 +306,5 @@ def test_a_slice_with_a_force_but_no_contact_is_not_empty():
     pushed = dataclasses.replace(
         recording, force_N=recording.force_N + np.where(above, 1e-3, 0.0)[:, None] * [0.0, 1.0]
     )
-    (stack,) = stacks(scan3d.reconstruct(pushed))
+    (stack,) = stacks(contacts(pushed))
     assert np.isinf(stack.ceiling)

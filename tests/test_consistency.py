@@ -193,6 +193,12 @@ def test_a_few_disturbed_rows_are_no_contradiction(egg):
 # --- what becomes of it ---
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Pictures take longer than all the rest, and are tested elsewhere."""
+    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
+
+
 def test_a_contradiction_withdraws_the_certificate(egg):
     analysis = analyse(FAULTS["moment 10 % too large"](egg))
     assert analysis.warnings
@@ -203,7 +209,7 @@ def test_a_contradiction_withdraws_the_certificate(egg):
     assert "proven" not in analysis.surface.metadata["reason"]
 
 
-def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys):
+def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys, no_pictures):
     wrong = FAULTS["fy of the other sign"](recorded(slices=8))
     scan3d.write_recording(wrong, tmp_path / "wrong.csv")
     arguments = ["reconstruct", str(tmp_path / "wrong.csv"), "--method", "hull"]
@@ -220,7 +226,7 @@ def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys):
     assert (tmp_path / "strict" / "report.json").exists()
 
 
-def test_a_right_recording_passes_the_strict_test(tmp_path, capsys):
+def test_a_right_recording_passes_the_strict_test(tmp_path, capsys, no_pictures):
     scan3d.write_recording(recorded(slices=8, noise=1e-4), tmp_path / "right.csv")
     assert (
         main(
