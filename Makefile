@@ -6,7 +6,7 @@ OUT ?= out
 ARGS ?=
 # Tests that run side by side; each keeps to one thread, so that they do not take the cores from each other.
 WORKERS ?= 2
-# Random inputs of `make trust`.
+# Random inputs, and random scans, of `make trust`.
 FUZZ ?= 2000
 PYTEST = OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist worksteal
 PIP = .venv/bin/python -m pip install --quiet --disable-pip-version-check
@@ -39,9 +39,14 @@ format: .venv/dev ## put the code into the project's format
 
 check: lint fast ## lint and fast: what to run before a commit
 
-trust: .venv/installed ## the long versions of the tests of trust: odd files, and FUZZ=2000 random inputs
-	$(PYTEST) tests/test_robustness.py tests/test_merging.py tests/test_misuse.py $(ARGS)
+trust: .venv/installed ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
+	$(PYTEST) tests/test_robustness.py tests/test_merging.py tests/test_misuse.py tests/test_crashes.py \
+		tests/test_confidence.py tests/test_consistency.py tests/test_bound_properties.py $(ARGS)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.kills --kills 100
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.bounds --count $(FUZZ)
+	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.covariances
+	OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/coverage.py
 
 mutants: .venv/dev ## mutation tests: change the code in small ways, list the changes that no test notices
 	.venv/bin/python tests/mutation/run.py $(ARGS)

@@ -36,7 +36,7 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
         force = np.hypot(across, along)
         alpha, root = np.arctan2(-across, along), np.sqrt(force)
         q = moment / (2 * root)
-        q = np.where((q >= 0) & (q * q <= np.cos(alpha / 2) ** 2), q, np.nan)
+        q = np.where(q >= 0, q, np.nan)  # beyond cos(α/2) the rod's shape is NaN as well
         shape, s1_alpha, s1_q, x_alpha, x_q, y_alpha, y_q = bend_with_slopes(alpha, q)
         by_alpha = np.stack([-along / force**2, across / force**2, np.zeros(n)], axis=1)
         by_force = np.stack([across / force, along / force, np.zeros(n)], axis=1)

@@ -85,3 +85,17 @@ def test_selected_contacts_keep_their_rows():
     assert 0 < len(selected) < len(cloud)
     np.testing.assert_allclose(force_of_rows(recording, selected), selected.force_N, rtol=1e-12)
     np.testing.assert_array_equal(cloud.select(np.array([3, 1])).row, cloud.row[[3, 1]])
+
+
+def test_the_file_of_a_noisy_cloud_has_the_uncertainty_of_each_contact(read_ply, tmp_path):
+    plan = scan3d.Plan(slices=4, samples=16, sweeps=4)
+    mesh = trimesh.creation.box((20, 30, 40))
+    exact, noisy = (contacts(scan3d.simulate(mesh, dataclasses.replace(plan, noise=noise))) for noise in (0.0, 1e-4))
+    path = tmp_path / "cloud.ply"
+    path.write_bytes(ply(cloud_table(noisy)))
+    vertices, _, _ = read_ply(path)
+    np.testing.assert_allclose(vertices["place_sd"], noisy.place_sd, rtol=1e-6)
+    tip = noisy.phase == planar.Phase.TIP
+    assert np.isnan(vertices["normal_sd"][tip]).all()
+    np.testing.assert_allclose(vertices["normal_sd"][~tip], noisy.normal_sd[~tip], rtol=1e-6)
+    assert "place_sd" not in cloud_table(exact).dtype.names

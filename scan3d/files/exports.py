@@ -37,7 +37,7 @@ _SINGLE = (".stl", ".glb")
 _FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 _POINT, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 # Scalars that have a unit: lengths are in the unit of the file, forces in newtons.
-_LENGTHS, _FORCES = ("quality", "bound"), ("force",)
+_LENGTHS, _FORCES = ("quality", "bound", "place_sd"), ("force",)
 # The layout of binary STL: 80 bytes of header, then one row per triangle.
 _STL_HEADER = 80
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

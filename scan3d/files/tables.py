@@ -12,7 +12,10 @@ from scan3d.cloud import Cloud
 
 
 def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
-    """Contacts as a structured array for `files.ply`; `quality` (n,) is their distance to the true mesh, NaN if not given."""
+    """Contacts as a structured array for `files.ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
+
+    Contacts of noisy data have two further columns, the standard deviations of their places and of their normals' angles.
+    """
     columns: dict[str, NDArray[np.generic]] = {
         **dict(zip("xyz", cloud.points.T, strict=True)),
         **dict(zip(("nx", "ny", "nz"), cloud.normals.astype(np.float32).T, strict=True)),
@@ -25,6 +28,9 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
         "friction": cloud.friction.astype(np.float32),
         "normal_source": cloud.normal_source.astype(np.uint8),
     }
+    if cloud.place_sd is not None and cloud.normal_sd is not None:
+        columns["place_sd"] = cloud.place_sd.astype(np.float32)
+        columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
     rows = np.empty(len(cloud), dtype=[(name, column.dtype) for name, column in columns.items()])
     for name, column in columns.items():
         rows[name] = column

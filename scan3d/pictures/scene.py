@@ -13,6 +13,10 @@ from scan3d.cloud import Cloud
 from scan3d.files.tables import cloud_table
 from scan3d.recording import Recording
 
+# Largest value of a column.  Larger, it is no measurement, and colours and labels, in float32 and in other units, could not be
+# computed for it.
+_LARGEST = 1e30
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -61,6 +65,7 @@ class Scene:
         if self.contacts is None or name not in (self.contacts.dtype.names or ()):
             return None
         values = columns(self.contacts, name)[:, 0]
+        values[np.abs(values) > _LARGEST] = np.nan
         return values if np.isfinite(values).any() else None
 
 

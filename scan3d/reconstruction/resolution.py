@@ -19,6 +19,8 @@ _COUNTED = 2000
 # Significant digits from which a column counts as not rounded: double precision has 15 to 17.  Larger, rounding in the last
 # place counts as coarse; smaller, a log of that many digits counts as exact.
 _FULL = 15
+# The same of numbers in single precision, which counts by its spacing.
+_FULL_SINGLE = 8
 # A column has steps if its numbers lie on a common grid to within this fraction of a step.  Larger, numbers lie on a grid by
 # chance; smaller, steps that were written with few digits are missed.
 _ON_GRID = 0.02
@@ -50,28 +52,28 @@ def rounding_sd(values: Array) -> float:
     if len(nonzero) < 2:
         return 0.0
     largest = float(np.abs(nonzero).max())
-    step = max(_decimal_step(nonzero, largest), _binary_step(nonzero, largest), _grid_step(values))
+    with np.errstate(over="ignore", under="ignore"):
+        single = bool((values.astype(np.float32) == values).all())
+    binary = float(np.spacing(np.float32(largest))) if single else 0.0
+    step = max(_decimal_step(nonzero, largest, single), binary, _grid_step(values))
     # numbers of full precision are multiples of their last place
     return step / float(np.sqrt(12)) if step > largest * 10.0**-_FULL else 0.0
 
 
-def _decimal_step(values: Array, largest: float) -> float:
-    """The place value of the last significant digit at the largest number; 0 with 15 digits or more."""
+def _decimal_step(values: Array, largest: float, single: bool) -> float:
+    """The place value of the last significant digit at the largest number; 0 for the digits of full precision.
+
+    `single` says that the numbers were kept in single precision, which has 7 to 9 digits.
+    """
     some = values[np.linspace(0, len(values) - 1, min(len(values), _COUNTED)).astype(np.intp)].tolist()
+    kept, full = (np.float32, _FULL_SINGLE) if single else (float, _FULL)
     digits = 1
     for value in some:
-        while digits < _FULL and float(f"{value:.{digits - 1}e}") != value:
+        while digits < full and kept(f"{value:.{digits - 1}e}") != value:
             digits += 1
-        if digits == _FULL:
+        if digits == full:
             return 0.0
     return float(10.0 ** (np.floor(np.log10(largest)) + 1 - digits))
-
-
-def _binary_step(values: Array, largest: float) -> float:
-    """The spacing of single precision at the largest number; 0 if the numbers do not fit into single precision."""
-    with np.errstate(over="ignore", under="ignore"):
-        fits = bool((values.astype(np.float32) == values).all())
-    return float(np.spacing(np.float32(largest))) if fits else 0.0
 
 
 def _grid_step(values: Array) -> float:

@@ -13,6 +13,9 @@ from scan3d.arrays import Array, Index
 # Successive rows of a sweep that are averaged.  More sizes need more time; fewer leave errors that larger or smaller averages
 # would reduce.
 AVERAGED = (2, 4, 16, 64)
+# Averages of one size in a slice, about, from which that size is left out: very many contacts.  More take more time and memory;
+# fewer leave out the small averages of dense slices, which follow sharp curves.
+_MOST_RUNS = 1000
 # Runs of one other sweep that may lie nearest to a run, whatever the errors.  Larger, averages over sweeps are less accurate;
 # smaller, the errors may choose among more runs than are counted.
 _CANDIDATES = 3.0
@@ -62,6 +65,8 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
     start = np.flatnonzero(np.diff(sweep, prepend=sweep[:1] - 1))
     within = np.arange(len(sweep)) - np.repeat(start, np.diff(start, append=len(sweep)))
     for size in AVERAGED:
+        if len(points) > size * _MOST_RUNS and size != AVERAGED[-1]:
+            continue
         run = np.cumsum(within % size == 0) - 1
         number = np.bincount(run)
         middle = np.stack([np.bincount(run, column) for column in points.T], axis=1) / number[:, None]

@@ -27,13 +27,14 @@ rounding alone are not independent, but within √3 of their standard deviations
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.stats import chi2
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
 from scan3d.geometry.polygons import beyond, polygon_of_lines
 from scan3d.reconstruction.slices import Slice, SliceStack
@@ -46,13 +47,16 @@ CONFIDENCE = 0.95
 _DIRECTIONS = 90
 # The rectangle about a slice's contacts is larger than they are by this fraction of their size, on each side; the second is
 # tried where the first is too small.
-_WIDENED = (0.1, 2.0)
+_WIDENED = np.array([0.1, 2.0])
 # Times that the support lines are moved by the polygon of the lines before.  More gain little; fewer leave lines of curved
 # bodies farther out.
 _PASSES = 4
 # Largest standard deviation of a normal's angle, times κ, in radians, of a contact whose support line is used.  Larger, errors
 # of the second order are no longer small; smaller, more lines are left out under strong noise.
 _LARGEST_TILT = 0.3
+# Support lines and directions of single contacts in a slice, beside those of averages, at most.  More take more time and
+# memory; fewer leave out contacts of dense slices.
+_SINGLE = 1000
 # Directions of the outer polygon's support function, beside those of its sides.  More take longer; fewer lose a little where
 # the body narrows towards the next slice.
 _OUTER_DIRECTIONS = 90
@@ -95,18 +99,14 @@ def _confident_slice(slice_: Slice, frame: Array, cloud: Cloud, kappa: float) ->
     inner = _inner_polygon(points, covariance, sweep, measured, kappa, cloud.rod_length)
     if inner is None:
         return None
-    angle, value = _outer_lines(
-        _Lines(points[lines], normals[order][lines], covariance[lines], cloud.normal_sd[rows][lines]),
-        sweep if sweep is None else sweep[lines],
-        inner,
-        kappa,
-        cloud.rod_length,
+    support_lines = _Lines(
+        points[lines], normals[order][lines], covariance[lines], cloud.normal_sd[rows][lines], cloud.rod_length
     )
-    outline = inner
+    angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa)
     return replace(
         slice_,
         points=inner,
-        outline=outline,
+        outline=inner,
         angle=angle,
         value=value,
         normals=np.stack([np.cos(angle), np.sin(angle)], axis=1),
@@ -137,11 +137,12 @@ def _inner_polygon(
     smallest = np.linalg.eigvalsh(covariance)[:, 0]
     averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
     bias = _bias(covariance, length)
-    place = np.concatenate([points, averages.mean(points)])
-    spread = np.concatenate([covariance, averages.variance(covariance)])
+    single = _some(np.arange(len(points)))
+    place = np.concatenate([points[single], averages.mean(points)])
+    spread = np.concatenate([covariance[single], averages.variance(covariance)])
     entries = np.stack([spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]], axis=1)
-    biased = np.concatenate([bias, averages.mean(bias)])
-    sigma = np.concatenate([np.full(len(points), kappa), averages.kappa])
+    biased = np.concatenate([bias[single], averages.mean(bias)])
+    sigma = np.concatenate([np.full(len(single), kappa), averages.kappa])
 
     def reach(u: Array) -> Array:
         """(d, n) how far in the directions (d, 2) each contact and average proves the body to reach."""
@@ -153,7 +154,7 @@ def _inner_polygon(
     # First directions that are evenly spread, and the normals; then those of the sides that join the points which these prove:
     # a polygon with other sides would have its corners outside the body.
     uniform = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS - np.pi
-    first = _directions(np.unique(np.concatenate([uniform, measured])))
+    first = _directions(np.unique(np.concatenate([uniform, _some(measured)])))
     proven = reach(first)
     best = proven.argmax(axis=1)
     deflated = place[best] - (sigma[best] * np.sqrt(_quadratic(first, spread[best])))[:, None] * first
@@ -189,81 +190,77 @@ def _quadratic(directions: Array, covariance: Array) -> Array:
 
 
 class _Lines:
-    """Support lines (k,) of contacts or of averages: offset, place, and the errors across and along them."""
+    """Support lines (k,) of tangential contacts, with the errors across and along them."""
 
-    def __init__(self, points: Array, normals: Array, covariance: Array, normal_sd: Array) -> None:
-        self.points, self.normals, self.covariance, self.normal_sd = points, normals, covariance, normal_sd
+    def __init__(self, points: Array, normals: Array, covariance: Array, normal_sd: Array, length: float) -> None:
+        self.points, self.normals, self.normal_sd = points, normals, normal_sd
         self.tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+        self.offset = (normals * points).sum(axis=1)
+        self.across, self.along = (np.sqrt(_quadratic(u, covariance)) for u in (normals, self.tangents))
+        self.bias = _bias(covariance, length)
 
-    def spread(self, directions: Array) -> Array:
-        """(k,) standard deviations of the places in directions (k, 2)."""
-        value: Array = np.sqrt(np.einsum("ni,nij,nj->n", directions, self.covariance, directions))
-        return value
+    def moved(self, corners: Array, rows: Index, kappa: float) -> Array:
+        """(r,) values of some of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""
+        normals, tangents, offset = self.normals[rows], self.tangents[rows], self.offset[rows]
+        extent, _ = beyond(corners, self.points[rows], normals, tangents, offset)
+        across, tilt, along = kappa * self.across[rows], kappa * self.normal_sd[rows], kappa * self.along[rows]
+        moved: Array = offset + (across + tilt * (extent + along) + self.bias[rows]) / (1 - tilt**2)
+        return moved
 
 
-def _outer_lines(
-    lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, kappa: float, length: float
-) -> tuple[Array, Array]:
+def _outer_lines(lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, kappa: float) -> tuple[Array, Array]:
     """Angles (a,), increasing, and values (a,) of support lines that enclose the section; none if they do not close."""
-    none = np.empty(0), np.empty(0)
-    if len(lines.points) < 3:
-        return none
-    across, along = lines.spread(lines.normals), lines.spread(lines.tangents)
-    offset = (lines.normals * lines.points).sum(axis=1)
-    products = kappa**2 * lines.normal_sd * along + _bias(lines.covariance, length)
-    averages = averages_of(lines.points, sweep, across**2, kappa)
-    averaged = _Averaged(lines, averages, across, along, offset)
-    low, high = lines.points.min(axis=0), lines.points.max(axis=0)
-    size_of = float(np.linalg.norm(high - low))
-    inside = inner.mean(axis=0)
-    for widened in _WIDENED:
+    if len(lines.points) >= 3:
+        averaged = _Averaged(lines, averages_of(lines.points, sweep, lines.across**2, kappa))
+        single = _some(np.arange(len(lines.points)))
+        low, high = lines.points.min(axis=0), lines.points.max(axis=0)
         box_normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
-        box = np.concatenate([high + widened * size_of, -(low - widened * size_of)])
-        found = polygon_of_lines(box_normals, box, inside)
-        if found is None:
-            return none
-        corners, sides = found
-        normals = np.concatenate([lines.normals, averaged.normals, box_normals])
-        for _ in range(_PASSES):
-            extent, _ = beyond(corners, lines.points, lines.normals, lines.tangents, offset)
-            tilt = kappa * lines.normal_sd
-            moved = offset + (kappa * across + tilt * extent + products) / (1 - tilt**2)
-            values = [moved, averaged.moved(corners), box]
-            found = polygon_of_lines(normals, np.concatenate(values), inside)
-            if found is None:
-                return none
-            corners, sides = found
-        if sides.max() < len(normals) - 4:
-            break
-    else:
-        return none
-    directions = 2 * np.pi * np.arange(_OUTER_DIRECTIONS) / _OUTER_DIRECTIONS - np.pi
-    angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), directions]))
-    u = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return angle, (u @ corners.T).max(axis=1)
+        normals = np.concatenate([lines.normals[single], averaged.normals, box_normals])
+        for widened in _WIDENED * float(np.linalg.norm(high - low)):
+            box = np.concatenate([high + widened, -(low - widened)])
+            found = polygon_of_lines(box_normals, box, inner.mean(axis=0))
+            for _ in range(_PASSES):
+                if found is not None:
+                    values = [lines.moved(found[0], single, kappa), averaged.moved(found[0]), box]
+                    found = polygon_of_lines(normals, np.concatenate(values), inner.mean(axis=0))
+            # the rectangle proves nothing where it bounds the polygon itself
+            if found is not None and found[1].max() < len(normals) - len(box):
+                corners, sides = found
+                uniform = 2 * np.pi * np.arange(_OUTER_DIRECTIONS) / _OUTER_DIRECTIONS - np.pi
+                angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), uniform]))
+                return angle, (_directions(angle) @ corners.T).max(axis=1)
+    return np.empty(0), np.empty(0)
+
+
+def _some(rows: NDArray[Any]) -> NDArray[Any]:
+    """At most `_SINGLE` of the rows, evenly spread."""
+    return rows if len(rows) <= _SINGLE else rows[np.linspace(0, len(rows) - 1, _SINGLE).astype(np.intp)]
 
 
 class _Averaged:
     """Support lines of averages."""
 
-    def __init__(self, lines: _Lines, averages: Averages, across: Array, along: Array, offset: Array) -> None:
+    def __init__(self, lines: _Lines, averages: Averages) -> None:
         average = averages.mean(lines.normals)
         self.length = np.linalg.norm(average, axis=1)
         self.normals = average / self.length[:, None]
         self.tangents = np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
         self.points = averages.mean(lines.points)
-        self.offset = averages.mean(offset) / self.length
+        self.offset = averages.mean(lines.offset) / self.length
         self.kappa = averages.kappa
         row, group = averages.row, averages.group
         tangent = lines.tangents[row]
         arm = lines.normal_sd[row] * (tangent * (self.points[group] - lines.points[row])).sum(axis=1)
         turn = lines.normal_sd[row] * (tangent * self.normals[group]).sum(axis=1)
-        self.across, self.tilt = np.sqrt(averages.variance(across**2)), np.sqrt(averages.variance(lines.normal_sd**2))
+        self.across, self.tilt = (
+            np.sqrt(averages.variance(lines.across**2)),
+            np.sqrt(averages.variance(lines.normal_sd**2)),
+        )
         self.arm, self.turn = (
             np.sqrt(np.bincount(group, (averages.weight * part) ** 2, len(self.kappa))) for part in (arm, turn)
         )
         # the product of two errors has a mean, which averaging keeps
-        self.products = 2 * averages.mean(lines.normal_sd * along)
+        self.products = 2 * averages.mean(lines.normal_sd * lines.along)
 
     def moved(self, corners: Array) -> Array:
         """(k,) values of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""

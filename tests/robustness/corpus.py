@@ -330,13 +330,16 @@ def _scans(folder):
     shape = (scan / "cloud.ply").read_bytes()
     cloud, _, _ = scan3d.files.ply.read_ply(scan / "cloud.ply")
     for name in cloud.dtype.names:
-        for value in (-1, 255, 1e300, np.nan, np.inf, 2e9):
+        for value in (-1, 255, 1e300, 1e306, np.nan, np.inf, 2e9):
             rows = cloud.copy()
             with np.errstate(all="ignore"):
                 rows[name][3] = np.array(value).astype(cloud.dtype[name])
             cases.append(
                 _show(folder, scan, f"cloud {name} {value}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1)
             )
+            # the cloud alone, whose columns nothing contradicts
+            argv = ("show", f"{cases[-1].argv[1]}/cloud.ply", "--html", "o.html")
+            cases.append(Case(f"show cloud alone {name} {value}", argv, -1))
         kept = [other for other in cloud.dtype.names if other != name]
         rows = np.empty(len(cloud), [(other, cloud.dtype[other]) for other in kept])
         for other in kept:
