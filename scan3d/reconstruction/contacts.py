@@ -37,7 +37,7 @@ _LARGEST_TOLERANCE = 0.5
 _SAME_NORMAL = 1e-3
 # Sweeps lie in one slice if their heights differ by less than this many rod lengths, or than this many times the spread of
 # the heights within the median sweep.  Larger, neighbouring slices merge; smaller, the errors of poses split a slice.
-_SAME_HEIGHT, _SPREADS = 1e-9, 4.0
+SAME_HEIGHT, _SPREADS = 1e-9, 4.0
 
 
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
@@ -72,9 +72,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
     slice_of, slice_axis, slice_height = _slices(recording, axes[:, 2])
-    unresolved = np.zeros(len(slice_height), dtype=bool)
-    unresolved[slice_of[felt]] = True
-    unresolved[slice_of[rows]] = False
+    unresolved = np.isin(np.arange(len(slice_height)), np.setdiff1d(slice_of[felt], slice_of[rows]))
     covariance = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
     return Cloud(
@@ -170,7 +168,7 @@ def _slices(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Ar
     low, high = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
     np.minimum.at(low, sweep, height)
     np.maximum.at(high, sweep, height)
-    same = max(_SAME_HEIGHT * recording.rod.length_m, _SPREADS * float(np.median(high - low)))
+    same = max(SAME_HEIGHT * recording.rod.length_m, _SPREADS * float(np.median(high - low)))
     _, group = np.unique(np.column_stack([direction, _groups(plane[:, None], same)]), axis=0, return_inverse=True)
     group = group.reshape(-1)
     # numbers in the order in which the slices appear

@@ -112,6 +112,8 @@ class SliceStack:
     """Height of the nearest empty slice above, inf if there is no empty slice."""
     bounded_by_others: tuple[bool, bool] = (False, False)
     """Whether floor and ceiling come from contacts in slices along other axes, rather than from empty slices."""
+    height_error: float = 0.0
+    """Largest error of a contact's height over the slice it counts to."""
     confident: bool = False
     """Whether the slices' points and support lines allow for noise (`scan3d.surfaces.confidence`)."""
 

@@ -26,6 +26,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.contacts import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.confidence import CONFIDENCE, confident, sigmas
 from scan3d.surfaces.slabs import Gap, Slab, slabs
@@ -94,6 +95,8 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     Raises InputError for contacts that do not span a body.
     """
     by_axis = stacks(cloud)
+    if margin is None:
+        by_axis = [replace(stack, height_error=_height_error(stack, cloud)) for stack in by_axis]
     inner = hull(cloud.points)
     if margin is None and cloud.covariance is not None:
         confident_stacks = [confident(stack, cloud, sigmas(len(cloud), confidence)) for stack in by_axis]
@@ -104,7 +107,7 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     else:
         confidence = 1.0
     if margin is None:
-        margin = cloud.pose_error
+        margin = max(stack.height_error for stack in by_axis)
         shrunk = _shrunk(inner, margin) if margin else inner
         if shrunk is None:
             return _unbounded(inner, by_axis[0], confidence)
@@ -130,6 +133,14 @@ def _proven_hull(by_axis: list[SliceStack]) -> Any:
     with suppress(InputError):
         return hull(np.concatenate(points)) if points else None
     return None
+
+
+def _height_error(stack: SliceStack, cloud: Cloud) -> float:
+    """Largest error of the height that a contact has by its slice: the poses' digits and their spread in the slice."""
+    spread = max(
+        float(np.abs(cloud.points[slice_.rows] @ stack.frame[2] - slice_.height).max()) for slice_ in stack.slices
+    )
+    return cloud.pose_error + (spread if spread > SAME_HEIGHT * cloud.rod_length else 0.0)
 
 
 def _shrunk(body: Any, distance: float) -> Any:

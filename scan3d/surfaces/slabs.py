@@ -8,6 +8,9 @@ extrapolated secant from the slice behind it,
 with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between two
 slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest empty slice.
 The half-spaces cut each slab to a polyhedron.  Where contacts are noisy, the half-spaces are moved outwards by a margin.
+
+Where heights are uncertain by e, the secants start at ``z_i ± e`` and rise over ``z_i - z_before ± 2e``, whichever lies farther
+out, and each slab reaches e beyond its planes.  The true planes of the slices then lie in both of their slabs.
 """
 
 from __future__ import annotations
@@ -112,6 +115,7 @@ def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
     )
     if not (np.isfinite(low) and np.isfinite(high)):
         return unbounded
+    low, high = low - stack.height_error, high + stack.height_error
     if high <= low:
         return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), np.empty((0, 2), dtype=bool), 0.0)
     half_spaces = _half_spaces_of_slab(stack, i, low, high, margin)
@@ -140,14 +144,14 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     slices, count = stack.slices, len(stack.slices)
     below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
     planes, side, straight = [np.empty((0, 4))], [np.empty(0)], [np.empty(0, dtype=bool)]
-    if below is not None and i >= 2:
-        behind = slices[: i - 1][::-1] if stack.confident else (slices[i - 2],)
-        planes.append(_half_spaces(below, behind, margin))
+    beyond_below = _secants_from(stack, slices[: max(i - 1, 0)][::-1], below)
+    if below is not None and beyond_below:
+        planes.append(_half_spaces(below, beyond_below, margin, stack.height_error))
         side.append(np.full(len(planes[-1]), 0.0))
         straight.append(_goes_on_straight(slices[:i][::-1], above))
-    if above is not None and i + 1 < count:
-        behind = slices[i + 1 :] if stack.confident else (slices[i + 1],)
-        planes.append(_half_spaces(above, behind, margin))
+    beyond_above = _secants_from(stack, slices[i + 1 :], above)
+    if above is not None and beyond_above:
+        planes.append(_half_spaces(above, beyond_above, margin, stack.height_error))
         side.append(np.full(len(planes[-1]), 1.0))
         straight.append(_goes_on_straight(slices[i:], below))
     # where an empty slice bounds the cap, the corner in its plane does not follow from the body's shape: not straight
@@ -159,16 +163,27 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     )
 
 
-def _half_spaces(slice_: Slice, behind: tuple[Slice, ...], margin: float) -> Array:
-    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the secants from a slice behind.
+def _secants_from(stack: SliceStack, behind: tuple[Slice, ...], slice_: Slice | None) -> tuple[Slice, ...]:
+    """Those of the slices behind a slab's slice, from the nearest, that secants are taken from.
 
-    Of several slices behind, that with the tightest secant is taken: by concavity the nearest, if the contacts are exact.
+    If everything is exact, by concavity the nearest has the tightest.
     """
+    if slice_ is None or not (stack.confident or stack.height_error):
+        return behind[:1]
+    return tuple(b for b in behind if abs(b.height - slice_.height) > 2 * stack.height_error)
+
+
+def _half_spaces(slice_: Slice, behind: tuple[Slice, ...], margin: float, height_error: float = 0.0) -> Array:
+    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the tightest secant from behind."""
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
     value = slice_.value + margin
-    secants = [(value - (b.support_of_contacts(normals) - margin)) / (slice_.height - b.height) for b in behind]
+    rise = np.array([value - (b.support_of_contacts(normals) - margin) for b in behind])
+    run = np.array([[slice_.height - b.height] for b in behind])
     # behind means below for slices above, where the secant's slope bounds the slope from above
-    secant = np.min(secants, axis=0) if slice_.height > behind[0].height else np.max(secants, axis=0)
+    outwards = 1.0 if slice_.height > behind[0].height else -1.0
+    secants = rise / (run - 2 * outwards * height_error * np.sign(rise))
+    secant = outwards * (outwards * secants).min(axis=0)
+    value = value + height_error * np.abs(secant)
     return np.column_stack([normals, -secant, secant * slice_.height - value])
 
 

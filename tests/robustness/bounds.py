@@ -277,6 +277,8 @@ def main() -> int:
         totals[key] += 1
         failed[key] += any(counts(name) for name, _ in found)
         names.update(name for name, _ in found)
+        if seed % 100 == 99:
+            print(f"{seed - arguments.seed + 1} draws in {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
         for name, numbers in found:
             print(f"seed {seed}: {name}: {numbers}\n    {draw}", flush=True)
     print(f"{arguments.count} draws in {time.monotonic() - start:.0f} s")
