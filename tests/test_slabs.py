@@ -103,6 +103,17 @@ def test_the_bound_allows_for_the_digits_of_heights(seed):
     assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
 
 
+@pytest.mark.parametrize("seed", [5, 23])
+def test_the_bound_of_sharp_sections_allows_for_the_digits_of_poses(seed):
+    """Sides that are moved move a sharp corner between them by much more than a margin in the corner's direction."""
+    mesh = hull(np.random.default_rng(seed).standard_normal((12, 3)) * [10, 0.3, 10])
+    plan = scan3d.Plan(slices=10, samples=24, sweeps=6, spacing="uniform", noise=1e-6)
+    recording = scan3d.simulate(mesh, plan)
+    cloud = scan3d.reconstruct(dataclasses.replace(recording, position_m=np.round(recording.position_m / 3e-6) * 3e-6))
+    bounds = enclosure(cloud)
+    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound < 6
+
+
 def test_heights_that_differ_within_a_slice_are_uncertain_by_their_spread():
     mesh = trimesh.creation.icosphere(3, 20.0)
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=16, sweeps=6))

@@ -57,7 +57,8 @@ _LARGEST_TILT = 0.3
 # Support lines and directions of single contacts in a slice, beside those of averages, at most.  More take more time and
 # memory; fewer leave out contacts of dense slices.
 _SINGLE = 1000
-# Directions of the outer polygon's support function, beside those of its sides.  More take longer; fewer lose a little where
+# Directions of the outer polygon's support function, beside those of its sides; none where the slice's contacts differ in
+# height, because the lines that meet in a corner then hold at different heights.  More take longer; fewer lose a little where
 # the body narrows towards the next slice.
 _OUTER_DIRECTIONS = 90
 
@@ -74,19 +75,20 @@ def sigmas(count: int, confidence: float = CONFIDENCE) -> float:
 def confident(stack: SliceStack, cloud: Cloud, kappa: float) -> SliceStack:
     """The stack with slices whose points lie in the body's section, and whose support lines enclose it.
 
-    Slices whose contacts prove no point of the body are left out.
+    Slices whose contacts prove no point of the body are left out.  Points and lines allow for noise; a margin of the stack's
+    `height_error` allows for the poses.
     """
     assert cloud.covariance is not None
     assert cloud.normal_sd is not None
-    slices = (_confident_slice(slice_, stack.frame, cloud, kappa) for slice_ in stack.slices)
+    slices = (_confident_slice(slice_, stack, cloud, kappa) for slice_ in stack.slices)
     return replace(stack, slices=tuple(slice_ for slice_ in slices if slice_ is not None), confident=True)
 
 
-def _confident_slice(slice_: Slice, frame: Array, cloud: Cloud, kappa: float) -> Slice | None:
+def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, kappa: float) -> Slice | None:
     assert cloud.covariance is not None
     assert cloud.normal_sd is not None
     order = np.lexsort((cloud.row[slice_.rows], cloud.sweep[slice_.rows]))
-    rows = slice_.rows[order]
+    rows, frame = slice_.rows[order], stack.frame
     covariance = np.einsum("ij,njk,lk->nil", frame[:2], cloud.covariance[rows], frame[:2])
     points = slice_.points[order]
     known = np.zeros(len(rows), dtype=bool)
@@ -99,16 +101,23 @@ def _confident_slice(slice_: Slice, frame: Array, cloud: Cloud, kappa: float) ->
     inner = _inner_polygon(points, covariance, sweep, measured, kappa, cloud.rod_length)
     if inner is None:
         return None
+    # poses that are off move the lines outwards as well, and the corners of their polygon by more than the lines
+    off = stack.height_error * (1 + kappa * cloud.normal_sd[rows][lines])
     support_lines = _Lines(
-        points[lines], normals[order][lines], covariance[lines], cloud.normal_sd[rows][lines], cloud.rod_length
+        points[lines] + off[:, None] * normals[order][lines],
+        normals[order][lines],
+        covariance[lines],
+        cloud.normal_sd[rows][lines],
+        cloud.rod_length,
     )
-    angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa)
+    between = 0 if stack.height_error else _OUTER_DIRECTIONS
+    angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa, between)
     return replace(
         slice_,
         points=inner,
         outline=inner,
         angle=angle,
-        value=value,
+        value=value - stack.height_error,
         normals=np.stack([np.cos(angle), np.sin(angle)], axis=1),
         tangential=np.empty(0, dtype=np.intp),
         tip=np.empty(0, dtype=np.intp),
@@ -208,8 +217,14 @@ class _Lines:
         return moved
 
 
-def _outer_lines(lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, kappa: float) -> tuple[Array, Array]:
-    """Angles (a,), increasing, and values (a,) of support lines that enclose the section; none if they do not close."""
+def _outer_lines(
+    lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, kappa: float, between: int
+) -> tuple[Array, Array]:
+    """Angles (a,), increasing, and values (a,) of support lines that enclose the section; none if they do not close.
+
+    between
+        number of directions beside those of the polygon's sides.
+    """
     if len(lines.points) >= 3:
         averaged = _Averaged(lines, averages_of(lines.points, sweep, lines.across**2, kappa))
         single = _some(np.arange(len(lines.points)))
@@ -226,7 +241,7 @@ def _outer_lines(lines: _Lines, sweep: NDArray[np.int32] | None, inner: Array, k
             # the rectangle proves nothing where it bounds the polygon itself
             if found is not None and found[1].max() < len(normals) - len(box):
                 corners, sides = found
-                uniform = 2 * np.pi * np.arange(_OUTER_DIRECTIONS) / _OUTER_DIRECTIONS - np.pi
+                uniform = 2 * np.pi * np.arange(between) / max(between, 1) - np.pi
                 angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), uniform]))
                 return angle, (_directions(angle) @ corners.T).max(axis=1)
     return np.empty(0), np.empty(0)
