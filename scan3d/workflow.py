@@ -24,7 +24,7 @@ from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.words import key_figures
-from scan3d.reconstruction import cause_of_no_contact, contradictions, reconstruct
+from scan3d.reconstruction import NoContactError, cause_of_no_contact, contradictions, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
@@ -45,7 +45,7 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> An
     with clock("reconstruct"):
         try:
             cloud = reconstruct(recording)
-        except InputError as error:
+        except NoContactError as error:
             raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
     with clock("check"):
         warnings = tuple(contradictions(recording, cloud))

@@ -82,6 +82,14 @@ def test_steps_of_a_converter_of_which_hardly_two_numbers_are_equal(values, bits
         assert rounding_sd(rounded(converted, 9)) == pytest.approx(step / 12**0.5, rel=1e-4)
 
 
+def test_steps_of_a_fine_converter_in_few_numbers():
+    """None of the gaps between 100 numbers of 24 bits is a few steps wide."""
+    step = np.pi / 2**23
+    fine = np.round(np.random.default_rng(2).uniform(-3, 3, 100) / step) * step
+    assert np.diff(np.sort(fine)).min() > 20 * step
+    assert rounding_sd(fine) == pytest.approx(step / 12**0.5)
+
+
 def test_full_precision_and_empty_columns_have_no_rounding(values):
     assert rounding_sd(values) == 0
     assert rounding_sd(np.repeat(values[:100], 50)) == 0  # a symmetric scan repeats its numbers

@@ -27,8 +27,9 @@ _WITHOUT_CONTACT = 0.02
 # A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel.  Larger,
 # wrong orientations pass; smaller, the errors of a robot's path count as wrong orientations.
 _OFF_LINE = 0.05
-# Rounding of a contact's place, in rod lengths.  Larger, small faults pass; smaller, rounding counts as a fault.
-_ROUNDING = 1e-9
+# Rounding of a contact's place, in rod lengths, with the steps of fine converters that too few numbers show.  Larger, small
+# faults pass, though most are a hundred times larger; smaller, rounding counts as a fault.
+_ROUNDING = 1e-7
 # Probability that noise makes a correct recording exceed the allowed distances.  Larger, false alarms; smaller, faults pass.
 _FALSE_ALARM = 1e-5
 # Lines and points of a slice that are compared at most.  More take longer; fewer may miss the worst pair.
@@ -188,7 +189,8 @@ def _best_correction(recording: Recording, found: _Found) -> str | None:
     for fault, corrected in _CORRECTIONS.items():
         candidate = corrected(recording)
         try:
-            remaining = _tests(candidate, contacts(candidate))
+            with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
+                remaining = _tests(candidate, contacts(candidate))
         except InputError:
             continue
         left[fault] = max(

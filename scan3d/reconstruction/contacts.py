@@ -63,7 +63,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance, friction=common)
     rows = np.flatnonzero(touching)
     if not len(rows):
-        raise InputError(
+        raise NoContactError(
             f"the recording has no contact: none of its {len(moment)} rows has reactions of a bent rod "
             f"(fx and mz not zero, base moving in -x of the clamp's frame); check its axes, signs and units"
         )
@@ -99,6 +99,10 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         pose_error=known.place_m / scale,
         independent=known.independent,
     )
+
+
+class NoContactError(InputError):
+    """No row of a recording has the reactions of a bent rod."""
 
 
 class _Errors(NamedTuple):

@@ -6,6 +6,7 @@ Rounding to steps of size q has the standard deviation q/√12.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,9 @@ _GROWTH = 8.0
 # Steps in the smallest gap between two numbers of a column, at most.  Larger, few numbers lie on a common grid by chance;
 # smaller, coarse steps are missed in columns with few different numbers.
 _PARTS = 12
+# Rounding of remainders in Euclid's algorithm, relative to the largest number.  Larger, the steps of fine converters are
+# missed; smaller, rounding makes remainders that do not exist.
+_EUCLID = 1e-9
 # Different numbers from which a common grid is no chance.
 _FEWEST = 20
 # Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
@@ -83,12 +87,25 @@ def _grid_step(values: Array) -> float:
         return 0.0
     first = int(np.diff(distinct).argmin())
     distances = np.sort(np.abs(distinct - distinct[first]))[1:]
-    for part in range(1, _PARTS + 1):  # the smallest gap may be a few steps
-        step = _refined(distances, float(distances[0]) / part)
+    # the smallest gap, or the common divisor of two distances, may be a few steps
+    rounding = _EUCLID * float(np.abs(distinct).max())
+    first_ones = distances[:3].tolist()
+    divisors = [first_ones[0], *(_divisor(*pair, rounding) for pair in combinations(first_ones, 2))]
+    for candidate in (divisor / part for divisor in divisors for part in range(1, _PARTS + 1)):
+        if candidate <= rounding:
+            continue
+        step = _refined(distances, candidate)
         multiples = distances / step
         if (np.abs(multiples - np.round(multiples)) <= _ON_GRID).all():
             return step
     return 0.0
+
+
+def _divisor(one: float, other: float, rounding: float) -> float:
+    """The largest number of which both are multiples, by Euclid's algorithm; 0 if it is not far above their rounding."""
+    while other > rounding:
+        one, other = other, abs(one - other * round(one / other))
+    return one if one > 20 * rounding else 0.0
 
 
 def _refined(distances: Array, step: float) -> float:
