@@ -131,9 +131,10 @@ def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_momen
     if not max(noise_force, noise_moment):
         return _Errors(np.zeros((n, 2, 2)), np.zeros(n), np.zeros(n), np.full(n, planar.TOLERANCE))
     spread = planar.jacobian(fx, fy, moment) * [noise_force, noise_force, noise_moment]
-    place = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
-    mean, half = (place[:, 0, 0] + place[:, 1, 1]) / 2, (place[:, 0, 0] - place[:, 1, 1]) / 2
-    largest = np.sqrt(mean + np.hypot(half, place[:, 0, 1]))
+    with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
+        place = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
+        mean, half = (place[:, 0, 0] + place[:, 1, 1]) / 2, (place[:, 0, 0] - place[:, 1, 1]) / 2
+        largest = np.sqrt(mean + np.hypot(half, place[:, 0, 1]))
     s1, beta = (np.linalg.norm(spread[:, k], axis=1) for k in (2, 4))
     slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
     tolerance = np.clip(_TIP_SIGMAS * np.maximum(s1, beta), planar.TOLERANCE, _LARGEST_TOLERANCE)

@@ -61,6 +61,9 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
     """
     if sweep is None:
         return Averages(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0), np.empty(0))
+    largest = float(variance.max(initial=0.0))
+    # noise far below rounding may underflow to variances of 0
+    scaled = np.maximum(variance / largest, np.finfo(float).tiny) if largest > 0 else np.ones(len(variance))
     rows, groups, weights, kappas, count = [], [], [], [], 0
     start = np.flatnonzero(np.diff(sweep, prepend=sweep[:1] - 1))
     within = np.arange(len(sweep)) - np.repeat(start, np.diff(start, append=len(sweep)))
@@ -81,7 +84,7 @@ def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array,
             offset = np.arange(repeated.sum()) - np.repeat(np.cumsum(repeated) - repeated, repeated)
             row = np.repeat(first[other], repeated) + offset
             group = np.repeat(own, repeated)
-            weight = 1 / variance[row]
+            weight = 1 / scaled[row]
             rows.append(row)
             groups.append(group + count)
             weights.append(weight / np.bincount(group, weight)[group])
