@@ -135,8 +135,8 @@ def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_momen
         place = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
         mean, half = (place[:, 0, 0] + place[:, 1, 1]) / 2, (place[:, 0, 0] - place[:, 1, 1]) / 2
         largest = np.sqrt(mean + np.hypot(half, place[:, 0, 1]))
-    s1, beta = (np.linalg.norm(spread[:, k], axis=1) for k in (2, 4))
-    slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
+        s1, beta = (np.linalg.norm(spread[:, k], axis=1) for k in (2, 4))
+        slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
     tolerance = np.clip(_TIP_SIGMAS * np.maximum(s1, beta), planar.TOLERANCE, _LARGEST_TOLERANCE)
     known = np.isfinite(largest)
     return _Errors(
