@@ -3,6 +3,8 @@
 Every list stands here and nowhere else.  The tuples are plain, so that ``scan3d --help`` does not need a numerical library.
 """
 
+MODELS = ("planar", "spatial")
+"""Models of contact: the rod stays in its slice, or it bends where the contact force pushes it; the first is the default."""
 SPACINGS = ("cosine", "uniform", "adaptive")
 """Rules for the heights of the slices."""
 STANDOFFS = ("follow", "fixed")

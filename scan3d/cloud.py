@@ -28,6 +28,12 @@ class NormalSource(IntEnum):
     """The smooth body fitted to all contacts."""
     FRICTION = 3
     """As SLICES, at a tip contact, by the friction that the tangential contacts agree on."""
+    SLIP = 4
+    """The direction in which the rod's material point slips along the surface, against which friction acts (spatial model)."""
+    PATH = 5
+    """Perpendicular to the rod and to the path of the contact over the surface (spatial model)."""
+    FORCE = 6
+    """The direction of the contact force, where there is no friction (spatial model)."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,19 @@ class Cloud(Shown):
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
 
+    model: str = "planar"
+    """Model of contact that gave the contacts, one of `choices.MODELS`.  Clouds of the spatial model have no slices: `slice` is
+    -1, `in_plane_normals` are NaN, `slice_axis` and `slice_height` are empty."""
+    rod_radius: float = 0.0
+    """Radius of the rod in the recording's unit, by which `points` lie inside `centre_points`; 0 where it is neglected."""
+    centre_points: Array | None = None
+    """(n, 3) points of the rod's centre line at the contacts (spatial model): they lie on the surface of the body fattened by the
+    rod's radius, and `points` are ``centre_points - rod_radius * normals``."""
+    tangents: Array | None = None
+    """(n, 3) unit tangents of the rod at the contacts, towards its tip (spatial model).  In tangential contact the whole line
+    through the centre point along the tangent is free of the interior of the fattened body."""
+    bending_angle: Array | None = None
+    """(n,) angle between the plane in which the rod bends and the plane of its sweep, in radians (spatial model)."""
     independent: bool = True
     """Whether the errors of successive contacts are independent, as those of noise are; those of rounding alone are not."""
 
@@ -118,4 +137,7 @@ _PER_CONTACT = (
     "covariance",
     "place_sd",
     "normal_sd",
+    "centre_points",
+    "tangents",
+    "bending_angle",
 )

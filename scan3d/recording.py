@@ -27,6 +27,8 @@ from scan3d.units import UNITS_M
 # Largest error of a quaternion's length.  Larger, errors in a log would be taken for rounding; smaller, quaternions written
 # with three digits would be refused.
 _QUATERNION_TOLERANCE = 1e-3
+SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
+"""The columns of a recording that six-axis data have beside those of the plane."""
 
 
 def _plain(name: str, values: Any) -> NDArray[Any]:
@@ -73,6 +75,12 @@ class Recording(Shown):
     moment_Nm: Array
     """(n,) clamping moment about its z axis."""
     rod: Rod
+    force_z_N: Array | None = None
+    """(n,) support reaction along the clamp's z axis; None where it was not measured."""
+    moment_x_Nm: Array | None = None
+    """(n,) clamping moment about its x axis, likewise."""
+    moment_y_Nm: Array | None = None
+    """(n,) clamping moment about its y axis, which is that of the undeformed rod, likewise."""
     noise_force_N: float = 0.0
     """Standard deviation of each force component; 0 if there is no noise, or if it is not known."""
     noise_moment_Nm: float = 0.0
@@ -83,18 +91,25 @@ class Recording(Shown):
     """Where the data came from, for the report."""
 
     def __post_init__(self) -> None:
-        for name in ("sweep", "position_m", "quaternion", "force_N", "moment_Nm"):
+        columns = ["sweep", "position_m", "quaternion", "force_N", "moment_Nm"]
+        further = [name for name in SIX_AXES if getattr(self, name) is not None]
+        if len(further) not in (0, len(SIX_AXES)):
+            missing = ", ".join(name for name in SIX_AXES if name not in further)
+            raise InputError(f"recording: six-axis data need {', '.join(SIX_AXES)}; missing: {missing}")
+        columns += further
+        for name in columns:
             object.__setattr__(self, name, _plain(name, getattr(self, name)))
         if not isinstance(self.rod, Rod):
             raise InputError(f"recording: rod must be a scan3d.Rod, got {type(self.rod).__name__}")
         n = self.sweep.size
         shapes = dict(sweep=(n,), position_m=(n, 3), quaternion=(n, 4), force_N=(n, 2), moment_Nm=(n,))
+        shapes |= dict.fromkeys(further, (n,))
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise InputError(f"recording: {name} must have the shape {shape}, got {np.shape(getattr(self, name))}")
         if n == 0:
             raise InputError("the recording has no samples: expected at least one row")
-        for name in ("position_m", "quaternion", "force_N", "moment_Nm"):
+        for name in columns[1:]:
             bad = ~np.isfinite(getattr(self, name)).reshape(n, -1).all(axis=1)
             if bad.any():
                 raise InputError(
@@ -116,6 +131,18 @@ class Recording(Shown):
 
     def __len__(self) -> int:
         return len(self.sweep)
+
+    @property
+    def six_axis(self) -> bool:
+        """Whether all three components of force and moment were measured, as the spatial model needs them."""
+        return self.force_z_N is not None
+
+    def wrench(self) -> tuple[Array, Array]:
+        """(n, 3) support reaction and (n, 3) clamping moment in the clamp's frame.  Raises InputError unless all are known."""
+        if self.force_z_N is None or self.moment_x_Nm is None or self.moment_y_Nm is None:
+            raise InputError(f"the spatial model needs six-axis data; the recording has no {', '.join(SIX_AXES)}")
+        force = np.column_stack([self.force_N, self.force_z_N])
+        return force, np.column_stack([self.moment_x_Nm, self.moment_y_Nm, self.moment_Nm])
 
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""

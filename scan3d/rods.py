@@ -24,12 +24,16 @@ class Rod:
 
     length_m: float
     bending_stiffness_Nm2: float
+    diameter_m: float = 0.0
+    """Of the rod; 0 where it is neglected.  The planar model does not need it."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.length_m) and self.length_m > 0):
             raise InputError(f"a rod needs a positive length in metres, got {self.length_m}")
         if not (math.isfinite(self.bending_stiffness_Nm2) and self.bending_stiffness_Nm2 > 0):
             raise InputError(f"a rod needs a positive bending stiffness in N·m², got {self.bending_stiffness_Nm2}")
+        if not (math.isfinite(self.diameter_m) and 0 <= self.diameter_m < self.length_m):
+            raise InputError(f"a rod needs a diameter in metres from 0 to less than its length, got {self.diameter_m}")
         if not all(_SMALLEST_UNIT < unit < 1 / _SMALLEST_UNIT for unit in (*self._units(), self.length_m)):
             raise InputError(
                 f"a rod of {self.length_m:g} m with a bending stiffness of {self.bending_stiffness_Nm2:g} N·m² has reactions "
@@ -59,7 +63,7 @@ class Rod:
         if not (0 < diameter_m < math.inf and 0 < modulus_Pa < math.inf):
             raise InputError(f"a wire needs a positive diameter and modulus, got {diameter_m} m and {modulus_Pa} Pa")
         try:
-            return cls(length_m, modulus_Pa * math.pi * diameter_m**4 / 64)
+            return cls(length_m, modulus_Pa * math.pi * diameter_m**4 / 64, diameter_m)
         except OverflowError:
             raise InputError(f"a wire of {diameter_m:g} m is too thick for a number of a computer") from None
 
