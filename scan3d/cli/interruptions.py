@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from typing import Any
 
 _WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminated: its terminal was closed"}
-# Seconds after which a postponed interruption is tried again, and for how many trials it waits for code of this program.  Longer,
-# a run that is within a library for long ends late; shorter, a library is interrupted more often that cannot bear it.
+# Seconds after which a postponed interruption is tried again, and for how many trials it waits for code of this program.
+# Longer, a run that is within a library for long ends late; shorter, libraries are interrupted that cannot bear it.
 _AGAIN_S, _TRIALS = 0.01, 100
 # Seconds after which a run that has not ended is interrupted again, because a library has caught the exception.  Shorter, the
 # run could be interrupted while it cleans up; longer, it ends later.
