@@ -1,6 +1,6 @@
 """Equilibria of the sliding rod (S19, S20) as six equations in six unknowns, with their exact Jacobian.
 
-Unknowns are the rod's state (ω, α, q, s1) and two local coordinates of the place on the body.  The equations state that the
+Unknowns are the rod's state (ω, α, q², s1) and two local coordinates of the place on the body.  The equations state that the
 rod's contact is that place (three), that Coulomb's law holds between the force and the slip since the state before (two), and
 that the contact is the tip or tangential (one).  Stick and slip, tip and tangential contact are branches of the equations.
 """
@@ -62,7 +62,7 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     along = state[3] - law.s1
     y = patch.point - law.place - along * rod.tangent
     y_n, normal_force = dot(y, n), dot(rod.force, n)
-    tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_q * rod.tangent_angle])
+    tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_square * rod.tangent_angle])
     y_slopes = np.concatenate(
         [-along * tangents, -rod.tangent[None], patch.point_1[None], patch.point_2[None]]
     )  # fmt: skip

@@ -14,9 +14,15 @@ from scan3d.spatial.vectors import dot
 # Residual, in rod lengths and unit forces, at which the equations count as solved.
 _SOLVED = 1e-11
 # Steps of Newton's method before a lane halves its step, on a smooth body.
-_PATIENCE = 14
+_PATIENCE = 9
 # Smallest step, in samples, before the rod is taken to snap.
-_SMALLEST = 2.0**-9
+_SMALLEST = 2.0**-5
+# q² of a rod that counts as straight.
+_STRAIGHT = 1e-14
+# Largest path of the contact in a step, in rod lengths.
+_REACH = 0.08
+# Part of the force along the normal below which a rod that snaps leaves the body.
+_LEAVES = 0.05
 
 
 class Lanes:
@@ -27,6 +33,7 @@ class Lanes:
         self.axes = axes.transpose(1, 2, 0)  # (3 axes, 3, m)
         self.friction = friction
         self.passage = passage
+        self.pace = np.sqrt(((position[:, -1] - position[:, 0]) ** 2).sum(axis=1)) / (n - 1)
         shape3 = (3, m, n)
         self.force, self.moment, self.point, self.normal, self.tangent = (np.full(shape3, np.nan) for _ in range(5))
         self.s1 = np.full((m, n), np.nan)
@@ -48,7 +55,7 @@ class Lanes:
         self.place = patch.point
         k = len(lanes)
         self.h = np.full(k, 1.0 / self.substeps)
-        self.iterations = np.zeros(k, dtype=int)
+        self.iterations, self.lifts = np.zeros(k, dtype=int), np.zeros(k, dtype=int)
         self.drag = np.zeros(k)
         self.has_snapped = np.zeros(k, dtype=bool)
         self.flow_steps = np.zeros(k, dtype=int)
@@ -74,14 +81,14 @@ class Lanes:
 
     def _lift(self, rows: Mask) -> None:
         """A first guess of q for straight rods, from the distance by which the body pushes them aside."""
-        flat = rows & (self.state[2] < 1e-6)
+        flat = rows & (self.state[2] < 1e-12)
         if not flat.any():
             return
         move = self._clamp(self.target).position - self._clamp(self.progress).position
         patch = self.body.patch(self.feature, self.coordinates)
         depth = np.maximum(-dot(move, patch.normal), 1e-12)
         sin = np.maximum(np.sin(self.state[1]), 0.1)
-        guess = np.minimum(np.sqrt(0.75 * sin * depth / self.state[3]), 0.3)
+        guess = np.minimum(0.75 * sin * depth / self.state[3], 0.1)
         self.trial_state[2] = np.where(flat, guess, self.trial_state[2])
 
     def run(self) -> None:
@@ -101,8 +108,10 @@ class Lanes:
         self.counts["iterations"] += len(self.lane)
         size = np.abs(equations.residual).max(axis=0)
         solved = size < _SOLVED
-        good = solved & (equations.normal_force > 0) & (self.trial_state[2] > 0)
-        bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= _PATIENCE)
+        good = solved & (equations.normal_force > 0) & (self.trial_state[2] > 2 * _STRAIGHT)
+        jump = patch.point - self.place
+        good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | (self.drag > 0)
+        bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= _PATIENCE) | (self.lifts >= 3)
         going = ~(good | bad)
         if going.any():
             self._newton(going, equations, patch)
@@ -125,17 +134,17 @@ class Lanes:
         state = self.trial_state[:, chosen]
         part = 1 / np.maximum(1.0, np.abs(step[:2]).max(axis=0) / 0.5)
         with np.errstate(divide="ignore", invalid="ignore"):
-            shrink = np.where(step[2] < 0, -0.8 * state[2] / step[2], np.inf)
             part = np.minimum(part, np.where(step[3] < 0, -0.5 * state[3] / step[3], np.inf))
-        part = np.minimum(part, shrink)
         here = Patch(*(column[:, chosen] for column in patch))
         feature, coordinates, taken = self.body.moved(
             self.trial_feature[chosen], self.trial_coordinates[:, chosen], here, part * step[4:]
         )
         state = state + taken * part * step[:4]
         state[1] = np.clip(state[1], -3.1, 3.1)
-        limit = np.cos(state[1] / 2)
-        state[2] = np.where(state[2] < 0.999 * limit, state[2], (state[2] - taken * part * step[2] + limit) / 2)
+        limit = np.cos(state[1] / 2) ** 2
+        self.lifts[chosen] = np.where(state[2] <= _STRAIGHT, self.lifts[chosen] + 1, 0)
+        beyond = state[2] >= 0.999 * limit
+        state[2] = np.where(beyond, (self.trial_state[2, chosen] + limit) / 2, np.maximum(state[2], _STRAIGHT))
         state[2] = np.minimum(state[2], 0.9999 * limit)
         self.trial_state[:, chosen] = state
         self.trial_feature[chosen], self.trial_coordinates[:, chosen] = feature, coordinates
@@ -148,7 +157,7 @@ class Lanes:
         self.feature[chosen] = self.trial_feature[chosen]
         self.coordinates[:, chosen] = self.trial_coordinates[:, chosen]
         self.place[:, chosen] = patch.point[:, chosen]
-        self.iterations[chosen] = 0
+        self.iterations[chosen] = self.lifts[chosen] = 0
         if flowing.any():
             self._flow(chosen[flowing], equations)
             chosen = chosen[~flowing]
@@ -175,14 +184,19 @@ class Lanes:
         self.iterations[chosen] = 0
         self.trial_state[:, chosen] = self.state[:, chosen]
         self.trial_feature[chosen], self.trial_coordinates[:, chosen] = self.feature[chosen], self.coordinates[:, chosen]
-        off = (self.target[chosen] >= self.clear_after[chosen] - 0.05) & (self.state[2, chosen] < 0.1)
+        short, lifts = self.target[chosen] - self.progress[chosen] <= 0.25, self.lifts[chosen] >= 3
+        off = (self.target[chosen] >= self.clear_after[chosen] - 0.02) & (self.state[2, chosen] < 0.1) & short
+        off |= (self.target[chosen] >= self.clear_after[chosen] - 1) & (self.state[2, chosen] < 0.02) & lifts
+        self.lifts[chosen] = 0
         flowing = self.drag[chosen] > 0
         self.drag[chosen[flowing]] *= 4
         self.flow_steps[chosen[flowing]] += 1
         steps = chosen[~flowing & ~off]
         self.h[steps] = (self.target[steps] - self.progress[steps]) / 2
         snap = steps[self.h[steps] < _SMALLEST]
-        self.drag[snap] = 1.0
+        self.drag[snap] = 0.3
+        # beyond the fold by some more, so that the flow is not slow
+        self.target[snap] = np.minimum(np.floor(self.progress[snap] + 1e-9) + 1, self.progress[snap] + 0.5)
         self.flow_steps[snap] = 0
         self.counts["snaps"] += len(snap)
         rest = steps[self.h[steps] >= _SMALLEST]
@@ -202,14 +216,17 @@ class Lanes:
         self.drag[ended] = 0.0
         self.has_snapped[ended] = True
         self.h[ended] = _SMALLEST
-        self._finish(chosen[~rest & (self.flow_steps[chosen] > 300)], 3)
+        leaves = ~rest & (equations.normal_force[chosen] < _LEAVES)
+        clear = self.target[chosen] >= self.clear_after[chosen]
+        self._finish(chosen[leaves & clear], 2)
+        self._finish(chosen[(leaves & ~clear) | (~rest & (self.flow_steps[chosen] > 300))], 3)
 
     def _finish(self, chosen: Index, end: int) -> None:
         self.end[self.lane[chosen]] = end
         self.lane[chosen] = -1 - self.lane[chosen]
 
     def _drop(self, keep: Mask) -> None:
-        for name in ("lane", "progress", "clear_after", "feature", "h", "iterations", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
+        for name in ("lane", "progress", "clear_after", "feature", "h", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
             setattr(self, name, getattr(self, name)[keep])
         for name in ("state", "coordinates", "place", "trial_state", "trial_coordinates"):
             setattr(self, name, getattr(self, name)[:, keep])
@@ -242,4 +259,4 @@ def first_state(normal: Array, s1: Array, axes: Array, travel: Array, friction: 
     across_part = force - along_part * along
     omega = np.arctan2(dot(across_part, z), dot(across_part, x))
     alpha = np.arctan2(np.sqrt(dot(across_part, across_part)), -along_part)
-    return np.stack([omega, alpha, np.full(len(s1), 1e-9), s1])
+    return np.stack([omega, alpha, np.full(len(s1), _STRAIGHT), s1])
