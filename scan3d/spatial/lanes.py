@@ -6,7 +6,7 @@ import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.spatial.bodies import Body, Patch
-from scan3d.spatial.equations import Law, System, system
+from scan3d.spatial.equations import Law, Mode, System, system
 from scan3d.spatial.shapes import Bent, Clamp, bent, wrench
 from scan3d.spatial.touching import Passage
 from scan3d.spatial.vectors import dot
@@ -15,6 +15,8 @@ from scan3d.spatial.vectors import dot
 _SOLVED = 1e-11
 # Steps of Newton's method before a lane halves its step, on a smooth body.
 _PATIENCE = 9
+# Steps of Newton's method with the direction of the slip frozen.
+_FROZEN = 2
 # Smallest step, in samples, before the rod is taken to snap.
 _SMALLEST = 2.0**-5
 # q² of a rod that counts as straight.
@@ -52,11 +54,14 @@ class Lanes:
         patch = self.body.patch(feature, coordinates)
         state = first_state(patch.normal, p.s1[lanes], self._axes(lanes), self._travel(lanes), self.friction[lanes, 0])
         self.state, self.feature, self.coordinates = state, feature, coordinates
+        force = bent(state, self._clamp_of(lanes, self.progress)).force
+        self.direction = dot(force, patch.normal) * patch.normal - force
         self.place = patch.point
         k = len(lanes)
         self.h = np.full(k, 1.0 / self.substeps)
         self.iterations, self.lifts = np.zeros(k, dtype=int), np.zeros(k, dtype=int)
         self.drag = np.zeros(k)
+        self.mode = np.full(k, Mode.SLIDE, dtype=np.int8)
         self.has_snapped = np.zeros(k, dtype=bool)
         self.flow_steps = np.zeros(k, dtype=int)
         self.trial_state, self.trial_feature, self.trial_coordinates = state.copy(), feature.copy(), coordinates.copy()
@@ -74,10 +79,13 @@ class Lanes:
         return np.minimum(np.floor(progress + 1e-9) + 1, progress + self.h)
 
     def _clamp(self, progress: Array) -> Clamp:
+        return self._clamp_of(self.lane, progress)
+
+    def _clamp_of(self, lane: Index, progress: Array) -> Clamp:
         k = np.minimum(progress.astype(int), self.position.shape[2] - 2)
         part = progress - k
-        begin, end = self.position[:, self.lane, k], self.position[:, self.lane, k + 1]
-        return Clamp(begin + part * (end - begin), *self.axes[:, :, self.lane])
+        begin, end = self.position[:, lane, k], self.position[:, lane, k + 1]
+        return Clamp(begin + part * (end - begin), *self.axes[:, :, lane])
 
     def _lift(self, rows: Mask) -> None:
         """A first guess of q for straight rods, from the distance by which the body pushes them aside."""
@@ -101,20 +109,29 @@ class Lanes:
         patch = self.body.patch(self.trial_feature, self.trial_coordinates)
         index = np.minimum(np.ceil(self.target - 1e-9).astype(int), self.position.shape[2] - 1)
         step = np.maximum(self.target - self.progress, 1e-12)
-        spacing = 1.0
-        law = Law(self.friction[self.lane, index], self.place, self.state[3], 10 * spacing / step, self.drag)
+        friction = self.friction[self.lane, index]
+        mode = np.where((self.mode == Mode.SLIDE) & (self.iterations < _FROZEN), Mode.FROZEN, self.mode)
+        law = Law(friction, self.place, self.state[3], mode, self.direction, 10 / step, self.drag)
         equations = system(self.trial_state, rod, patch, law)
         self.counts["rounds"] += 1
         self.counts["iterations"] += len(self.lane)
         size = np.abs(equations.residual).max(axis=0)
         solved = size < _SOLVED
+        solved &= (mode != Mode.FROZEN) | (friction == 0)
         good = solved & (equations.normal_force > 0) & (self.trial_state[2] > 2 * _STRAIGHT)
         jump = patch.point - self.place
+        held = equations.friction_force <= friction * equations.normal_force * (1 + 1e-9)
+        good &= np.where(mode == Mode.STICK, held, (equations.dissipated >= 0) | (friction == 0) | (self.drag > 0))
         good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | (self.drag > 0)
         bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= _PATIENCE) | (self.lifts >= 3)
         going = ~(good | bad)
         if going.any():
             self._newton(going, equations, patch)
+        other = bad & ~good & (self.mode == Mode.SLIDE) & (friction > 0) & (self.drag == 0)
+        if other.any():
+            self._reset(np.flatnonzero(other))
+            self.mode[other] = Mode.STICK
+            bad &= ~other
         if good.any():
             self._commit(good, rod, patch, equations)
         if bad.any():
@@ -153,6 +170,9 @@ class Lanes:
     def _commit(self, rows: Mask, rod: Bent, patch: Patch, equations: System) -> None:
         chosen = np.flatnonzero(rows)
         flowing = self.drag[chosen] > 0
+        tangential = rod.force[:, chosen] - equations.normal_force[chosen] * patch.normal[:, chosen]
+        size = np.sqrt(dot(tangential, tangential))
+        self.direction[:, chosen] = np.where(size > 1e-9, -tangential / np.maximum(size, 1e-9), self.direction[:, chosen])
         self.state[:, chosen] = self.trial_state[:, chosen]
         self.feature[chosen] = self.trial_feature[chosen]
         self.coordinates[:, chosen] = self.trial_coordinates[:, chosen]
@@ -170,24 +190,31 @@ class Lanes:
         self.force[:, lane, k], self.moment[:, lane, k] = force, moment
         self.point[:, lane, k], self.normal[:, lane, k] = patch.point[:, at], patch.normal[:, at]
         self.tangent[:, lane, k], self.s1[lane, k] = rod.tangent[:, at], self.state[3, at]
-        self.sticks[lane, k] = equations.sticks[at]
+        self.sticks[lane, k] = self.mode[at] == Mode.STICK
         self.snapped[lane, k] = self.has_snapped[at]
         self.has_snapped[at] = False
         self.h[chosen] = np.minimum(2 * self.h[chosen], 1.0 / self.substeps)
         done = chosen[self.progress[chosen] > self.position.shape[2] - 1 - 1e-9]
         self.target[chosen] = self._next(self.progress)[chosen]
+        self.mode[chosen] = Mode.SLIDE
         self._finish(done, 0)
+
+    def _reset(self, chosen: Index) -> None:
+        """Begin the step again."""
+        self.iterations[chosen] = self.lifts[chosen] = 0
+        self.trial_state[:, chosen] = self.state[:, chosen]
+        self.trial_feature[chosen], self.trial_coordinates[:, chosen] = self.feature[chosen], self.coordinates[:, chosen]
+        rows = np.zeros(len(self.lane), dtype=bool)
+        rows[chosen] = True
+        self._lift(rows)
 
     def _fail(self, rows: Mask) -> None:
         self.counts["halved"] += int(rows.sum())
         chosen = np.flatnonzero(rows)
-        self.iterations[chosen] = 0
-        self.trial_state[:, chosen] = self.state[:, chosen]
-        self.trial_feature[chosen], self.trial_coordinates[:, chosen] = self.feature[chosen], self.coordinates[:, chosen]
+        self.mode[chosen] = Mode.SLIDE
         short, lifts = self.target[chosen] - self.progress[chosen] <= 0.25, self.lifts[chosen] >= 3
         off = (self.target[chosen] >= self.clear_after[chosen] - 0.02) & (self.state[2, chosen] < 0.1) & short
         off |= (self.target[chosen] >= self.clear_after[chosen] - 1) & (self.state[2, chosen] < 0.02) & lifts
-        self.lifts[chosen] = 0
         flowing = self.drag[chosen] > 0
         self.drag[chosen[flowing]] *= 4
         self.flow_steps[chosen[flowing]] += 1
@@ -201,7 +228,7 @@ class Lanes:
         self.counts["snaps"] += len(snap)
         rest = steps[self.h[steps] >= _SMALLEST]
         self.target[rest] = self._next(self.progress)[rest]
-        self._lift(np.isin(np.arange(len(self.lane)), rest))
+        self._reset(chosen)
         self._finish(chosen[off], 2)
         lost = chosen[flowing & (self.flow_steps[chosen] > 300)]
         self._finish(lost, 3)
@@ -226,9 +253,9 @@ class Lanes:
         self.lane[chosen] = -1 - self.lane[chosen]
 
     def _drop(self, keep: Mask) -> None:
-        for name in ("lane", "progress", "clear_after", "feature", "h", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
+        for name in ("lane", "progress", "clear_after", "feature", "h", "mode", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
             setattr(self, name, getattr(self, name)[keep])
-        for name in ("state", "coordinates", "place", "trial_state", "trial_coordinates"):
+        for name in ("state", "coordinates", "direction", "place", "trial_state", "trial_coordinates"):
             setattr(self, name, getattr(self, name)[:, keep])
 
 
