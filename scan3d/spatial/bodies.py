@@ -39,6 +39,9 @@ class Body(Protocol):
     which only the body understands.
     """
 
+    smooth: bool
+    """Whether the coordinates are the normal, so that they can be extrapolated from place to place."""
+
     def patch(self, feature: Index, coordinates: Array) -> Patch:
         """The surface at places."""
 
@@ -54,6 +57,8 @@ class Body(Protocol):
 
 class SmoothBody:
     """A body given by the gradient and the Hessian of its support function; the base of those below."""
+
+    smooth = True
 
     def __init__(self, radius: float = 0.0) -> None:
         if not 0 <= radius < np.inf:

@@ -9,7 +9,7 @@ from scan3d.spatial.bodies import Body, Patch
 from scan3d.spatial.equations import Law, Mode, System, system
 from scan3d.spatial.shapes import Bent, Clamp, bent, wrench
 from scan3d.spatial.touching import Passage
-from scan3d.spatial.vectors import dot
+from scan3d.spatial.vectors import dot, unit
 
 # Residual, in rod lengths and unit forces, at which the equations count as solved.
 _SOLVED = 1e-11
@@ -61,6 +61,8 @@ class Lanes:
         self.h = np.full(k, 1.0 / self.substeps)
         self.iterations, self.lifts = np.zeros(k, dtype=int), np.zeros(k, dtype=int)
         self.drag = np.zeros(k)
+        self.frozen = np.full(k, _FROZEN)
+        self.rate, self.coordinates_before, self.span = np.zeros((4, k)), coordinates.copy(), np.zeros(k)
         self.mode = np.full(k, Mode.SLIDE, dtype=np.int8)
         self.has_snapped = np.zeros(k, dtype=bool)
         self.flow_steps = np.zeros(k, dtype=int)
@@ -110,7 +112,7 @@ class Lanes:
         index = np.minimum(np.ceil(self.target - 1e-9).astype(int), self.position.shape[2] - 1)
         step = np.maximum(self.target - self.progress, 1e-12)
         friction = self.friction[self.lane, index]
-        mode = np.where((self.mode == Mode.SLIDE) & (self.iterations < _FROZEN), Mode.FROZEN, self.mode)
+        mode = np.where((self.mode == Mode.SLIDE) & (self.iterations < self.frozen), Mode.FROZEN, self.mode)
         law = Law(friction, self.place, self.state[3], mode, self.direction, 10 / step, self.drag)
         equations = system(self.trial_state, rod, patch, law)
         self.counts["rounds"] += 1
@@ -173,6 +175,9 @@ class Lanes:
         tangential = rod.force[:, chosen] - equations.normal_force[chosen] * patch.normal[:, chosen]
         size = np.sqrt(dot(tangential, tangential))
         self.direction[:, chosen] = np.where(size > 1e-9, -tangential / np.maximum(size, 1e-9), self.direction[:, chosen])
+        self.rate[:, chosen] = self.trial_state[:, chosen] - self.state[:, chosen]
+        self.coordinates_before[:, chosen] = self.coordinates[:, chosen]
+        self.span[chosen] = np.where(flowing, 0.0, self.target[chosen] - self.progress[chosen])
         self.state[:, chosen] = self.trial_state[:, chosen]
         self.feature[chosen] = self.trial_feature[chosen]
         self.coordinates[:, chosen] = self.trial_coordinates[:, chosen]
@@ -192,16 +197,33 @@ class Lanes:
         self.tangent[:, lane, k], self.s1[lane, k] = rod.tangent[:, at], self.state[3, at]
         self.sticks[lane, k] = self.mode[at] == Mode.STICK
         self.snapped[lane, k] = self.has_snapped[at]
+        snapped = self.has_snapped[chosen] | (self.mode[chosen] == Mode.STICK)
         self.has_snapped[at] = False
         self.h[chosen] = np.minimum(2 * self.h[chosen], 1.0 / self.substeps)
         done = chosen[self.progress[chosen] > self.position.shape[2] - 1 - 1e-9]
         self.target[chosen] = self._next(self.progress)[chosen]
         self.mode[chosen] = Mode.SLIDE
+        self.frozen[chosen] = _FROZEN
+        self._predict(chosen[(self.span[chosen] > 0) & ~snapped])
         self._finish(done, 0)
+
+    def _predict(self, chosen: Index) -> None:
+        """Begin a step where the last one leads to, in proportion to their lengths."""
+        if not self.body.smooth:
+            return
+        factor = (self.target[chosen] - self.progress[chosen]) / self.span[chosen]
+        state = self.state[:, chosen] + factor * self.rate[:, chosen]
+        fits = (state[2] > 0) & (state[2] < 0.99 * np.cos(state[1] / 2) ** 2) & (state[3] > 0)
+        chosen, factor = chosen[fits], factor[fits]
+        self.trial_state[:, chosen] = state[:, fits]
+        here = self.coordinates[:, chosen]
+        self.trial_coordinates[:, chosen] = unit(here + factor * (here - self.coordinates_before[:, chosen]))
+        self.frozen[chosen] = 0
 
     def _reset(self, chosen: Index) -> None:
         """Begin the step again."""
         self.iterations[chosen] = self.lifts[chosen] = 0
+        self.frozen[chosen] = _FROZEN
         self.trial_state[:, chosen] = self.state[:, chosen]
         self.trial_feature[chosen], self.trial_coordinates[:, chosen] = self.feature[chosen], self.coordinates[:, chosen]
         rows = np.zeros(len(self.lane), dtype=bool)
@@ -253,9 +275,9 @@ class Lanes:
         self.lane[chosen] = -1 - self.lane[chosen]
 
     def _drop(self, keep: Mask) -> None:
-        for name in ("lane", "progress", "clear_after", "feature", "h", "mode", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
+        for name in ("lane", "progress", "clear_after", "feature", "h", "frozen", "span", "mode", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
             setattr(self, name, getattr(self, name)[keep])
-        for name in ("state", "coordinates", "direction", "place", "trial_state", "trial_coordinates"):
+        for name in ("state", "coordinates", "coordinates_before", "rate", "direction", "place", "trial_state", "trial_coordinates"):
             setattr(self, name, getattr(self, name)[:, keep])
 
 
