@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.spatial.bodies import Patch
 from scan3d.spatial.shapes import Bent
 from scan3d.spatial.vectors import basis, dot
@@ -29,6 +29,8 @@ class Mode(IntEnum):
     """Friction has its full size, against the slip."""
     STICK = 2
     """There is no slip."""
+    EITHER = 3
+    """It slides or sticks, as (S20) decides in every step of Newton's method."""
 
 
 class Law(NamedTuple):
@@ -63,6 +65,7 @@ class System(NamedTuple):
     """(n,) part of the unit force along the surface."""
     dissipated: Array
     """(n,) friction times slip: positive where friction acts against the slip."""
+    sticks: Mask
 
 
 def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
@@ -116,7 +119,7 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
             )
         )
     normal_part = (normal_force, normal_slopes)
-    _friction(residual, jacobian, law, frame, (v, np.stack(v_slopes)), (g, np.stack(g_slopes)), normal_part)
+    sticks = _friction(residual, jacobian, law, frame, (v, np.stack(v_slopes)), (g, np.stack(g_slopes)), normal_part)
 
     lean = -dot(rod.tangent, n)
     tip = 1 - state[3] <= lean
@@ -125,13 +128,13 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     slopes += [-dot(rod.tangent, patch.normal_1), -dot(rod.tangent, patch.normal_2)]
     jacobian[5] = np.where(tip, 0.0, np.stack(slopes))
     jacobian[5, 3] = np.where(tip, -1.0, 0.0)
-    return System(residual, jacobian, normal_force, np.hypot(v[0], v[1]), np.hypot(g[0], g[1]), -(v * g).sum(axis=0))
+    return System(residual, jacobian, normal_force, np.hypot(v[0], v[1]), np.hypot(g[0], g[1]), -(v * g).sum(axis=0), sticks)
 
 
 def _friction(
     residual: Array, jacobian: Array, law: Law, frame: Array, slip: tuple[Array, Array], force: tuple[Array, Array], normal: tuple[Array, Array]
-) -> None:
-    """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force."""
+) -> Mask:
+    """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force; where it sticks."""
     (v, v_slopes), (g, g_slopes), (normal_force, normal_slopes) = slip, force, normal
     g = g + law.drag * v
     g_slopes = g_slopes + law.drag * v_slopes
@@ -140,6 +143,7 @@ def _friction(
     w = np.where(frozen, frame, law.rate * v - g)
     w_slopes = law.rate * v_slopes - g_slopes
     size = np.hypot(w[0], w[1]) + 1e-300
+    sticks |= (law.mode == Mode.EITHER) & (size < cone)
     direction = w / size
     turn = np.where(frozen, 0.0, cone / size)
     # a change of w turns its direction by its part across it
@@ -149,3 +153,4 @@ def _friction(
         residual[3 + k] = np.where(sticks, law.rate * v[k], g[k] + cone * direction[k])
         slides = g_slopes[k] + law.friction * direction[k] * normal_slopes + across[k] * turned
         jacobian[3 + k] = np.where(sticks, law.rate * v_slopes[k], slides)
+    return sticks

@@ -23,6 +23,8 @@ _SMALLEST = 2.0**-5
 _STRAIGHT = 1e-14
 # Largest path of the contact in a step, in rod lengths.
 _REACH = 0.08
+# Steps of the flow of a snap at most, and its largest drag.
+_FLOW_STEPS, _LARGEST_DRAG = 120, 1e4
 # Part of the force along the normal below which a rod that snaps leaves the body.
 _LEAVES = 0.05
 
@@ -63,7 +65,7 @@ class Lanes:
         self.drag = np.zeros(k)
         self.frozen = np.full(k, _FROZEN)
         self.rate, self.coordinates_before, self.span = np.zeros((4, k)), coordinates.copy(), np.zeros(k)
-        self.mode = np.full(k, Mode.SLIDE, dtype=np.int8)
+        self.mode, self.attempts = np.full(k, Mode.SLIDE, dtype=np.int8), np.zeros(k, dtype=int)
         self.has_snapped = np.zeros(k, dtype=bool)
         self.flow_steps = np.zeros(k, dtype=int)
         self.trial_state, self.trial_feature, self.trial_coordinates = state.copy(), feature.copy(), coordinates.copy()
@@ -123,16 +125,20 @@ class Lanes:
         good = solved & (equations.normal_force > 0) & (self.trial_state[2] > 2 * _STRAIGHT)
         jump = patch.point - self.place
         held = equations.friction_force <= friction * equations.normal_force * (1 + 1e-9)
-        good &= np.where(mode == Mode.STICK, held, (equations.dissipated >= 0) | (friction == 0) | (self.drag > 0))
+        good &= np.where(equations.sticks, held, (equations.dissipated >= 0) | (friction == 0) | (self.drag > 0))
         good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | (self.drag > 0)
         bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= _PATIENCE) | (self.lifts >= 3)
         going = ~(good | bad)
         if going.any():
             self._newton(going, equations, patch)
-        other = bad & ~good & (self.mode == Mode.SLIDE) & (friction > 0) & (self.drag == 0)
+        other = bad & ~good & (friction > 0) & (self.drag == 0) & (self.attempts < 2)
         if other.any():
             self._reset(np.flatnonzero(other))
-            self.mode[other] = Mode.STICK
+            self.attempts[other] += 1
+            start = self.state[2] <= 2 * _STRAIGHT
+            third = np.where(self.mode == Mode.SLIDE, Mode.STICK, Mode.SLIDE)
+            self.mode[other] = np.where((self.attempts == 2) & start, Mode.EITHER, third)[other]
+            self.attempts[other & ~start] = 2
             bad &= ~other
         if good.any():
             self._commit(good, rod, patch, equations)
@@ -195,14 +201,15 @@ class Lanes:
         self.force[:, lane, k], self.moment[:, lane, k] = force, moment
         self.point[:, lane, k], self.normal[:, lane, k] = patch.point[:, at], patch.normal[:, at]
         self.tangent[:, lane, k], self.s1[lane, k] = rod.tangent[:, at], self.state[3, at]
-        self.sticks[lane, k] = self.mode[at] == Mode.STICK
+        self.sticks[lane, k] = equations.sticks[at]
         self.snapped[lane, k] = self.has_snapped[at]
-        snapped = self.has_snapped[chosen] | (self.mode[chosen] == Mode.STICK)
+        snapped = self.has_snapped[chosen] | equations.sticks[chosen]
         self.has_snapped[at] = False
         self.h[chosen] = np.minimum(2 * self.h[chosen], 1.0 / self.substeps)
         done = chosen[self.progress[chosen] > self.position.shape[2] - 1 - 1e-9]
         self.target[chosen] = self._next(self.progress)[chosen]
         self.mode[chosen] = Mode.SLIDE
+        self.attempts[chosen] = 0
         self.frozen[chosen] = _FROZEN
         self._predict(chosen[(self.span[chosen] > 0) & ~snapped])
         self._finish(done, 0)
@@ -234,16 +241,19 @@ class Lanes:
         self.counts["halved"] += int(rows.sum())
         chosen = np.flatnonzero(rows)
         self.mode[chosen] = Mode.SLIDE
+        self.attempts[chosen] = 0
         short, lifts = self.target[chosen] - self.progress[chosen] <= 0.25, self.lifts[chosen] >= 3
         off = (self.target[chosen] >= self.clear_after[chosen] - 0.02) & (self.state[2, chosen] < 0.1) & short
         off |= (self.target[chosen] >= self.clear_after[chosen] - 1) & (self.state[2, chosen] < 0.02) & lifts
         flowing = self.drag[chosen] > 0
         self.drag[chosen[flowing]] *= 4
+        self.mode[chosen[flowing]] = Mode.EITHER
         self.flow_steps[chosen[flowing]] += 1
         steps = chosen[~flowing & ~off]
         self.h[steps] = (self.target[steps] - self.progress[steps]) / 2
         snap = steps[self.h[steps] < _SMALLEST]
         self.drag[snap] = 0.3
+        self.mode[snap] = Mode.EITHER
         # beyond the fold by some more, so that the flow is not slow
         self.target[snap] = np.minimum(np.floor(self.progress[snap] + 1e-9) + 1, self.progress[snap] + 0.5)
         self.flow_steps[snap] = 0
@@ -252,7 +262,7 @@ class Lanes:
         self.target[rest] = self._next(self.progress)[rest]
         self._reset(chosen)
         self._finish(chosen[off], 2)
-        lost = chosen[flowing & (self.flow_steps[chosen] > 300)]
+        lost = chosen[flowing & ((self.flow_steps[chosen] > _FLOW_STEPS) | (self.drag[chosen] > _LARGEST_DRAG))]
         self._finish(lost, 3)
 
     def _flow(self, chosen: Index, equations: System) -> None:
@@ -260,22 +270,23 @@ class Lanes:
         slip = equations.slip[chosen]
         self.flow_steps[chosen] += 1
         self.drag[chosen] = np.where(slip < 0.02, self.drag[chosen] / 3, self.drag[chosen] * 1.5)
-        rest = (slip < 1e-7) & (self.drag[chosen] < 1e-3)
+        rest = ((slip < 1e-7) & (self.drag[chosen] < 1e-3)) | equations.sticks[chosen]
         ended = chosen[rest]
         self.drag[ended] = 0.0
         self.has_snapped[ended] = True
         self.h[ended] = _SMALLEST
+        self.mode[ended] = np.where(equations.sticks[ended], Mode.STICK, Mode.SLIDE)
         leaves = ~rest & (equations.normal_force[chosen] < _LEAVES)
         clear = self.target[chosen] >= self.clear_after[chosen]
         self._finish(chosen[leaves & clear], 2)
-        self._finish(chosen[(leaves & ~clear) | (~rest & (self.flow_steps[chosen] > 300))], 3)
+        self._finish(chosen[(leaves & ~clear) | (~rest & (self.flow_steps[chosen] > _FLOW_STEPS))], 3)
 
     def _finish(self, chosen: Index, end: int) -> None:
         self.end[self.lane[chosen]] = end
         self.lane[chosen] = -1 - self.lane[chosen]
 
     def _drop(self, keep: Mask) -> None:
-        for name in ("lane", "progress", "clear_after", "feature", "h", "frozen", "span", "mode", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
+        for name in ("lane", "progress", "clear_after", "feature", "h", "frozen", "span", "attempts", "mode", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
             setattr(self, name, getattr(self, name)[keep])
         for name in ("state", "coordinates", "coordinates_before", "rate", "direction", "place", "trial_state", "trial_coordinates"):
             setattr(self, name, getattr(self, name)[:, keep])
