@@ -15,6 +15,8 @@ from scan3d.spatial.vectors import dot, unit
 _SOLVED = 1e-11
 # Steps of Newton's method before a lane halves its step, on a smooth body.
 _PATIENCE = 9
+# The same on a polyhedron, where a step ends at the border of a face, an edge or a vertex.
+_PATIENCE_FEATURES = 40
 # Steps of Newton's method with the direction of the slip frozen.
 _FROZEN = 2
 # Smallest step, in samples, before the rod is taken to snap.
@@ -32,6 +34,7 @@ _LEAVES = 0.05
 class Lanes:
     def __init__(self, body: Body, position: Array, axes: Array, friction: Array, passage: Passage, substeps: int) -> None:
         self.body, self.substeps = body, substeps
+        self.patience = _PATIENCE if body.smooth else _PATIENCE_FEATURES
         m, n = position.shape[:2]
         self.position = position.transpose(2, 0, 1)  # (3, m, n)
         self.axes = axes.transpose(1, 2, 0)  # (3 axes, 3, m)
@@ -127,7 +130,7 @@ class Lanes:
         held = equations.friction_force <= friction * equations.normal_force * (1 + 1e-9)
         good &= np.where(equations.sticks, held, (equations.dissipated >= 0) | (friction == 0) | (self.drag > 0))
         good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | (self.drag > 0)
-        bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= _PATIENCE) | (self.lifts >= 3)
+        bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= self.patience) | (self.lifts >= 3)
         going = ~(good | bad)
         if going.any():
             self._newton(going, equations, patch)
