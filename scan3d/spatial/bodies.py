@@ -30,6 +30,10 @@ class Patch(NamedTuple):
     point_2: Array
     normal_1: Array
     normal_2: Array
+    law_normal: Array
+    """The normal that friction refers to: on a mesh of a smooth body, that of the smooth body."""
+    law_normal_1: Array
+    law_normal_2: Array
 
 
 class Body(Protocol):
@@ -74,7 +78,7 @@ class SmoothBody:
         point, hessian = self.support(n)
         u, v = basis(n)
         point_1, point_2 = ((hessian * w).sum(axis=1) + self.radius * w for w in (u, v))
-        return Patch(point + self.radius * n, n, point_1, point_2, u, v)
+        return Patch(point + self.radius * n, n, point_1, point_2, u, v, n, u, v)
 
     def moved(self, feature: Index, coordinates: Array, patch: Patch, step: Array) -> tuple[Index, Array, Array]:
         length = np.sqrt(step[0] ** 2 + step[1] ** 2)

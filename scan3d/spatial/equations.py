@@ -70,7 +70,7 @@ class System(NamedTuple):
 
 def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     """The equations at states (4, n) with their bent rods and places on the body."""
-    n = patch.normal
+    n, m = patch.normal, patch.law_normal
     count = n.shape[1]
     residual, jacobian = np.empty((6, count)), np.zeros((6, 6, count))
     residual[:3] = rod.place - patch.point
@@ -82,7 +82,7 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     # slip v = P y with y = r1 - r1⁻ - (s1 - s1⁻) t1, and its derivatives by all unknowns
     along = state[3] - law.s1
     y = patch.point - law.place - along * rod.tangent
-    y_n, normal_force = dot(y, n), dot(rod.force, n)
+    y_n, normal_force = dot(y, m), dot(rod.force, m)
     tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_square * rod.tangent_angle])
     y_slopes = np.concatenate(
         [-along * tangents, -rod.tangent[None], patch.point_1[None], patch.point_2[None]]
@@ -90,17 +90,17 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     zero = np.zeros(count)
     normal_slopes = np.stack(
         [
-            dot(rod.force_omega, n),
-            dot(rod.force_alpha, n),
+            dot(rod.force_omega, m),
+            dot(rod.force_alpha, m),
             zero,
             zero,
-            dot(rod.force, patch.normal_1),
-            dot(rod.force, patch.normal_2),
+            dot(rod.force, patch.law_normal_1),
+            dot(rod.force, patch.law_normal_2),
         ]
     )
     v, g, frame, v_slopes, g_slopes = *(np.empty((2, count)) for _ in range(3)), [], []
-    for k, u in enumerate(basis(n)):
-        turned = dot(patch.normal_1, u), dot(patch.normal_2, u)
+    for k, u in enumerate(basis(m)):
+        turned = dot(patch.law_normal_1, u), dot(patch.law_normal_2, u)
         v[k], g[k], frame[k] = dot(y, u), dot(rod.force, u), dot(law.direction, u)
         v_slope = dot(y_slopes.swapaxes(0, 1), u[:, None])
         v_slope[4] -= y_n * turned[0]

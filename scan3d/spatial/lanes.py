@@ -60,7 +60,7 @@ class Lanes:
         state = first_state(patch.normal, p.s1[lanes], self._axes(lanes), self._travel(lanes), self.friction[lanes, 0])
         self.state, self.feature, self.coordinates = state, feature, coordinates
         force = bent(state, self._clamp_of(lanes, self.progress)).force
-        self.direction = dot(force, patch.normal) * patch.normal - force
+        self.direction = dot(force, patch.law_normal) * patch.law_normal - force
         self.place = patch.point
         k = len(lanes)
         self.h = np.full(k, 1.0 / self.substeps)
@@ -159,6 +159,9 @@ class Lanes:
             step = -np.linalg.solve(jacobian, residual)[:, :, 0].T
         except np.linalg.LinAlgError:
             step = -np.linalg.solve(jacobian + 1e-12 * np.eye(6), residual)[:, :, 0].T
+        if not self.body.smooth:
+            # on a small piece where equilibria are unstable, such as the sphere about a vertex, the path of equilibria runs back
+            step *= np.where(np.linalg.det(jacobian) < 0, -1.0, 1.0)
         state = self.trial_state[:, chosen]
         part = 1 / np.maximum(1.0, np.abs(step[:2]).max(axis=0) / 0.5)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -181,7 +184,7 @@ class Lanes:
     def _commit(self, rows: Mask, rod: Bent, patch: Patch, equations: System) -> None:
         chosen = np.flatnonzero(rows)
         flowing = self.drag[chosen] > 0
-        tangential = rod.force[:, chosen] - equations.normal_force[chosen] * patch.normal[:, chosen]
+        tangential = rod.force[:, chosen] - equations.normal_force[chosen] * patch.law_normal[:, chosen]
         size = np.sqrt(dot(tangential, tangential))
         self.direction[:, chosen] = np.where(size > 1e-9, -tangential / np.maximum(size, 1e-9), self.direction[:, chosen])
         self.rate[:, chosen] = self.trial_state[:, chosen] - self.state[:, chosen]

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import Patch
@@ -16,6 +18,9 @@ from scan3d.spatial.vectors import basis, cross, dot, unit
 
 # Largest turn of a normal in one step of Newton's method, in radians.
 _LARGEST_TURN = 0.5
+# A mesh is fine if the median angle between its faces is smaller than this, in radians.  Friction on it then refers to normals
+# that are interpolated across all angles below the second: its facets stand for a smooth surface.
+_FINE, _SMOOTH = 0.09, 0.44
 # Angle between two faces, in radians, below which they count as one plane.
 _FLAT = 1e-9
 
@@ -37,6 +42,43 @@ class RoundedPolyhedron:
         self._faces(triangles)
         self._edges(triangles)
         self._stars()
+        self._smoothed(triangles)
+
+    def _smoothed(self, triangles: Index) -> None:
+        """Normals at the corners of the faces, averaged over the faces that meet there without a sharp edge."""
+        count = len(triangles)
+        turned = self.angle[self.angle > _FLAT]
+        limit = _SMOOTH if len(turned) and np.median(turned) < _FINE else 0.0
+        smooth = np.flatnonzero(self.angle < max(limit, _FLAT))
+        pairs = []
+        for end in (self.tail, self.head):
+            sides = [face[smooth] + count * np.argmax(triangles[face[smooth]] == end[smooth, None], axis=1) for face in (self.left, self.right)]
+            pairs.append(np.stack(sides))
+        first, second = np.concatenate(pairs, axis=1)
+        graph = coo_array((np.ones(len(first)), (first, second)), shape=(3 * count, 3 * count))
+        groups, group = connected_components(graph, directed=False)
+        corners = self.vertices[:, triangles.T]  # (3, 3 corners, f)
+        to_next, to_last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+        cosine = dot(to_next, to_last) / np.sqrt(dot(to_next, to_next) * dot(to_last, to_last))
+        weighted = np.arccos(np.clip(cosine, -1, 1))[None] * self.normals[:, None]
+        sums = np.stack([np.bincount(group, component.ravel(), minlength=groups) for component in weighted])
+        self.corner_normals = unit(sums)[:, group].reshape(3, 3, count).swapaxes(0, 1)
+        self.centre = corners.mean(axis=1)
+        height = np.stack([dot(self.out[(k + 1) % 3], corners[:, (k + 1) % 3] - corners[:, k]) for k in range(3)])
+        self.barycentric = -np.roll(self.out, -1, axis=0) / height[:, None]
+        self.edge_normals = [
+            np.stack([self.corner_normals[np.argmax(triangles[face] == end[:, None], axis=1), :, face].T for end in (self.tail, self.head)])
+            for face in (self.left, self.right)
+        ]
+        vertex = triangles.T.ravel()
+        low, high = np.full(self.vertices.shape[1], 3 * count), np.full(self.vertices.shape[1], -1)
+        np.minimum.at(low, vertex, group)
+        np.maximum.at(high, vertex, group)
+        # how many smooth sides meet at a vertex; with sharp edges only, friction refers to the true normals
+        pairs = np.unique(np.stack([vertex, group]), axis=1)
+        self.sides = np.bincount(pairs[0], minlength=self.vertices.shape[1]) if limit else np.full(len(low), 3)
+        normals = unit(sums)
+        self.vertex_normals = np.stack([normals[:, np.maximum(chosen, 0)] for chosen in (np.minimum(low, groups - 1), high)])
 
     def _faces(self, triangles: Index) -> None:
         a, b, c = (self.vertices[:, triangles[:, k]] for k in range(3))
@@ -114,7 +156,41 @@ class RoundedPolyhedron:
             result.point[:, at_vertex], result.normal[:, at_vertex] = point, n
             result.point_1[:, at_vertex], result.point_2[:, at_vertex] = self.radius * u, self.radius * v
             result.normal_1[:, at_vertex], result.normal_2[:, at_vertex] = u, v
+        self._smooth_normals(result, feature, coordinates)
         return result
+
+    def _smooth_normals(self, result: Patch, feature: Index, coordinates: Array) -> None:
+        """Fill in the normals that friction refers to, interpolated between those of the corners."""
+        faces, edges = self.normals.shape[1], len(self.tail)
+        on_face, on_edge, at_vertex = self._parts(feature)
+        if len(on_face):
+            number = feature[on_face]
+            corner = self.corner_normals[:, :, number]
+            slope = self.barycentric[:, :, number]
+            weight = (slope * (coordinates[:, on_face] - self.centre[:, number])).sum(axis=1) + 1 / 3
+            along = (self.first[:, number], self.second[:, number])
+            slopes = (((slope * t).sum(axis=1)[:, None] * corner).sum(axis=0) for t in along)
+            _put_unit(result, on_face, (weight[:, None] * corner).sum(axis=0), *slopes)
+        if len(on_edge):
+            number = feature[on_edge] - faces
+            tau = coordinates[0, on_edge] / self.length[number]
+            turn = np.maximum(self.angle[number], _FLAT)
+            part = np.minimum(coordinates[1, on_edge] / turn, 1.0)
+            (a, b), (c, d) = self.edge_normals[0][:, :, number], self.edge_normals[1][:, :, number]
+            # the true normal, corrected by what the sides' normals differ from those of the faces
+            left = a + tau * (b - a) - self.left_normal[:, number]
+            right = c + tau * (d - c) - self.normals[:, self.right[number]]
+            by_tau = ((b - a) + part * ((d - c) - (b - a))) / self.length[number]
+            by_angle = result.normal_2[:, on_edge] + (right - left) / turn
+            _put_unit(result, on_edge, result.normal[:, on_edge] + left + part * (right - left), by_tau, by_angle)
+        if len(at_vertex):
+            number = feature[at_vertex] - faces - edges
+            n, u, v = (getattr(result, name)[:, at_vertex] for name in ("normal", "normal_1", "normal_2"))
+            result.law_normal[:, at_vertex], result.law_normal_1[:, at_vertex], result.law_normal_2[:, at_vertex] = n, u, v
+            crease = self.sides[number] <= 2
+            if crease.any():
+                at, number, n = at_vertex[crease], number[crease], n[:, crease]
+                _put_unit(result, at, *_in_plane(self.vertex_normals[:, :, number], n, u[:, crease], v[:, crease]))
 
     def _on_edge(self, number: Index, angle: Array) -> tuple[Array, Array, Array]:
         """Direction of edges, and normals at angles from their left faces with their derivatives."""
@@ -206,3 +282,27 @@ class RoundedPolyhedron:
         number = np.argmax(self.vertices.T @ normal, axis=0)
         feature = self.normals.shape[1] + len(self.tail) + number
         return feature, normal, self.vertices[:, number] + self.radius * normal
+
+
+def _put_unit(patch: Patch, rows: Index, vector: Array, slope_1: Array, slope_2: Array) -> None:
+    """Set the normals that friction refers to, and their derivatives, from vectors that are scaled to unit length."""
+    size = np.sqrt(dot(vector, vector))
+    n = vector / size
+    patch.law_normal[:, rows] = n
+    patch.law_normal_1[:, rows] = (slope_1 - dot(slope_1, n) * n) / size
+    patch.law_normal_2[:, rows] = (slope_2 - dot(slope_2, n) * n) / size
+
+
+def _in_plane(sides: Array, n: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
+    """Normals (3, n) projected into the planes of the normals of two sides (2, 3, n), and so for their derivatives u and v.
+
+    Where the sides are one, it is theirs, and the derivatives are zero.
+    """
+    a, b = sides
+    across = cross(a, b)
+    size = np.sqrt(dot(across, across))
+    crease = size > 1e-6
+    k = across / np.where(crease, size, 1.0)
+    projected = (np.where(crease, vector - dot(vector, k) * k, 0.0) for vector in (n, u, v))
+    first, *rest = projected
+    return np.where(crease, first, a), rest[0], rest[1]
