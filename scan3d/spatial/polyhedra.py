@@ -279,7 +279,7 @@ class RoundedPolyhedron:
         coordinates[:, at] = np.stack([along, np.clip(angle, 0.0, self.angle[e]), np.zeros(len(at))])
 
     def extreme(self, normal: Array) -> tuple[Index, Array, Array]:
-        number = np.argmax(self.vertices.T @ normal, axis=0)
+        number = np.argmax(normal.T @ self.vertices, axis=1)
         feature = self.normals.shape[1] + len(self.tail) + number
         return feature, normal, self.vertices[:, number] + self.radius * normal
 

@@ -17,7 +17,7 @@ from scan3d.spatial.vectors import cross, dot, unit
 
 # Normals across a rod at which the figure is evaluated, and the rounds in which they close in on that of the touch-down.  More
 # take longer; fewer leave Newton's method a worse start.
-_AROUND, _ROUNDS = 60, 4
+_AROUND, _ROUNDS = 24, 4
 # Normals in all directions at which the body is evaluated for the path of a tip, likewise.
 _SPHERE = sphere_directions(1500)
 # Rods that are evaluated at once, so that the intermediate arrays stay small.
