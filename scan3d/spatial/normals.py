@@ -44,8 +44,8 @@ _SNAP_SIGMAS = 8.0
 # Normals that are less certain, in radians, are unknown.  Larger, they disturb more than they help; smaller, starts for the fit
 # of a smooth body are lost.
 _UNKNOWN = 0.1
-# Rounding of positions, in rod lengths.
-_ROUNDING = 1e-14
+# Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
+_ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
 # Contacts whose normals are computed at once.
 _BLOCK = 20_000
 # Without friction all angles β of tangential contact vanish, to rounding and this many standard deviations, in so many of
@@ -298,6 +298,15 @@ def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, sour
         )
 
     squares = np.nan_to_num(angles(normal, second) ** 2, nan=np.inf)
+    # and of the second order, which tells directions from those of rounding alone
+    change = slopes.used - slopes.other
+    if source == Source.PATH:
+        tangent = track.tangent[rows]
+        size = np.linalg.norm(np.cross(slopes.used[:, :3], tangent), axis=1)
+        relative = np.linalg.norm(np.cross(change[:, :3], tangent), axis=1) / size
+    else:
+        relative = np.linalg.norm(_slip(track, rows, change), axis=1) / speed
+    squares += (_ROUGH * relative**2) ** 2
     if slopes.difference is None:
         squares *= _ROUGH**2
     else:
@@ -306,7 +315,7 @@ def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, sour
     squares = np.maximum(_running_mean(squares, slopes.width), 0.0)
     if slopes.variance is not None:
         squares += turned(slopes.variance)
-    squares += (slopes.rounding * (gain + gain_sideways)) ** 2
+    squares += (slopes.rounding * (gain + gain_sideways)) ** 2 + _SMALLEST_SD**2
     if track.direction_sd is not None:
         squares += (track.direction_sd[rows] / cosine) ** 2
     return np.where((cosine > 0) & np.isfinite(squares), np.sqrt(squares), np.inf)
