@@ -2,7 +2,7 @@
 
 from scan3d.reconstruction.consistency import Contradiction, cause_of_no_contact, contradictions
 from scan3d.reconstruction.contacts import NoContactError
-from scan3d.reconstruction.normals import reconstruct
+from scan3d.reconstruction.models import reconstruct
 from scan3d.reconstruction.resolution import noise_of
 
 __all__ = ["Contradiction", "NoContactError", "cause_of_no_contact", "contradictions", "noise_of", "reconstruct"]

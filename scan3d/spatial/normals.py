@@ -46,6 +46,9 @@ _SNAP_SIGMAS = 8.0
 _UNKNOWN = 0.1
 # Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
 _ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
+# A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
+# normal from the path.
+_CLEARLY = 0.5
 # Contacts whose normals are computed at once.
 _BLOCK = 20_000
 # Without friction all angles β of tangential contact vanish, to rounding and this many standard deviations, in so many of
@@ -105,7 +108,7 @@ class Normals(NamedTuple):
 
 
 def along_sweeps(track: Track) -> Normals:
-    """Normals from slip and path, the more certain of both at each contact."""
+    """Normals from slip and path: at each contact those of the path, unless those of the slip are more certain."""
     n = len(track.row)
     starts, sticks = _runs(track)
     normals = {source: np.full((n, 3), np.nan) for source in (Source.SLIP, Source.PATH)}
@@ -119,9 +122,9 @@ def along_sweeps(track: Track) -> Normals:
             rows = slopes.rows[better]
             normals[source][rows], deviation[source][rows] = normal[better], sd[better]
     slip_sd, path_sd = deviation[Source.SLIP], deviation[Source.PATH]
-    by_slip = slip_sd <= path_sd
+    by_slip = slip_sd < _CLEARLY * path_sd
     normal = np.where(by_slip[:, None], normals[Source.SLIP], normals[Source.PATH])
-    sd = np.minimum(slip_sd, path_sd)
+    sd = np.where(by_slip, slip_sd, path_sd)
     unknown = ~(sd < _UNKNOWN)
     normal[unknown], sd[unknown] = np.nan, np.inf
     chosen = np.where(by_slip, Source.SLIP, Source.PATH).astype(np.int8)
