@@ -113,7 +113,7 @@ def test_rows_in_any_order_give_the_same_contacts(few):
     np.testing.assert_array_equal(np.isnan(other.normals[back]), np.isnan(cloud.normals))
     error = angles(other.normals[back], cloud.normals)
     assert np.nanmedian(error) < 1e-9
-    assert (np.nan_to_num(error) <= 6 * cloud.normal_sd).all()
+    assert np.nanmax(error) < 1e-5
 
 
 def test_turning_moving_and_scaling_the_scene_moves_the_cloud(few):
@@ -134,7 +134,7 @@ def test_turning_moving_and_scaling_the_scene_moves_the_cloud(few):
     assert both.mean() > 0.85
     error = angles(other.normals, turn.apply(cloud.normals))[both]
     assert np.median(error) < 1e-9
-    assert (error <= 6 * cloud.normal_sd[both]).all()
+    assert error.max() < 1e-5  # normals of slip and path differ by the error of the sweeps themselves
 
 
 def test_turning_the_clamp_about_its_axis_changes_nothing(few):
