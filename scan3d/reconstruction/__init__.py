@@ -1,7 +1,8 @@
 """The first half of step 2: from a recording, simulated or measured, to contacts with the normals of the surface."""
 
-from scan3d.reconstruction.consistency import Contradiction, cause_of_no_contact, contradictions
+from scan3d.reconstruction.consistency import cause_of_no_contact, contradictions
 from scan3d.reconstruction.contacts import NoContactError
+from scan3d.reconstruction.contradiction import Contradiction
 from scan3d.reconstruction.models import reconstruct
 from scan3d.reconstruction.resolution import noise_of
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.resolution import noise_of
@@ -75,6 +75,15 @@ def spatial_contacts(recording: Recording) -> Cloud:
     Raises InputError if the recording has other axes than six, and NoContactError if no row gives a contact.
     """
     known = readings(recording)
+    cloud = without_normals(recording, known)
+    force = np.einsum("ni,nij->nj", known.found.force[cloud.row], recording.axes()[cloud.row])
+    cloud = _with_sweep_normals(cloud, track(recording, known, cloud, force), known)
+    cloud = with_fit(cloud, force)
+    return _moved_by_radius(cloud, force)
+
+
+def without_normals(recording: Recording, known: Readings) -> Cloud:
+    """The contacts without normals, at the rod's centre line.  Raises NoContactError if no row gives a contact."""
     rows = np.flatnonzero(known.touching)
     if not len(rows):
         raise NoContactError(
@@ -82,14 +91,6 @@ def spatial_contacts(recording: Recording) -> Cloud:
             "its axes, signs and units"
         )
     axes = recording.axes()[rows]
-    force = np.einsum("ni,nij->nj", known.found.force[rows], axes)
-    cloud = _without_normals(recording, known, rows, axes)
-    cloud = _with_sweep_normals(cloud, track(recording, known, cloud, force), known)
-    cloud = with_fit(cloud, force)
-    return _moved_by_radius(cloud, force)
-
-
-def _without_normals(recording: Recording, known: Readings, rows: Index, axes: Array) -> Cloud:
     rod, scale, found, error = recording.rod, UNITS_M[recording.unit], known.found, known.error
     n, length = len(rows), rod.length_m / scale
     points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[rows], axes)
