@@ -5,5 +5,14 @@ from scan3d.reconstruction.contacts import NoContactError
 from scan3d.reconstruction.contradiction import Contradiction
 from scan3d.reconstruction.models import reconstruct
 from scan3d.reconstruction.resolution import noise_of
+from scan3d.reconstruction.spatial import radius_errors
 
-__all__ = ["Contradiction", "NoContactError", "cause_of_no_contact", "contradictions", "noise_of", "reconstruct"]
+__all__ = [
+    "Contradiction",
+    "NoContactError",
+    "cause_of_no_contact",
+    "contradictions",
+    "noise_of",
+    "radius_errors",
+    "reconstruct",
+]

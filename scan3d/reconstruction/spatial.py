@@ -27,6 +27,8 @@ from scan3d.units import UNITS_M
 # As in the plane (`scan3d.reconstruction.contacts`): standard deviations of the distance to the tip that count as zero, the
 # largest such distance, and when a contact is left out as too light.
 _TIP_SIGMAS, _LARGEST_TOLERANCE, _LIGHT, _TOLERABLE = 5.0, 0.5, 4.0, 1e-3
+# Standard deviations within which 95 % of the errors of a direction lie, both components of which are normally distributed.
+_SIGMAS_95 = 2.45
 # Friction angle, in radians, where no contact says what it is: that of a coefficient of 0.5.
 _FRICTION_ANGLE = 0.46
 _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
@@ -201,6 +203,30 @@ def _moved_by_radius(cloud: Cloud, force: Array) -> Cloud:
     covariance = cloud.covariance + ((cloud.rod_radius * tilt) ** 2)[:, None, None] * across
     place_sd = np.hypot(cloud.place_sd, cloud.rod_radius * tilt)
     return replace(cloud, points=points, covariance=covariance, place_sd=place_sd, noise=float(np.median(place_sd)))
+
+
+class RadiusErrors(NamedTuple):
+    """By how much contacts were moved from the rod's centre line onto the surface, and the errors that leaves."""
+
+    moved: float
+    left: float | None
+    """Error of 95 % of the contacts with known normals at most, by the uncertainty of the normals; None if there are none."""
+    unknown_normals: int
+    """Contacts with unknown normals, which were moved along the force."""
+    left_unknown: float | None
+    """Their error, by the angle between force and normal; None if there are none."""
+
+
+def radius_errors(cloud: Cloud) -> RadiusErrors:
+    """What the rod's radius does to the contacts of a cloud, in its unit."""
+    unknown = np.isnan(cloud.normals[:, 0])
+    sd = np.empty(0) if cloud.normal_sd is None else cloud.normal_sd[~unknown]
+    return RadiusErrors(
+        cloud.rod_radius,
+        cloud.rod_radius * _SIGMAS_95 * float(np.percentile(sd, 95)) if len(sd) else None,
+        int(unknown.sum()),
+        cloud.rod_radius * friction_angle(cloud) if unknown.any() else None,
+    )
 
 
 def friction_angle(cloud: Cloud) -> float:

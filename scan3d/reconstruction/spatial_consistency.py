@@ -88,8 +88,8 @@ def spatial_contradictions(recording: Recording, cloud: Cloud) -> list[Contradic
         ),
         "moment-about-rod": (
             found.twist,
-            f"the moment about the rod's axis is up to {found.twist:.2g} of the clamping moment, in {100 * found.twisted:.2g} % "
-            "of the contacts more than noise, rounding and friction across the rod allow: a bent rod, or a misaligned sensor",
+            f"the moment about the rod's axis is up to {found.twist:.2g} of the clamping moment, in {100 * found.twisted:.2g} "
+            "% of the contacts more than noise, rounding and friction across the rod allow: a bent rod, or a misaligned sensor",
         ),
         "inside-hull": (
             found.inside,
