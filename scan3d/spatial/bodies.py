@@ -30,6 +30,10 @@ class Patch(NamedTuple):
     point_2: Array
     normal_1: Array
     normal_2: Array
+    law_normal: Array
+    """The normal that friction refers to: on a mesh of a smooth body, that of the smooth body."""
+    law_normal_1: Array
+    law_normal_2: Array
 
 
 class Body(Protocol):
@@ -38,6 +42,9 @@ class Body(Protocol):
     A place on its surface is a `feature` (n,), the number of a piece of the surface, and `coordinates` (3, n) on that piece,
     which only the body understands.
     """
+
+    smooth: bool
+    """Whether the coordinates are the normal, so that they can be extrapolated from place to place."""
 
     def patch(self, feature: Index, coordinates: Array) -> Patch:
         """The surface at places."""
@@ -55,6 +62,8 @@ class Body(Protocol):
 class SmoothBody:
     """A body given by the gradient and the Hessian of its support function; the base of those below."""
 
+    smooth = True
+
     def __init__(self, radius: float = 0.0) -> None:
         if not 0 <= radius < np.inf:
             raise ValueError(f"the rod's radius must be a number >= 0, got {radius}")
@@ -69,7 +78,7 @@ class SmoothBody:
         point, hessian = self.support(n)
         u, v = basis(n)
         point_1, point_2 = ((hessian * w).sum(axis=1) + self.radius * w for w in (u, v))
-        return Patch(point + self.radius * n, n, point_1, point_2, u, v)
+        return Patch(point + self.radius * n, n, point_1, point_2, u, v, n, u, v)
 
     def moved(self, feature: Index, coordinates: Array, patch: Patch, step: Array) -> tuple[Index, Array, Array]:
         length = np.sqrt(step[0] ** 2 + step[1] ** 2)

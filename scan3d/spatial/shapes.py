@@ -1,7 +1,8 @@
 """The rod in space under one contact force: it bends in the plane of its clamp's axis and the force (MODEL3D, S1 to S3).
 
 A state of the rod is four numbers (4, n): the angle ω of the bending plane, ``e = cos ω x + sin ω z``, the direction α of the
-force in that plane, ``F = f (sin α e - cos α t0)``, its size as ``q = |m0| / (2 √f)``, and the contact's arc length s1.
+force in that plane, ``F = f (sin α e - cos α t0)``, its size as ``q² = m0² / (4 f)``, and the contact's arc length s1.  The
+relative shape is an even function of q, so that q² is the variable in which it is regular where the rod is straight.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class Clamp(NamedTuple):
 
 
 class Bent(NamedTuple):
-    """Bent rods and their derivatives by ω, α, q, s1; vectors (3, n) in the world."""
+    """Bent rods and their derivatives by ω, α, q², s1; vectors (3, n) in the world."""
 
     place: Array
     """Contact ``r1``."""
@@ -39,14 +40,15 @@ class Bent(NamedTuple):
     tangent_angle: Array
     """Derivative by the angle ``φ1`` of the tangent in the bending plane."""
     angle_alpha: Array
-    angle_q: Array
+    angle_square: Array
     length: Array
     """``√f s1``."""
 
 
 def bent(state: Array, clamp: Clamp) -> Bent:
     """The rods of states (4, n) at their clamps."""
-    omega, alpha, q, s1 = state
+    omega, alpha, squared, s1 = state
+    q = np.sqrt(squared)
     cos, sin = np.cos(omega), np.sin(omega)
     e = cos * clamp.x + sin * clamp.z
     across = cos * clamp.z - sin * clamp.x
@@ -57,13 +59,14 @@ def bent(state: Array, clamp: Clamp) -> Bent:
         (shape.x_alpha - x * shape.length_alpha) / length,
         (shape.y_alpha - y * shape.length_alpha) / length,
     )
-    x_q, y_q = (shape.x_q - x * shape.length_q) / length, (shape.y_q - y * shape.length_q) / length
+    by_square = 1 / (2 * q * length)
+    x_square, y_square = (shape.x_q - x * shape.length_q) * by_square, (shape.y_q - y * shape.length_q) * by_square
     reach = x * e + y * clamp.y
 
     s, c = np.sin(alpha / 2), np.cos(alpha / 2)
-    square, complement = s * s + q * q, c * c - q * q
+    modulus_squared, complement = s * s + squared, c * c - squared
     with np.errstate(invalid="ignore"):
-        modulus, rest = np.sqrt(square), np.sqrt(complement)
+        modulus, rest = np.sqrt(modulus_squared), np.sqrt(complement)
     # φ1 = α - β with β = 2 arcsin k - π/2
     angle = alpha - 2 * np.arctan2(modulus, rest) + np.pi / 2
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -72,7 +75,7 @@ def bent(state: Array, clamp: Clamp) -> Bent:
     sin_alpha, cos_alpha = 2 * s * c, (c - s) * (c + s)
     return Bent(
         clamp.position + s1 * reach,
-        (s1 * x * across, s1 * (x_alpha * e + y_alpha * clamp.y), s1 * (x_q * e + y_q * clamp.y), reach),
+        (s1 * x * across, s1 * (x_alpha * e + y_alpha * clamp.y), s1 * (x_square * e + y_square * clamp.y), reach),
         sin_alpha * e - cos_alpha * clamp.y,
         sin_alpha * across,
         cos_alpha * e + sin_alpha * clamp.y,
@@ -80,16 +83,16 @@ def bent(state: Array, clamp: Clamp) -> Bent:
         cos_1 * across,
         cos_1 * clamp.y - sin_1 * e,
         1 - rate * s * c,
-        -2 * q * rate,
+        -rate,
         length,
     )
 
 
 def wrench(state: Array, length: Array) -> tuple[Array, Array]:
     """Support reactions, force and moment (3, n) in the clamps' frames, of states (4, n) with ``length = √f s1`` (S8)."""
-    omega, alpha, q, s1 = state
+    omega, alpha, squared, s1 = state
     root = length / s1
-    force, moment = root * root, 2 * q * root
+    force, moment = root * root, 2 * np.sqrt(squared) * root
     lateral = -force * np.sin(alpha)
     cos, sin = np.cos(omega), np.sin(omega)
     zero = np.zeros_like(force)
