@@ -45,7 +45,7 @@ _HOME = {
     "load_mesh": "simulation.bodies",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
-    "reconstruct": "reconstruction.normals",
+    "reconstruct": "reconstruction.models",
     "simulate": "simulation.scan",
     "surface": "surfaces.choice",
     "write_recording": "files.recordings",

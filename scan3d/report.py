@@ -15,7 +15,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
-from scan3d.reconstruction import Contradiction, noise_of
+from scan3d.reconstruction import Contradiction, noise_of, radius_errors
 from scan3d.recording import Recording
 from scan3d.surfaces import Certificate, Enclosure, Gap, sigmas
 
@@ -79,6 +79,7 @@ def report(
     unit = cloud.unit
     return {
         "schema": SCHEMA,
+        "model": cloud.model,
         "mesh": None if analysis.truth is None else _mesh(analysis.truth, unit),
         "settings": dict(settings),
         "source": dict(recording.source),
@@ -87,6 +88,7 @@ def report(
             "length_m": recording.rod.length_m,
             "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2,
             "length": cloud.rod_length,
+            **_thickness(cloud),
         },
         "counts": _counts(analysis),
         "contact_error": _contact_error(analysis),
@@ -125,9 +127,10 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
 
 def _counts(analysis: Analysis) -> dict[str, int]:
     recording, cloud = analysis.recording, analysis.cloud
+    slices = len(np.unique(cloud.slice[cloud.slice >= 0]))
     return {
-        "slices": len(np.unique(cloud.slice)),
-        "empty_slices": len(cloud.slice_height) - len(np.unique(cloud.slice)),
+        "slices": slices,
+        "empty_slices": len(cloud.slice_height) - slices,
         "sweeps": len(np.unique(recording.sweep)),
         "samples": len(recording),
         "contacts": len(cloud),
@@ -138,12 +141,22 @@ def _counts(analysis: Analysis) -> dict[str, int]:
 
 
 def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
-    friction = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL]
+    if cloud.model == "spatial":
+        friction = cloud.friction[np.isfinite(cloud.friction)]
+    else:
+        friction = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL]
     return {
         "set": friction_set,
         "estimated_median": float(np.median(friction)) if len(friction) else None,
         "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
     }
+
+
+def _thickness(cloud: Cloud) -> dict[str, Any]:
+    """The rod's diameter and what its radius does to the contacts, which the planar model neglects."""
+    if cloud.model != "spatial":
+        return {}
+    return {"diameter": 2 * cloud.rod_radius, "radius": {**radius_errors(cloud)._asdict(), "unit": cloud.unit}}
 
 
 def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
@@ -253,6 +266,10 @@ def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
     return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
 
 
+def _where(data: Mapping[str, Any]) -> str:
+    return "space" if data.get("model") == "spatial" else f"{data['counts']['slices']} slices"
+
+
 class Summary(NamedTuple):
     """A table of a few rows for the terminal."""
 
@@ -266,8 +283,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
     """The most important numbers of a report."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
     heading = (
-        f"{counts['contacts']} contacts of {counts['samples']} samples, "
-        f"{counts['sweeps']} sweeps in {counts['slices']} slices"
+        f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {_where(data)}"
     )
     rows = []
     if errors:
@@ -282,6 +298,12 @@ def summary(data: Mapping[str, Any]) -> Summary:
         rows.append(("friction", f"{median:.4g} (median, estimated from touch{f'; set: {given}' if given else ''})"))
     if counts["light"]:
         rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
+    radius = data.get("rod", {}).get("radius", {})
+    if radius.get("moved"):
+        unit = radius["unit"]
+        left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
+        moved = f"contacts moved by {radius['moved']:.3g} {unit} from the rod's centre line"
+        rows.append(("rod's radius", f"{moved}, which leaves errors up to {left:.1g} {unit}"))
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
     rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))

@@ -30,13 +30,15 @@ from scan3d.report import Analysis, report
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
 
-def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> Analysis:
+def analyse(recording: Recording, truth: Any = None, method: str = "auto", model: str | None = None) -> Analysis:
     """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
 
     truth
         the true body, a convex `trimesh.Trimesh`; only the results that compare with it depend on it.
     method
         the method of the surface, as in `scan3d.surface`.
+    model
+        the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
 
     Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
     InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
@@ -44,7 +46,7 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto") -> An
     clock = _Clock()
     with clock("reconstruct"):
         try:
-            cloud = reconstruct(recording)
+            cloud = reconstruct(recording, model=model)
         except NoContactError as error:
             raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
     with clock("check"):

@@ -122,8 +122,8 @@ def test_a_recording_by_hand(tmp_path):
         " , ".join(COLUMNS) + "\n" + ROW.replace(",", " , ") + "\n",
         f"\ufeff{HEADER}\n{ROW}",
         f"{HEADER}\n\n{ROW}\n\n",
-        f"t_s,{HEADER},fz_N,mx_Nm,my_Nm\n0.5,{ROW},1,2,3\n",
-        f"{HEADER},time,fz_N\n{ROW},2024-05-01T10:00:00,\n",
+        f"t_s,{HEADER},temperature,fz_raw,my_raw\n0.5,{ROW},1,2,3\n",
+        f"{HEADER},time,note\n{ROW},2024-05-01T10:00:00,\n",
         "mz_Nm,fy_N,fx_N,qz,qy,qx,qw,z_m,y_m,x_m,sweep\n" + ",".join(reversed(ROW.split(","))),
         HEADER + "\n" + ROW.replace("0.1", "1.0E-1").replace("0,0.1", "0.0,0.1"),
         HEADER.replace("sweep", '"sweep"') + "\n" + ROW.replace("0.1", '"0.1"') + "\n",
@@ -135,6 +135,57 @@ def test_other_programs_tables(tmp_path, table):
     plain.mkdir()
     other.mkdir()
     assert same(read_recording(write(other, table)), read_recording(write(plain)))
+
+
+SIX = dict(
+    force_z_N=np.array([0.1, -0.2, 1 / 3]), moment_x_Nm=np.array([1e-3, 2 / 3, 0.0]), moment_y_Nm=np.full(3, 1e-9)
+)
+
+
+def test_six_axes_are_written_and_read_back(tmp_path):
+    recording = random_recording(3, rod=Rod(1 / 3, 1e-4 / 3, 1e-3), **SIX)
+    write_recording(recording, tmp_path / "log.csv")
+    assert (tmp_path / "log.csv").read_text().splitlines()[0] == HEADER + ",fz_N,mx_Nm,my_Nm"
+    back = read_recording(tmp_path / "log.csv")
+    assert back.six_axis
+    assert back.rod == recording.rod
+    for name in SIX:
+        assert getattr(back, name).tobytes() == getattr(recording, name).tobytes()
+    assert back.force_N.tobytes() == recording.force_N.tobytes()
+
+
+def test_planar_recordings_are_written_without_six_axes_and_diameter(tmp_path):
+    write_recording(random_recording(3, rod=Rod.wire(0.05, 0.3e-3, 210e9)), tmp_path / "log.csv")
+    assert "diameter" not in (tmp_path / "log.toml").read_text()
+    assert not read_recording(tmp_path / "log.csv").six_axis
+
+
+def test_six_axes_of_other_programs(tmp_path):
+    recording = read_recording(write(tmp_path, f"t_s,my_Nm,{HEADER},fz_N,mx_Nm\n0.5,3,{ROW},1,2\n"))
+    assert (recording.force_z_N, recording.moment_x_Nm, recording.moment_y_Nm) == ([1], [2], [3])
+    # with a value that the quick way of reading leaves to the other one
+    recording = read_recording(write(tmp_path, f'{HEADER},fz_N,mx_Nm,my_Nm\n{ROW},"1",2,3\n'))
+    assert (recording.force_z_N, recording.moment_x_Nm, recording.moment_y_Nm) == ([1], [2], [3])
+
+
+@pytest.mark.parametrize("given", [("fz_N",), ("fz_N", "mx_Nm"), ("my_Nm",)])
+def test_some_of_six_axes_are_refused(tmp_path, given):
+    missing = ", ".join(name for name in ("fz_N", "mx_Nm", "my_Nm") if name not in given)
+    table = f"{HEADER},{','.join(given)}\n{ROW}{',1' * len(given)}\n"
+    with pytest.raises(
+        InputError, match=rf"log\.csv: six-axis data need fz_N, mx_Nm, my_Nm, but the header lacks {missing};"
+    ):
+        read_recording(write(tmp_path, table))
+
+
+def test_repeated_axes_are_refused(tmp_path):
+    with pytest.raises(InputError, match="has fz_N more than once"):
+        read_recording(write(tmp_path, f"{HEADER},fz_N,mx_Nm,my_Nm,fz_N\n{ROW},1,2,3,4\n"))
+
+
+def test_a_rod_by_stiffness_and_diameter(tmp_path):
+    meta = "[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 8e-5\ndiameter_m = 0.3e-3\n"
+    assert read_recording(write(tmp_path, meta=meta)).rod == Rod(0.05, 8e-5, 0.3e-3)
 
 
 def test_a_windows_toml(tmp_path):

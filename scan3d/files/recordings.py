@@ -1,5 +1,7 @@
 """Files of recordings: a CSV file with the columns `COLUMNS`, and a TOML file of the same name in the same folder.
 
+Six-axis data have the columns `SIX_AXES` as well.
+
 The TOML file contains the rod, the noise and the source of the data.
 """
 
@@ -28,6 +30,8 @@ from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm")
+SIX_AXES = {"fz_N": "force_z_N", "mx_Nm": "moment_x_Nm", "my_Nm": "moment_y_Nm"}
+"""The columns of six-axis data, and the fields of the recording that hold them."""
 # Numbers of sweeps are smaller, so that they fit into 32 bits, as in the columns of a cloud.
 _SWEEP_LIMIT = 2**31
 # Number of the format of the TOML file.
@@ -70,7 +74,12 @@ def write_recording(recording: Recording, path: str | Path, *, overwrite: bool =
 def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
     """The two files of a recording by name, of which `name` is that of the table."""
     values = [recording.position_m, recording.quaternion, recording.force_N, recording.moment_Nm[:, None]]
+    rod = {"length_m": recording.rod.length_m, "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2}
     lines = [",".join(COLUMNS)]
+    if recording.six_axis:
+        values += [getattr(recording, field)[:, None] for field in SIX_AXES.values()]
+        lines = [",".join((*COLUMNS, *SIX_AXES))]
+        rod["diameter_m"] = recording.rod.diameter_m
     table = np.concatenate(values, axis=1).tolist()
     lines += [
         f"{sweep}," + ",".join(map(repr, row)) for sweep, row in zip(recording.sweep.tolist(), table, strict=True)
@@ -78,7 +87,7 @@ def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
     meta = {
         "schema": _SCHEMA,
         "unit": recording.unit,
-        "rod": {"length_m": recording.rod.length_m, "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2},
+        "rod": rod,
         "noise": {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm},
         "source": dict(recording.source),
     }
@@ -102,6 +111,7 @@ def read_recording(path: str | Path) -> Recording:
             quaternion=np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
             force_N=np.stack([table["fx_N"], table["fy_N"]], axis=1),
             moment_Nm=table["mz_Nm"],
+            **{field: table[name] for name, field in SIX_AXES.items() if name in table},
             rod=_rod(rod),
             noise_force_N=_number(noise, "force_N", 0.0),
             noise_moment_Nm=_number(noise, "moment_Nm", 0.0),
@@ -113,7 +123,7 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _read_table(path: Path) -> dict[str, Array]:
-    """The columns (n,) that a recording needs, by name; other columns are ignored."""
+    """The columns (n,) that a recording needs, by name, and those of six axes if they are there; others are ignored."""
     try:
         stored = locate(path)
         check_file(stored, memory_per_byte=_MEMORY_PER_BYTE)
@@ -121,10 +131,10 @@ def _read_table(path: Path) -> dict[str, Array]:
         # spreadsheets write a byte order mark before the header
         first = next(csv.reader([re.split(b"[\r\n]", data, maxsplit=1)[0].decode(encoding="utf-8-sig")]), [])
         header = [name.strip() for name in first]
-        _check_header(path, header)
+        columns = _known_columns(path, header)
         table = _plain_numbers(data, len(header))
         if table is not None:
-            return {name: table[:, header.index(name)] for name in COLUMNS}
+            return {name: table[:, header.index(name)] for name in columns}
         text = io.StringIO(data.decode(encoding="utf-8-sig"), newline="")
         lines = list(enumerate(csv.reader(text), start=1))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -135,7 +145,7 @@ def _read_table(path: Path) -> dict[str, Array]:
             raise InputError(
                 f"{path.name}: line {number} has {len(line)} values, expected {len(header)}; is it cut off?"
             )
-    return {name: _numbers(path, name, header.index(name), body) for name in COLUMNS}
+    return {name: _numbers(path, name, header.index(name), body) for name in columns}
 
 
 def _plain_numbers(data: bytes, columns: int) -> Array | None:
@@ -160,19 +170,28 @@ def _plain_numbers(data: bytes, columns: int) -> Array | None:
     return values.reshape(-1, columns) if len(values) == len(separators) else None
 
 
-def _check_header(path: Path, header: list[str]) -> None:
-    """Raise InputError unless the header has every column of a recording once."""
+def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
+    """The columns of a header that are read.  Raises InputError unless it has every column of a recording once."""
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise InputError(
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
             f"(scan3d simulate writes such a table)"
         )
-    repeated = [name for name in COLUMNS if header.count(name) > 1]
+    further = [name for name in SIX_AXES if name in header]
+    if further and len(further) < len(SIX_AXES):
+        absent = ", ".join(name for name in SIX_AXES if name not in further)
+        raise InputError(
+            f"{path.name}: six-axis data need {', '.join(SIX_AXES)}, but the header lacks {absent}; add what was measured, or "
+            f"rename {', '.join(further)} to read the recording by the planar model"
+        )
+    columns = (*COLUMNS, *further)
+    repeated = [name for name in columns if header.count(name) > 1]
     if repeated:
         raise InputError(
             f"{path.name}: its header has {', '.join(repeated)} more than once; keep one column of each name"
         )
+    return columns
 
 
 def _numbers(path: Path, name: str, column: int, body: list[tuple[int, list[str]]]) -> Array:
@@ -230,7 +249,7 @@ def _section(path: Path, meta: Mapping[str, Any], name: str) -> Mapping[str, Any
 
 def _rod(meta: Mapping[str, Any]) -> Rod:
     if "length_m" in meta and "bending_stiffness_Nm2" in meta:
-        return Rod(_number(meta, "length_m"), _number(meta, "bending_stiffness_Nm2"))
+        return Rod(_number(meta, "length_m"), _number(meta, "bending_stiffness_Nm2"), _number(meta, "diameter_m", 0.0))
     if all(name in meta for name in ("length_m", "diameter_m", "modulus_Pa")):
         return Rod.wire(_number(meta, "length_m"), _number(meta, "diameter_m"), _number(meta, "modulus_Pa"))
     raise InputError("[rod] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")

@@ -16,9 +16,12 @@ from scipy.stats import chi2
 from scan3d.arrays import Index
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.reconstruction.contacts import FORCE_SIGMAS, contacts
+from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError, contacts
+from scan3d.reconstruction.contradiction import Contradiction
 from scan3d.reconstruction.resolution import LARGEST_OVER_SD, noise_of, rounding_sd
 from scan3d.reconstruction.slices import stacks
+from scan3d.reconstruction.spatial import readings, without_normals
+from scan3d.reconstruction.spatial_consistency import cause_of_no_spatial_contact, spatial_contradictions
 from scan3d.recording import Recording
 
 # Largest fraction of the rows with a force that may lack a contact.  Larger, faulty recordings pass; smaller, single
@@ -34,18 +37,12 @@ _ROUNDING = 1e-7
 _FALSE_ALARM = 1e-5
 # Lines and points of a slice that are compared at most.  More take longer; fewer may miss the worst pair.
 _COMPARED = 1500
+# Standard deviations by which the contacts of both models may differ by noise.  Larger, small forces out of the plane pass;
+# smaller, noise counts as such a force.
+_OUT_OF_PLANE_SIGMAS = 6.0
 # A cause is named if correcting it leaves at most this fraction of the contradiction.  Larger, a wrong cause is named more
 # often; smaller, no cause is named.
 _EXPLAINED = 0.2
-
-
-class Contradiction(NamedTuple):
-    """A contradiction between a recording and the model."""
-
-    code: str
-    message: str
-    value: float
-    """The number that the test found, as the message says."""
 
 
 class _Found(NamedTuple):
@@ -69,7 +66,9 @@ class _Found(NamedTuple):
 
 def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     """The contradictions between a recording, its contacts and the model; an empty list if there is none."""
-    warnings = _off_line(recording)
+    if cloud.model == "spatial":
+        return spatial_contradictions(recording, cloud)
+    warnings = _off_line(recording) + _out_of_plane(recording, cloud)
     found = _tests(recording, cloud)
     if not found.contradicts:
         return warnings
@@ -170,9 +169,41 @@ def _off_line(recording: Recording) -> list[Contradiction]:
     ]
 
 
+def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    """How wrong the planar model is for six-axis data, by comparison with the spatial one; an empty list if it is right."""
+    if not recording.six_axis:
+        return []
+    known = readings(recording)
+    force, _ = recording.wrench()
+    felt = known.felt
+    part = np.abs(force[felt, 2]) / np.linalg.norm(force[felt], axis=1)
+    fraction = float(np.median(part)) if len(part) else 0.0
+    try:
+        spatial = without_normals(recording, known)
+    except NoContactError:
+        return []
+    _, here, there = np.intersect1d(cloud.row, spatial.row, return_indices=True)
+    lost = 1 - len(here) / len(spatial)
+    distance = np.linalg.norm(cloud.points[here] - spatial.points[there], axis=1)
+    error = float(np.percentile(distance, 95)) if len(here) else np.inf
+    if lost <= _WITHOUT_CONTACT and error <= _ROUNDING * cloud.rod_length + _OUT_OF_PLANE_SIGMAS * spatial.noise:
+        return []
+    size = f"contacts are off by up to {error:.3g} {cloud.unit}" if len(here) else "all of its contacts are lost"
+    return [
+        Contradiction(
+            "out-of-plane",
+            f"a recording with six axes is read by the planar model, though {100 * fraction:.2g} % of the force lies out of "
+            f"the slices' planes: {size} compared with the spatial model, and {100 * lost:.2g} % of them are missing; choose "
+            "the spatial model",
+            fraction,
+        )
+    ]
+
+
 def cause_of_no_contact(recording: Recording) -> str:
     """What is likeliest to be wrong with a recording that has no contact, as the end of a sentence; "" if nothing is found."""
-    cause = _best_correction(recording, _Found(1.0, 0.0, 1.0))
+    nothing = _Found(1.0, 0.0, 1.0)
+    cause = cause_of_no_spatial_contact(recording) if recording.six_axis else _best_correction(recording, nothing)
     return f"; most likely {cause}" if cause else ""
 
 

@@ -12,13 +12,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.errors import InputError
 from scan3d.geometry.support import SupportFit, fit_support
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SliceStack, stacks
@@ -33,10 +31,10 @@ _HELD_OUT_STEP = 10
 _HELD_OUT_LIMIT = 1000
 # A higher degree is kept if its error is below this many times that of the degree before.  Larger, a degree is kept that
 # hardly helps; smaller, detail is lost that the higher degree would show.
-_DEGREE_GAIN = 0.8
+DEGREE_GAIN = 0.8
 # Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.  Larger, smooth bodies
 # need more slices to be fitted; smaller, the coefficients are determined by too few contacts.
-_CONTACTS_PER_COEFFICIENT, _CONTACTS_TO_TRY = 4, 10
+CONTACTS_PER_COEFFICIENT, CONTACTS_TO_TRY = 4, 10
 # The body is smooth if 95 % of the held-out contacts are this close to the fit, in mean radii.  Larger, bodies with edges pass
 # for smooth: a cube, a cylinder or a lens stay above 3e-3.  Smaller, coarse meshes of smooth bodies fail: ellipsoids, eggs
 # and pebbles of 10,000 facets stay below 2e-4.
@@ -44,25 +42,10 @@ SMOOTH = 5e-4
 # Standard deviations of a contact's place by which noise may raise that limit.  Larger, noise hides edges; smaller, noisy
 # scans of smooth bodies are not fitted.
 _NOISE_SIGMAS = 2
-# Largest position, force and moment in SI units.  Larger, and products of them would not be numbers of a computer; smaller,
-# there is no need.
-_LARGEST = 1e60
 
 
-def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
-    """Contacts of a recording, simulated or measured, with the normals of the surface where they can be known.
-
-    `method` is that of `planar.reconstruct`.  The direction of a normal within its slice's plane comes from (14), its
-    inclination to the plane from the slices below and above.  If the body proves smooth, all normals come from the support
-    function fitted to all contacts.
-    Raises InputError if the recording has no contact, or numbers so large that their squares are none.
-    """
-    if not isinstance(recording, Recording):
-        raise InputError(f"contacts are reconstructed from a scan3d.Recording, got {type(recording).__name__}")
-    for name in ("position_m", "force_N", "moment_Nm"):
-        largest = float(np.abs(getattr(recording, name)).max())
-        if largest > _LARGEST:
-            raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
+def planar_contacts(recording: Recording, method: str) -> Cloud:
+    """Contacts of a recording by the planar model, with the normals of the surface where they can be known."""
     cloud = with_slice_normals(contacts(recording, method))
     fit = smooth_fit(cloud)
     return cloud if fit is None else _with_fit(cloud, *fit)
@@ -71,32 +54,41 @@ def reconstruct(recording: Recording, method: str = "closed-form") -> Cloud:
 def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
     """The support function of a smooth body and its error at held-out contacts, in mean radii; None for other bodies."""
     rows = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
-    if len(rows) < _CONTACTS_TO_TRY * (DEGREES[0] + 1) ** 2:
+    if len(rows) < CONTACTS_TO_TRY * (DEGREES[0] + 1) ** 2:
         return None
-    held_out = rows[:: max(_HELD_OUT_STEP, len(rows) // _HELD_OUT_LIMIT)]
+    held_out = held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
     best: tuple[SupportFit, float] | None = None
     for degree in DEGREES:
-        if len(used) < _CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
+        if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
             break
         fitted = fit_support(cloud.points[used], cloud.normals[used], degree)
-        error = _error(fitted, cloud, held_out)
-        if best is not None and not error < _DEGREE_GAIN * best[1]:
+        error = held_out_error(fitted, cloud.points[held_out], cloud.normals[held_out])
+        if best is not None and not error < DEGREE_GAIN * best[1]:
             break
         best = fitted, error
-    noise = _NOISE_SIGMAS * cloud.noise / _mean_radius(best[0]) if best else 0.0
-    return best if best is not None and best[1] <= SMOOTH + noise else None
+    return best if best is not None and is_smooth(*best, cloud.noise) else None
 
 
-def _error(fitted: SupportFit, cloud: Cloud, rows: NDArray[np.intp]) -> float:
-    """95 % of the contacts lie closer than this to the fitted body, in mean radii."""
-    points = cloud.points[rows]
-    normals = fitted.normals(points, cloud.normals[rows])
+def held_out_rows(rows: Index) -> Index:
+    """Those of the contacts that judge a fit and do not determine it."""
+    return rows[:: max(_HELD_OUT_STEP, len(rows) // _HELD_OUT_LIMIT)]
+
+
+def is_smooth(fitted: SupportFit, error: float, noise: float) -> bool:
+    """Whether the error of a fit at held-out contacts, in mean radii, is that of a smooth body; `noise` is a length."""
+    return error <= SMOOTH + _NOISE_SIGMAS * noise / mean_radius(fitted)
+
+
+def held_out_error(fitted: SupportFit, points: Array, start: Array) -> float:
+    """95 % of the contacts (n, 3) with rough normals (n, 3) lie closer than this to the fitted body, in mean radii."""
+    normals = fitted.normals(points, start)
     deviation = np.abs(((points - fitted.points(normals)) * normals).sum(axis=1))
-    return float(np.percentile(deviation, 95)) / _mean_radius(fitted)
+    return float(np.percentile(deviation, 95)) / mean_radius(fitted)
 
 
-def _mean_radius(fitted: SupportFit) -> float:
+def mean_radius(fitted: SupportFit) -> float:
+    """Mean radius of a fitted body, in the unit of its contacts."""
     return float(float(np.linalg.det(fitted.shape)) ** (1 / 3))
 
 
@@ -173,4 +165,4 @@ def _with_fit(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
     near = known[cKDTree(cloud.points[known]).query(cloud.points)[1]]
     normals = fitted.normals(cloud.points, cloud.normals[near])
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
-    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * _mean_radius(fitted))
+    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * mean_radius(fitted))

@@ -133,8 +133,10 @@ class Noise(NamedTuple):
 
 def noise_of(recording: Recording) -> Noise:
     """The errors that a recording states, and those of its digits."""
-    force = max(rounding_sd(column) for column in recording.force_N.T)
-    moment = rounding_sd(recording.moment_Nm)
+    forces, moments = [*recording.force_N.T], [recording.moment_Nm]
+    if recording.six_axis:
+        forces, moments = (list(columns.T) for columns in recording.wrench())
+    force, moment = (max(rounding_sd(column) for column in columns) for columns in (forces, moments))
     stated_force, stated_moment = recording.noise_force_N, recording.noise_moment_Nm
     length = recording.rod.length_m
     position = rounding_sd(recording.position_m.ravel())

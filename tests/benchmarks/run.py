@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 import planar
 from planar import shooting
 from planar.shooting import ShootingState
+from scan3d.spatial import inverse as spatial
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,7 @@ BVP_TOLERANCE = 1e-8
 # What is aimed at.
 FORWARD_RATE, FORWARD_RATIO, FORWARD_PRECISION = 300_000, 1_000, 100
 INVERSE_RATE, INVERSE_RATIO = 3_000_000, 5_000
+SPATIAL_INVERSE_RATE = 2_000_000
 LARGEST_MEMORY_GB = 2.0
 
 
@@ -192,6 +194,41 @@ def inverse(contacts: int) -> list[Line]:
     ]
 
 
+# Step 2 in space
+
+
+def in_space(swept: planar.Sweep) -> tuple[Array, Array, Array]:
+    """Support reactions (n, 3) of the rods of a planar sweep, each turned about the clamp's axis, and their contact points."""
+    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, len(swept))
+    zero = np.zeros(len(swept))
+    across, normal = (
+        np.stack(v, axis=1) for v in ((np.cos(angle), zero, np.sin(angle)), (-np.sin(angle), zero, np.cos(angle)))
+    )
+    along = np.array([0.0, 1.0, 0.0])
+    force = swept.f0x[:, None] * across + swept.f0y[:, None] * along
+    point = (swept.point[:, 0] - swept.x0)[:, None] * across + swept.point[:, 1:] * along
+    return force, swept.m0z[:, None] * normal, point
+
+
+def inverse_in_space(contacts: int) -> list[Line]:
+    """Step 2 in space, every error as largest distance to the true contact, without and with friction."""
+    noise = (1e-9, 1e-9)
+    force, moment, _ = (
+        np.resize(v, (contacts, 3)) for v in in_space(planar.sweep(CIRCLE, FRICTION, base=evenly(SLOW_CONTACTS)))
+    )
+
+    def error(friction: float, noise: tuple[float, float] | None) -> float:
+        force, moment, point = in_space(planar.sweep(CIRCLE, friction, samples=SLOW_CONTACTS))
+        return float(np.nanmax(np.linalg.norm(spatial.reconstruct(force, moment, noise=noise).point - point, axis=1)))
+
+    taken = seconds(lambda: spatial.reconstruct(force, moment), lambda: spatial.reconstruct(force, moment, noise=noise))
+    names = (("closed form in space", None), ("closed form in space, weighted", noise))
+    return [
+        Line(name, contacts, contacts / time_s, (error(0.0, used), error(FRICTION, used)))
+        for (name, used), time_s in zip(names, taken, strict=True)
+    ]
+
+
 # Growth
 
 
@@ -276,6 +313,8 @@ def main() -> None:
     lines = inverse(contacts)
     print_lines(lines, ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
     inverse_ratio = lines[0].rate / lines[1].rate
+    in_space_lines = inverse_in_space(contacts)
+    print_lines(in_space_lines, ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
     print(f"closed form over Scholz & Rahn's integration: {rounded(inverse_ratio)} x the contacts")
 
     print(f"\nGrowth, each in a separate process (peak memory; {empty:.2f} GB of it are Python's and its modules')")
@@ -291,6 +330,7 @@ def main() -> None:
         (f"step 1: {FORWARD_RATE:,} contacts/s", closed.rate >= FORWARD_RATE),
         (f"step 2: {INVERSE_RATIO:,} x the integration", inverse_ratio >= INVERSE_RATIO),
         (f"step 2: {INVERSE_RATE:,} contacts/s", lines[0].rate >= INVERSE_RATE),
+        (f"step 2 in space: {SPATIAL_INVERSE_RATE:,} contacts/s", in_space_lines[0].rate >= SPATIAL_INVERSE_RATE),
         (f"{sizes[-1]:,} contacts in {LARGEST_MEMORY_GB:g} GB", largest <= LARGEST_MEMORY_GB),
     ):
         print(f"{name:44}{verdict(reached)}")

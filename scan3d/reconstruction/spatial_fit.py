@@ -1,0 +1,148 @@
+"""Normals of contacts in space from the smooth body fitted to all of them, if the body proves smooth.
+
+The fit needs no normals that are known: it starts from those of the hull of the contacts, lets them follow the fitted body, and
+repeats that until its error at held-out contacts falls no further.  The fit does not use that the normals of tangential
+contacts are perpendicular to the rod, so that deviations from it show the error of its normals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+import planar
+from scan3d.arrays import Array, Index
+from scan3d.cloud import Cloud, NormalSource
+from scan3d.geometry.support import SupportFit, fit_support
+from scan3d.reconstruction.normals import (
+    CONTACTS_PER_COEFFICIENT,
+    CONTACTS_TO_TRY,
+    DEGREE_GAIN,
+    DEGREES,
+    held_out_error,
+    held_out_rows,
+    is_smooth,
+    mean_radius,
+)
+from scan3d.spatial.normals import angles
+
+# Normals that start the fit of a smooth body are known to at least this, in radians.  Larger, wrong ones lead the fit astray;
+# smaller, more of them come from the hull of the contacts.
+_START = 0.03
+# The fit is repeated from its own normals at most this many times, while its error falls to this fraction.  Larger numbers take
+# longer; with fewer repetitions the rough normals of the start show in the fit.
+_REFITS, _GAIN = 6, 0.7
+# Errors of a fit, in mean radii: that of rounding, that which no higher degree need improve, and that above which a body has
+# edges whatever the degree.
+_ROUNDING, _SMALL, _HOPELESS = 1e-11, 1e-8, 2e-2
+# Tangential contacts around a contact that show the error of fitted normals.
+_NEIGHBOURS = 12
+# A fit is that of the body from outside if the contact forces act outwards in at least this fraction of the contacts.
+_OUTWARD = 0.99
+EXACT = 1e-9
+"""Standard deviation, in radians, of the normals of exact data: rounding."""
+
+
+def with_fit(cloud: Cloud, force: Array) -> Cloud:
+    """The cloud, whose points are the centre points, with the normals of the body fitted to them if that is smooth."""
+    start = _start(cloud)
+    fit = None if start is None else _smooth_body(cloud, start)
+    if fit is None:
+        return cloud
+    fitted, error, normals = fit
+    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+    if np.mean((normals * direction).sum(axis=1) > 0) < _OUTWARD:
+        return cloud
+    sd = _fitted_sd(cloud, normals, fitted.degree * error)
+    source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
+    fit_error = error * mean_radius(fitted)
+    if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
+        fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree)
+    sticks = np.isfinite(cloud.normals[:, 0]) & np.isnan(cloud.friction)
+    friction = np.where(sticks, np.nan, np.tan(angles(normals, direction)))
+    return replace(
+        cloud,
+        normals=normals,
+        normal_source=source,
+        normal_sd=sd,
+        friction=friction,
+        fit=fitted,
+        fit_error=fit_error,
+    )
+
+
+def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array] | None:
+    """The support function of a smooth body, its error at held-out contacts in mean radii, and the normals (n, 3)."""
+    rows = np.arange(len(cloud))
+    if len(rows) < CONTACTS_TO_TRY * (DEGREES[0] + 1) ** 2:
+        return None
+    held_out = held_out_rows(rows)
+    used = np.setdiff1d(rows, held_out)
+    best: tuple[SupportFit, float, Array] | None = None
+    for degree in DEGREES:
+        if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
+            break
+        fit = _converged(cloud.points, normals if best is None else best[2], degree, (used, held_out))
+        if best is not None and not fit[1] < DEGREE_GAIN * best[1]:
+            break
+        best = fit
+        if not _SMALL < best[1] < _HOPELESS:
+            break
+    return best if best is not None and is_smooth(best[0], best[1], cloud.noise) else None
+
+
+def _converged(
+    points: Array, normals: Array, degree: int, parts: tuple[Index, Index]
+) -> tuple[SupportFit, float, Array]:
+    """The fit of some degree to the first part of the contacts, repeated from its own normals, and its error at the other."""
+    used, held_out = parts
+    best: tuple[SupportFit, float, Array] | None = None
+    for _ in range(1 + _REFITS):
+        fitted = fit_support(points[used], normals[used], degree)
+        normals = fitted.normals(points, normals)
+        error = held_out_error(fitted, points[held_out], normals[held_out])
+        falling = best is None or error < _GAIN * best[1]
+        if best is None or error < best[1]:
+            best = fitted, error, normals
+        if not falling or not _ROUNDING < error < _HOPELESS:
+            break
+    assert best is not None
+    return best
+
+
+def _fitted_sd(cloud: Cloud, normals: Array, turn: float) -> Array:
+    """Standard deviation (n,) of the angle of fitted normals (n, 3).
+
+    In tangential contact the normal is perpendicular to the rod: deviations from that, at the nearest such contacts, show one
+    of the two components of the error.  `turn` is the smallest that is believed: a function of some degree turns by its degree
+    times its error.
+    """
+    sd = np.full(len(cloud), np.hypot(turn, EXACT))
+    tangential = np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL)
+    if len(tangential) < _NEIGHBOURS or cloud.tangents is None:
+        return sd
+    square = (normals[tangential] * cloud.tangents[tangential]).sum(axis=1) ** 2
+    near = cKDTree(cloud.points[tangential]).query(cloud.points, _NEIGHBOURS)[1]
+    return np.asarray(np.sqrt(sd**2 + 2 * square[near].mean(axis=1)))
+
+
+def _start(cloud: Cloud) -> Array | None:
+    """Rough normals (n, 3) of all contacts: those that are known well, else those of the hull; None if there is no hull."""
+    assert cloud.normal_sd is not None
+    try:
+        hull = ConvexHull(cloud.points - cloud.points.mean(axis=0))
+    except (QhullError, ValueError):
+        return None
+    corners = hull.points[hull.simplices]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normals = np.zeros_like(cloud.points)
+    for k in range(3):
+        np.add.at(normals, hull.simplices[:, k], area[:, None] * hull.equations[:, :3])
+    known = np.isfinite(cloud.normals[:, 0]) & (cloud.normal_sd < _START)
+    normals[known] = cloud.normals[known]
+    length = np.linalg.norm(normals, axis=1)
+    placed = np.flatnonzero(length > 0)
+    normals[placed] /= length[placed, None]
+    return np.asarray(normals[placed[cKDTree(cloud.points[placed]).query(cloud.points)[1]]])

@@ -1,0 +1,340 @@
+"""Normals of the body along sweeps, and what one sample alone says about them.
+
+With the derivative ``'`` by the clamp's travel, the rod's material point at the contact slips with ``v = r1' - s1' t1``.
+
+from the path
+    ``n ∝ t1 × r1'``: both lie in the body's tangent plane in tangential contact.  Needs no friction law; fails where the
+    contact runs along the rod.
+from the slip
+    ``n ∝ F - (F·v̂) v̂``: isotropic Coulomb friction acts against the slip.  Needs no coefficient of friction, and serves tip and
+    tangential contacts.
+from the force
+    ``n = F/f`` without friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from scan3d.arrays import Array, Mask
+from scan3d.spatial.derivatives import fitting, interpolating, windows
+
+# Widths of the windows for exact data.  More take longer; fewer leave larger errors of truncation where the path is smooth.
+_WIDTHS = (3, 5, 7, 9)
+# Truncation over the change by leaving out a sample at a window's end: on smooth paths it is much smaller, on rough ones up to
+# three times as large.
+_ROUGH = 3.0
+# The same for noisy data: widths of the windows for polynomials of a degree; those of a degree higher by two, which alters the
+# slope in a window's middle, show their truncation.
+_NOISY_WIDTHS = {2: (5, 7, 11, 17, 27, 41), 4: (7, 11, 17, 27, 41)}
+# A step longer than this many times both its neighbours is a snap.  Larger, short snaps count as smooth; smaller, the quick
+# first slip after touch-down counts as a snap.
+_SNAP = 4.0
+# A step sticks if the rod's material point slips by less than this fraction of the clamp's travel.  Larger, slow slip counts
+# as stick; smaller, rounding counts as slip.
+_STICK = 1e-7
+# Noise by which a step may exceed its neighbours without being a snap, in standard deviations.
+_SNAP_SIGMAS = 8.0
+# Normals that are less certain, in radians, are unknown.  Larger, they disturb more than they help; smaller, starts for the fit
+# of a smooth body are lost.
+_UNKNOWN = 0.1
+# Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
+_ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
+# A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
+# normal from the path.
+_CLEARLY = 0.5
+# Contacts whose normals are computed at once.
+_BLOCK = 20_000
+# Without friction all angles β of tangential contact vanish, to rounding and this many standard deviations, in so many of
+# them, with at least that number.
+_NO_FRICTION, _SIGMAS, _NEARLY_ALL, _FEWEST = 1e-7, 5.0, 0.99, 20
+
+
+class Source(IntEnum):
+    """Where a normal comes from."""
+
+    UNKNOWN = 0
+    SLIP = 1
+    PATH = 2
+    FORCE = 3
+
+
+class Track(NamedTuple):
+    """Successive contacts (n,) of sweeps, dimensionless, in one frame at rest."""
+
+    sweep: NDArray[np.integer]
+    """(n,) number of the sweep; the contacts of a sweep follow each other."""
+    row: NDArray[np.integer]
+    """(n,) number of the sample: samples without a contact interrupt the path."""
+    travel: Array
+    """(n,) travel of the clamp."""
+    point: Array
+    """(n, 3)"""
+    s1: Array
+    """(n,)"""
+    tangent: Array
+    """(n, 3)"""
+    force: Array
+    """(n, 3) contact force on the rod."""
+    tangential: Mask
+    """(n,)"""
+    covariance: Array | None = None
+    """(n, 3, 3) of the points; None for exact data."""
+    direction_sd: Array | None = None
+    """(n,) standard deviation of the directions of force and tangent, in radians; None for exact data."""
+
+
+class Normals(NamedTuple):
+    """Outward normals (n,) along sweeps."""
+
+    normal: Array
+    """(n, 3) unit vectors, NaN where unknown."""
+    source: NDArray[np.int8]
+    """(n,) of `Source`."""
+    sd: Array
+    """(n,) standard deviation of the normal's angle, in radians, by truncation and noise; infinite where it is unknown."""
+    disagreement: Array
+    """(n,) angle between the normals from the slip and from the path, NaN where one of them is unknown."""
+    disagreement_sd: Array
+    """(n,) its standard deviation.  Larger angles are evidence against isotropic Coulomb friction."""
+    sticks: Mask
+    """(n,) whether the rod's material point rests on the body in a step to or from this sample."""
+
+
+def along_sweeps(track: Track) -> Normals:
+    """Normals from slip and path: at each contact those of the path, unless those of the slip are more certain."""
+    n = len(track.row)
+    starts, sticks = _runs(track)
+    normals = {source: np.full((n, 3), np.nan) for source in (Source.SLIP, Source.PATH)}
+    deviation = {source: np.full(n, np.inf) for source in normals}
+    for slopes in _slopes(track, starts):
+        for source, normal_by in ((Source.SLIP, _from_slip), (Source.PATH, _from_path)):
+            normal, second = (normal_by(track, slopes.rows, estimate) for estimate in (slopes.used, slopes.other))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                sd = _deviation(track, slopes, normal, second, source)
+            better = sd < deviation[source][slopes.rows]
+            rows = slopes.rows[better]
+            normals[source][rows], deviation[source][rows] = normal[better], sd[better]
+    slip_sd, path_sd = deviation[Source.SLIP], deviation[Source.PATH]
+    by_slip = slip_sd < _CLEARLY * path_sd
+    normal = np.where(by_slip[:, None], normals[Source.SLIP], normals[Source.PATH])
+    sd = np.where(by_slip, slip_sd, path_sd)
+    unknown = ~(sd < _UNKNOWN)
+    normal[unknown], sd[unknown] = np.nan, np.inf
+    chosen = np.where(by_slip, Source.SLIP, Source.PATH).astype(np.int8)
+    chosen[unknown] = Source.UNKNOWN
+    both = (slip_sd < _UNKNOWN) & (path_sd < _UNKNOWN)
+    return Normals(
+        normal,
+        chosen,
+        sd,
+        np.where(both, angles(normals[Source.SLIP], normals[Source.PATH]), np.nan),
+        np.where(both, np.hypot(slip_sd, path_sd), np.nan),
+        sticks,
+    )
+
+
+def frictionless(beta: Array, beta_sd: Array | float = 0.0) -> bool:
+    """Whether the angles β (n,) of tangential contacts say that there is no friction, so that ``n = F/f`` at all contacts."""
+    with np.errstate(invalid="ignore"):
+        vanishing = np.abs(beta) <= _NO_FRICTION + _SIGMAS * np.asarray(beta_sd)
+    return len(beta) >= _FEWEST and float(np.mean(vanishing)) >= _NEARLY_ALL
+
+
+def sector(force: Array, tangent: Array, friction_angle: Array | float) -> Array:
+    """Largest angle θ (n,) of the normal about the tangent (n, 3) in tangential contact, for friction angles up to a bound.
+
+    ``cos ζ = cos β cos θ``; NaN where the bound is below ``|β|``.  If the friction angle is known exactly and the rod slides,
+    the normal is one of the two at ``±θ`` (`normal_at`).
+    """
+    unit = _unit(force)
+    cos_beta = np.linalg.norm(np.cross(unit, tangent), axis=1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.arccos(np.cos(friction_angle) / cos_beta))
+
+
+def normal_at(force: Array, tangent: Array, theta: Array) -> Array:
+    """The normal (n, 3) across the tangent (n, 3) at an angle θ (n,) to the part of the force across it."""
+    across = _unit(force - _along(force, tangent))
+    return np.asarray(
+        np.cos(theta)[:, None] * across + np.sin(theta)[:, None] * np.cross(tangent, across),
+    )
+
+
+def angles(a: Array, b: Array) -> Array:
+    """Angles (n,) between unit vectors (n, 3), with full precision for small ones."""
+    return np.asarray(2 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)))
+
+
+def _runs(track: Track) -> tuple[Mask, Mask]:
+    """(n,) whether a sample starts a run of smooth motion, and whether it sticks."""
+    n = len(track.row)
+    same = (np.diff(track.sweep) == 0) & (np.diff(track.row) == 1)
+    change = np.diff(track.point, axis=0)
+    mean = track.tangent[1:] + track.tangent[:-1]
+    along = np.where(track.tangential[1:] & track.tangential[:-1], np.diff(track.s1), 0.0)
+    step = np.linalg.norm(change, axis=1) + np.abs(along)
+    slip = np.linalg.norm(change - along[:, None] * mean / 2, axis=1)
+    # a step of a run that is continued: the longer one of its neighbours
+    neighbour = np.zeros(max(n - 1, 0))
+    if n > 2:
+        continued = same[1:] & same[:-1]
+        neighbour[1:] = np.where(continued, step[:-1], 0.0)
+        neighbour[:-1] = np.maximum(neighbour[:-1], np.where(continued, step[1:], 0.0))
+    noise = 0.0
+    if track.covariance is not None:
+        spread = np.sqrt(np.einsum("nii->n", track.covariance))
+        noise = _SNAP_SIGMAS * (spread[1:] + spread[:-1])
+    snap = step > _SNAP * neighbour + noise
+    snap &= neighbour > 0
+    stick = same & ~(slip > _STICK * np.abs(np.diff(track.travel)))
+    smooth = same & ~snap & ~stick & (track.tangential[1:] == track.tangential[:-1])
+    starts, sticks = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+    starts[1:] = ~smooth
+    sticks[1:] |= stick
+    sticks[:-1] |= stick
+    return starts, sticks
+
+
+class _Slopes(NamedTuple):
+    """Two estimates of the slopes at some contacts, which differ by truncation, and the errors of the first."""
+
+    width: int
+    """Of the windows."""
+    rows: NDArray[np.intp]
+    used: Array
+    """(k, 4) derivatives of point and s1."""
+    other: Array
+    """(k, 4)"""
+    rounding: Array
+    """(k,) of the derivatives."""
+    variance: Array | None = None
+    """(k, 3, 3) covariance of the point's derivatives by noise."""
+    difference: Array | None = None
+    """(k, 3, 3) covariance, by noise, of the difference of both estimates."""
+
+
+def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
+    """Slopes by windows of all widths, in blocks."""
+    values = np.column_stack([track.point, track.s1])
+    covariance = track.covariance
+    noisy = [(width, degree) for degree, widths in _NOISY_WIDTHS.items() for width in widths]
+    for width, degree in [(width, 0) for width in _WIDTHS] if covariance is None else noisy:
+        every = windows(starts, width)
+        for part in np.array_split(np.arange(len(every.rows)), max(1, len(every.rows) // _BLOCK)):
+            rows, members, own = (column[part] for column in every)
+            position, nearby = track.travel[members], values[members]
+            if covariance is None:
+                weights = interpolating(position, own)
+                fewer = _without_an_end(position, own)
+                variance = difference = None
+            else:
+                near = covariance[members]
+                weight = 1 / np.maximum(np.einsum("kwii->kw", near), np.finfo(float).tiny)
+                weights, misfit = fitting(position, own, degree, weight, nearby[:, :, :3])
+                fewer, _ = fitting(position, own, degree + 2, weight, nearby[:, :, :3])
+                variance, difference = (np.einsum("kw,kwij->kij", c**2, near) for c in (weights, weights - fewer))
+                variance *= np.maximum(misfit, 1.0)[:, None, None]
+            used, other = (np.einsum("kw,kwc->kc", c, nearby) for c in (weights, fewer))
+            yield _Slopes(width, rows, used, other, _ROUNDING * np.abs(weights).sum(axis=1), variance, difference)
+
+
+def _without_an_end(position: Array, own: NDArray[np.intp]) -> Array:
+    """Weights (k, w) of the slope of the polynomial through all but one sample of each window, at one of its ends."""
+    weights = np.zeros_like(position)
+    first = own > 0  # the end that is left out
+    weights[first, 1:] = interpolating(position[first, 1:], own[first] - 1)
+    weights[~first, :-1] = interpolating(position[~first, :-1], own[~first])
+    return weights
+
+
+def _slip(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
+    """Slip (k, 3) of the rod's material point at the contact; in tip contact it is the tip."""
+    along = np.where(track.tangential[rows], slopes[:, 3], 0.0)
+    return np.asarray(slopes[:, :3] - along[:, None] * track.tangent[rows])
+
+
+def _from_slip(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
+    force = track.force[rows]
+    normal = force - _along(force, _unit(_slip(track, rows, slopes)))
+    # in tangential contact the normal is perpendicular to the rod, exactly
+    across = normal - _along(normal, track.tangent[rows])
+    return _unit(np.where(track.tangential[rows, None], across, normal))
+
+
+def _from_path(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
+    normal = _unit(np.cross(track.tangent[rows], slopes[:, :3]))
+    outward = np.where((normal * track.force[rows]).sum(axis=1) < 0, -1.0, 1.0)
+    outward[~track.tangential[rows]] = np.nan
+    return np.asarray(outward[:, None] * normal)
+
+
+def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, source: Source) -> Array:
+    """Standard deviation (k,) of the normal's angle: truncation by the second estimate, noise and rounding."""
+    rows = slopes.rows
+    slip, tangential, force = _slip(track, rows, slopes.used), track.tangential[rows], _unit(track.force[rows])
+    speed = np.linalg.norm(slip, axis=1)
+    direction = slip / speed[:, None]
+    sideways = np.cross(normal, direction)
+    # in tangential contact errors only turn the normal about the rod
+    turn = np.cross(track.tangent[rows], normal)
+    cosine = (force * normal).sum(axis=1)
+    if source == Source.PATH:
+        gain = 1 / np.abs((slopes.used[:, :3] * turn).sum(axis=1))
+        gain_sideways = np.zeros(len(rows))
+    else:
+        gain = np.where(tangential, np.abs((direction * turn).sum(axis=1)), 1.0) / speed
+        gain_sideways = np.where(tangential, np.abs((sideways * turn).sum(axis=1)), 1.0) / speed
+        gain_sideways *= np.sqrt(np.maximum(1 - cosine**2, 0)) / cosine
+
+    def turned(covariance: Array) -> Array:
+        """Variance (k,) of the normal's angle by that of the slopes."""
+        inward = np.einsum("ki,kij,kj->k", normal, covariance, normal)
+        return np.asarray(
+            gain**2 * inward + gain_sideways**2 * np.einsum("ki,kij,kj->k", sideways, covariance, sideways)
+        )
+
+    squares = np.nan_to_num(angles(normal, second) ** 2, nan=np.inf)
+    # and of the second order, which tells directions from those of rounding alone
+    change = slopes.used - slopes.other
+    if source == Source.PATH:
+        tangent = track.tangent[rows]
+        size = np.linalg.norm(np.cross(slopes.used[:, :3], tangent), axis=1)
+        relative = np.linalg.norm(np.cross(change[:, :3], tangent), axis=1) / size
+    else:
+        relative = np.linalg.norm(_slip(track, rows, change), axis=1) / speed
+    squares += (_ROUGH * relative**2) ** 2
+    if slopes.difference is None:
+        squares *= _ROUGH**2
+    else:
+        squares -= turned(slopes.difference)
+    # truncation as it is on average over the window: single contacts may hide it by chance
+    squares = np.maximum(_running_mean(squares, slopes.width), 0.0)
+    if slopes.variance is not None:
+        squares += turned(slopes.variance)
+    squares += (slopes.rounding * (gain + gain_sideways)) ** 2 + _SMALLEST_SD**2
+    if track.direction_sd is not None:
+        squares += (track.direction_sd[rows] / cosine) ** 2
+    return np.where((cosine > 0) & np.isfinite(squares), np.sqrt(squares), np.inf)
+
+
+def _running_mean(values: Array, width: int) -> Array:
+    """Means (k,) over about as many neighbours as a window has; infinite values count as very large."""
+    largest = 1e3
+    return np.asarray(uniform_filter1d(np.minimum(values, largest), width, mode="nearest"))
+
+
+def _along(vectors: Array, unit: Array) -> Array:
+    """The parts (n, 3) of vectors along unit vectors."""
+    return np.asarray((vectors * unit).sum(axis=1, keepdims=True) * unit)
+
+
+def _unit(vectors: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -1,0 +1,57 @@
+"""Six-axis recordings of smooth bodies, by the sweeps of `scan3d.spatial.sweeping`."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import scan3d
+from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.sweeping import sweep
+
+SEMI_AXES = (0.45, 0.36, 0.27)
+LENGTH = 0.05
+
+
+def poses(directions=12, heights=12, samples=64, leaning=0.35):
+    """Positions (m, n, 3) and axes (m, 3, 3) of sweeps around and over a body of half the rod's length about the origin."""
+    position, axes = [], []
+    for k in range(directions):
+        turn = Rotation.from_euler("zx", [2 * np.pi * k / directions, leaning * (-1) ** k])
+        for height in np.linspace(-0.42, 0.42, heights):
+            x, y, z = turn.apply(np.eye(3))
+            start = 0.75 * x - 0.95 * y + height * z
+            position.append(start - np.linspace(0, 1.5, samples)[:, None] * x)
+            axes.append([x, y, z])
+    return np.array(position), np.array(axes)
+
+
+def recorded(friction=0.3, *, diameter=0.0, noise=(0.0, 0.0), seed=0, substeps=4, semi_axes=SEMI_AXES, **raster):
+    """A recording of an ellipsoid about the origin, and the true contacts (n, 3) and normals (n, 3) of all rows, NaN without.
+
+    `diameter` is that of the rod over its length, `noise` is that of force and moment in EI/L² and EI/L, `friction` one number
+    or a range, from which every sample has its own.
+    """
+    rng = np.random.default_rng(seed)
+    position, axes = poses(**raster)
+    m, n, _ = position.shape
+    mu = rng.uniform(*friction, (m, n)) if isinstance(friction, tuple) else friction
+    swept = sweep(Ellipsoid(semi_axes, radius=diameter / 2), position, axes, mu, substeps=substeps)
+    rod = scan3d.Rod(LENGTH, 1e-4, diameter * LENGTH)
+    touching = np.isfinite(swept.s1).reshape(-1, 1)
+    force = np.where(touching, swept.force.reshape(-1, 3), 0) + noise[0] * rng.normal(size=(m * n, 3))
+    moment = np.where(touching, swept.moment.reshape(-1, 3), 0) + noise[1] * rng.normal(size=(m * n, 3))
+    force, moment = force * rod.force_unit_N, moment * rod.moment_unit_Nm
+    quaternion = Rotation.from_matrix(axes.swapaxes(1, 2)).as_quat(scalar_first=True)
+    recording = scan3d.Recording(
+        sweep=np.repeat(np.arange(m), n),
+        position_m=position.reshape(-1, 3) * LENGTH,
+        quaternion=np.repeat(quaternion, n, axis=0),
+        force_N=force[:, :2],
+        moment_Nm=moment[:, 2],
+        rod=rod,
+        force_z_N=force[:, 2],
+        moment_x_Nm=moment[:, 0],
+        moment_y_Nm=moment[:, 1],
+        noise_force_N=noise[0] * rod.force_unit_N,
+        noise_moment_Nm=noise[1] * rod.moment_unit_Nm,
+    )
+    return recording, swept.point.reshape(-1, 3) * LENGTH * 1000, swept.normal.reshape(-1, 3)

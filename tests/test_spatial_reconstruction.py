@@ -1,0 +1,232 @@
+"""Clouds of the spatial model: contacts, normals, friction and the rod's radius, against an ellipsoid's own formulas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from spatial_scans import LENGTH, recorded
+
+import planar
+import scan3d
+from scan3d.cloud import NormalSource
+from scan3d.errors import InputError
+from scan3d.reconstruction import NoContactError
+from scan3d.reconstruction.spatial import readings
+from scan3d.spatial.normals import angles
+
+FEW = {"directions": 4, "heights": 5}  # too few contacts for a fit
+
+
+@pytest.fixture(scope="module")
+def few():
+    return recorded(0.3, substeps=10, **FEW)
+
+
+@pytest.fixture(scope="module")
+def random_friction():
+    return recorded((0.0, 0.4), diameter=0.01, substeps=1, directions=8, heights=10)
+
+
+def test_contacts_and_normals_of_few_sweeps(few):
+    recording, points, normals = few
+    cloud = scan3d.reconstruct(recording)
+    assert cloud.model == "spatial"
+    assert cloud.fit is None
+    np.testing.assert_array_equal(np.isfinite(points[:, 0]).sum(), len(cloud))
+    np.testing.assert_allclose(cloud.points, points[cloud.row], atol=1e-8)
+    assert {NormalSource.SLIP, NormalSource.PATH, NormalSource.UNKNOWN} == set(cloud.normal_source)
+    known = cloud.normal_source != NormalSource.UNKNOWN
+    error = np.degrees(angles(cloud.normals[known], normals[cloud.row[known]]))
+    assert np.median(error) < 0.02
+    assert np.percentile(error, 95) < 0.2
+    # the sweeps' own error, of the first order in their step, is 0.001
+    assert np.nanmedian(np.abs(cloud.friction - 0.3)) < 1e-4
+    assert np.isnan(cloud.in_plane_normals).all()
+    assert (cloud.slice == -1).all()
+    assert cloud.slice_axis.shape == (0, 3)
+    assert cloud.slice_height.shape == (0,)
+    np.testing.assert_allclose((normals[cloud.row] * cloud.tangents)[cloud.phase == 2].sum(axis=1), 0, atol=1e-8)
+    assert np.abs(cloud.bending_angle).max() > 0.3
+
+
+def test_without_friction_the_force_is_the_normal():
+    recording, _, normals = recorded(0.0, **FEW)
+    cloud = scan3d.reconstruct(recording)
+    assert (cloud.normal_source == NormalSource.FORCE).all()
+    np.testing.assert_allclose(cloud.normals, normals[cloud.row], atol=1e-9)
+    assert (cloud.friction == 0).all()
+
+
+def test_smooth_bodies_are_fitted_whatever_the_friction_and_points_move_by_the_radius(random_friction):
+    recording, points, normals = random_friction
+    cloud = scan3d.reconstruct(recording)
+    assert (cloud.normal_source == NormalSource.FIT).all()
+    error = angles(cloud.normals, normals[cloud.row])
+    assert np.degrees(error).max() < 5e-3
+    assert np.mean(error < 3 * cloud.normal_sd) > 0.98
+    assert cloud.rod_radius == pytest.approx(0.005 * cloud.rod_length)
+    np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)
+    np.testing.assert_allclose(cloud.points, (points - cloud.rod_radius * normals)[cloud.row], atol=5e-5)
+    offset = cloud.points - cloud.fit.points(cloud.normals)
+    assert np.abs(offset).max() < 1e-4
+    assert np.nanmin(cloud.friction) >= 0
+    assert np.nanmax(cloud.friction) < 0.4001
+
+
+def test_unknown_normals_leave_an_error_of_the_radius(few):
+    recording, points, normals = recorded((0.0, 0.4), diameter=0.01, substeps=1, **FEW)
+    cloud = scan3d.reconstruct(recording)
+    unknown = cloud.normal_source == NormalSource.UNKNOWN
+    assert unknown.mean() > 0.5
+    distance = np.linalg.norm(cloud.points - (points - cloud.rod_radius * normals)[cloud.row], axis=1)
+    assert distance[unknown].max() < 1.01 * cloud.rod_radius * np.tan(0.4)
+    np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)
+
+
+@pytest.mark.parametrize("noise", [(1e-4, 1e-4), (1e-3, 1e-4)])
+def test_noise_gives_the_errors_that_are_stated(noise):
+    recording, points, normals = recorded(0.3, noise=noise, substeps=2, directions=8, heights=10)
+    cloud = scan3d.reconstruct(recording)
+    assert np.isfinite(points[cloud.row, 0]).all()
+    assert len(cloud) > 0.7 * np.isfinite(points[:, 0]).sum()
+    offset = cloud.centre_points - points[cloud.row]
+    inner = np.linalg.inv(cloud.covariance)
+    square = np.einsum("ni,nij,nj->n", offset, inner, offset)
+    assert np.median(square) == pytest.approx(2.37, rel=0.15)  # of chi squared with three degrees of freedom
+    assert np.mean(square > 16.3) < 0.01
+    assert np.isfinite(cloud.place_sd).all()
+    error = angles(cloud.normals, normals[cloud.row])
+    assert np.mean(error < 3 * cloud.normal_sd) > 0.95
+
+
+def test_rows_in_any_order_give_the_same_contacts(few):
+    recording, _, _ = few
+    # alternate the samples of two sweeps
+    half = len(recording) // 2
+    order = np.arange(len(recording)).reshape(2, half).T.ravel()
+    columns = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm", "force_z_N", "moment_x_Nm", "moment_y_Nm")
+    mixed = replace(recording, **{name: getattr(recording, name)[order] for name in columns})
+    cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(mixed)
+    back = np.argsort(order[other.row])
+    np.testing.assert_allclose(other.points[back], cloud.points)
+    np.testing.assert_array_equal(np.isnan(other.normals[back]), np.isnan(cloud.normals))
+    error = angles(other.normals[back], cloud.normals)
+    assert np.nanmedian(error) < 1e-9
+    assert np.nanmax(error) < 1e-5
+
+
+def test_turning_moving_and_scaling_the_scene_moves_the_cloud(few):
+    recording, _, _ = few
+    turn, shift, scale = Rotation.from_rotvec([0.3, -1.1, 0.7]), np.array([0.1, 0.2, -0.3]), 3.0
+    moved = replace(
+        recording,
+        position_m=scale * turn.apply(recording.position_m) + shift,
+        quaternion=(turn * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True),
+        rod=scan3d.Rod(scale * LENGTH, scale**2 * 1e-4),
+        moment_Nm=scale * recording.moment_Nm,
+        moment_x_Nm=scale * recording.moment_x_Nm,
+        moment_y_Nm=scale * recording.moment_y_Nm,
+    )
+    cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(moved)
+    np.testing.assert_allclose(other.points, scale * turn.apply(cloud.points) + 1000 * shift, atol=1e-7)
+    both = np.isfinite(cloud.normals[:, 0]) & np.isfinite(other.normals[:, 0])
+    assert both.mean() > 0.85
+    error = angles(other.normals, turn.apply(cloud.normals))[both]
+    assert np.median(error) < 1e-9
+    assert error.max() < 1e-5  # normals of slip and path differ by the error of the sweeps themselves
+
+
+def test_turning_the_clamp_about_its_axis_changes_nothing(few):
+    """The frame of clamp and sensor is turned about the rod: the same forces, in another frame."""
+    recording, _, _ = few
+    turn = Rotation.from_rotvec([0, 0.8, 0])
+    force, moment = (turn.inv().apply(v) for v in recording.wrench())
+    turned = replace(
+        recording,
+        quaternion=(Rotation.from_quat(recording.quaternion, scalar_first=True) * turn).as_quat(scalar_first=True),
+        force_N=force[:, :2],
+        force_z_N=force[:, 2],
+        moment_x_Nm=moment[:, 0],
+        moment_y_Nm=moment[:, 1],
+        moment_Nm=moment[:, 2],
+    )
+    cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(turned)
+    np.testing.assert_allclose(other.points, cloud.points, atol=1e-7)
+
+
+def test_the_model_is_chosen_by_the_axes_or_by_name(few):
+    recording, _, _ = few
+    plane = replace(recording, force_z_N=None, moment_x_Nm=None, moment_y_Nm=None)
+    assert scan3d.reconstruct(recording).model == "spatial"
+    assert scan3d.reconstruct(recording, model="planar").model == "planar"
+    assert scan3d.reconstruct(plane).model == "planar"
+    with pytest.raises(InputError, match="six-axis"):
+        scan3d.reconstruct(plane, model="spatial")
+    with pytest.raises(InputError, match="model must be"):
+        scan3d.reconstruct(recording, model="cubic")
+    with pytest.raises(InputError, match="closed-form only"):
+        scan3d.reconstruct(recording, "will")
+    assert scan3d.reconstruct(recording, "will", "planar").model == "planar"
+
+
+def test_a_recording_in_the_mirror_plane_has_the_planar_contacts():
+    """A planar sweep of a circle, as six axes: the contacts of both models agree."""
+    swept = planar.sweep(planar.Circle(0.45, (0.0, 0.75)), 0.3, samples=200)
+    n, rod = len(swept), scan3d.Rod(LENGTH, 1e-4)
+    zero = np.zeros(n)
+    recording = scan3d.Recording(
+        sweep=np.zeros(n, dtype=int),
+        position_m=LENGTH * np.column_stack([swept.x0, zero, zero]),
+        quaternion=np.tile([1.0, 0, 0, 0], (n, 1)),
+        force_N=np.column_stack([swept.f0x, swept.f0y]) * rod.force_unit_N,
+        moment_Nm=swept.m0z * rod.moment_unit_Nm,
+        rod=rod,
+        force_z_N=zero,
+        moment_x_Nm=zero,
+        moment_y_Nm=zero,
+    )
+    cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(recording, model="planar")
+    np.testing.assert_array_equal(cloud.row, other.row)
+    np.testing.assert_allclose(cloud.points, other.points, atol=1e-9)
+    known = np.isfinite(cloud.normals[:, 0]) & (cloud.phase == planar.Phase.TANGENTIAL)
+    assert known.mean() > 0.5
+    # the path runs along the rod, so that the slip gives these normals
+    assert (cloud.normal_source[known] == NormalSource.SLIP).all()
+    error = angles(cloud.normals[known], other.in_plane_normals[known])
+    assert np.median(error) < 1e-9
+
+
+def test_a_recording_of_nothing_says_so(few):
+    recording, _, _ = few
+    with pytest.raises(NoContactError, match="no contact"):
+        scan3d.reconstruct(
+            replace(
+                recording,
+                force_N=0 * recording.force_N,
+                force_z_N=0 * recording.force_z_N,
+                moment_Nm=0 * recording.moment_Nm,
+                moment_x_Nm=0 * recording.moment_x_Nm,
+                moment_y_Nm=0 * recording.moment_y_Nm,
+            )
+        )
+    with pytest.raises(InputError, match="check its unit"):
+        scan3d.reconstruct(replace(recording, moment_x_Nm=1e70 + recording.moment_x_Nm))
+
+
+def test_single_rows_of_nonsense_cost_their_contacts_only(few):
+    recording, points, _ = few
+    moment = recording.moment_Nm.copy()
+    touching = np.flatnonzero(np.isfinite(points[:, 0]))[::50]
+    moment[touching] = 1e50
+    cloud = scan3d.reconstruct(replace(recording, moment_Nm=moment))
+    assert not np.isin(touching, cloud.row).any()
+    assert len(cloud) == np.isfinite(points[:, 0]).sum() - len(touching)
+
+
+def test_readings_tell_what_each_row_is(few):
+    recording, points, _ = few
+    known = readings(recording)
+    np.testing.assert_array_equal(known.touching, np.isfinite(points[:, 0]))
+    assert np.abs(known.found.torsion).max() < 1e-12
+    assert np.abs(known.found.skew).max() < 1e-12
