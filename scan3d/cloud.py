@@ -92,8 +92,8 @@ class Cloud(Shown):
     rod_radius: float = 0.0
     """Radius of the rod in the recording's unit, by which `points` lie inside `centre_points`; 0 where it is neglected."""
     centre_points: Array | None = None
-    """(n, 3) points of the rod's centre line at the contacts (spatial model): they lie on the surface of the body fattened by the
-    rod's radius, and `points` are ``centre_points - rod_radius * normals``."""
+    """(n, 3) points of the rod's centre line at the contacts (spatial model): they lie on the surface of the body fattened by
+    the rod's radius, and `points` are ``centre_points - rod_radius * normals``."""
     tangents: Array | None = None
     """(n, 3) unit tangents of the rod at the contacts, towards its tip (spatial model).  In tangential contact the whole line
     through the centre point along the tangent is free of the interior of the fattened body."""

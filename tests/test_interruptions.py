@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from small_scans import CUBE, FEW
 
-from scan3d.cli import main
+from scan3d.cli import interruptions, main
 from scan3d.cli.interruptions import Interruptions, Terminated
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are different there")
@@ -64,10 +64,10 @@ def test_a_run_that_is_asked_to_end_cleans_up(tmp_path, number, sentence):
 
 def test_the_signals_are_as_before_afterwards(capsys):
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-    with Interruptions(ends_process=False) as interruptions:
+    with Interruptions(ends_process=False) as context:
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(5)
-    assert interruptions.code == 143
+    assert context.code == 143
     assert capsys.readouterr().err == "scan3d: terminated\n"
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
 
@@ -78,14 +78,52 @@ def test_an_import_is_not_interrupted(tmp_path, monkeypatch, capsys):
         "import os, signal, time\nos.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(0.2)\ncomplete = True\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    with Interruptions(ends_process=False) as interruptions:
+    with Interruptions(ends_process=False) as context:
         import slowly_imported
 
         time.sleep(5)
         pytest.fail("it was not interrupted")
     assert slowly_imported.complete
-    assert interruptions.code == 143
+    assert context.code == 143
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    capsys.readouterr()
+
+
+def test_an_interruption_that_is_caught_is_repeated(monkeypatch, capsys):
+    """Python reports exceptions of destructors and of callbacks, and goes on; libraries catch exceptions of all kinds."""
+    monkeypatch.setattr(interruptions, "_TRIALS", 0)
+    monkeypatch.setattr(interruptions, "_CAUGHT_S", 0.1)
+
+    class Destroyed:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.05)
+
+    for caught in (True, False):
+        with Interruptions(ends_process=False) as context:
+            try:
+                if caught:
+                    os.kill(os.getpid(), signal.SIGTERM)
+                    time.sleep(5)
+                else:
+                    Destroyed()
+            except:  # noqa: E722
+                assert caught
+            time.sleep(5)
+            pytest.fail("it was not interrupted")
+        assert context.code == 143
+        assert capsys.readouterr().err == "scan3d: terminated\n"
+
+
+def test_the_code_of_a_library_is_not_interrupted(monkeypatch, capsys):
+    """Unless it takes long."""
+    monkeypatch.setattr(interruptions, "_TRIALS", 30)
+    begin = time.monotonic()
+    with Interruptions(ends_process=False) as context:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+    assert context.code == 143
+    assert 0.2 < time.monotonic() - begin < 4
     capsys.readouterr()
 
 
@@ -95,13 +133,13 @@ def test_errors_of_other_kinds_pass():
     with pytest.raises(SystemExit), Interruptions(ends_process=False):
         sys.exit(2)
     # a library that was interrupted may raise an error of its own instead
-    with Interruptions(ends_process=False) as interruptions:
+    with Interruptions(ends_process=False) as context:
         try:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(5)
         except Terminated:
             raise ImportError("cannot import name") from None
-    assert interruptions.code == 143
+    assert context.code == 143
 
 
 def test_a_second_run_is_told_who_is_there(tmp_path, capsys):

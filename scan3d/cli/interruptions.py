@@ -16,8 +16,17 @@ if TYPE_CHECKING:
     from typing import Any
 
 _WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminated: its terminal was closed"}
-# Seconds after which a postponed interruption is tried again.
-_AGAIN_S = 0.01
+# Seconds after which a postponed interruption is tried again, and for how many trials it waits for code of this program.
+# Longer, a run that is within a library for long ends late; shorter, libraries are interrupted that cannot bear it.
+_AGAIN_S, _TRIALS = 0.01, 100
+# Seconds after which a run that has not ended is interrupted again, because a library has caught the exception.  Shorter, the
+# run could be interrupted while it cleans up; longer, it ends later.
+_CAUGHT_S = 2.0
+# Folders of this program's packages.
+_OURS = tuple(
+    os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))), name, "")
+    for name in ("scan3d", "planar")
+)
 
 
 class Interrupted(KeyboardInterrupt):
@@ -36,7 +45,9 @@ class Interruptions:
         self.code = 0
         self._ends_process = ends_process
         self._received: int | None = None
+        self._trials = 0
         self._handlers: dict[int, Any] = {}
+        self._unraisable = sys.unraisablehook
 
     def __enter__(self) -> Interruptions:
         # Python allows handlers in the main thread only
@@ -46,20 +57,34 @@ class Interruptions:
                 # an ignored signal stays so, as with nohup
                 if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                     self._handlers[number] = signal.signal(number, self._receive)
+            sys.unraisablehook = self._ignore
         return self
+
+    def _ignore(self, unraisable: Any) -> None:
+        """Say nothing of interruptions that end in a destructor or in a callback: the run is interrupted again."""
+        if not issubclass(unraisable.exc_type, (Interrupted, Terminated)):
+            self._unraisable(unraisable)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         self._received = number
-        # while VTK is being imported an exception ends in a crash, and trimesh would go on without what it was importing
-        if _is_importing(frame) and hasattr(signal, "setitimer"):
-            signal.signal(signal.SIGALRM, lambda _, frame: self._receive(number, frame))
+        error = Interrupted if number == signal.SIGINT else Terminated
+        if not hasattr(signal, "setitimer"):
+            raise error
+        signal.signal(signal.SIGALRM, lambda _, frame: self._receive(number, frame))
+        self._trials += 1
+        # while VTK is being imported an exception ends in a crash, and trimesh would go on without what it was importing;
+        # within a library it may be caught, or reach compiled code that does not expect it
+        is_ours = frame is not None and frame.f_code.co_filename.startswith(_OURS)
+        if _is_importing(frame) or not (is_ours or self._trials > _TRIALS):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
         else:
-            raise Interrupted if number == signal.SIGINT else Terminated
+            signal.setitimer(signal.ITIMER_REAL, _CAUGHT_S)
+            raise error
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> bool:
         if self._received is not None and hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
+        sys.unraisablehook = self._unraisable
         for number, handler in self._handlers.items():
             signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
         # a library may turn the interruption into an error of its own

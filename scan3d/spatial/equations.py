@@ -1,0 +1,156 @@
+"""Equilibria of the sliding rod (S19, S20) as six equations in six unknowns, with their exact Jacobian.
+
+Unknowns are the rod's state (ω, α, q², s1) and two local coordinates of the place on the body.  The equations state that the
+rod's contact is that place (three), that Coulomb's law holds between the force and the slip since the state before (two), and
+that the contact is the tip or tangential (one).  Coulomb's law is taken one branch at a time: (S20) contains both, but near touch-down
+Newton's method flips between them.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array, Mask
+from scan3d.spatial.bodies import Patch
+from scan3d.spatial.shapes import Bent
+from scan3d.spatial.vectors import basis, dot
+
+
+class Mode(IntEnum):
+    """Which branch of Coulomb's law a contact is on."""
+
+    FROZEN = 0
+    """It slides in a given direction: the first steps of Newton's method, while the slip is not known."""
+    SLIDE = 1
+    """Friction has its full size, against the slip."""
+    STICK = 2
+    """There is no slip."""
+    EITHER = 3
+    """It slides or sticks, as (S20) decides in every step of Newton's method."""
+
+
+class Law(NamedTuple):
+    """What the friction of n contacts depends on."""
+
+    friction: Array
+    """(n,) coefficient."""
+    place: Array
+    """(3, n) contact of the state before."""
+    s1: Array
+    """(n,) its arc length."""
+    mode: NDArray[np.int8]
+    """(n,) of `Mode`."""
+    direction: Array
+    """(3, n) direction of the slip where it is frozen."""
+    rate: Array
+    """(n,) weight of the slip in the residual of a contact that sticks."""
+    drag: Array
+    """(n,) drag on the slip, zero but while a snap is followed."""
+
+
+class System(NamedTuple):
+    """Residuals (6, n) and Jacobians (6, 6, n), and what decides whether a solution is valid."""
+
+    residual: Array
+    jacobian: Array
+    normal_force: Array
+    """(n,) part of the unit force along the normal."""
+    slip: Array
+    """(n,) path of the rod's material point along the surface, since the state before."""
+    friction_force: Array
+    """(n,) part of the unit force along the surface."""
+    dissipated: Array
+    """(n,) friction times slip: positive where friction acts against the slip."""
+    sticks: Mask
+
+
+def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
+    """The equations at states (4, n) with their bent rods and places on the body."""
+    n = patch.normal
+    count = n.shape[1]
+    residual, jacobian = np.empty((6, count)), np.zeros((6, 6, count))
+    residual[:3] = rod.place - patch.point
+    for k, slope in enumerate(rod.place_slopes):
+        jacobian[:3, k] = slope
+    np.negative(patch.point_1, out=jacobian[:3, 4])
+    np.negative(patch.point_2, out=jacobian[:3, 5])
+
+    # slip v = P y with y = r1 - r1⁻ - (s1 - s1⁻) t1, and its derivatives by all unknowns
+    along = state[3] - law.s1
+    y = patch.point - law.place - along * rod.tangent
+    y_n, normal_force = dot(y, n), dot(rod.force, n)
+    tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_square * rod.tangent_angle])
+    y_slopes = np.concatenate(
+        [-along * tangents, -rod.tangent[None], patch.point_1[None], patch.point_2[None]]
+    )  # fmt: skip
+    zero = np.zeros(count)
+    normal_slopes = np.stack(
+        [
+            dot(rod.force_omega, n),
+            dot(rod.force_alpha, n),
+            zero,
+            zero,
+            dot(rod.force, patch.normal_1),
+            dot(rod.force, patch.normal_2),
+        ]
+    )
+    v, g, frame, v_slopes, g_slopes = *(np.empty((2, count)) for _ in range(3)), [], []
+    for k, u in enumerate(basis(n)):
+        turned = dot(patch.normal_1, u), dot(patch.normal_2, u)
+        v[k], g[k], frame[k] = dot(y, u), dot(rod.force, u), dot(law.direction, u)
+        v_slope = dot(y_slopes.swapaxes(0, 1), u[:, None])
+        v_slope[4] -= y_n * turned[0]
+        v_slope[5] -= y_n * turned[1]
+        v_slopes.append(v_slope)
+        g_slopes.append(
+            np.stack(
+                [
+                    dot(rod.force_omega, u),
+                    dot(rod.force_alpha, u),
+                    zero,
+                    zero,
+                    -normal_force * turned[0],
+                    -normal_force * turned[1],
+                ]
+            )
+        )
+    normal_part = (normal_force, normal_slopes)
+    sticks = _friction(residual, jacobian, law, frame, (v, np.stack(v_slopes)), (g, np.stack(g_slopes)), normal_part)
+
+    lean = -dot(rod.tangent, n)
+    tip = 1 - state[3] <= lean
+    residual[5] = np.where(tip, 1 - state[3], lean)
+    slopes = [*(-dot(tangent, n) for tangent in tangents), zero]
+    slopes += [-dot(rod.tangent, patch.normal_1), -dot(rod.tangent, patch.normal_2)]
+    jacobian[5] = np.where(tip, 0.0, np.stack(slopes))
+    jacobian[5, 3] = np.where(tip, -1.0, 0.0)
+    return System(residual, jacobian, normal_force, np.hypot(v[0], v[1]), np.hypot(g[0], g[1]), -(v * g).sum(axis=0), sticks)
+
+
+def _friction(
+    residual: Array, jacobian: Array, law: Law, frame: Array, slip: tuple[Array, Array], force: tuple[Array, Array], normal: tuple[Array, Array]
+) -> Mask:
+    """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force; where it sticks."""
+    (v, v_slopes), (g, g_slopes), (normal_force, normal_slopes) = slip, force, normal
+    g = g + law.drag * v
+    g_slopes = g_slopes + law.drag * v_slopes
+    cone = law.friction * normal_force
+    frozen, sticks = law.mode == Mode.FROZEN, law.mode == Mode.STICK
+    w = np.where(frozen, frame, law.rate * v - g)
+    w_slopes = law.rate * v_slopes - g_slopes
+    size = np.hypot(w[0], w[1]) + 1e-300
+    sticks |= (law.mode == Mode.EITHER) & (size < cone)
+    direction = w / size
+    turn = np.where(frozen, 0.0, cone / size)
+    # a change of w turns its direction by its part across it
+    across = np.stack([-direction[1], direction[0]])
+    turned = turn * (across[0] * w_slopes[0] + across[1] * w_slopes[1])
+    for k in range(2):
+        residual[3 + k] = np.where(sticks, law.rate * v[k], g[k] + cone * direction[k])
+        slides = g_slopes[k] + law.friction * direction[k] * normal_slopes + across[k] * turned
+        jacobian[3 + k] = np.where(sticks, law.rate * v_slopes[k], slides)
+    return sticks
