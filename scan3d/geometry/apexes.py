@@ -29,6 +29,8 @@ _FAR = 300.0
 # Rounds in which planes are removed whose triangles turn over.  Each removes some; with fewer, bodies with wide intervals
 # remain unbounded.
 _REPAIRS = 60
+# Half-widths below this, in radians, count as equal.  Larger, wide arcs would be kept; smaller, rounding chooses between arcs.
+_NARROW = 1e-5
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
 
 
@@ -88,15 +90,26 @@ def cover(planes: SupportingPlanes, chosen: Index) -> Cover | None:
             apexes[(numbers < 0).any(axis=1)] = np.inf
             nominal = np.linalg.solve(some.middle[triangles], offset[triangles][..., None])[..., 0]
             return Cover(numbers, apexes, nominal, np.concatenate([np.empty(0, dtype=np.intp), *removed]))
-        # planes far away stay; of the others, the one with the widest arc goes
-        width = np.concatenate([np.full(len(far.points), -1.0), some.half_width[len(far.points) :]])[triangles[bad]]
-        widest = np.unique(triangles[bad][np.arange(int(bad.sum())), width.argmax(axis=1)]) - len(far.points)
+        widest = np.unique(_needless(some, triangles[bad], len(far.points))) - len(far.points)
         widest = widest[widest >= 0]
         if not len(widest):
             return None
         removed.append(chosen[widest])
         chosen = np.delete(chosen, widest)
     return None
+
+
+def _needless(planes: SupportingPlanes, triangles: Index, far: int) -> Index:
+    """The plane (m,) of each triangle that turns over which is removed: that with the widest arc; the first `far` planes stay.
+
+    Of planes with equally narrow arcs it is the one between the other two: planes through one edge of a polyhedron have their
+    normals on an arc, and the outer ones matter.
+    """
+    normals = planes.middle[triangles]
+    opposite = np.linalg.norm(np.roll(normals, -1, axis=1) - np.roll(normals, 1, axis=1), axis=2)
+    width = np.maximum(planes.half_width, _NARROW)[triangles] * (1 + 1e-3 * opposite)
+    width[triangles < far] = -1.0
+    return np.asarray(np.take_along_axis(triangles, width.argmax(axis=1)[:, None], axis=1)[:, 0])
 
 
 def _far_planes() -> SupportingPlanes:

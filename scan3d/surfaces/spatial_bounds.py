@@ -93,6 +93,8 @@ def spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> 
 
     Raises InputError for contacts that do not span a body.
     """
+    if not len(cloud):
+        raise InputError("0 contacts span no body: a surface needs contacts all around it")
     errors = np.full(len(cloud), _EXACT * cloud.rod_length + cloud.pose_error if margin is None else margin)
     noisy = margin is None and cloud.place_sd is not None
     if not noisy:
@@ -109,8 +111,8 @@ def spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> 
 def _by_contacts(cloud: Cloud, errors: Array, confidence: float) -> SpatialEnclosure:
     """The enclosure by all contacts of a cloud, whose places have errors (n,) of at most so much."""
     assert cloud.centre_points is not None
-    margin, radius = float(errors.max()), cloud.rod_radius
     centre_hull = hull(cloud.centre_points)
+    margin, radius = float(errors.max()), cloud.rod_radius
     inner = _inner_body(cloud, centre_hull)
     tangent = _tangent_planes(cloud, errors)
     apexes = _best_apexes(tangent, centre_hull)
