@@ -112,7 +112,9 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
         force.append(np.nan_to_num(part.result.force[kept]))
         moment.append(np.nan_to_num(part.result.moment[kept]))
     if not sweeps:
-        raise InputError("the rod touches nothing: its sweeps do not reach the body; choose a longer rod or less clearance")
+        raise InputError(
+            "the rod touches nothing: its sweeps do not reach the body; choose a longer rod or less clearance"
+        )
     # scipy wants the clamp's axes as columns
     quaternion = Rotation.from_matrix(np.swapaxes(np.concatenate(axes), 1, 2)).as_quat(scalar_first=True)
     forces, moments = np.concatenate(force), np.concatenate(moment)

@@ -56,7 +56,9 @@ def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passa
     feature, coordinates, point = body.extreme(normal)
     s1 = dot(along, point - position - begin * travel)
     touches = begin < end
-    begin, s1, feature, coordinates = _refined(body, position, along, travel, (begin, s1, feature, coordinates), touches)
+    begin, s1, feature, coordinates = _refined(
+        body, position, along, travel, (begin, s1, feature, coordinates), touches
+    )
     tip = touches & (s1 > 1)
     if tip.any():
         tip_begin, tip_end, number = _ray(body, (position + along)[:, tip], travel[:, tip])
