@@ -21,6 +21,8 @@ _PATIENCE_FEATURES = 40
 _FROZEN = 2
 # Smallest step, in samples, before the rod is taken to snap.
 _SMALLEST = 2.0**-5
+# Steps of Newton's method from one sample to the next before a sweep is given up.
+_EFFORT = 1500
 # q² of a rod that counts as straight.
 _STRAIGHT = 1e-14
 # Largest path of the contact in a step, in rod lengths.
@@ -67,7 +69,7 @@ class Lanes:
         k = len(lanes)
         self.h = np.full(k, 1.0 / self.substeps)
         self.iterations, self.lifts = np.zeros(k, dtype=int), np.zeros(k, dtype=int)
-        self.drag = np.zeros(k)
+        self.drag, self.effort = np.zeros(k), np.zeros(k, dtype=int)
         self.frozen = np.full(k, _FROZEN)
         self.rate, self.coordinates_before, self.span = np.zeros((4, k)), coordinates.copy(), np.zeros(k)
         self.mode, self.attempts = np.full(k, Mode.SLIDE, dtype=np.int8), np.zeros(k, dtype=int)
@@ -149,6 +151,8 @@ class Lanes:
             self._commit(good, rod, patch, equations)
         if bad.any():
             self._fail(bad & ~good)
+        self.effort += 1
+        self._finish(np.flatnonzero((self.effort > _EFFORT) & (self.lane >= 0)), 3)
         keep = self.lane >= 0
         if not keep.all():
             self._drop(keep)
@@ -215,6 +219,7 @@ class Lanes:
         self.snapped[lane, k] = self.has_snapped[at]
         snapped = self.has_snapped[chosen] | equations.sticks[chosen]
         self.has_snapped[at] = False
+        self.effort[at] = 0
         self.h[chosen] = np.minimum(2 * self.h[chosen], 1.0 / self.substeps)
         done = chosen[self.progress[chosen] > self.position.shape[2] - 1 - 1e-9]
         self.target[chosen] = self._next(self.progress)[chosen]
@@ -308,6 +313,7 @@ class Lanes:
             "frozen",
             "span",
             "attempts",
+            "effort",
             "mode",
             "iterations",
             "lifts",
