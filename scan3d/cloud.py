@@ -99,6 +99,9 @@ class Cloud(Shown):
     through the centre point along the tangent is free of the interior of the fattened body."""
     bending_angle: Array | None = None
     """(n,) angle between the plane in which the rod bends and the plane of its sweep, in radians (spatial model)."""
+    slip_to_path: Array | None = None
+    """(n,) angle in radians between the normals from slip and path, where both are known to a degree, else NaN (spatial model).
+    Without isotropic Coulomb friction it is not small."""
     independent: bool = True
     """Whether the errors of successive contacts are independent, as those of noise are; those of rounding alone are not."""
 
@@ -140,4 +143,5 @@ _PER_CONTACT = (
     "centre_points",
     "tangents",
     "bending_angle",
+    "slip_to_path",
 )

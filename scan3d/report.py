@@ -141,14 +141,16 @@ def _counts(analysis: Analysis) -> dict[str, int]:
 
 
 def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
+    friction, law = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL], {}
     if cloud.model == "spatial":
         friction = cloud.friction[np.isfinite(cloud.friction)]
-    else:
-        friction = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL]
+        angle = np.empty(0) if cloud.slip_to_path is None else cloud.slip_to_path[np.isfinite(cloud.slip_to_path)]
+        law = {"slip_to_path_deg": float(np.degrees(np.median(angle))) if len(angle) else None}
     return {
         "set": friction_set,
         "estimated_median": float(np.median(friction)) if len(friction) else None,
         "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
+        **law,
     }
 
 

@@ -42,6 +42,9 @@ def test_contacts_and_normals_of_few_sweeps(few):
     assert np.percentile(error, 95) < 0.2
     # the sweeps' own error, of the first order in their step, is 0.001
     assert np.nanmedian(np.abs(cloud.friction - 0.3)) < 1e-4
+    compared = np.isfinite(cloud.slip_to_path)
+    assert compared.sum() > 50
+    assert np.degrees(np.median(cloud.slip_to_path[compared])) < 0.05
     assert np.isnan(cloud.in_plane_normals).all()
     assert (cloud.slice == -1).all()
     assert cloud.slice_axis.shape == (0, 3)
@@ -69,7 +72,7 @@ def test_smooth_bodies_are_fitted_whatever_the_friction_and_points_move_by_the_r
     np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)
     np.testing.assert_allclose(cloud.points, (points - cloud.rod_radius * normals)[cloud.row], atol=5e-5)
     offset = cloud.points - cloud.fit.points(cloud.normals)
-    assert np.abs(offset).max() < 1e-4
+    assert np.abs(offset).max() < 5e-4
     assert np.nanmin(cloud.friction) >= 0
     assert np.nanmax(cloud.friction) < 0.4001
 

@@ -27,6 +27,8 @@ from scan3d.units import UNITS_M
 # As in the plane (`scan3d.reconstruction.contacts`): standard deviations of the distance to the tip that count as zero, the
 # largest such distance, and when a contact is left out as too light.
 _TIP_SIGMAS, _LARGEST_TOLERANCE, _LIGHT, _TOLERABLE = 5.0, 0.5, 4.0, 1e-3
+# Normals from slip and path are compared where their difference is known to this, in radians.
+_COMPARABLE = np.pi / 180
 # Standard deviations within which 95 % of the errors of a direction lie, both components of which are normally distributed.
 _SIGMAS_95 = 2.45
 # Friction angle, in radians, where no contact says what it is: that of a coefficient of 0.5.
@@ -183,7 +185,15 @@ def _with_sweep_normals(cloud: Cloud, path: Track, known: Readings) -> Cloud:
     for origin, meaning in _SOURCES.items():
         source[found.source == origin] = meaning
     friction = np.where(found.sticks, np.nan, np.tan(angles(found.normal, direction)))
-    return replace(cloud, normals=found.normal, normal_source=source, normal_sd=found.sd, friction=friction)
+    both = found.disagreement_sd < _COMPARABLE
+    return replace(
+        cloud,
+        normals=found.normal,
+        normal_source=source,
+        normal_sd=found.sd,
+        friction=friction,
+        slip_to_path=np.where(both, found.disagreement, np.nan),
+    )
 
 
 def _moved_by_radius(cloud: Cloud, force: Array) -> Cloud:
