@@ -17,7 +17,7 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.reconstruction import Contradiction, noise_of, radius_errors
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure, Gap, sigmas
+from scan3d.surfaces import Certificate, Enclosure, sigmas
 
 SCHEMA = 1
 # Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
@@ -29,6 +29,13 @@ _COVERED_DEG = 5.0
 # The surface counts as covered where its certified bound is no more than this fraction of the diagonal.  Larger, the coverage
 # says less about accuracy; smaller, it is low for scans whose accuracy is sufficient.
 _COVERED_BOUND = 1e-3
+# What the parts of an enclosure's bound are called in the error budget.
+_CAUSES = {
+    "slices": "between_slices",
+    "contacts": "between_contacts",
+    "caps": "past_end_slices",
+    "rod": "thickness_of_rod",
+}
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
@@ -179,7 +186,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
         "confidence": bounds.confidence,
-        "parts": {gap.name.lower(): bounds.part(gap) for gap in Gap} | {"noise": _contacts_off(analysis)},
+        "parts": bounds.parts() | {"noise": _contacts_off(analysis)},
         "volume": list(bounds.volume),
     }
 
@@ -207,6 +214,8 @@ def _noise(analysis: Analysis) -> dict[str, float]:
 def _budget(analysis: Analysis) -> dict[str, Any]:
     """The error of each step: its certified upper bound, and its actual value where the truth is known."""
     bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
+    parts = bounds.parts()
+    causes = [_CAUSES[name] for name in parts]
 
     def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
         return {"at_most": guaranteed, "is": actual}
@@ -214,13 +223,11 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     return {
         "unit": analysis.cloud.unit,
         "contacts_off": step(_contacts_off(analysis), None if contact_error is None else float(contact_error.max())),
-        "between_slices": step(bounds.part(Gap.SLICES), None),
-        "between_contacts": step(bounds.part(Gap.CONTACTS), None),
-        "past_end_slices": step(bounds.part(Gap.CAPS), None),
+        **{_CAUSES[name]: step(gap, None) for name, gap in parts.items()},
         "hull": step(bounds.bound, analysis.hull_error),
         "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
-        "sum": "hull, at most = largest of between_slices, between_contacts and past_end_slices, which contain the errors of "
-        "the contacts; surface: what its method makes of that",
+        "sum": f"hull, at most = largest of {', '.join(causes[:-1])} and {causes[-1]}, which contain the errors of the "
+        "contacts; surface: what its method makes of that",
     }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any, NoReturn
 
-from scan3d.choices import COLORS, EXPORTS, METHODS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
+from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
 from scan3d.cli.settings import Settings
 from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
@@ -66,6 +66,7 @@ _EXAMPLES = {
 # Values that the shell completes for options that the parser itself does not restrict, because settings from a file are
 # checked by the same rules.
 VALUES = {
+    "model": MODELS,
     "spacing": SPACINGS,
     "standoff": STANDOFFS,
     "unit": tuple(UNITS_M),
@@ -82,10 +83,11 @@ def one_of(values: Sequence[str]) -> str:
 _METHOD = f"surface from the contacts: {one_of(METHODS)}; bracket estimates it between the certified bounds"
 # Name, placeholder and description of each setting; types and defaults are those of `Settings`.
 _OPTIONS = (
-    ("slices", "N", "number of slices"),
+    ("model", "MODEL", f"model of contact: {one_of(MODELS)}; a round rod in space leaves the plane of its sweep"),
+    ("slices", "N", "number of slices; in the spatial model half as many sweeps from each of twelve directions"),
     ("spacing", "RULE", f"heights of the slices: {one_of(SPACINGS)}; cosine is dense at the ends"),
     ("axis", "AXIS", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0"),
-    ("sweeps", "N", "sweeps per slice, or auto: as many as its contour needs"),
+    ("sweeps", "N", "sweeps per slice, or in the spatial model per direction, or auto: as many as the body needs"),
     ("samples", "N", "samples per sweep"),
     ("friction", "MU", "coefficient of friction, or a range such as 0.0:0.4 from which every sample draws its own"),
     ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"),
@@ -145,6 +147,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="METHOD",
         default=METHODS[0],
         help=f"{_METHOD} (default {METHODS[0]})",
+    )
+    reconstruct.add_argument(
+        "--model",
+        choices=MODELS,
+        metavar="MODEL",
+        help=f"model of contact: {one_of(MODELS)} (default spatial for a recording with six axes, else planar)",
     )
     _add_mesh_path(reconstruct)
     _add_overwrite(reconstruct)

@@ -30,6 +30,7 @@ class UsageError(InputError):
 class Settings:
     """The settings of `scan3d scan`, in the types that a TOML file has."""
 
+    model: str = "planar"
     slices: int = 64
     spacing: str = "cosine"
     axis: str = "z"
@@ -56,6 +57,7 @@ class Settings:
         from scan3d.planning.plan import Plan
 
         return Plan(
+            model=self.model,
             slices=self.slices,
             spacing=self.spacing,
             axis=_axis(self.axis),

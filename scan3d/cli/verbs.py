@@ -100,7 +100,7 @@ def reconstruct(arguments: Namespace) -> int:
         "true body": arguments.truth,
     }
     with opened(arguments.out, with_recording=False, inputs=inputs, overwrite=arguments.overwrite) as result:
-        analysis = workflow.analyse(recording, body, chosen.method)
+        analysis = workflow.analyse(recording, body, chosen.method, arguments.model)
         data = workflow.write(
             analysis,
             result,
@@ -319,8 +319,10 @@ def _progress(arguments: Namespace) -> Callable[[int, int], None]:
     if arguments.quiet or not is_terminal(sys.stderr):
         return lambda *_: None
 
+    parts = "rounds" if arguments.model == "spatial" else "slices"
+
     def show_progress(done: int, total: int) -> None:
         end = f"\r{'':40}\r" if done >= total else ""
-        print(f"\rsimulate {done}/{total} slices{end}", end="", file=sys.stderr, flush=True)
+        print(f"\rsimulate {done}/{total} {parts}{end}", end="", file=sys.stderr, flush=True)
 
     return show_progress

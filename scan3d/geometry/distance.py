@@ -34,17 +34,27 @@ def nearest(points: Array, mesh: trimesh.Trimesh) -> tuple[Array, Index, Array]:
     Returns the distances (p,) of points (p, 3) from its surface, negative inside, and the nearest face (p,) and point (p, 3) of
     the mesh.  Raises InputError as `scan3d.compare`.
     """
+    return nearest_on(mesh)(points)
+
+
+def nearest_on(mesh: trimesh.Trimesh) -> Callable[[Array], tuple[Array, Index, Array]]:
+    """`nearest` as a function of the points alone, for many calls with the same convex mesh."""
     box = bounding_box(mesh, "mesh")
     centre, scale = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
     vertices, faces = welded(mesh, centre, scale)
-    points = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre) / scale
-    corners = vertices[faces]
-    face, foot = locator(corners)(points)
-    # a point is outside exactly if it and the middle of the mesh lie on opposite sides of its nearest point
-    outside = dot(points - foot, vertices.mean(axis=0) - foot) < 0
-    offset = offset_from(points, corners[face])
-    distance = np.where(outside, 1.0, -1.0) * np.linalg.norm(offset, axis=1)
-    return distance * scale, face, (points - offset) * scale + centre
+    corners, middle = vertices[faces], vertices.mean(axis=0)
+    locate = locator(corners)
+
+    def nearest(points: Array) -> tuple[Array, Index, Array]:
+        points = (np.asarray(points, dtype=np.float64).reshape(-1, 3) - centre) / scale
+        face, foot = locate(points)
+        # a point is outside exactly if it and the middle of the mesh lie on opposite sides of its nearest point
+        outside = dot(points - foot, middle - foot) < 0
+        offset = offset_from(points, corners[face])
+        distance = np.where(outside, 1.0, -1.0) * np.linalg.norm(offset, axis=1)
+        return distance * scale, face, (points - offset) * scale + centre
+
+    return nearest
 
 
 def distances(points: Array, mesh: trimesh.Trimesh) -> Array:

@@ -77,7 +77,7 @@ class SupportFit:
 
 def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
     """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`."""
-    center, shape = _inertia(points)
+    center, shape = inertia(points)
     step = max(1, -(-len(points) // MAX_CONTACTS))
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
     directions = _unit(normals[::step] @ shape)
@@ -144,7 +144,7 @@ def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) 
     return directions
 
 
-def _inertia(points: Array) -> tuple[Array, Array]:
+def inertia(points: Array) -> tuple[Array, Array]:
     """Centroid (3,) and shape (3, 3) of the hull of points.
 
     The shape is the symmetric map from the unit ball to the ellipsoid that has the hull's moments of inertia.

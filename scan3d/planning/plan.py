@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import Array
-from scan3d.choices import SPACINGS, STANDOFFS
+from scan3d.choices import MODELS, SPACINGS, STANDOFFS
 from scan3d.errors import InputError
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
@@ -29,8 +29,11 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class Plan:
     """Settings of a simulated scan.  Raises InputError for values out of their range."""
 
+    model: str = "planar"
+    """Model of contact: 'planar', the rod stays in its slice, or 'spatial', a round rod bends where the contact pushes it."""
     slices: int = 64
-    """Number of slices along each axis; with adaptive spacing empty slices count."""
+    """Number of slices along each axis; with adaptive spacing empty slices count.  In the spatial model there are no slices,
+    and half as many sweeps from each of twelve directions."""
     spacing: str = "cosine"
     """Heights of the slices: 'cosine' (dense at the ends), 'uniform', or 'adaptive' (where the contacts so far leave most
     room for the body)."""
@@ -39,7 +42,7 @@ class Plan:
     axis: str | Sequence[float] = "z"
     """Normal of the slices: 'x', 'y', 'z', several such as 'xyz', or a vector."""
     sweeps: int | None = None
-    """Sweeps per slice, evenly spaced around it; None: as many as its contour needs."""
+    """Sweeps per slice, evenly spaced around it, or in the spatial model per direction; None: as many as the body needs."""
     samples: int = 64
     """Samples per sweep, from touch-down to the sweep's end."""
     friction: float | tuple[float, float] = 0.3
@@ -49,7 +52,7 @@ class Plan:
     standoff: str = "follow"
     """The base line keeps its distance from every slice ('follow'), or from the outline of the whole body ('fixed')."""
     rod: Rod | None = None
-    """The rod; None: a steel wire as long as the widest slice's diameter."""
+    """The rod; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the body."""
     noise: float = 0.0
     """Standard deviation of force and moment, in EI/L² and EI/L."""
     seed: int = 0
@@ -62,6 +65,8 @@ class Plan:
             _check_whole(name, getattr(self, name), minimum)
         if self.sweeps is not None:
             _check_whole("sweeps", self.sweeps, 1)
+        if not isinstance(self.model, str) or self.model not in MODELS:
+            raise InputError(f"model must be one of {', '.join(MODELS)}, got {self.model!r}")
         if not isinstance(self.spacing, str) or self.spacing not in SPACINGS:
             raise InputError(f"spacing must be one of {', '.join(SPACINGS)}, got {self.spacing!r}")
         if not isinstance(self.standoff, str) or self.standoff not in STANDOFFS:
@@ -86,6 +91,17 @@ class Plan:
         if self.rod is not None and not isinstance(self.rod, Rod):
             raise InputError(f"rod must be a scan3d.Rod or None, got {self.rod!r}")
         self.axes()
+        if self.model == "spatial":
+            self._check_spatial()
+
+    def _check_spatial(self) -> None:
+        """Raise InputError for settings of slices, which the spatial model does not have."""
+        for name in ("spacing", "axis", "standoff", "tolerance"):
+            value, default = getattr(self, name), type(self).__dataclass_fields__[name].default
+            if not np.array_equal(value, default):
+                raise InputError(
+                    f"{name} is a setting of slices, and the spatial model has none; leave out {name} {value!r}"
+                )
 
     @property
     def friction_range(self) -> tuple[float, float]:

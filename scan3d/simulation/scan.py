@@ -24,6 +24,7 @@ from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
 from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.simulation.spatial import simulate_spatial
 from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
@@ -193,6 +194,8 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
         raise InputError(f"the plan must be a scan3d.Plan, got {type(plan).__name__}")
     check_body(mesh)
     _check_size(plan)
+    if plan.model == "spatial":
+        return simulate_spatial(mesh, plan, progress)
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(_width(mesh, frame) for frame in frames))

@@ -128,11 +128,19 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     slopes += [-dot(rod.tangent, patch.normal_1), -dot(rod.tangent, patch.normal_2)]
     jacobian[5] = np.where(tip, 0.0, np.stack(slopes))
     jacobian[5, 3] = np.where(tip, -1.0, 0.0)
-    return System(residual, jacobian, normal_force, np.hypot(v[0], v[1]), np.hypot(g[0], g[1]), -(v * g).sum(axis=0), sticks)
+    return System(
+        residual, jacobian, normal_force, np.hypot(v[0], v[1]), np.hypot(g[0], g[1]), -(v * g).sum(axis=0), sticks
+    )
 
 
 def _friction(
-    residual: Array, jacobian: Array, law: Law, frame: Array, slip: tuple[Array, Array], force: tuple[Array, Array], normal: tuple[Array, Array]
+    residual: Array,
+    jacobian: Array,
+    law: Law,
+    frame: Array,
+    slip: tuple[Array, Array],
+    force: tuple[Array, Array],
+    normal: tuple[Array, Array],
 ) -> Mask:
     """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force; where it sticks."""
     (v, v_slopes), (g, g_slopes), (normal_force, normal_slopes) = slip, force, normal

@@ -32,7 +32,9 @@ _LEAVES = 0.05
 
 
 class Lanes:
-    def __init__(self, body: Body, position: Array, axes: Array, friction: Array, passage: Passage, substeps: int) -> None:
+    def __init__(
+        self, body: Body, position: Array, axes: Array, friction: Array, passage: Passage, substeps: int
+    ) -> None:
         self.body, self.substeps = body, substeps
         self.patience = _PATIENCE if body.smooth else _PATIENCE_FEATURES
         m, n = position.shape[:2]
@@ -186,7 +188,9 @@ class Lanes:
         flowing = self.drag[chosen] > 0
         tangential = rod.force[:, chosen] - equations.normal_force[chosen] * patch.law_normal[:, chosen]
         size = np.sqrt(dot(tangential, tangential))
-        self.direction[:, chosen] = np.where(size > 1e-9, -tangential / np.maximum(size, 1e-9), self.direction[:, chosen])
+        self.direction[:, chosen] = np.where(
+            size > 1e-9, -tangential / np.maximum(size, 1e-9), self.direction[:, chosen]
+        )
         self.rate[:, chosen] = self.trial_state[:, chosen] - self.state[:, chosen]
         self.coordinates_before[:, chosen] = self.coordinates[:, chosen]
         self.span[chosen] = np.where(flowing, 0.0, self.target[chosen] - self.progress[chosen])
@@ -238,7 +242,10 @@ class Lanes:
         self.iterations[chosen] = self.lifts[chosen] = 0
         self.frozen[chosen] = _FROZEN
         self.trial_state[:, chosen] = self.state[:, chosen]
-        self.trial_feature[chosen], self.trial_coordinates[:, chosen] = self.feature[chosen], self.coordinates[:, chosen]
+        self.trial_feature[chosen], self.trial_coordinates[:, chosen] = (
+            self.feature[chosen],
+            self.coordinates[:, chosen],
+        )
         rows = np.zeros(len(self.lane), dtype=bool)
         rows[chosen] = True
         self._lift(rows)
@@ -292,9 +299,35 @@ class Lanes:
         self.lane[chosen] = -1 - self.lane[chosen]
 
     def _drop(self, keep: Mask) -> None:
-        for name in ("lane", "progress", "clear_after", "feature", "h", "frozen", "span", "attempts", "mode", "iterations", "lifts", "drag", "has_snapped", "flow_steps", "trial_feature", "target"):
+        for name in (
+            "lane",
+            "progress",
+            "clear_after",
+            "feature",
+            "h",
+            "frozen",
+            "span",
+            "attempts",
+            "mode",
+            "iterations",
+            "lifts",
+            "drag",
+            "has_snapped",
+            "flow_steps",
+            "trial_feature",
+            "target",
+        ):
             setattr(self, name, getattr(self, name)[keep])
-        for name in ("state", "coordinates", "coordinates_before", "rate", "direction", "place", "trial_state", "trial_coordinates"):
+        for name in (
+            "state",
+            "coordinates",
+            "coordinates_before",
+            "rate",
+            "direction",
+            "place",
+            "trial_state",
+            "trial_coordinates",
+        ):
             setattr(self, name, getattr(self, name)[:, keep])
 
 
@@ -307,7 +340,16 @@ def first_state(normal: Array, s1: Array, axes: Array, travel: Array, friction: 
     lateral = normal - n_along * along
     size = np.sqrt(dot(lateral, lateral))
     ahead = -dot(motion, lateral) / size
-    w = np.stack([normal[1] * along[2] - normal[2] * along[1], normal[2] * along[0] - normal[0] * along[2], normal[0] * along[1] - normal[1] * along[0]]) / size
+    w = (
+        np.stack(
+            [
+                normal[1] * along[2] - normal[2] * along[1],
+                normal[2] * along[0] - normal[0] * along[2],
+                normal[0] * along[1] - normal[1] * along[0],
+            ]
+        )
+        / size
+    )
     side = dot(motion, w)
     slides = np.abs(side) > ahead * friction / size
     # sliding across the rod: friction against it; else the force across the rod is against the motion, and friction along it

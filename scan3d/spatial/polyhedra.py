@@ -52,7 +52,10 @@ class RoundedPolyhedron:
         smooth = np.flatnonzero(self.angle < max(limit, _FLAT))
         pairs = []
         for end in (self.tail, self.head):
-            sides = [face[smooth] + count * np.argmax(triangles[face[smooth]] == end[smooth, None], axis=1) for face in (self.left, self.right)]
+            sides = [
+                face[smooth] + count * np.argmax(triangles[face[smooth]] == end[smooth, None], axis=1)
+                for face in (self.left, self.right)
+            ]
             pairs.append(np.stack(sides))
         first, second = np.concatenate(pairs, axis=1)
         graph = coo_array((np.ones(len(first)), (first, second)), shape=(3 * count, 3 * count))
@@ -67,7 +70,12 @@ class RoundedPolyhedron:
         height = np.stack([dot(self.out[(k + 1) % 3], corners[:, (k + 1) % 3] - corners[:, k]) for k in range(3)])
         self.barycentric = -np.roll(self.out, -1, axis=0) / height[:, None]
         self.edge_normals = [
-            np.stack([self.corner_normals[np.argmax(triangles[face] == end[:, None], axis=1), :, face].T for end in (self.tail, self.head)])
+            np.stack(
+                [
+                    self.corner_normals[np.argmax(triangles[face] == end[:, None], axis=1), :, face].T
+                    for end in (self.tail, self.head)
+                ]
+            )
             for face in (self.left, self.right)
         ]
         vertex = triangles.T.ravel()
@@ -78,7 +86,9 @@ class RoundedPolyhedron:
         pairs = np.unique(np.stack([vertex, group]), axis=1)
         self.sides = np.bincount(pairs[0], minlength=self.vertices.shape[1]) if limit else np.full(len(low), 3)
         normals = unit(sums)
-        self.vertex_normals = np.stack([normals[:, np.maximum(chosen, 0)] for chosen in (np.minimum(low, groups - 1), high)])
+        self.vertex_normals = np.stack(
+            [normals[:, np.maximum(chosen, 0)] for chosen in (np.minimum(low, groups - 1), high)]
+        )
 
     def _faces(self, triangles: Index) -> None:
         a, b, c = (self.vertices[:, triangles[:, k]] for k in range(3))
@@ -97,7 +107,9 @@ class RoundedPolyhedron:
         low, high, forward = np.minimum(tail, head), np.maximum(tail, head), tail < head
         order = np.lexsort((forward, high, low))
         left, right = order[0::2], order[1::2]
-        paired = len(order) % 2 == 0 and np.array_equal(low[left], low[right]) and np.array_equal(high[left], high[right])
+        paired = (
+            len(order) % 2 == 0 and np.array_equal(low[left], low[right]) and np.array_equal(high[left], high[right])
+        )
         if not (paired and (~forward[left]).all() and forward[right].all()):
             raise ValueError("the triangles of a polyhedron must be a closed surface, with every edge in two of them")
         self.tail, self.head = low[left], high[left]
@@ -186,7 +198,11 @@ class RoundedPolyhedron:
         if len(at_vertex):
             number = feature[at_vertex] - faces - edges
             n, u, v = (getattr(result, name)[:, at_vertex] for name in ("normal", "normal_1", "normal_2"))
-            result.law_normal[:, at_vertex], result.law_normal_1[:, at_vertex], result.law_normal_2[:, at_vertex] = n, u, v
+            result.law_normal[:, at_vertex], result.law_normal_1[:, at_vertex], result.law_normal_2[:, at_vertex] = (
+                n,
+                u,
+                v,
+            )
             crease = self.sides[number] <= 2
             if crease.any():
                 at, number, n = at_vertex[crease], number[crease], n[:, crease]
@@ -279,7 +295,7 @@ class RoundedPolyhedron:
         coordinates[:, at] = np.stack([along, np.clip(angle, 0.0, self.angle[e]), np.zeros(len(at))])
 
     def extreme(self, normal: Array) -> tuple[Index, Array, Array]:
-        number = np.argmax(self.vertices.T @ normal, axis=0)
+        number = np.argmax(normal.T @ self.vertices, axis=1)
         feature = self.normals.shape[1] + len(self.tail) + number
         return feature, normal, self.vertices[:, number] + self.radius * normal
 

@@ -59,9 +59,7 @@ class Sweeps:
     """(m,) of `End`."""
 
 
-def sweep(
-    body: Body, position: ArrayLike, axes: ArrayLike, friction: ArrayLike = 0.0, *, substeps: int = 1
-) -> Sweeps:
+def sweep(body: Body, position: ArrayLike, axes: ArrayLike, friction: ArrayLike = 0.0, *, substeps: int = 1) -> Sweeps:
     """Sweeps of a round rod of length 1 past a convex body.
 
     position
@@ -90,6 +88,17 @@ def sweep(
     lanes = Lanes(body, position, axes, mu, passage, substeps)
     lanes.run()
     touching = np.isfinite(lanes.s1)
-    phase = np.where(touching, np.where(lanes.s1 < 1 - planar.TOLERANCE, planar.Phase.TANGENTIAL, planar.Phase.TIP), planar.Phase.NONE)
+    phase = np.where(
+        touching,
+        np.where(lanes.s1 < 1 - planar.TOLERANCE, planar.Phase.TANGENTIAL, planar.Phase.TIP),
+        planar.Phase.NONE,
+    )
     vectors = (lanes.force, lanes.moment, lanes.point, lanes.normal, lanes.tangent)
-    return Sweeps(*(v.transpose(1, 2, 0) for v in vectors), lanes.s1, phase.astype(np.int8), lanes.sticks, lanes.snapped, lanes.end)
+    return Sweeps(
+        *(v.transpose(1, 2, 0) for v in vectors),
+        lanes.s1,
+        phase.astype(np.int8),
+        lanes.sticks,
+        lanes.snapped,
+        lanes.end,
+    )

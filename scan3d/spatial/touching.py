@@ -17,7 +17,7 @@ from scan3d.spatial.vectors import cross, dot, unit
 
 # Normals across a rod at which the figure is evaluated, and the rounds in which they close in on that of the touch-down.  More
 # take longer; fewer leave Newton's method a worse start.
-_AROUND, _ROUNDS = 60, 4
+_AROUND, _ROUNDS = 24, 4
 # Normals in all directions at which the body is evaluated for the path of a tip, likewise.
 _SPHERE = sphere_directions(1500)
 # Rods that are evaluated at once, so that the intermediate arrays stay small.
@@ -56,7 +56,9 @@ def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passa
     feature, coordinates, point = body.extreme(normal)
     s1 = dot(along, point - position - begin * travel)
     touches = begin < end
-    begin, s1, feature, coordinates = _refined(body, position, along, travel, (begin, s1, feature, coordinates), touches)
+    begin, s1, feature, coordinates = _refined(
+        body, position, along, travel, (begin, s1, feature, coordinates), touches
+    )
     tip = touches & (s1 > 1)
     if tip.any():
         tip_begin, tip_end, number = _ray(body, (position + along)[:, tip], travel[:, tip])

@@ -1,10 +1,12 @@
 """The second half of step 2: closed surfaces from contacts, with certified bounds of their distance to the body."""
 
 from scan3d.choices import METHODS
-from scan3d.surfaces.bounds import Certificate, Enclosure, certificate, enclosure, withdrawn
+from scan3d.surfaces.bounds import certificate, enclosure, withdrawn
 from scan3d.surfaces.choice import surface
 from scan3d.surfaces.confidence import sigmas
+from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.slabs import Gap
+from scan3d.surfaces.spatial_bounds import SpatialEnclosure
 from scan3d.surfaces.tuning import Tuning
 
 __all__ = [
@@ -12,6 +14,8 @@ __all__ = [
     "Certificate",
     "Enclosure",
     "Gap",
+    "SliceEnclosure",
+    "SpatialEnclosure",
     "Tuning",
     "certificate",
     "enclosure",

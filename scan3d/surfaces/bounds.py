@@ -13,11 +13,10 @@ slice's contour is first replaced by a polygon inside it and one around it, whic
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
@@ -29,7 +28,9 @@ from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.confidence import CONFIDENCE, confident, sigmas
+from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.slabs import Gap, Slab, slabs
+from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate, spatial_enclosure
 
 # A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
 # distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
@@ -37,48 +38,6 @@ from scan3d.surfaces.slabs import Gap, Slab, slabs
 _CONVEX = 1e-9
 # Heights that differ by less than this fraction of their size are equal: a few thousand units in the last place.
 _ROUNDING = 1e-12
-
-
-@dataclass(frozen=True)
-class Enclosure:
-    """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
-
-    inner: Any
-    """The inner body, a `trimesh.Trimesh`: the convex hull of exact contacts, or of the points that noisy contacts prove."""
-    corners: Array
-    """(w, 3) corners of the outer body's slabs."""
-    gap: Array
-    """(w,) their distance from the inner body."""
-    kind: NDArray[np.int8]
-    """(w,) of `Gap`."""
-    straight: Mask
-    """(w, 2) whether the body goes on straight, at the corner's half-spaces, below and above the slab."""
-    slab: Index
-    """(w,) number of the corner's slab: slab i lies below slice i of `stack`."""
-    stack: SliceStack
-    """The slices between which the slabs lie."""
-    bound: float
-    """Upper bound of the Hausdorff distance between the inner body and the true one; infinite if nothing bounds it."""
-    margin: float
-    """Largest error of a contact that the bounds allow for, contained in `bound`."""
-    volume: tuple[float, float]
-    """Lower and upper bound of the true volume."""
-    confidence: float = 1.0
-    """Probability with which bound and volume hold: 1 for exact contacts, and for a given margin."""
-
-    def part(self, kind: Gap) -> float:
-        """The largest gap of one kind, 0 if no corner is of that kind."""
-        gap = self.gap[self.kind == kind]
-        return float(gap.max()) if len(gap) else 0.0
-
-
-class Certificate(NamedTuple):
-    """How far a surface can be from the true body, from touch alone, in the cloud's unit."""
-
-    bound: float
-    """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
-    at_vertices: Array
-    """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""
 
 
 def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = CONFIDENCE) -> Enclosure:
@@ -92,8 +51,16 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
         probability with which the enclosure of noisy contacts holds.
 
     Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.
+    Contacts of the spatial model lie in no slices; their enclosure is that of `scan3d.surfaces.spatial_bounds`.
     Raises InputError for contacts that do not span a body.
     """
+    if cloud.model == "spatial":
+        return spatial_enclosure(cloud, margin, confidence)
+    return slice_enclosure(cloud, margin, confidence)
+
+
+def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float = CONFIDENCE) -> SliceEnclosure:
+    """The enclosure by contacts in slices, as `enclosure`."""
     by_axis = stacks(cloud)
     if margin is None:
         by_axis = [replace(stack, height_error=_height_error(stack, cloud)) for stack in by_axis]
@@ -152,9 +119,9 @@ def _shrunk(body: Any, distance: float) -> Any:
     return hull(centre + (1 - distance / depth) * (vertices - centre)) if depth > distance else None
 
 
-def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> Enclosure:
+def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> SliceEnclosure:
     """The enclosure by contacts that prove nothing, because their errors are too large."""
-    return Enclosure(
+    return SliceEnclosure(
         inner=inner,
         corners=np.full((1, 3), np.inf),
         gap=np.full(1, np.inf),
@@ -181,13 +148,13 @@ def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
     return nothing, Certificate(np.inf, np.full(len(surface.vertices), np.inf))
 
 
-def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float, confidence: float) -> Enclosure:
+def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float, confidence: float) -> SliceEnclosure:
     """The enclosure by the slabs of one stack."""
     corners = np.concatenate([part.corners for part in parts])
     gap = np.full(len(corners), np.inf)
     bounded = np.isfinite(corners).all(axis=1)
     gap[bounded] = outside(corners[bounded], inner)
-    return Enclosure(
+    return SliceEnclosure(
         inner=inner,
         corners=corners,
         gap=gap,
@@ -214,6 +181,10 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
     if deviation > _CONVEX * np.linalg.norm(np.ptp(vertices, axis=0)):
         local = np.abs(nearest(vertices, bounds.inner)[0])
         return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
+    if isinstance(bounds, SpatialEnclosure):
+        bound, local = spatial_certificate(bounds, surface)
+        return Certificate(bound + deviation, local + deviation)
+    assert isinstance(bounds, SliceEnclosure)
     local = outside(vertices, bounds.inner)
     bounded = np.isfinite(bounds.corners).all(axis=1)
     signed, face, _ = nearest(bounds.corners[bounded], surface)
@@ -224,7 +195,7 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
     return Certificate(bound + bounds.margin + deviation, local + bounds.margin + deviation)
 
 
-def _in_slabs(points: Array, bounds: Enclosure, numbers: Index) -> Mask:
+def _in_slabs(points: Array, bounds: SliceEnclosure, numbers: Index) -> Mask:
     """Whether points (n, 3) lie in one of some slabs, or on a plane that bounds it."""
     heights = points @ bounds.stack.frame[2]
     levels = np.array([-np.inf, *bounds.stack.heights, np.inf])

@@ -16,9 +16,12 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.support import SupportFit, fit_support
 from scan3d.reconstruction.normals import with_slice_normals
-from scan3d.surfaces.bounds import Enclosure, enclosure
+from scan3d.surfaces.bounds import enclosure, slice_enclosure
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
+from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
+from scan3d.surfaces.spatial_bounds import SpatialEnclosure
+from scan3d.surfaces.spatial_estimates import best_estimate
 from scan3d.surfaces.tuning import Tuning
 
 # Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
@@ -63,7 +66,11 @@ def surface(
             "the body is not smooth enough for the method support, or has too few contacts; use auto, bracket or hull"
         )
     if method == "hull":
-        return _labelled(hull(cloud.points), method, "convex hull of the contacts, as requested")
+        return _labelled(
+            hull(cloud.points[np.isfinite(cloud.points).all(axis=1)]),
+            method,
+            "convex hull of the contacts, as requested",
+        )
     if method in ("poisson", "ball-pivoting"):
         from scan3d.surfaces import open3d_methods
 
@@ -73,7 +80,9 @@ def surface(
     if method == "support":
         assert cloud.fit is not None
         return _labelled(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
-    assert bounds is not None
+    if isinstance(bounds, SpatialEnclosure):
+        return _best_in_space(cloud, bounds, tuning or Tuning(), with_fit=method == "auto")
+    assert isinstance(bounds, SliceEnclosure)
     return _best(cloud, bounds, tuning or Tuning(), with_fit=method == "auto")
 
 
@@ -85,21 +94,17 @@ class _CrossValidation:
     fit: HeldOutError | None
 
 
-def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) -> Any:
+def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: bool) -> Any:
     """The estimate between the bounds that predicts held-out slices best.
 
     With `with_fit`, the hull is taken if its bound proves it close enough, and the fitted body if it predicts them better.
     """
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if with_fit and bounds.bound <= tuning.proven * diagonal:
-        confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
-        reason = (
-            f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body{confidence}"
-        )
-        return _labelled(bounds.inner.copy(), "hull", reason)
+        return _proven(cloud, bounds)
     if bounds.confidence < 1:
         # the estimate is made between the contacts' hull and their half-spaces as they are, not as noise allows them to be
-        bounds = enclosure(cloud, margin=0.0)
+        bounds = slice_enclosure(cloud, margin=0.0)
     errors = _cross_validate(cloud, tuning, with_fit=with_fit)
     if errors is None:
         reason = "between hull and outer body; too few slices for cross-validation"
@@ -121,13 +126,42 @@ def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) ->
     return _labelled(_between(cloud, bounds, best, tuning), "bracket", reason)
 
 
+def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
+    """The inner body, if it is proven close enough to the true one."""
+    confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
+    reason = (
+        f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body{confidence}"
+    )
+    return _labelled(bounds.inner.copy(), "hull", reason)
+
+
+def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, with_fit: bool) -> Any:
+    """The estimate from contacts anywhere that predicts those of held-out sweeps best; the arguments are those of `_best`."""
+    diagonal = float(np.linalg.norm(np.ptp(bounds.inner.vertices, axis=0)))
+    if with_fit and bounds.bound <= tuning.proven * diagonal:
+        return _proven(cloud, bounds)
+    mesh, description, errors = best_estimate(cloud, with_fit=with_fit)
+    fit_is_better = (
+        errors is not None and errors.fit is not None and errors.fit.rms < tuning.fit_gain * errors.estimate.rms
+    )
+    if errors is not None and errors.fit is not None and fit_is_better:
+        assert cloud.fit is not None
+        reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
+        return _labelled(_of_fit(cloud.fit), "support", reason)
+    if errors is None:
+        reason = f"{description}; too few sweeps for cross-validation"
+    else:
+        reason = f"{description}: held-out sweeps lie within {errors.estimate.largest:.2g} {cloud.unit}"
+    return _labelled(mesh, "bracket", reason)
+
+
 def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossValidation | None:
     """The errors at held-out slices of surfaces made from the others; None with too few slices."""
     parts = hold_out_slices(cloud)
     if parts is None:
         return None
     kept, held_out = parts
-    bounds = enclosure(kept, margin=0.0)
+    bounds = slice_enclosure(kept, margin=0.0)
     estimates = {edges: error_of_surface(_between(kept, bounds, edges, tuning), held_out) for edges in Edges}
     fit = None
     if with_fit and cloud.fit is not None:
@@ -139,7 +173,7 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     return _CrossValidation(estimates, fit)
 
 
-def _between(cloud: Cloud, bounds: Enclosure, edges: Edges, tuning: Tuning) -> Any:
+def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
     """Hull of the contacts, of points between it and the outer body's corners, and of contours between the slices."""
     bounded = np.isfinite(bounds.corners).all(axis=1) & (bounds.gap > 0)
     if not bounded.any():

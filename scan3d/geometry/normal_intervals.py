@@ -1,0 +1,175 @@
+"""Intervals of the normals of a convex body at points of its surface where a line touches it (MODEL3D.md, (S27)).
+
+The line ``p + s t`` through a point p of the surface is free of the body's interior.  Some supporting plane at p contains the
+line, so that its normal n is perpendicular to t, and ``<n, q - p> <= 0`` for every point q of the body.  Seen along t, every
+point q leaves a half turn of directions to n::
+
+    n = cos θ ν + sin θ τ,   |θ| <= δ,   ν, τ perpendicular to t.
+
+Neither a measured normal nor a law of friction enters.  Any points of the body may be chosen for q, since fewer points make
+wider intervals only.  Where places have errors of at most e, the inequality is ``<n, q - p> <= e_p + e_q``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.triangles import dot
+
+# Neighbours of a point that are tried on every level of the search, and by how many times the points of one level exceed
+# those of the next.  More neighbours, or more levels, take longer; fewer start the search far from its end.
+_NEIGHBOURS, _THINNED = 12, 6
+# Neighbours of a vertex of the hull that the search moves to.  More take longer; fewer may stop the search early.
+_DEGREE = 12
+# Moves of the search.  More take longer; fewer leave intervals wider than they need be.
+_MOVES = 40
+# Points that are searched at once.  More need more memory; fewer take more calls.
+_BLOCK = 8192
+
+
+class NormalIntervals(NamedTuple):
+    """Arcs (n,) that contain the normals."""
+
+    middle: Array
+    """(n, 3) unit vectors ν, the arcs' middles."""
+    across: Array
+    """(n, 3) unit vectors τ along the arcs, at their middles."""
+    half_width: Array
+    """(n,) δ in radians; NaN where the points contradict the premises, and where they lie on the line with the centre."""
+
+
+def normal_intervals(
+    points: Array, tangents: Array, errors: Array, body: Array, body_errors: Array, edges: Index
+) -> NormalIntervals:
+    """The intervals of the normals at points (n, 3) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
+
+    errors, body_errors
+        (n,) and (h,) largest errors of the points' places and of those of `body`.
+    body
+        (h, 3) points of the body, the vertices of a convex polyhedron.
+    edges
+        (m, 2) the polyhedron's edges, by numbers of its vertices.
+    """
+    adjacent = _adjacency(edges, len(body))
+    levels = _levels(body)
+    centre = body.mean(axis=0)
+    parts = []
+    for first in range(0, len(points), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        sight = _Sight(points[rows], tangents[rows], errors[rows], centre, body, body_errors)
+        near = [
+            numbers[tree.query(points[rows], k=np.arange(1, min(_NEIGHBOURS, tree.n) + 1))[1]]
+            for tree, numbers in levels
+        ]
+        starts = np.concatenate(near, axis=1)
+        low = _climb(sight.lowest, starts, adjacent) - np.pi / 2
+        high = np.pi / 2 - _climb(sight.highest, starts, adjacent)
+        parts.append(sight.interval(low, high))
+    if not parts:
+        return NormalIntervals(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+    return NormalIntervals(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class _Sight:
+    """What is seen of a body along lines (b,) through points of its surface."""
+
+    def __init__(
+        self, points: Array, tangents: Array, errors: Array, centre: Array, body: Array, body_errors: Array
+    ) -> None:
+        self._points, self._errors, self._body, self._body_errors = points, errors, body, body_errors
+        outward = points - centre
+        self._outward = outward - dot(outward, tangents)[:, None] * tangents
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._outward /= np.linalg.norm(self._outward, axis=1)[:, None]
+        self._across = np.cross(tangents, self._outward)
+
+    def _angles(self, numbers: Index) -> tuple[Array, Array]:
+        """Angles (b, k) at which points of the body are seen, from the direction to the centre, and what errors make of them.
+
+        The normal's angle from the outward direction differs by no more than a right angle and that error from each of them.
+        """
+        offset = self._body[numbers] - self._points[:, None]
+        x, y = -dot(offset, self._outward[:, None]), -dot(offset, self._across[:, None])
+        distance = np.hypot(x, y)
+        error = self._errors[:, None] + self._body_errors[numbers]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(error < distance, error / distance, 1.0)
+        # a point that is no farther away than the errors says nothing
+        return np.arctan2(y, x), np.where(ratio < 1, np.arcsin(ratio), np.inf)
+
+    def lowest(self, numbers: Index) -> Array:
+        angle, error = self._angles(numbers)
+        lowest: Array = angle - error
+        return lowest
+
+    def highest(self, numbers: Index) -> Array:
+        angle, error = self._angles(numbers)
+        highest: Array = -angle - error
+        return highest
+
+    def interval(self, low: Array, high: Array) -> NormalIntervals:
+        """The intervals between angles (b,)."""
+        middle, half = (low + high) / 2, (high - low) / 2
+        half[~(half >= 0)] = np.nan
+        cos, sin = np.cos(middle)[:, None], np.sin(middle)[:, None]
+        return NormalIntervals(cos * self._outward + sin * self._across, cos * self._across - sin * self._outward, half)
+
+
+def _climb(value: Callable[[Index], Array], starts: Index, adjacent: Index) -> Array:
+    """The largest values (b,) that a search from vertices (b, k) finds by moving to better neighbours."""
+    trial = value(starts)
+    column = trial.argmax(axis=1)[:, None]
+    best, here = np.take_along_axis(trial, column, 1)[:, 0], np.take_along_axis(starts, column, 1)[:, 0]
+    for _ in range(_MOVES):
+        neighbours = adjacent[here]
+        trial = value(neighbours)
+        column = trial.argmax(axis=1)[:, None]
+        reached = np.take_along_axis(trial, column, 1)[:, 0]
+        better: Mask = reached > best
+        if not better.any():
+            break
+        here = np.where(better, np.take_along_axis(neighbours, column, 1)[:, 0], here)
+        best = np.where(better, reached, best)
+    return np.asarray(best)
+
+
+def _adjacency(edges: Index, count: int) -> Index:
+    """Neighbours (count, d) of the vertices, d at most `_DEGREE`; a vertex with fewer neighbours stands for the others."""
+    start, end = np.concatenate([edges, edges[:, ::-1]]).T
+    order = np.argsort(start, kind="stable")
+    start, end = start[order], end[order]
+    rank = np.arange(len(start)) - np.searchsorted(start, start)
+    adjacent = np.repeat(np.arange(count)[:, None], _DEGREE, axis=1)
+    kept = rank < _DEGREE
+    adjacent[start[kept], rank[kept]] = end[kept]
+    return adjacent
+
+
+def _levels(body: Array) -> list[tuple[cKDTree, Index]]:
+    """Trees of all vertices and of fewer and fewer of them, with the vertices' numbers."""
+    # a low-discrepancy order, so that every level is spread over the body, and the same points give the same levels
+    order = np.argsort((np.arange(len(body)) * (np.sqrt(5) - 1) / 2) % 1, kind="stable")
+    levels: list[tuple[cKDTree, Index]] = []
+    count = len(body)
+    while True:
+        numbers = np.sort(order[:count])
+        levels.append((cKDTree(body[numbers], balanced_tree=False), numbers))
+        if count <= _NEIGHBOURS * _THINNED:
+            return levels
+        count //= _THINNED
+
+
+def edges_of(hull: ConvexHull) -> tuple[Index, Index]:
+    """The numbers (h,) of a hull's vertices among its points, and its edges (m, 2) by numbers of the vertices."""
+    vertices = np.unique(hull.simplices)
+    number = np.zeros(len(hull.points), dtype=np.intp)
+    number[vertices] = np.arange(len(vertices))
+    faces = number[hull.simplices]
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    codes = np.unique(sides[:, 0] * len(vertices) + sides[:, 1])
+    return vertices, np.stack([codes // len(vertices), codes % len(vertices)], axis=1)

@@ -1,0 +1,94 @@
+"""Polytopes that planes enclose, and the plane faces of the hull of points."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, QhullError
+
+from scan3d.arrays import Array, Index
+
+# Distance, in sizes of the body, of the planes that close a polytope.  Larger, rounding grows; smaller, sharp corners are cut.
+_FAR = 2.0
+# Rounds in which planes are added where they cut the polytope, and the number of vertices that are cut in one of them.  More
+# take longer; fewer leave the polytope larger.
+_ROUNDS, _AT_ONCE = 20, 500
+# Points that a plane face has at least.  Larger, small faces are overlooked; smaller, facets of curved bodies count as plane.
+_FACE_POINTS = 6
+# Groups of facets that are tried at most, those with the largest facets first.  More take longer; fewer overlook small faces.
+_FACES = 400
+
+
+def plane_faces(points: Array, tolerance: float) -> Array:
+    """The planes (k, 4), n and c with <n, x> <= c, of the hull of points (n, 3) in which many of them lie, to a tolerance."""
+    qhull = ConvexHull(points)
+    corners = points[qhull.simplices]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    planes = np.column_stack([qhull.equations[:, :3], -qhull.equations[:, 3]])
+    # facets in a plane face are linked with each other, to their neighbours in it
+    depths = planes[:, 3, None, None] - np.einsum("fkcx,fx->fkc", corners[qhull.neighbors], planes[:, :3])
+    facet, side = np.nonzero(depths.max(axis=2) <= tolerance)
+    links = coo_array((np.ones(len(facet)), (facet, qhull.neighbors[facet, side])), shape=(len(planes),) * 2)
+    _, group = connected_components(links, directed=False)
+    order = np.lexsort((-area, group))
+    first = order[np.r_[True, np.diff(group[order]) > 0]]
+    linked = first[np.bincount(group)[group[first]] > _FACE_POINTS // 2]
+    faces: list[Array] = []
+    for plane in planes[linked[np.argsort(-area[linked], kind="stable")]][:_FACES]:
+        depth = plane[3] - points[qhull.vertices] @ plane[:3]
+        near = points[qhull.vertices[depth <= tolerance]]
+        known = any((np.abs(face[3] - near @ face[:3]) <= tolerance).all() for face in faces)
+        if len(near) >= _FACE_POINTS and not known:
+            faces.append(plane)
+    return np.array(faces) if faces else np.empty((0, 4))
+
+
+def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolerance: float) -> Array:
+    """Vertices (v, 3) of the polytope that planes enclose: all of `first` (k, 4), and those of `others` (l, 4) that cut it.
+
+    inside
+        (3,) a point inside of all planes.
+    size
+        that of the body, to which the polytope is limited where the planes leave it open.
+    tolerance
+        depth of the smallest cut that is made.
+    """
+    box = np.concatenate([np.eye(3), -np.eye(3)])
+    planes = np.concatenate([first, np.column_stack([box, box @ inside + _FAR * size])])
+    used = np.zeros(len(others), dtype=bool)
+    vertices = _vertices(planes, inside)
+    for _ in range(_ROUNDS):
+        if not len(others):
+            break
+        # one vertex after another has the same planes through it, so each plane is added once
+        deepest, depth = _deepest_cuts(vertices, others)
+        order = np.argsort(-depth, kind="stable")
+        added = np.unique(deepest[order[depth[order] > tolerance]][:_AT_ONCE])
+        added = added[~used[added]]
+        if not len(added):
+            break
+        used[added] = True
+        planes = np.concatenate([planes, others[added]])
+        vertices = _vertices(planes, inside)
+    return vertices
+
+
+def _deepest_cuts(vertices: Array, planes: Array) -> tuple[Index, Array]:
+    """For each vertex (v,) the plane beyond which it lies farthest, and how far."""
+    blocks = np.array_split(vertices, 1 + len(vertices) * len(planes) // 4_000_000)
+    found = [(block @ planes[:, :3].T - planes[:, 3]) for block in blocks]
+    plane = np.concatenate([depth.argmax(axis=1) for depth in found])
+    return plane, np.concatenate([depth.max(axis=1) for depth in found])
+
+
+def _vertices(planes: Array, inside: Array) -> Array:
+    """Vertices (v, 3) of the polytope of planes, none of which passes through or beyond the point inside."""
+    offset = planes[:, 3] - planes[:, :3] @ inside
+    dual = planes[offset > 0, :3] / offset[offset > 0, None]
+    try:
+        equations = ConvexHull(dual).equations
+    except QhullError:
+        return inside[None]
+    vertices: Array = inside - equations[:, :3] / equations[:, 3:]
+    return np.unique(vertices, axis=0)

@@ -1,0 +1,140 @@
+"""Simulation of a scan in space (step 1): a round rod is swept past a body from many directions, free to leave its plane."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array
+from scan3d.errors import InputError
+from scan3d.planning.plan import Plan
+from scan3d.planning.rasters import Lines, aimed, rasters
+from scan3d.recording import Recording
+from scan3d.rods import Rod
+from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.sweeping import Sweeps, sweep
+from scan3d.spatial.touching import passages
+from scan3d.units import UNITS_M
+
+Progress = Callable[[int, int], None]
+
+# Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what they left open, of all sweeps.  With
+# these, a scan in space has about as many samples as a planar one of as many slices.
+_LINES_PER_SLICE, _AIMED = 0.5, 0.25
+# Rounds in which the aimed sweeps are made.
+_ROUNDS = 2
+# How far a sweep goes on after the straight rod has passed the body, as a part of the path within it: the bent rod may follow.
+_BEYOND = 0.1
+# Path before the touch-down, in rod lengths, at which a sweep begins.
+_BEFORE = 1e-6
+
+
+class _Swept(NamedTuple):
+    """Sweeps and their clamps, in rod lengths."""
+
+    position: Array
+    """(m, n, 3)"""
+    axes: Array
+    """(m, 3, 3)"""
+    result: Sweeps
+
+
+def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
+    """Recording of a scan in space of a convex `trimesh.Trimesh`, with six axes.
+
+    The rod's centre line touches the mesh fattened by the rod's radius.  Raises InputError if the rod touches nothing.
+    """
+    metres = UNITS_M[plan.unit]
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    rod = plan.rod or Rod.of_length(metres * float(np.ptp(vertices, axis=0).max()))
+    length = rod.length_m / metres
+    middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+    # lengths of the rod about the body's middle, so that rounding does not depend on where the body lies
+    points = (vertices - middle) / length
+    try:
+        body = RoundedPolyhedron(points, mesh.faces, rod.diameter_m / rod.length_m / 2)
+    except ValueError as error:
+        raise InputError(f"this body can't be swept in space: {error}") from None
+    per_direction = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
+    swept = [_sweep(body, rasters(points, per_direction, plan.clearance), plan, 0)]
+    generator = np.random.default_rng([plan.seed, 2])
+    further = 0 if plan.sweeps else round(_AIMED * 12 * per_direction / _ROUNDS)
+    for number in range(_ROUNDS if further else 0):
+        contacts = np.concatenate([part.result.point[np.isfinite(part.result.s1)] for part in swept])
+        if len(contacts) < 4:
+            break
+        if progress is not None:
+            progress(1 + number, 1 + _ROUNDS)
+        lines = aimed(points, contacts, further, plan.clearance, generator)
+        swept.append(_sweep(body, lines, plan, 1 + number))
+    if progress is not None:
+        progress(1 + _ROUNDS, 1 + _ROUNDS)
+    return _recording(swept, plan, rod, middle, length)
+
+
+def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> _Swept:
+    """Sweep along those lines on which the rod touches the body."""
+    x, y = lines.axes[:, 0].T, lines.axes[:, 1].T
+    reach = 2 * np.abs(body.vertices).max() + 1
+    start = lines.origin.T + reach * x
+    passage = passages(body, start, y, -x)
+    rows = np.flatnonzero(passage.touches)
+    begin, end = passage.begin[rows], passage.end[rows]
+    distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * np.linspace(0, 1, plan.samples)
+    position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
+    low, high = plan.friction_range
+    friction = np.full((len(rows), plan.samples), low)
+    if high > low:
+        # a separate random stream for each sweep, so that its draws don't depend on the order of work
+        draws = [np.random.default_rng([plan.seed, 3, number, row]) for row in rows]
+        friction = np.array([draw.uniform(low, high, plan.samples) for draw in draws]).reshape(friction.shape)
+    axes = lines.axes[rows]
+    return _Swept(position, axes, sweep(body, position, axes, friction))
+
+
+def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length: float) -> Recording:
+    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact."""
+    position, axes, force, moment, sweeps = [], [], [], [], 0
+    numbers = []
+    for part in swept:
+        touching = np.isfinite(part.result.s1)
+        n = touching.shape[1]
+        last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)
+        kept = np.arange(n) <= last[:, None]
+        sweep_number, _ = np.nonzero(kept)
+        numbers.append(sweep_number + sweeps)
+        sweeps += len(touching)
+        position.append(part.position[kept])
+        axes.append(part.axes[sweep_number])
+        force.append(np.nan_to_num(part.result.force[kept]))
+        moment.append(np.nan_to_num(part.result.moment[kept]))
+    if not sweeps:
+        raise InputError(
+            "the rod touches nothing: its sweeps do not reach the body; choose a longer rod or less clearance"
+        )
+    # scipy wants the clamp's axes as columns
+    quaternion = Rotation.from_matrix(np.swapaxes(np.concatenate(axes), 1, 2)).as_quat(scalar_first=True)
+    forces, moments = np.concatenate(force), np.concatenate(moment)
+    if plan.noise > 0:
+        generator = np.random.default_rng([plan.seed, 1])
+        forces = forces + plan.noise * generator.standard_normal(forces.shape)
+        moments = moments + plan.noise * generator.standard_normal(moments.shape)
+    metres = UNITS_M[plan.unit]
+    return Recording(
+        sweep=np.concatenate(numbers),
+        position_m=(np.concatenate(position) * length + middle) * metres,
+        quaternion=quaternion,
+        force_N=forces[:, :2] * rod.force_unit_N,
+        moment_Nm=moments[:, 2] * rod.moment_unit_Nm,
+        rod=rod,
+        force_z_N=forces[:, 2] * rod.force_unit_N,
+        moment_x_Nm=moments[:, 0] * rod.moment_unit_Nm,
+        moment_y_Nm=moments[:, 1] * rod.moment_unit_Nm,
+        noise_force_N=plan.noise * rod.force_unit_N,
+        noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
+        unit=plan.unit,
+        source={"kind": "simulation", "seed": plan.seed, "model": "spatial"},
+    )

@@ -1,0 +1,71 @@
+"""What encloses a body: an inner and an outer body from touch alone, and the certificate of a surface between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.reconstruction.slices import SliceStack
+from scan3d.surfaces.slabs import Gap
+
+
+@dataclass(frozen=True, kw_only=True)
+class Enclosure:
+    """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
+
+    inner: Any
+    """The inner body, a `trimesh.Trimesh`."""
+    corners: Array
+    """(w, 3) corners of the outer body."""
+    gap: Array
+    """(w,) their distance from the inner body."""
+    bound: float
+    """Upper bound of the Hausdorff distance between the inner body and the true one; infinite if nothing bounds it."""
+    margin: float
+    """Largest error of a contact that the bounds allow for, contained in `bound`."""
+    volume: tuple[float, float]
+    """Lower and upper bound of the true volume."""
+    confidence: float = 1.0
+    """Probability with which bound and volume hold: 1 for exact contacts, and for a given margin."""
+
+    def parts(self) -> dict[str, float]:
+        """The largest gap by each cause."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SliceEnclosure(Enclosure):
+    """The enclosure by contacts in slices: the outer body consists of slabs between the slices.
+
+    The inner body is the convex hull of exact contacts, or of the points that noisy contacts prove.
+    """
+
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    straight: Mask
+    """(w, 2) whether the body goes on straight, at the corner's half-spaces, below and above the slab."""
+    slab: Index
+    """(w,) number of the corner's slab: slab i lies below slice i of `stack`."""
+    stack: SliceStack
+    """The slices between which the slabs lie."""
+
+    def part(self, kind: Gap) -> float:
+        """The largest gap of one kind, 0 if no corner is of that kind."""
+        gap = self.gap[self.kind == kind]
+        return float(gap.max()) if len(gap) else 0.0
+
+    def parts(self) -> dict[str, float]:
+        return {kind.name.lower(): self.part(kind) for kind in Gap}
+
+
+class Certificate(NamedTuple):
+    """How far a surface can be from the true body, from touch alone, in the cloud's unit."""
+
+    bound: float
+    """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
+    at_vertices: Array
+    """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""

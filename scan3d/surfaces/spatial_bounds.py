@@ -1,0 +1,288 @@
+"""An inner and an outer body from contacts anywhere, without slices, normals or a law of friction (MODEL3D.md 6 and 11).
+
+B is the body and a the rod's radius.  The rod's centre line touches the fattened body ``K = B + ball(a)`` in the points r, and
+in tangential contact the whole line through r along the rod is free of the interior of K.  H, the hull of the points r, lies in
+K, and the supporting planes through the tangents bound it: ``h_K(u) <= <u, v>`` for one of their apexes v
+(`scan3d.geometry.apexes`).
+
+The Hausdorff distance of two convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
+``sd(x, S) = max_u (<u, x> - h_S(u))``, the distance of a point x from S, negative inside, any convex surface S satisfies
+
+    h_B - h_S = h_K - a - h_S <= max over apexes v of sd(v, S) - a,
+    h_S - h_B = h_S + a - h_K <= h_S + a - h_H <= max over vertices x of S of sd(x, H) + a.
+
+No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
+wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
+its interval (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.
+
+Where contacts have errors of at most e, the intervals of the normals are widened, the planes are moved outwards by e, and H may
+stick out of K by e.  The rod's tangent then has an error as well, and its plane is moved by what that makes of it within a ball
+around the contacts; if all apexes lie inside the ball, so does K, since K is connected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+import planar
+from scan3d.arrays import Array, Index, Mask
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.apexes import SupportingPlanes
+from scan3d.geometry.distance import nearest, nearest_on
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.normal_intervals import edges_of, normal_intervals
+from scan3d.geometry.support import inertia
+from scan3d.surfaces.confidence import sigmas
+from scan3d.surfaces.enclosures import Enclosure
+from scan3d.surfaces.tangent_planes import Apexes, best_apexes
+
+# Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave.
+# Larger, the bounds of exact contacts widen; smaller, they would no longer be certain.
+_EXACT = 2e-9
+# Error of a tangent, in radians, of a contact whose place is off by one rod length.  A rod that is off by d at its tip, where
+# bending sets in at half its length, has turned by no more than 6 d per length.
+_TURN = 6.0
+# Radius of the ball within which tangents' errors are allowed for, in sizes of the contacts.  Larger, the planes are moved
+# farther out; smaller, apexes of sparse contacts lie outside.
+_BALL = 1.0
+# Quantiles of the contacts' errors; contacts with a larger one are left out, and the best bound is taken.
+_QUANTILES = (1.0, 0.7, 0.4)
+# Largest angles, in radians, of the normals from the middles of their intervals, of the contacts in each of the inner bodies by
+# intervals.  More take longer; with fewer, the rod's radius weakens the bound.
+_WIDEST = (1e-4, 1e-3, 1e-2)
+# Entries of a matrix computed at once.  More need more memory.
+_ENTRIES = 4_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpatialEnclosure(Enclosure):
+    """The enclosure by contacts anywhere.
+
+    The inner body is the hull of the contacts on the surface, ``r - a n``.  It may stick out of the true body by `excess`,
+    which `bound` contains.  The corners are apexes over the body fattened by the rod.
+    """
+
+    inner_bodies: tuple[tuple[Any, float], ...]
+    """Convex bodies and how far each may stick out of the true one; that of the centre points, H, by the radius less."""
+    radius: float
+    """The rod's radius a."""
+    excess: float
+    """How far the inner body may stick out of the true one, by errors of normals and of places."""
+    apexes: Array
+    """(m, 3) apexes over triangles of directions, by the middles of the normals' intervals."""
+    open: Mask
+    """(m,) whether nothing bounds the body in the directions of the triangle."""
+
+    def sticking_out(self, points: Array) -> Array:
+        """Upper bounds (n,) of the distances of points (n, 3) from the true body, negative inside."""
+        return _sticking_out(points, self.inner_bodies)
+
+    def parts(self) -> dict[str, float]:
+        return {"contacts": float(self.gap.max(initial=0.0)), "rod": self.excess}
+
+
+def spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> SpatialEnclosure:
+    """The enclosure of a cloud of the spatial model; the arguments are those of `scan3d.surfaces.enclosure`.
+
+    Raises InputError for contacts that do not span a body.
+    """
+    if not len(cloud):
+        raise InputError("0 contacts span no body: a surface needs contacts all around it")
+    errors = np.full(len(cloud), _EXACT * cloud.rod_length + cloud.pose_error if margin is None else margin)
+    noisy = margin is None and cloud.place_sd is not None
+    if not noisy:
+        return _by_contacts(cloud, errors, 1.0)
+    assert cloud.place_sd is not None
+    errors += sigmas(len(cloud), confidence) * cloud.place_sd
+    candidates = []
+    for quantile in _QUANTILES:
+        kept = errors <= np.quantile(errors, quantile)
+        candidates.append(_by_contacts(cloud.select(kept), errors[kept], confidence))
+    return min(candidates, key=lambda candidate: candidate.bound)
+
+
+def _by_contacts(cloud: Cloud, errors: Array, confidence: float) -> SpatialEnclosure:
+    """The enclosure by all contacts of a cloud, whose places have errors (n,) of at most so much."""
+    assert cloud.centre_points is not None
+    centre_hull = hull(cloud.centre_points)
+    margin, radius = float(errors.max()), cloud.rod_radius
+    inner = _inner_body(cloud, centre_hull)
+    tangent = _tangent_planes(cloud, errors)
+    apexes = _best_apexes(tangent, centre_hull)
+    if apexes is None:
+        corners, middles, is_open = np.empty((0, 3)), np.zeros((1, 3)), np.ones(1, dtype=bool)
+    else:
+        is_open = apexes.open
+        corners = np.unique(tangent.to_world(apexes.cover.apexes[~is_open].reshape(-1, 3)), axis=0)
+        middles = tangent.to_world(apexes.cover.nominal)
+    bodies = ((centre_hull, radius + margin), *_bodies_by_intervals(cloud, tangent, radius, margin))
+    gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
+    excess = max(float(_sticking_out(_vertices(inner), bodies).max()), margin)
+    unbounded = bool(is_open.any())
+    return SpatialEnclosure(
+        inner=inner,
+        corners=corners,
+        gap=np.append(gap, np.inf) if unbounded else gap,
+        bound=np.inf if unbounded else max(float(gap.max()), excess),
+        margin=margin,
+        volume=_volumes(inner, excess, corners, radius, unbounded=unbounded),
+        confidence=confidence,
+        inner_bodies=bodies,
+        radius=radius,
+        excess=excess,
+        apexes=middles,
+        open=is_open,
+    )
+
+
+def _sticking_out(points: Array, bodies: tuple[tuple[Any, float], ...]) -> Array:
+    """Upper bounds (n,) of the distances of points (n, 3) from the body, by inner bodies and how far they may stick out."""
+    distances: Array = np.min([nearest(points, body)[0] + offset for body, offset in bodies], axis=0)
+    return distances
+
+
+def _vertices(mesh: Any) -> Array:
+    vertices: Array = mesh.vertices.view(np.ndarray)
+    return vertices
+
+
+def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
+    """The hull of the contacts on the surface; without normals, that of the centre points, made smaller by the radius."""
+    known = np.isfinite(cloud.points).all(axis=1)
+    if known.any():
+        return hull(cloud.points[known])
+    vertices = _vertices(centre_hull)
+    centre = vertices.mean(axis=0)
+    depth = -float(nearest(centre[None], centre_hull)[0][0])
+    return hull(centre + max(1 - cloud.rod_radius / depth, 1e-3) * (vertices - centre))
+
+
+def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unbounded: bool) -> tuple[float, float]:
+    """Bounds of the volume: that of the inner body, made smaller until it does not stick out, and that of the outer one.
+
+    By Steiner's formula the fattened body is larger than the body by more than the radius times the area of the inner body.
+    """
+    depth = -float(nearest(_vertices(inner).mean(axis=0)[None], inner)[0][0])
+    factor = max(1 - excess / depth, 0.0) if depth > 0 else 0.0
+    lower = float(inner.volume) * factor**3
+    if unbounded:
+        return lower, np.inf
+    shell = radius * float(inner.area) * factor**2 + 4 / 3 * np.pi * radius**3
+    return lower, max(float(ConvexHull(corners).volume) - shell, lower)
+
+
+class _TangentPlanes(NamedTuple):
+    """Supporting planes through the tangents (k,), in a frame in which the contacts are spread like those of a ball."""
+
+    planes: SupportingPlanes
+    rows: Index
+    """(k,) the contacts."""
+    centre: Array
+    """(3,) origin of the frame."""
+    shape: Array
+    """(3, 3) symmetric map from the frame to the world."""
+    ball: float
+    """Radius in the frame of the ball within which the planes hold, infinite for exact tangents."""
+
+    def to_world(self, points: Array) -> Array:
+        """Points (n, 3) of the frame in the world."""
+        return points @ self.shape + self.centre
+
+    def normals(self) -> tuple[Array, Array]:
+        """Middle normals (k, 3) in the world, and the largest angle (k,) of the true ones from them."""
+        inverse = np.linalg.inv(self.shape)
+        middle = _unit(self.planes.middle @ inverse)
+        cosines = (_unit(self.planes.ends() @ inverse) * middle[:, None]).sum(axis=2)
+        return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
+
+
+def _tangent_planes(cloud: Cloud, errors: Array) -> _TangentPlanes:
+    """The supporting planes of a cloud whose places have errors (n,) of at most so much."""
+    assert cloud.centre_points is not None
+    assert cloud.tangents is not None
+    centre, shape = inertia(cloud.centre_points)
+    to_frame = np.linalg.inv(shape)
+    points, tangents = (cloud.centre_points - centre) @ to_frame, _unit(cloud.tangents @ to_frame)
+    rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
+    # the map stretches errors by no more than its largest factor, and angles by no more than its condition
+    stretched = errors * float(np.linalg.norm(to_frame, 2))
+    vertices, edges = edges_of(ConvexHull(points))
+    intervals = normal_intervals(
+        points[rows], tangents[rows], stretched[rows], points[vertices], stretched[vertices], edges
+    )
+    moved, ball = stretched[rows], np.inf
+    if cloud.place_sd is not None:
+        size = float(np.linalg.norm(points, axis=1).max())
+        ball = (1 + _BALL) * size
+        turned = _TURN * errors[rows] / cloud.rod_length * float(np.linalg.cond(shape))
+        moved = moved + turned * (ball + size)
+    # planes through these points bound the body whichever normal of its interval each of them has
+    with np.errstate(invalid="ignore"):
+        outwards = (moved / np.cos(intervals.half_width))[:, None] * intervals.middle
+    return _TangentPlanes(SupportingPlanes(points[rows] + outwards, *intervals), rows, centre, shape, ball)
+
+
+def _unit(vectors: Array) -> Array:
+    scaled: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return scaled
+
+
+def _best_apexes(tangent: _TangentPlanes, centre_hull: Any) -> Apexes | None:
+    """The best apexes of the planes; None if nothing is bounded."""
+    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
+    apexes = best_apexes(tangent.planes, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
+    if apexes is not None and np.isfinite(tangent.ball):
+        reach = np.linalg.norm(apexes.cover.apexes, axis=2).max()
+        return apexes if reach < tangent.ball else None
+    return apexes
+
+
+def _bodies_by_intervals(
+    cloud: Cloud, tangent: _TangentPlanes, radius: float, margin: float
+) -> Iterator[tuple[Any, float]]:
+    """Hulls of the points of the surface that follow from the intervals of the normals, and how far they may stick out."""
+    if not radius:
+        return
+    assert cloud.centre_points is not None
+    normals, angle = tangent.normals()
+    points = cloud.centre_points[tangent.rows] - radius * normals
+    for widest in _WIDEST:
+        narrow = angle <= widest
+        with suppress(InputError):
+            if narrow.sum() > 3:
+                yield hull(points[narrow]), radius * widest + margin
+
+
+def spatial_certificate(bounds: SpatialEnclosure, surface: Any) -> tuple[float, Array]:
+    """The bound of a convex surface, and the local bound at its vertices."""
+    vertices = _vertices(surface)
+    local = np.maximum(bounds.sticking_out(vertices), 0.0)
+    distance = np.zeros(1)
+    if len(bounds.corners):
+        signed, face, _ = nearest(bounds.corners, surface)
+        distance = np.maximum(signed - bounds.radius, 0.0)
+        np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
+    if not bounds.open.any():
+        return float(max(local.max(), distance.max())), local
+    local[_open_vertices(bounds, surface)] = np.inf
+    return np.inf, local
+
+
+def _open_vertices(bounds: SpatialEnclosure, surface: Any) -> Index:
+    """Numbers of a surface's vertices at faces in whose directions nothing bounds the body."""
+    if bounds.open.all():
+        return np.arange(len(surface.vertices))
+    faces: Index = surface.faces
+    corners = _vertices(surface)[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    blocks = np.array_split(np.arange(len(normals)), 1 + len(normals) * len(bounds.apexes) // _ENTRIES)
+    # the triangle of a direction is that of the apex that lies farthest in it
+    hit = np.concatenate([(normals[rows] @ bounds.apexes.T).argmax(axis=1) for rows in blocks])
+    return np.unique(faces[bounds.open[hit]])

@@ -1,0 +1,132 @@
+"""Estimates of a convex surface from contacts anywhere, with normals, and their cross-validation by held-out sweeps.
+
+Between neighbouring contacts i and j of a curved surface the middle of the chord lies ``<n_j - n_i, p_j - p_i> / 8`` below the
+surface, to the third order of the chord's length.  A surface with edges is estimated by the planes in which several contacts
+lie, which meet in its edges and vertices, and by the tangent planes of the contacts elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from scan3d.arrays import Array
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.polytopes import cut_polytope, plane_faces
+from scan3d.geometry.support import fit_support
+from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface
+
+# Distance from a plane, in diagonals, of the contacts that lie in it.  Larger, gently curved surfaces count as plane;
+# smaller, errors of the normals, by which contacts are moved by the rod's radius, hide plane faces.
+_PLANE = 5e-6
+# Depth, in diagonals, of the smallest cut by a contact's tangent plane.  Larger, curved parts of bodies with edges are
+# coarse; smaller, errors of the normals cut off what lies in the plane faces.
+_CUT = 1e-4
+# Tangent planes that are used at most.  More take longer; fewer leave curved parts of bodies with edges coarser.
+_TANGENT_PLANES = 6000
+# Sweeps with contacts that are needed before any is held out.  Larger, small scans are not judged by cross-validation;
+# smaller, the sweeps that are kept do not determine a surface.
+_FEWEST_SWEEPS = 6
+# Every how-many-th sweep is held out, and the number of held-out contacts at most.  More take longer.
+_EVERY, _HELD_OUT = 4, 3000
+
+
+class HeldOutErrors(NamedTuple):
+    """Errors at held-out sweeps."""
+
+    estimate: HeldOutError
+    """Of the best estimate."""
+    fit: HeldOutError | None
+    """Of the fitted body; None if the body was not fitted."""
+
+
+def best_estimate(cloud: Cloud, *, with_fit: bool) -> tuple[Any, str, HeldOutErrors | None]:
+    """The estimate that predicts held-out sweeps best, what it is, and the errors; the errors are None with too few sweeps.
+
+    Raises InputError for contacts that do not span a body.
+    """
+    cloud = cloud.select(np.flatnonzero(np.isfinite(cloud.points + cloud.normals).all(axis=1)))
+    parts = _hold_out_sweeps(cloud)
+    if parts is None:
+        return hull(cloud.points), "convex hull of the contacts", None
+    kept, held_out = parts
+    errors = {name: error_of_surface(estimate(kept), held_out) for name, estimate in _ESTIMATES.items()}
+    best = min(errors, key=lambda name: errors[name].rms)
+    fit = None
+    if with_fit and cloud.fit is not None:
+        near = cKDTree(kept.points).query(held_out)[1]
+        fitted = fit_support(kept.points, kept.normals, cloud.fit.degree)
+        fit = error_of_fit(fitted, held_out, kept.normals[near])
+    return _ESTIMATES[best](cloud), best, HeldOutErrors(errors[best], fit)
+
+
+def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Array] | None:
+    """The cloud without every fourth sweep, and held-out contacts (n, 3); None with too few sweeps."""
+    sweeps, number = np.unique(cloud.sweep, return_inverse=True)
+    if len(sweeps) < _FEWEST_SWEEPS:
+        return None
+    held_out = number % _EVERY == _EVERY // 2
+    rows = np.flatnonzero(held_out)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _HELD_OUT)).astype(np.intp))]
+    return replace(cloud.select(~held_out), fit=None, fit_error=np.inf), cloud.points[rows]
+
+
+def _hull(cloud: Cloud) -> Any:
+    return hull(cloud.points)
+
+
+def _curved(cloud: Cloud) -> Any:
+    """The hull with the middles of its edges moved out onto the curved surface, but for edges in plane faces."""
+    points, normals = cloud.points, cloud.normals
+    try:
+        qhull = ConvexHull(points)
+    except QhullError:
+        raise InputError("the contacts span no body") from None
+    faces = qhull.simplices
+    ends = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    chord = points[ends[:, 1]] - points[ends[:, 0]]
+    turn = normals[ends[:, 1]] - normals[ends[:, 0]]
+    mean = normals[ends].sum(axis=1)
+    length = np.linalg.norm(mean, axis=1)
+    rise = np.maximum((turn * chord).sum(axis=1), 0.0) / 8
+    # no higher than the tangent planes at both ends
+    for k in range(2):
+        slope = (mean * normals[ends[:, k]]).sum(axis=1) / np.maximum(length, 1e-12)
+        along = (1 - 2 * k) * (chord * normals[ends[:, k]]).sum(axis=1) / 2
+        rise = np.where(slope > 0, np.minimum(rise, np.maximum(-along, 0.0) / np.maximum(slope, 1e-12)), 0.0)
+    plane = plane_faces(points, _PLANE * _diagonal(cloud))
+    for face in plane:
+        inside = (face[3] - points[ends] @ face[:3] <= _PLANE * _diagonal(cloud)).all(axis=1)
+        rise[inside] = 0.0
+    curved = rise > 0
+    middles = points[ends].mean(axis=1)[curved] + (rise[curved] / length[curved])[:, None] * mean[curved]
+    return hull(np.concatenate([points, middles]))
+
+
+def _with_edges(cloud: Cloud) -> Any:
+    """The polytope of the plane faces, cut by the contacts' tangent planes."""
+    points, normals, diagonal = cloud.points, cloud.normals, _diagonal(cloud)
+    faces = plane_faces(points, _PLANE * diagonal)
+    if not len(faces):
+        return hull(points)
+    tangent = np.column_stack([normals, (normals * points).sum(axis=1)])
+    tangent = tangent[:: -(-len(tangent) // _TANGENT_PLANES)]
+    corners = cut_polytope(faces, tangent, points.mean(axis=0), diagonal, _CUT * diagonal)
+    return hull(np.concatenate([points, corners]))
+
+
+def _diagonal(cloud: Cloud) -> float:
+    return float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+
+
+_ESTIMATES: dict[str, Callable[[Cloud], Any]] = {
+    "convex hull of the contacts": _hull,
+    "curved between the contacts": _curved,
+    "a polyhedron's, with sharp edges": _with_edges,
+}

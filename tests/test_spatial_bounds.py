@@ -1,0 +1,275 @@
+"""The certificate of contacts anywhere: never below the true distance, whatever the body, the rod and the frame."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from spatial_bodies import (
+    Cylinder,
+    Ellipsoid,
+    Polyhedron,
+    box,
+    cloud_of,
+    largest_difference,
+    random_ellipsoid,
+    random_polyhedron,
+    spatial_cloud,
+)
+
+import scan3d
+from planar import Phase
+from scan3d.geometry.hulls import hull
+from scan3d.surfaces import certificate, enclosure, surface, withdrawn
+
+
+def random_body(seed):
+    """A body and a rod's radius, in turn an ellipsoid, a polyhedron, a box with round edges and a cylinder."""
+    rng = np.random.default_rng(seed)
+    kind = seed % 4
+    if kind == 0:
+        body = random_ellipsoid(seed)
+    elif kind == 1:
+        body = Polyhedron(random_polyhedron(seed).vertices, corners=0.02 * (seed % 8 < 4))
+    elif kind == 2:
+        body = box(rng.uniform(0.5, 1, size=3), rng.uniform(0.02, 0.2), corners=0.1)
+    else:
+        body = Cylinder(rng.uniform(0.2, 0.6), rng.uniform(0.3, 1))
+    return body, (0.0, 0.005, 0.02)[seed % 3]
+
+
+def check(seed, count):
+    body, radius = random_body(seed)
+    cloud = spatial_cloud(body, count, seed, radius)
+    bounds = enclosure(cloud)
+    rounding = 1e-8 * body.size
+    true = largest_difference(bounds.inner, body)
+    assert np.isfinite(bounds.bound)
+    assert bounds.bound >= true - rounding
+    estimate = surface(cloud, "bracket", bounds=bounds)
+    assert certificate(bounds, estimate).bound >= largest_difference(estimate, body) - rounding
+    larger = trimesh.Trimesh(1.02 * np.asarray(bounds.inner.vertices), bounds.inner.faces, process=False)
+    assert certificate(bounds, larger).bound >= largest_difference(larger, body) - rounding
+    return bounds.bound / max(true, rounding), bounds.bound / body.size
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_bound_is_never_below_the_true_distance(seed):
+    check(seed, 1500)
+
+
+@pytest.mark.parametrize("block", range(13))
+@pytest.mark.slow
+def test_the_bound_is_never_below_the_true_distance_on_104_bodies(block):
+    for seed in range(8 * block + 100, 8 * block + 108):
+        check(seed, (400, 2000, 6000)[seed % 3])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("semi_axes", "count", "ratio"),
+    [((1, 1, 1), 10_000, 6), ((1, 0.6, 0.3), 10_000, 6), ((1, 0.3, 0.3), 20_000, 7), ((1, 1, 0.4), 3_000, 7)],
+)
+def test_the_bound_of_smooth_bodies_is_a_few_times_the_true_distance(semi_axes, count, ratio):
+    body = Ellipsoid(np.array(semi_axes, dtype=float))
+    bounds = enclosure(spatial_cloud(body, count, 1))
+    assert bounds.bound < ratio * largest_difference(bounds.inner, body)
+    assert bounds.bound < 5e-3 * body.size or count < 10_000
+
+
+def test_the_bound_of_polyhedra_is_close_to_the_true_distance():
+    for seed in (1, 2, 3):
+        body = Polyhedron(random_polyhedron(seed).vertices, corners=0.0)
+        bounds = enclosure(spatial_cloud(body, 3000, seed))
+        assert bounds.bound < 2.5 * largest_difference(bounds.inner, body)
+
+
+def test_the_volume_is_bounded():
+    body = Ellipsoid(np.array([1.0, 0.7, 0.5]))
+    volume = 4 / 3 * np.pi * body.semi_axes.prod()
+    for radius in (0.0, 0.02):
+        lower, upper = enclosure(spatial_cloud(body, 1500, 2, radius)).volume
+        assert 0.9 * volume < lower <= volume <= upper < 1.2 * volume
+
+
+def test_turning_scaling_and_shifting_change_nothing_but_the_unit():
+    body, radius = box([1, 0.7, 0.5], 0.05, corners=0.1), 0.01
+    first = enclosure(spatial_cloud(body, 1500, 3, radius))
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    moved = enclosure(spatial_cloud(body, 1500, 3, radius, turn=turn, scale=25.0, shift=(7.0, -3.0, 11.0)))
+    # the choice of planes depends on the frame's far planes and on rounding, which decides between equal candidates
+    assert moved.bound == pytest.approx(25 * first.bound, rel=0.1)
+    assert moved.volume[0] == pytest.approx(25**3 * first.volume[0], rel=1e-3)
+    true = largest_difference(moved.inner, body, turn=turn, scale=25.0, shift=(7.0, -3.0, 11.0))
+    assert moved.bound >= true
+
+
+def test_no_measured_normal_enters_without_a_radius():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 1000, 4)
+    blind = dataclasses.replace(cloud, normals=np.full_like(cloud.normals, np.nan))
+    assert enclosure(blind).bound == enclosure(cloud).bound
+
+
+def test_wrong_normals_make_the_bound_larger_not_false():
+    body, radius = Ellipsoid(np.array([1.0, 0.8, 0.6])), 0.05
+    cloud = spatial_cloud(body, 2000, 5, radius)
+    rng = np.random.default_rng(0)
+    normals = cloud.normals + 0.3 * rng.normal(size=cloud.normals.shape)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    assert cloud.centre_points is not None
+    wrong = dataclasses.replace(cloud, normals=normals, points=cloud.centre_points - radius * normals)
+    bounds = enclosure(wrong)
+    assert bounds.excess > 10 * enclosure(cloud).excess
+    assert bounds.bound >= largest_difference(bounds.inner, body)
+
+
+def test_unknown_normals_leave_a_smaller_body():
+    body, radius = Ellipsoid(np.array([1.0, 0.8, 0.6])), 0.05
+    cloud = spatial_cloud(body, 2000, 6, radius)
+    nothing = np.full_like(cloud.normals, np.nan)
+    bounds = enclosure(dataclasses.replace(cloud, normals=nothing, points=nothing))
+    assert np.isfinite(bounds.bound)
+    assert bounds.bound >= largest_difference(bounds.inner, body)
+
+
+def test_an_unseen_side_is_open_and_the_rest_is_bounded():
+    body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
+    cloud = spatial_cloud(body, 4000, 7, 0.01, seen=lambda _, normals: normals[:, 2] > 0.02)
+    bounds = enclosure(cloud)
+    assert bounds.bound == np.inf
+    assert bounds.volume[1] == np.inf
+    bound, local = certificate(bounds, bounds.inner)
+    assert bound == np.inf
+    vertices = np.asarray(bounds.inner.vertices)
+    top = vertices[:, 2] > 0.25
+    bottom = vertices[:, 2] < vertices[:, 2].min() + 1e-3
+    assert np.isinf(local[bottom]).any()
+    assert local[top].max() < 0.1
+    # no point of the true surface near a bounded vertex is farther from it than its bound
+    normal = vertices / body.semi_axes**2
+    away = np.abs(1 - np.linalg.norm(vertices / body.semi_axes, axis=1)) / np.linalg.norm(normal, axis=1)
+    assert (local >= away - 1e-9).all()
+
+
+def test_an_unseen_spot_is_within_the_bound():
+    """What is missing between the contacts is bounded by the tangents around it."""
+    body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
+    cloud = spatial_cloud(body, 4000, 8, seen=lambda _, normals: normals[:, 0] < 0.9)
+    bounds = enclosure(cloud)
+    assert np.isfinite(bounds.bound)
+    assert bounds.bound >= largest_difference(bounds.inner, body) > 0.03
+
+
+def test_contacts_along_sweeps():
+    """Contacts in rows, as sweeps leave them: dense along a curve, and sparse across."""
+    body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
+    rng = np.random.default_rng(9)
+    angle = np.linspace(0, np.pi, 50)
+    normals = []
+    for _ in range(60):
+        first, second = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+        normals.append(np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
+    normals = np.concatenate(normals)
+    points = normals * body.semi_axes**2 / body.support(normals)[:, None]
+    tangents = np.cross(normals, rng.normal(size=normals.shape))
+    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+    bounds = enclosure(cloud_of(points, normals, tangents, np.full(len(points), Phase.TANGENTIAL)))
+    true = largest_difference(bounds.inner, body)
+    assert true <= bounds.bound < 8 * true
+
+
+def test_tip_contacts_alone_bound_nothing():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 500, 10)
+    tips = dataclasses.replace(cloud, phase=np.full(len(cloud), Phase.TIP, dtype=np.int8))
+    bounds = enclosure(tips)
+    assert bounds.bound == np.inf
+    assert np.isinf(certificate(bounds, bounds.inner).at_vertices).all()
+
+
+@pytest.mark.parametrize("count", [4, 6, 12, 30])
+def test_few_contacts_bound_nothing_or_rightly(count):
+    body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
+    for seed in range(10):
+        bounds = enclosure(spatial_cloud(body, count, seed, 0.01))
+        assert bounds.bound >= largest_difference(bounds.inner, body)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_contacts_that_span_no_body_are_refused(count):
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 10, 1)
+    with pytest.raises(scan3d.InputError, match="span no body"):
+        enclosure(cloud.select(np.arange(count)))
+
+
+def test_contacts_in_one_plane_are_refused():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 100, 1)
+    flat = cloud.points * [1, 1, 0]
+    with pytest.raises(scan3d.InputError, match="span no body"):
+        enclosure(dataclasses.replace(cloud, points=flat, centre_points=flat))
+
+
+def test_contacts_on_one_side_leave_the_body_open():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 2000, 1, seen=lambda _, normals: normals[:, 0] > 0.2)
+    assert enclosure(cloud).bound == np.inf
+
+
+def test_contradicting_tangents_are_not_believed():
+    """Rods that pass through the body contradict the premise, and bound nothing."""
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 1000, 1)
+    assert enclosure(dataclasses.replace(cloud, tangents=cloud.normals)).bound == np.inf
+
+
+def test_a_margin_makes_the_bound_larger():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 2000, 1)
+    exact, wide = enclosure(cloud), enclosure(cloud, margin=1e-4)
+    assert exact.bound < wide.bound < 0.1
+    assert wide.margin == 1e-4
+
+
+def test_noisy_contacts_are_bounded_with_confidence():
+    body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
+    cloud = spatial_cloud(body, 3000, 11, 0.01)
+    sd = 2e-5
+    rng = np.random.default_rng(1)
+    off = sd * rng.normal(size=cloud.points.shape)
+    tangents = cloud.tangents + 3 * sd * rng.normal(size=cloud.points.shape)
+    noisy = dataclasses.replace(
+        cloud,
+        points=cloud.points + off,
+        centre_points=cloud.centre_points + off,
+        tangents=tangents / np.linalg.norm(tangents, axis=1)[:, None],
+        covariance=np.tile(sd**2 * np.eye(3), (len(cloud), 1, 1)),
+        place_sd=np.full(len(cloud), sd),
+        normal_sd=np.full(len(cloud), 3 * sd),
+        noise=sd,
+    )
+    bounds = enclosure(noisy)
+    assert bounds.confidence == 0.95
+    assert largest_difference(bounds.inner, body) <= bounds.bound < 0.2
+    assert bounds.bound > enclosure(cloud).bound
+
+
+def test_nothing_is_certified_where_the_premises_are_contradicted():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 500, 1, 0.01)
+    bounds = enclosure(cloud)
+    nothing, certified = withdrawn(bounds, bounds.inner)
+    assert nothing.bound == certified.bound == np.inf
+    assert nothing.parts()["contacts"] == np.inf
+
+
+def test_a_surface_that_is_not_convex_is_compared_with_the_inner_body():
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 1000, 1)
+    bounds = enclosure(cloud)
+    dented = bounds.inner.copy()
+    vertices = np.array(dented.vertices)
+    vertices[0] *= 0.8
+    dented.vertices = vertices
+    assert certificate(bounds, dented).bound > bounds.bound
+
+
+def test_the_parts_of_the_bound():
+    bounds = enclosure(spatial_cloud(box([1, 0.7, 0.5]), 2000, 1, 0.01))
+    assert set(bounds.parts()) == {"contacts", "rod"}
+    assert max(bounds.parts().values()) == bounds.bound
+    assert hull(bounds.corners).volume > bounds.inner.volume
