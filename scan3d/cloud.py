@@ -34,6 +34,8 @@ class NormalSource(IntEnum):
     """Perpendicular to the rod and to the path of the contact over the surface (spatial model)."""
     FORCE = 6
     """The direction of the contact force, where there is no friction (spatial model)."""
+    HULL = 7
+    """Perpendicular to the rod, with all contacts on one side: the middle of the angles that this leaves (spatial model)."""
 
 
 @dataclass(frozen=True)

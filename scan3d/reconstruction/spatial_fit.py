@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.normals import (
@@ -46,8 +46,11 @@ EXACT = 1e-9
 """Standard deviation, in radians, of the normals of exact data: rounding."""
 
 
-def with_fit(cloud: Cloud, force: Array) -> Cloud:
-    """The cloud, whose points are the centre points, with the normals of the body fitted to them if that is smooth."""
+def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
+    """The cloud, whose points are the centre points, with the normals of the body fitted to them if that is smooth.
+
+    Contact forces (n, 3) are in the world; only contacts that slide (n,) have a friction that is known.
+    """
     start = _start(cloud)
     fit = None if start is None else _smooth_body(cloud, start)
     if fit is None:
@@ -61,8 +64,7 @@ def with_fit(cloud: Cloud, force: Array) -> Cloud:
     fit_error = error * mean_radius(fitted)
     if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
         fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree)
-    sticks = np.isfinite(cloud.normals[:, 0]) & np.isnan(cloud.friction)
-    friction = np.where(sticks, np.nan, np.tan(angles(normals, direction)))
+    friction = np.where(slides, np.tan(angles(normals, direction)), np.nan)
     return replace(
         cloud,
         normals=normals,

@@ -43,7 +43,7 @@ _STICK = 1e-7
 _SNAP_SIGMAS = 8.0
 # Normals that are less certain, in radians, are unknown.  Larger, they disturb more than they help; smaller, starts for the fit
 # of a smooth body are lost.
-_UNKNOWN = 0.1
+UNKNOWN = 0.1
 # Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
 _ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
 # A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
@@ -125,11 +125,11 @@ def along_sweeps(track: Track) -> Normals:
     by_slip = slip_sd < _CLEARLY * path_sd
     normal = np.where(by_slip[:, None], normals[Source.SLIP], normals[Source.PATH])
     sd = np.where(by_slip, slip_sd, path_sd)
-    unknown = ~(sd < _UNKNOWN)
+    unknown = ~(sd < UNKNOWN)
     normal[unknown], sd[unknown] = np.nan, np.inf
     chosen = np.where(by_slip, Source.SLIP, Source.PATH).astype(np.int8)
     chosen[unknown] = Source.UNKNOWN
-    both = (slip_sd < _UNKNOWN) & (path_sd < _UNKNOWN)
+    both = (slip_sd < UNKNOWN) & (path_sd < UNKNOWN)
     return Normals(
         normal,
         chosen,
