@@ -38,6 +38,8 @@ _REFITS, _GAIN = 6, 0.7
 # Errors of a fit, in mean radii: that of rounding, that which no higher degree need improve, and that above which a body has
 # edges whatever the degree.
 _ROUNDING, _SMALL, _HOPELESS = 1e-11, 1e-6, 2e-2
+# Largest number of contacts of exact data used for a fit.  More take longer; fewer come close to the number of coefficients.
+_EXACT_CONTACTS = 2000
 # Tangential contacts around a contact that show the error of fitted normals.
 _NEIGHBOURS = 12
 # A fit is that of the body from outside if the contact forces act outwards in at least this fraction of the contacts.
@@ -83,7 +85,7 @@ def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array
         return None
     held_out = held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
-    used = used[:: max(1, -(-len(used) // MAX_CONTACTS))]
+    used = used[:: max(1, -(-len(used) // (MAX_CONTACTS if cloud.noise else _EXACT_CONTACTS)))]
     parts = _Part(cloud.points[used], normals[used]), _Part(cloud.points[held_out], normals[held_out])
     best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
     for degree in DEGREES:
