@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.geometry.hulls import hull
@@ -24,6 +25,8 @@ _AIM = 0.7
 _APART = 1.0
 # Determinant of the normals of three planes below which they do not meet in a point.
 _PARALLEL = 1e-9
+# Angles by which the directions are turned, in radians: any that belong to no symmetry.
+_ASKEW = (0.2, 0.37, 0.61)
 _GOLDEN = (1 + np.sqrt(5)) / 2
 
 
@@ -37,10 +40,14 @@ class Lines(NamedTuple):
 
 
 def icosahedron() -> Array:
-    """(12, 3) unit vectors to the vertices of an icosahedron."""
+    """(12, 3) unit vectors to the vertices of an icosahedron that is turned askew.
+
+    A rod that lies flat on a face, or sweeps in a body's plane of symmetry, sees little.
+    """
     ends = np.array([(0, a, b * _GOLDEN) for a in (-1, 1) for b in (-1, 1)])
     vertices = np.concatenate([np.roll(ends, k, axis=1) for k in range(3)])
-    return vertices / np.linalg.norm(vertices[0])
+    turned: Array = Rotation.from_euler("xyz", _ASKEW).apply(vertices / np.linalg.norm(vertices[0]))
+    return turned
 
 
 def rasters(points: Array, count: int, clearance: float) -> Lines:

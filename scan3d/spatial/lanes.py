@@ -133,7 +133,9 @@ class Lanes:
         jump = patch.point - self.place
         held = equations.friction_force <= friction * equations.normal_force * (1 + 1e-9)
         good &= np.where(equations.sticks, held, (equations.dissipated >= 0) | (friction == 0) | (self.drag > 0))
-        good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | (self.drag > 0)
+        # a rod that first lies along a face or an edge may touch it anywhere
+        free = (self.drag > 0) | (self.state[2] <= 2 * _STRAIGHT)
+        good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | free
         bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= self.patience) | (self.lifts >= 3)
         going = ~(good | bad)
         if going.any():
