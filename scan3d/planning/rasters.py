@@ -20,6 +20,8 @@ from scan3d.geometry.hulls import hull
 # Angle between the normal of an open facet and the direction from which a sweep is aimed at it, in radians: in the middle of
 # what a sweep sees.
 _AIM = 0.7
+# How much denser lines are at the ends of a body than in its middle, from 0 (evenly spaced) to 1 (cosine spacing).
+_DENSE_ENDS = float(__import__("os").environ.get("DE", "0.5"))
 # Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left for
 # the next round; smaller, several sweeps go to one place.
 _APART = 1.0
@@ -70,7 +72,8 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     origin, axes = [], []
     for spread, moved, number in ((first, second, numbers[0]), (second, first, numbers[1])):
         place = points @ spread
-        offsets = place.min() + np.ptp(place) * (np.arange(number) + 0.5) / number
+        even = (np.arange(number) + 0.5) / number
+        offsets = place.min() + np.ptp(place) * ((1 - _DENSE_ENDS) * even + _DENSE_ENDS * (1 - np.cos(np.pi * even)) / 2)
         middle = points.mean(axis=0)
         base = middle + ((points @ along).min() - clearance - middle @ along) * along
         origin.append(base + (offsets - base @ spread)[:, None] * spread)

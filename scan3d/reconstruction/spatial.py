@@ -205,6 +205,7 @@ def _with_hull_normals(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
         return cloud
     by_hull = hull_normals(cloud.points, cloud.tangents, cloud.phase == planar.Phase.TANGENTIAL)
     better = (by_hull.half_width + EXACT < cloud.normal_sd) & (by_hull.half_width < UNKNOWN)
+    better |= np.isnan(cloud.normals[:, 0]) & np.isfinite(by_hull.half_width)
     normals = np.where(better[:, None], by_hull.normal, cloud.normals)
     direction = force / np.linalg.norm(force, axis=1, keepdims=True)
     return replace(
