@@ -279,7 +279,7 @@ def test_what_can_not_be_plotted(recording, cloud, surface, mesh, monkeypatch):
         ((surface,), dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
         ((surface,), dict(view="rainbow"), "view must be one of cloud, surface, .*, got 'rainbow'"),
         ((surface,), dict(view="cloud"), "the surface has no contacts"),
-        ((cloud,), dict(color="taste"), "contacts are coloured by phase, force, friction, error, got 'taste'"),
+        ((cloud,), dict(color="taste"), "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
         ((cloud,), dict(color="error"), "the error of the contacts of the cloud is not known"),
         ((cloud,), dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
         ((recording,), dict(view="surface"), "the recording has no surface to show"),
