@@ -18,7 +18,16 @@ from scan3d.pictures.words import unit_symbol
 WIDTH, FONT = 7.0, 12
 # Axis labels of the support reactions (8).
 REACTION_LABELS = ("$f_{0x}$ in mN", "$f_{0y}$ in mN", "$m_{0z}$ in mN mm")
-# Those of the six support reactions of the spatial model, each with the names of its components.
+# Axis labels of six support reactions.
+SIX_REACTION_LABELS = (
+    "$f_{0x}$ in mN",
+    "$f_{0y}$ in mN",
+    "$f_{0z}$ in mN",
+    "$m_{0x}$ in mN mm",
+    "$m_{0y}$ in mN mm",
+    "$m_{0z}$ in mN mm",
+)
+# Labels of two axes for three components each, with the names of the components.
 SPATIAL_LABELS = [
     ["force in mN", "$f_{0x}$", "$f_{0y}$", "$f_{0z}$"],
     ["moment in mN mm", "$m_{0x}$", "$m_{0y}$", "$m_{0z}$"],
