@@ -1,9 +1,9 @@
 """What does it cost to read sweeps of a round rod by the planar model, which supposes that the rod stays in its slice?
 
 A round rod bends where the contact force pushes it.  Where the surface leans out of the slice's plane, the force pushes the
-rod out of it.  Here the sweeps are those of the true rod in space, in horizontal slices at several heights of a sphere and of an
-ellipsoid, without friction and with it.  `planar.reconstruct` reads the three reactions in the plane, the spatial inverse all
-six.
+rod out of it.  Here the sweeps are those of the true rod in space, in horizontal slices at several heights of a sphere and of
+an ellipsoid, without friction and with it.  `planar.reconstruct` reads the three reactions in the plane, the spatial inverse
+reads all six.
 
 (a) the fraction of the samples in contact that the planar model refuses, because a rod in the plane with these reactions would
 be pulled along the contour, or would be bent against the sweep; without friction nearly all of them.  (b) the distance of the
