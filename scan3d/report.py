@@ -148,14 +148,16 @@ def _counts(analysis: Analysis) -> dict[str, int]:
 
 
 def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
+    friction, law = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL], {}
     if cloud.model == "spatial":
         friction = cloud.friction[np.isfinite(cloud.friction)]
-    else:
-        friction = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL]
+        angle = np.empty(0) if cloud.slip_to_path is None else cloud.slip_to_path[np.isfinite(cloud.slip_to_path)]
+        law = {"slip_to_path_deg": float(np.degrees(np.median(angle))) if len(angle) else None}
     return {
         "set": friction_set,
         "estimated_median": float(np.median(friction)) if len(friction) else None,
         "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
+        **law,
     }
 
 
@@ -273,10 +275,6 @@ def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
     return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
 
 
-def _where(data: Mapping[str, Any]) -> str:
-    return "space" if data.get("model") == "spatial" else f"{data['counts']['slices']} slices"
-
-
 class Summary(NamedTuple):
     """A table of a few rows for the terminal."""
 
@@ -289,9 +287,8 @@ class Summary(NamedTuple):
 def summary(data: Mapping[str, Any]) -> Summary:
     """The most important numbers of a report."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
-    heading = (
-        f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {_where(data)}"
-    )
+    where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
+    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {where}"
     rows = []
     if errors:
         error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths)"

@@ -1,4 +1,9 @@
-"""The lanes of a simulation: each solves its equations by Newton's method, step by step along its path."""
+"""Many sweeps in lockstep: each lane solves its equations by Newton's method, step by step along its path.
+
+A round is one step of Newton's method in every lane.  What it leads to is accepted as the state at the lane's target, or goes on,
+or has failed.  A failed step is tried on the other branches of Coulomb's law, then with half its length; a step that cannot be
+halved further is a snap, and the lane follows the overdamped flow, at a fixed clamp, to the next equilibrium or off the body.
+"""
 
 from __future__ import annotations
 
@@ -7,364 +12,262 @@ import numpy as np
 from scan3d.arrays import Array, Index, Mask
 from scan3d.spatial.bodies import Body, Patch
 from scan3d.spatial.equations import Law, Mode, System, system
-from scan3d.spatial.shapes import Bent, Clamp, bent, wrench
-from scan3d.spatial.touching import Passage
+from scan3d.spatial.lane_states import FROZEN_STEPS, LaneStates, started
+from scan3d.spatial.newton import newton_step
+from scan3d.spatial.paths import Paths
+from scan3d.spatial.results import End, Results
+from scan3d.spatial.shapes import Bent, bent
+from scan3d.spatial.touchdown import STRAIGHT, first_bend, first_state
+from scan3d.spatial.touches import Touch
 from scan3d.spatial.vectors import dot, unit
 
 # Residual, in rod lengths and unit forces, at which the equations count as solved.
 _SOLVED = 1e-11
-# Steps of Newton's method before a lane halves its step, on a smooth body.
-_PATIENCE = 9
-# The same on a polyhedron, where a step ends at the border of a face, an edge or a vertex.
-_PATIENCE_FEATURES = 40
-# Steps of Newton's method with the direction of the slip frozen.
-_FROZEN = 2
+# Steps of Newton's method before a step fails, on a smooth body, and on a polyhedron, where each ends at the border of a face,
+# an edge or a vertex.
+_PATIENCE, _PATIENCE_ON_FEATURES = 9, 40
+# Successive steps of Newton's method that would bend the rod the other way, after which a step fails.
+_LARGEST_STRAIGHTENED = 3
 # Smallest step, in samples, before the rod is taken to snap.
 _SMALLEST = 2.0**-5
-# q² of a rod that counts as straight.
-_STRAIGHT = 1e-14
-# Largest path of the contact in a step, in rod lengths.
-_REACH = 0.08
-# Steps of the flow of a snap at most, and its largest drag.
-_FLOW_STEPS, _LARGEST_DRAG = 120, 1e4
+# Largest path of the contact in a step: in rod lengths, and in paths of the clamp.  Farther solutions are on other branches.
+_REACH, _REACH_IN_STEPS = 0.08, 3.0
+# Tolerance of the cone of friction for a contact that sticks.
+_CONE = 1e-9
+# Weight of the slip in the residual of a contact that sticks, in steps.
+_SLIP_WEIGHT = 10.0
+# Friction, as a part of the force, below which it does not give the slip's direction.
+_SLIGHT = 1e-9
+# A step that fails is the lift-off if the straight rod is clear of the body, the rod is nearly straight, and the step is short;
+# or if Newton's method straightens the rod in the last sample before that.  The numbers are places in samples, q², and samples.
+_CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
+_ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
+# Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its largest value.
+_DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
+# Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
+_BEYOND_FOLD = 0.5
+# Slip, in rod lengths, above which a step of the flow is long, and the factors of the drag after long and short ones.
+_LONG_FLOW, _AFTER_LONG, _AFTER_SHORT = 0.02, 1.5, 1 / 3
+# Slip and drag below which the flow has come to rest.
+_AT_REST, _LITTLE_DRAG = 1e-7, 1e-3
+# Steps of the flow of a snap at most.
+_FLOW_STEPS = 120
 # Part of the force along the normal below which a rod that snaps leaves the body.
 _LEAVES = 0.05
+# Difference of places on a path, in samples, that is rounding.
+_ROUNDING = 1e-9
 
 
 class Lanes:
-    def __init__(
-        self, body: Body, position: Array, axes: Array, friction: Array, passage: Passage, substeps: int
-    ) -> None:
-        self.body, self.substeps = body, substeps
-        self.patience = _PATIENCE if body.smooth else _PATIENCE_FEATURES
-        m, n = position.shape[:2]
-        self.position = position.transpose(2, 0, 1)  # (3, m, n)
-        self.axes = axes.transpose(1, 2, 0)  # (3 axes, 3, m)
-        self.friction = friction
-        self.passage = passage
-        self.pace = np.sqrt(((position[:, -1] - position[:, 0]) ** 2).sum(axis=1)) / (n - 1)
-        shape3 = (3, m, n)
-        self.force, self.moment, self.point, self.normal, self.tangent = (np.full(shape3, np.nan) for _ in range(5))
-        self.s1 = np.full((m, n), np.nan)
-        self.sticks, self.snapped = np.zeros((m, n), dtype=bool), np.zeros((m, n), dtype=bool)
-        self.end = np.where(passage.touches, 0, 1).astype(np.int8)
-        self._begin(n)
-        self.counts = dict(rounds=0, iterations=0, halved=0, snaps=0)
+    """Sweeps past `body` on `paths` with coefficients of friction (m, n), in steps of one sample over `substeps`."""
 
-    def _begin(self, n: int) -> None:
-        p = self.passage
-        lanes = np.flatnonzero(p.touches & (p.begin < 1) & (p.begin >= 0))
-        self.lane = lanes
-        self.progress = p.begin[lanes] * (n - 1)
-        self.clear_after = p.end[lanes] * (n - 1)
-        feature, coordinates = p.feature[lanes], p.coordinates[:, lanes]
-        patch = self.body.patch(feature, coordinates)
-        state = first_state(patch.normal, p.s1[lanes], self._axes(lanes), self._travel(lanes), self.friction[lanes, 0])
-        self.state, self.feature, self.coordinates = state, feature, coordinates
-        force = bent(state, self._clamp_of(lanes, self.progress)).force
-        self.direction = dot(force, patch.law_normal) * patch.law_normal - force
-        self.place = patch.point
-        k = len(lanes)
-        self.h = np.full(k, 1.0 / self.substeps)
-        self.iterations, self.lifts = np.zeros(k, dtype=int), np.zeros(k, dtype=int)
-        self.drag = np.zeros(k)
-        self.frozen = np.full(k, _FROZEN)
-        self.rate, self.coordinates_before, self.span = np.zeros((4, k)), coordinates.copy(), np.zeros(k)
-        self.mode, self.attempts = np.full(k, Mode.SLIDE, dtype=np.int8), np.zeros(k, dtype=int)
-        self.has_snapped = np.zeros(k, dtype=bool)
-        self.flow_steps = np.zeros(k, dtype=int)
-        self.trial_state, self.trial_feature, self.trial_coordinates = state.copy(), feature.copy(), coordinates.copy()
-        self.target = self._next(self.progress)
-        self._lift(np.ones(k, dtype=bool))
+    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int) -> None:
+        self.body, self.paths, self.friction = body, paths, friction
+        self.results = Results(*friction.shape)
+        self._longest = 1.0 / substeps
+        self._last = paths.samples - 1
+        self._patience = _PATIENCE if body.smooth else _PATIENCE_ON_FEATURES
+        self._lanes: LaneStates
 
-    def _axes(self, lanes: Index) -> Array:
-        return self.axes[:, :, lanes]
+    def run(self, touch: Touch) -> tuple[Index, Array]:
+        """Follow sweeps from their touch-downs to the end of their contacts.
 
-    def _travel(self, lanes: Index) -> Array:
-        return self.position[:, lanes, -1] - self.position[:, lanes, 0]
-
-    def _next(self, progress: Array) -> Array:
-        """The end of the next step: on the lane's grid of steps, no farther than h."""
-        return np.minimum(np.floor(progress + 1e-9) + 1, progress + self.h)
-
-    def _clamp(self, progress: Array) -> Clamp:
-        return self._clamp_of(self.lane, progress)
-
-    def _clamp_of(self, lane: Index, progress: Array) -> Clamp:
-        k = np.minimum(progress.astype(int), self.position.shape[2] - 2)
-        part = progress - k
-        begin, end = self.position[:, lane, k], self.position[:, lane, k + 1]
-        return Clamp(begin + part * (end - begin), *self.axes[:, :, lane])
-
-    def _lift(self, rows: Mask) -> None:
-        """A first guess of q for straight rods, from the distance by which the body pushes them aside."""
-        flat = rows & (self.state[2] < 1e-12)
-        if not flat.any():
-            return
-        move = self._clamp(self.target).position - self._clamp(self.progress).position
-        patch = self.body.patch(self.feature, self.coordinates)
-        depth = np.maximum(-dot(move, patch.normal), 1e-12)
-        sin = np.maximum(np.sin(self.state[1]), 0.1)
-        guess = np.minimum(0.75 * sin * depth / self.state[3], 0.1)
-        self.trial_state[2] = np.where(flat, guess, self.trial_state[2])
-
-    def run(self) -> None:
-        while len(self.lane):
+        Returns the numbers of the sweeps that lost contact before the end of the path, and the places where they did.
+        """
+        self._lanes = self._started(touch)
+        self._left: list[tuple[Index, Array]] = []
+        while len(self._lanes.number):
             self._round()
+        if not self._left:
+            return touch.number[:0], touch.progress[:0]
+        number, progress = (np.concatenate(column) for column in zip(*self._left, strict=True))
+        return number, progress
+
+    def _started(self, touch: Touch) -> LaneStates:
+        patch = self.body.patch(touch.feature, touch.coordinates)
+        clamp = self.paths.clamp(touch.number, touch.progress)
+        speed, turning = self.paths.speed(touch.number, touch.progress)
+        friction = self.friction[touch.number, self._sample_after(touch.progress)]
+        state = first_state(patch.normal, touch.s1, clamp, speed + touch.s1 * turning, friction)
+        force = bent(state, clamp).force
+        slip = dot(force, patch.law_normal) * patch.law_normal - force
+        place = touch.feature, touch.coordinates, patch.point
+        lanes = started(touch.number, touch.progress, touch.clear_after, state, place, slip)
+        lanes.step[:] = self._longest
+        lanes.target = self._next(lanes)
+        self._bend(lanes, np.arange(len(lanes.number)))
+        return lanes
+
+    def _next(self, lanes: LaneStates) -> Array:
+        """The end of the next step: no farther than the next sample."""
+        return np.minimum(np.floor(lanes.progress + _ROUNDING) + 1, lanes.progress + lanes.step)
+
+    def _sample_after(self, progress: Array) -> Index:
+        return np.minimum(np.ceil(progress - _ROUNDING).astype(np.intp), self._last)
+
+    def _bend(self, lanes: LaneStates, rows: Index) -> None:
+        """Bend the straight rods among `rows` at first by what the body pushes them aside, to begin Newton's method with."""
+        rows = rows[lanes.state[2, rows] < 100 * STRAIGHT]
+        if not len(rows):
+            return
+        s1 = lanes.state[3, rows]
+        before, after = (self.paths.clamp(lanes.number[rows], at[rows]) for at in (lanes.progress, lanes.target))
+        move = after.position - before.position + s1 * (after.y - before.y)
+        normal = self.body.patch(lanes.feature[rows], lanes.coordinates[:, rows]).normal
+        lanes.trial_state[2, rows] = first_bend(-dot(move, normal), lanes.state[1, rows], s1)
 
     def _round(self) -> None:
-        clamp = self._clamp(self.target)
-        rod = bent(self.trial_state, clamp)
-        patch = self.body.patch(self.trial_feature, self.trial_coordinates)
-        index = np.minimum(np.ceil(self.target - 1e-9).astype(int), self.position.shape[2] - 1)
-        step = np.maximum(self.target - self.progress, 1e-12)
-        friction = self.friction[self.lane, index]
-        mode = np.where((self.mode == Mode.SLIDE) & (self.iterations < self.frozen), Mode.FROZEN, self.mode)
-        law = Law(friction, self.place, self.state[3], mode, self.direction, 10 / step, self.drag)
-        equations = system(self.trial_state, rod, patch, law)
-        self.counts["rounds"] += 1
-        self.counts["iterations"] += len(self.lane)
+        lanes = self._lanes
+        rod = bent(lanes.trial_state, self.paths.clamp(lanes.number, lanes.target))
+        patch = self.body.patch(lanes.trial_feature, lanes.trial_coordinates)
+        step = np.maximum(lanes.target - lanes.progress, 1e-12)
+        friction = self.friction[lanes.number, self._sample_after(lanes.target)]
+        frozen = (lanes.mode == Mode.SLIDE) & (lanes.iterations < lanes.frozen)
+        mode = np.where(frozen, np.int8(Mode.FROZEN), lanes.mode)
+        law = Law(friction, lanes.point, lanes.state[3], mode, lanes.slip_direction, _SLIP_WEIGHT / step, lanes.drag)
+        equations = system(lanes.trial_state, rod, patch, law)
         size = np.abs(equations.residual).max(axis=0)
-        solved = size < _SOLVED
-        solved &= (mode != Mode.FROZEN) | (friction == 0)
-        good = solved & (equations.normal_force > 0) & (self.trial_state[2] > 2 * _STRAIGHT)
-        jump = patch.point - self.place
-        held = equations.friction_force <= friction * equations.normal_force * (1 + 1e-9)
-        good &= np.where(equations.sticks, held, (equations.dissipated >= 0) | (friction == 0) | (self.drag > 0))
-        good &= (np.sqrt(dot(jump, jump)) < np.maximum(_REACH, 3 * step * self.pace[self.lane])) | (self.drag > 0)
-        bad = (solved & ~good) | ~np.isfinite(size) | (self.iterations >= self.patience) | (self.lifts >= 3)
-        going = ~(good | bad)
-        if going.any():
-            self._newton(going, equations, patch)
-        other = bad & ~good & (friction > 0) & (self.drag == 0) & (self.attempts < 2)
-        if other.any():
-            self._reset(np.flatnonzero(other))
-            self.attempts[other] += 1
-            start = self.state[2] <= 2 * _STRAIGHT
-            third = np.where(self.mode == Mode.SLIDE, Mode.STICK, Mode.SLIDE)
-            self.mode[other] = np.where((self.attempts == 2) & start, Mode.EITHER, third)[other]
-            self.attempts[other & ~start] = 2
-            bad &= ~other
-        if good.any():
-            self._commit(good, rod, patch, equations)
-        if bad.any():
-            self._fail(bad & ~good)
-        keep = self.lane >= 0
-        if not keep.all():
-            self._drop(keep)
+        solved = (size < _SOLVED) & (~frozen | (friction == 0))
+        accepted = solved & self._valid(equations, friction, patch.point, step)
+        failed = solved | ~np.isfinite(size) | (lanes.iterations >= self._patience)
+        failed = (failed | (lanes.straightened >= _LARGEST_STRAIGHTENED)) & ~accepted
+        going = np.flatnonzero(~(accepted | failed))
+        if len(going):
+            newton_step(self.body, lanes, going, equations, patch)
+        retried = failed & (friction > 0) & (lanes.drag == 0) & (lanes.branches < 2)
+        if retried.any():
+            self._try_other_branch(np.flatnonzero(retried))
+            failed &= ~retried
+        if accepted.any():
+            self._accept(np.flatnonzero(accepted), rod, patch, equations)
+        if failed.any():
+            self._fail(np.flatnonzero(failed))
+        kept = lanes.number >= 0
+        if not kept.all():
+            lanes.keep(kept)
 
-    def _newton(self, rows: Mask, equations: System, patch: Patch) -> None:
-        chosen = np.flatnonzero(rows)
-        jacobian = equations.jacobian[:, :, chosen].transpose(2, 0, 1)
-        residual = equations.residual[:, chosen].T[:, :, None]
-        try:
-            step = -np.linalg.solve(jacobian, residual)[:, :, 0].T
-        except np.linalg.LinAlgError:
-            step = -np.linalg.solve(jacobian + 1e-12 * np.eye(6), residual)[:, :, 0].T
-        if not self.body.smooth:
-            # on a small piece where equilibria are unstable, such as the sphere about a vertex, the path of equilibria runs back
-            step *= np.where(np.linalg.det(jacobian) < 0, -1.0, 1.0)
-        state = self.trial_state[:, chosen]
-        part = 1 / np.maximum(1.0, np.abs(step[:2]).max(axis=0) / 0.5)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part = np.minimum(part, np.where(step[3] < 0, -0.5 * state[3] / step[3], np.inf))
-        here = Patch(*(column[:, chosen] for column in patch))
-        feature, coordinates, taken = self.body.moved(
-            self.trial_feature[chosen], self.trial_coordinates[:, chosen], here, part * step[4:]
-        )
-        state = state + taken * part * step[:4]
-        state[1] = np.clip(state[1], -3.1, 3.1)
-        limit = np.cos(state[1] / 2) ** 2
-        self.lifts[chosen] = np.where(state[2] <= _STRAIGHT, self.lifts[chosen] + 1, 0)
-        beyond = state[2] >= 0.999 * limit
-        state[2] = np.where(beyond, (self.trial_state[2, chosen] + limit) / 2, np.maximum(state[2], _STRAIGHT))
-        state[2] = np.minimum(state[2], 0.9999 * limit)
-        self.trial_state[:, chosen] = state
-        self.trial_feature[chosen], self.trial_coordinates[:, chosen] = feature, coordinates
-        self.iterations[chosen] += 1
+    def _valid(self, equations: System, friction: Array, point: Array, step: Array) -> Mask:
+        """Which solutions are equilibria on the branch that they were sought on, next to the last ones."""
+        lanes = self._lanes
+        flowing = lanes.drag > 0
+        valid = (equations.normal_force > 0) & (lanes.trial_state[2] > 2 * STRAIGHT)
+        held = equations.friction_force <= friction * equations.normal_force * (1 + _CONE)
+        against_slip = (equations.dissipated >= 0) | (friction == 0) | flowing
+        valid &= np.where(equations.sticks, held, against_slip)
+        path = point - lanes.point
+        reach = np.maximum(_REACH, _REACH_IN_STEPS * step * self.paths.pace[lanes.number])
+        return np.asarray(valid & ((np.sqrt(dot(path, path)) < reach) | flowing))
 
-    def _commit(self, rows: Mask, rod: Bent, patch: Patch, equations: System) -> None:
-        chosen = np.flatnonzero(rows)
-        flowing = self.drag[chosen] > 0
-        tangential = rod.force[:, chosen] - equations.normal_force[chosen] * patch.law_normal[:, chosen]
+    def _try_other_branch(self, rows: Index) -> None:
+        """Begin these lanes' step again on another branch of Coulomb's law: two of them at touch-down, else one."""
+        lanes = self._lanes
+        self._restart(rows)
+        lanes.branches[rows] += 1
+        start = lanes.state[2, rows] <= 2 * STRAIGHT
+        other = np.where(lanes.mode[rows] == Mode.SLIDE, Mode.STICK, Mode.SLIDE)
+        lanes.mode[rows] = np.where((lanes.branches[rows] == 2) & start, Mode.EITHER, other)
+        lanes.branches[rows[~start]] = 2
+
+    def _restart(self, rows: Index) -> None:
+        self._lanes.restart(rows)
+        self._bend(self._lanes, rows)
+
+    def _accept(self, rows: Index, rod: Bent, patch: Patch, equations: System) -> None:
+        """Make the trial states of these lanes their states, and go on from there."""
+        lanes = self._lanes
+        flowing = lanes.drag[rows] > 0
+        tangential = rod.force[:, rows] - equations.normal_force[rows] * patch.law_normal[:, rows]
         size = np.sqrt(dot(tangential, tangential))
-        self.direction[:, chosen] = np.where(
-            size > 1e-9, -tangential / np.maximum(size, 1e-9), self.direction[:, chosen]
+        lanes.slip_direction[:, rows] = np.where(
+            size > _SLIGHT, -tangential / np.maximum(size, _SLIGHT), lanes.slip_direction[:, rows]
         )
-        self.rate[:, chosen] = self.trial_state[:, chosen] - self.state[:, chosen]
-        self.coordinates_before[:, chosen] = self.coordinates[:, chosen]
-        self.span[chosen] = np.where(flowing, 0.0, self.target[chosen] - self.progress[chosen])
-        self.state[:, chosen] = self.trial_state[:, chosen]
-        self.feature[chosen] = self.trial_feature[chosen]
-        self.coordinates[:, chosen] = self.trial_coordinates[:, chosen]
-        self.place[:, chosen] = patch.point[:, chosen]
-        self.iterations[chosen] = self.lifts[chosen] = 0
+        lanes.last_change[:, rows] = lanes.trial_state[:, rows] - lanes.state[:, rows]
+        lanes.last_coordinates[:, rows] = lanes.coordinates[:, rows]
+        lanes.last_step[rows] = np.where(flowing, 0.0, lanes.target[rows] - lanes.progress[rows])
+        lanes.state[:, rows], lanes.feature[rows] = lanes.trial_state[:, rows], lanes.trial_feature[rows]
+        lanes.coordinates[:, rows], lanes.point[:, rows] = lanes.trial_coordinates[:, rows], patch.point[:, rows]
+        lanes.iterations[rows] = lanes.straightened[rows] = 0
         if flowing.any():
-            self._flow(chosen[flowing], equations)
-            chosen = chosen[~flowing]
-        self.progress[chosen] = self.target[chosen]
-        index = np.round(self.progress[chosen]).astype(int)
-        sample = np.abs(self.progress[chosen] - index) < 1e-9
-        at, k = chosen[sample], index[sample]
-        lane = self.lane[at]
-        force, moment = wrench(self.state[:, at], rod.length[at])
-        self.force[:, lane, k], self.moment[:, lane, k] = force, moment
-        self.point[:, lane, k], self.normal[:, lane, k] = patch.point[:, at], patch.normal[:, at]
-        self.tangent[:, lane, k], self.s1[lane, k] = rod.tangent[:, at], self.state[3, at]
-        self.sticks[lane, k] = equations.sticks[at]
-        self.snapped[lane, k] = self.has_snapped[at]
-        snapped = self.has_snapped[chosen] | equations.sticks[chosen]
-        self.has_snapped[at] = False
-        self.h[chosen] = np.minimum(2 * self.h[chosen], 1.0 / self.substeps)
-        done = chosen[self.progress[chosen] > self.position.shape[2] - 1 - 1e-9]
-        self.target[chosen] = self._next(self.progress)[chosen]
-        self.mode[chosen] = Mode.SLIDE
-        self.attempts[chosen] = 0
-        self.frozen[chosen] = _FROZEN
-        self._predict(chosen[(self.span[chosen] > 0) & ~snapped])
-        self._finish(done, 0)
+            self._flow(rows[flowing], equations)
+            rows = rows[~flowing]
 
-    def _predict(self, chosen: Index) -> None:
+        lanes.progress[rows] = lanes.target[rows]
+        lanes.steps_taken[rows] += 1
+        irregular = lanes.has_snapped[rows] | equations.sticks[rows]
+        sample = np.round(lanes.progress[rows]).astype(np.intp)
+        reached = np.abs(lanes.progress[rows] - sample) < _ROUNDING
+        self.results.record(lanes, rows[reached], sample[reached], rod, patch, equations)
+        lanes.step[rows] = np.minimum(2 * lanes.step[rows], self._longest)
+        lanes.target[rows] = self._next(lanes)[rows]
+        lanes.mode[rows], lanes.branches[rows], lanes.frozen[rows] = Mode.SLIDE, 0, FROZEN_STEPS
+        self._predict(rows[(lanes.last_step[rows] > 0) & ~irregular])
+        self._finish(rows[lanes.progress[rows] > self._last - _ROUNDING], End.PATH)
+
+    def _predict(self, rows: Index) -> None:
         """Begin a step where the last one leads to, in proportion to their lengths."""
         if not self.body.smooth:
             return
-        factor = (self.target[chosen] - self.progress[chosen]) / self.span[chosen]
-        state = self.state[:, chosen] + factor * self.rate[:, chosen]
+        lanes = self._lanes
+        factor = (lanes.target[rows] - lanes.progress[rows]) / lanes.last_step[rows]
+        state = lanes.state[:, rows] + factor * lanes.last_change[:, rows]
         fits = (state[2] > 0) & (state[2] < 0.99 * np.cos(state[1] / 2) ** 2) & (state[3] > 0)
-        chosen, factor = chosen[fits], factor[fits]
-        self.trial_state[:, chosen] = state[:, fits]
-        here = self.coordinates[:, chosen]
-        self.trial_coordinates[:, chosen] = unit(here + factor * (here - self.coordinates_before[:, chosen]))
-        self.frozen[chosen] = 0
+        rows, factor = rows[fits], factor[fits]
+        lanes.trial_state[:, rows] = state[:, fits]
+        here = lanes.coordinates[:, rows]
+        lanes.trial_coordinates[:, rows] = unit(here + factor * (here - lanes.last_coordinates[:, rows]))
+        lanes.frozen[rows] = 0
 
-    def _reset(self, chosen: Index) -> None:
-        """Begin the step again."""
-        self.iterations[chosen] = self.lifts[chosen] = 0
-        self.frozen[chosen] = _FROZEN
-        self.trial_state[:, chosen] = self.state[:, chosen]
-        self.trial_feature[chosen], self.trial_coordinates[:, chosen] = (
-            self.feature[chosen],
-            self.coordinates[:, chosen],
-        )
-        rows = np.zeros(len(self.lane), dtype=bool)
-        rows[chosen] = True
-        self._lift(rows)
+    def _fail(self, rows: Index) -> None:
+        """Halve the steps of these lanes; those that are too short then end at a lift-off or begin to snap."""
+        lanes = self._lanes
+        lanes.mode[rows], lanes.branches[rows] = Mode.SLIDE, 0
+        target, clear, bend = lanes.target[rows], lanes.clear_after[rows], lanes.state[2, rows]
+        off = (target >= clear - _CLEAR) & (bend < _NEARLY_STRAIGHT) & (target - lanes.progress[rows] <= _SHORT)
+        straightened = lanes.straightened[rows] >= _LARGEST_STRAIGHTENED
+        off |= (target >= clear - _ALMOST_CLEAR) & (bend < _STRAIGHTENED) & straightened
+        flowing = lanes.drag[rows] > 0
+        flow = rows[flowing]
+        lanes.drag[flow] *= _MORE_DRAG
+        lanes.mode[flow] = Mode.EITHER
+        lanes.flow_steps[flow] += 1
+        halved = rows[~flowing & ~off]
+        lanes.step[halved] = (lanes.target[halved] - lanes.progress[halved]) / 2
+        snaps = lanes.step[halved] < _SMALLEST
+        self._snap(halved[snaps])
+        lanes.target[halved[~snaps]] = self._next(lanes)[halved[~snaps]]
+        self._restart(rows)
+        self._leave(rows[off])
+        self._finish(flow[(lanes.flow_steps[flow] > _FLOW_STEPS) | (lanes.drag[flow] > _LARGEST_DRAG)], End.LOST)
 
-    def _fail(self, rows: Mask) -> None:
-        self.counts["halved"] += int(rows.sum())
-        chosen = np.flatnonzero(rows)
-        self.mode[chosen] = Mode.SLIDE
-        self.attempts[chosen] = 0
-        short, lifts = self.target[chosen] - self.progress[chosen] <= 0.25, self.lifts[chosen] >= 3
-        off = (self.target[chosen] >= self.clear_after[chosen] - 0.02) & (self.state[2, chosen] < 0.1) & short
-        off |= (self.target[chosen] >= self.clear_after[chosen] - 1) & (self.state[2, chosen] < 0.02) & lifts
-        flowing = self.drag[chosen] > 0
-        self.drag[chosen[flowing]] *= 4
-        self.mode[chosen[flowing]] = Mode.EITHER
-        self.flow_steps[chosen[flowing]] += 1
-        steps = chosen[~flowing & ~off]
-        self.h[steps] = (self.target[steps] - self.progress[steps]) / 2
-        snap = steps[self.h[steps] < _SMALLEST]
-        self.drag[snap] = 0.3
-        self.mode[snap] = Mode.EITHER
-        # beyond the fold by some more, so that the flow is not slow
-        self.target[snap] = np.minimum(np.floor(self.progress[snap] + 1e-9) + 1, self.progress[snap] + 0.5)
-        self.flow_steps[snap] = 0
-        self.counts["snaps"] += len(snap)
-        rest = steps[self.h[steps] >= _SMALLEST]
-        self.target[rest] = self._next(self.progress)[rest]
-        self._reset(chosen)
-        self._finish(chosen[off], 2)
-        lost = chosen[flowing & ((self.flow_steps[chosen] > _FLOW_STEPS) | (self.drag[chosen] > _LARGEST_DRAG))]
-        self._finish(lost, 3)
+    def _snap(self, rows: Index) -> None:
+        """Begin to follow the overdamped flow from states that no equilibrium follows."""
+        lanes = self._lanes
+        lanes.drag[rows], lanes.mode[rows], lanes.flow_steps[rows] = _DRAG, Mode.EITHER, 0
+        progress = lanes.progress[rows]
+        lanes.target[rows] = np.minimum(np.floor(progress + _ROUNDING) + 1, progress + _BEYOND_FOLD)
 
-    def _flow(self, chosen: Index, equations: System) -> None:
+    def _flow(self, rows: Index, equations: System) -> None:
         """Take the next step of a snap: longer where the last one was short, and end at an equilibrium."""
-        slip = equations.slip[chosen]
-        self.flow_steps[chosen] += 1
-        self.drag[chosen] = np.where(slip < 0.02, self.drag[chosen] / 3, self.drag[chosen] * 1.5)
-        rest = ((slip < 1e-7) & (self.drag[chosen] < 1e-3)) | equations.sticks[chosen]
-        ended = chosen[rest]
-        self.drag[ended] = 0.0
-        self.has_snapped[ended] = True
-        self.h[ended] = _SMALLEST
-        self.mode[ended] = np.where(equations.sticks[ended], Mode.STICK, Mode.SLIDE)
-        leaves = ~rest & (equations.normal_force[chosen] < _LEAVES)
-        clear = self.target[chosen] >= self.clear_after[chosen]
-        self._finish(chosen[leaves & clear], 2)
-        self._finish(chosen[(leaves & ~clear) | (~rest & (self.flow_steps[chosen] > _FLOW_STEPS))], 3)
+        lanes = self._lanes
+        slip, sticks = equations.slip[rows], equations.sticks[rows]
+        lanes.flow_steps[rows] += 1
+        lanes.drag[rows] *= np.where(slip < _LONG_FLOW, _AFTER_SHORT, _AFTER_LONG)
+        rests = ((slip < _AT_REST) & (lanes.drag[rows] < _LITTLE_DRAG)) | sticks
+        ended = rows[rests]
+        lanes.drag[ended], lanes.has_snapped[ended], lanes.step[ended] = 0.0, True, _SMALLEST
+        lanes.mode[ended] = np.where(sticks[rests], Mode.STICK, Mode.SLIDE)
+        leaves = ~rests & (equations.normal_force[rows] < _LEAVES)
+        clear = lanes.target[rows] >= lanes.clear_after[rows]
+        self._leave(rows[leaves & clear])
+        self._finish(rows[(leaves & ~clear) | (~rests & (lanes.flow_steps[rows] > _FLOW_STEPS))], End.LOST)
 
-    def _finish(self, chosen: Index, end: int) -> None:
-        self.end[self.lane[chosen]] = end
-        self.lane[chosen] = -1 - self.lane[chosen]
+    def _leave(self, rows: Index) -> None:
+        """End the contact of lanes whose rod has come free of the body."""
+        lanes = self._lanes
+        self._left.append((lanes.number[rows], lanes.target[rows]))
+        self._finish(rows, End.OFF)
 
-    def _drop(self, keep: Mask) -> None:
-        for name in (
-            "lane",
-            "progress",
-            "clear_after",
-            "feature",
-            "h",
-            "frozen",
-            "span",
-            "attempts",
-            "mode",
-            "iterations",
-            "lifts",
-            "drag",
-            "has_snapped",
-            "flow_steps",
-            "trial_feature",
-            "target",
-        ):
-            setattr(self, name, getattr(self, name)[keep])
-        for name in (
-            "state",
-            "coordinates",
-            "coordinates_before",
-            "rate",
-            "direction",
-            "place",
-            "trial_state",
-            "trial_coordinates",
-        ):
-            setattr(self, name, getattr(self, name)[:, keep])
-
-
-def first_state(normal: Array, s1: Array, axes: Array, travel: Array, friction: Array) -> Array:
-    """States (4, n) of straight rods at touch-down: the direction of the force by (S22)."""
-    x, along, z = axes
-    speed = np.sqrt(dot(travel, travel))
-    motion = travel / speed
-    n_along = dot(normal, along)
-    lateral = normal - n_along * along
-    size = np.sqrt(dot(lateral, lateral))
-    ahead = -dot(motion, lateral) / size
-    w = (
-        np.stack(
-            [
-                normal[1] * along[2] - normal[2] * along[1],
-                normal[2] * along[0] - normal[0] * along[2],
-                normal[0] * along[1] - normal[1] * along[0],
-            ]
-        )
-        / size
-    )
-    side = dot(motion, w)
-    slides = np.abs(side) > ahead * friction / size
-    # sliding across the rod: friction against it; else the force across the rod is against the motion, and friction along it
-    sliding = normal - friction * np.sign(side) * w
-    across = -(motion - dot(motion, along) * along)
-    part = dot(across, w) / np.maximum(dot(across, lateral / size), 1e-12)
-    g_w = part * size
-    # the tangent of the surface in the plane of normal and rod
-    t = (along - n_along * normal) / size
-    g_t = np.sqrt(np.maximum(friction**2 - g_w**2, 0.0))
-    sticking = normal + g_w * w + g_t * t
-    force = np.where(slides, sliding, sticking)
-    force /= np.sqrt(dot(force, force))
-    along_part = dot(force, along)
-    across_part = force - along_part * along
-    omega = np.arctan2(dot(across_part, z), dot(across_part, x))
-    alpha = np.arctan2(np.sqrt(dot(across_part, across_part)), -along_part)
-    return np.stack([omega, alpha, np.full(len(s1), _STRAIGHT), s1])
+    def _finish(self, rows: Index, end: End) -> None:
+        rows = rows[self._lanes.number[rows] >= 0]
+        self.results.end[self._lanes.number[rows]] = end
+        self._lanes.number[rows] = -1

@@ -8,7 +8,6 @@ that has no equilibrium near the last one follows the overdamped flow of its sna
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,20 +16,11 @@ import planar
 from scan3d.arrays import Array
 from scan3d.spatial.bodies import Body
 from scan3d.spatial.lanes import Lanes
-from scan3d.spatial.touching import passages
+from scan3d.spatial.paths import Paths
+from scan3d.spatial.results import End, Results
+from scan3d.spatial.touches import first_touches, later_touches
 
-
-class End(IntEnum):
-    """How a sweep ended."""
-
-    PATH = 0
-    """At the end of its path, in contact."""
-    NO_TOUCH = 1
-    """The rod passed the body without touching it."""
-    OFF = 2
-    """The rod lost contact, smoothly or by a snap."""
-    LOST = 3
-    """The computation found no equilibrium, and no way to one."""
+__all__ = ["End", "Sweeps", "sweep"]
 
 
 @dataclass(frozen=True)
@@ -55,6 +45,8 @@ class Sweeps:
     """(m, n) whether the contact did not slip in the step to this sample."""
     snapped: NDArray[np.bool_]
     """(m, n) whether the rod snapped since the sample before."""
+    steps: NDArray[np.int32]
+    """(m, n) steps of the solution since the sample before, or since the touch-down."""
     end: NDArray[np.int8]
     """(m,) of `End`."""
 
@@ -65,40 +57,52 @@ def sweep(body: Body, position: ArrayLike, axes: ArrayLike, friction: ArrayLike 
     position
         (m, n, 3) clamp at the samples; it moves on a straight line from each to the next.
     axes
-        (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z.
+        (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z; or (m, n, 3, 3) for clamps that
+        turn, steadily from each sample to the next.
     friction
         coefficient of friction: one number, (m,) or (m, n).
     substeps
         steps from one sample to the next.  Without friction the result does not depend on them; with friction its error falls
         in proportion to the steps.
 
-    Raises ValueError for arrays of other shapes and for coefficients below zero.
+    A rod that has lost contact touches again where its path leads it back.  Raises ValueError for arrays of other shapes, for
+    coefficients below zero, and for paths that begin in the body.
     """
-    position, axes = np.asarray(position, dtype=float), np.asarray(axes, dtype=float)
-    if position.ndim != 3 or position.shape[1] < 2 or position.shape[2] != 3:
-        raise ValueError(f"position must have the shape (m, n, 3) with n >= 2, got {position.shape}")
-    if axes.shape != (len(position), 3, 3):
-        raise ValueError(f"axes must have the shape ({len(position)}, 3, 3), got {axes.shape}")
+    paths, mu = _checked(position, axes, friction)
+    if substeps < 1:
+        raise ValueError(f"substeps must be at least 1, got {substeps}")
+    lanes = Lanes(body, paths, mu, substeps)
+    touch = first_touches(body, paths)
+    while len(touch.number):
+        touch = later_touches(body, paths, *lanes.run(touch))
+    return _sweeps(lanes.results)
+
+
+def _checked(position: ArrayLike, axes: ArrayLike, friction: ArrayLike) -> tuple[Paths, Array]:
+    """Paths, and coefficients of friction (m, n)."""
+    place, turn = np.asarray(position, dtype=float), np.asarray(axes, dtype=float)
+    if place.ndim != 3 or place.shape[1] < 2 or place.shape[2] != 3:
+        raise ValueError(f"position must have the shape (m, n, 3) with n >= 2, got {place.shape}")
+    m, n = place.shape[:2]
+    if turn.shape not in ((m, 3, 3), (m, n, 3, 3)):
+        raise ValueError(f"axes must have the shape ({m}, 3, 3) or ({m}, {n}, 3, 3), got {turn.shape}")
     mu = np.asarray(friction, dtype=float)
-    mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, position.shape[:2])
+    mu = np.broadcast_to(mu[:, None] if mu.ndim == 1 else mu, (m, n))
     if not (np.isfinite(mu).all() and (mu >= 0).all()):
         raise ValueError("friction must be numbers >= 0")
-    travel = position[:, -1] - position[:, 0]
-    passage = passages(body, position[:, 0].T, axes[:, 1].T, travel.T)
-    lanes = Lanes(body, position, axes, mu, passage, substeps)
-    lanes.run()
-    touching = np.isfinite(lanes.s1)
-    phase = np.where(
-        touching,
-        np.where(lanes.s1 < 1 - planar.TOLERANCE, planar.Phase.TANGENTIAL, planar.Phase.TIP),
-        planar.Phase.NONE,
-    )
-    vectors = (lanes.force, lanes.moment, lanes.point, lanes.normal, lanes.tangent)
+    return Paths(place, turn), mu
+
+
+def _sweeps(results: Results) -> Sweeps:
+    tangential = results.s1 < 1 - planar.TOLERANCE
+    touching = np.where(tangential, planar.Phase.TANGENTIAL, planar.Phase.TIP)
+    phase = np.where(np.isfinite(results.s1), touching, planar.Phase.NONE)
     return Sweeps(
-        *(v.transpose(1, 2, 0) for v in vectors),
-        lanes.s1,
-        phase.astype(np.int8),
-        lanes.sticks,
-        lanes.snapped,
-        lanes.end,
+        **results.vectors(),
+        s1=results.s1,
+        phase=phase.astype(np.int8),
+        sticks=results.sticks,
+        snapped=results.snapped,
+        steps=results.steps,
+        end=results.end,
     )

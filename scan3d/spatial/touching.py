@@ -7,6 +7,7 @@ the rod's tip, the path of the tip decides.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,15 @@ class Passage(NamedTuple):
     """Place of the touch-down on the body."""
 
 
+class Motion(NamedTuple):
+    """Straight rods (3, k) on their paths, and their derivatives by the place on the path."""
+
+    position: Array
+    along: Array
+    speed: Array
+    turning: Array
+
+
 def passages(body: Body, position: Array, along: Array, travel: Array) -> Passage:
     """Passages of n straight rods of length 1 at `position` (3, n), in directions `along` (3, n), moving by `travel` (3, n)."""
     parts = [
@@ -56,9 +66,8 @@ def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passa
     feature, coordinates, point = body.extreme(normal)
     s1 = dot(along, point - position - begin * travel)
     touches = begin < end
-    begin, s1, feature, coordinates = _refined(
-        body, position, along, travel, (begin, s1, feature, coordinates), touches
-    )
+    motion = _straight(position, along, travel)
+    begin, s1, feature, coordinates = refined(body, motion, (begin, s1, feature, coordinates), touches)
     tip = touches & (s1 > 1)
     if tip.any():
         tip_begin, tip_end, number = _ray(body, (position + along)[:, tip], travel[:, tip])
@@ -68,11 +77,21 @@ def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passa
         place = body.extreme(_SPHERE[:, number])
         feature[tip], coordinates[:, tip] = place[0], place[1]
         start = begin[tip], s1[tip], feature[tip], coordinates[:, tip]
-        columns = (position[:, tip], along[:, tip], travel[:, tip])
-        begin[tip], s1[tip], feature[tip], coordinates[:, tip] = _refined(body, *columns, start, hits, tip=True)
+        motion = _straight(position[:, tip], along[:, tip], travel[:, tip])
+        begin[tip], s1[tip], feature[tip], coordinates[:, tip] = refined(body, motion, start, hits, tip=True)
     touches &= s1 > 0
     begin, end = np.where(touches, begin, np.nan), np.where(touches, end, np.nan)
     return Passage(touches, begin, end, s1, feature, coordinates)
+
+
+def _straight(position: Array, along: Array, travel: Array) -> Callable[[Index, Array], Motion]:
+    """The motion (3, n) along straight lines, by the rows and the fractions of the travel."""
+
+    def motion(rows: Index, part: Array) -> Motion:
+        way = travel[:, rows]
+        return Motion(position[:, rows] + part * way, along[:, rows], way, np.zeros_like(way))
+
+    return motion
 
 
 def _crossing(body: Body, position: Array, along: Array, travel: Array, sign: float) -> tuple[Array, Array]:
@@ -102,41 +121,42 @@ def _ray(body: Body, start: Array, travel: Array) -> tuple[Array, Array, Index]:
     return inside.max(axis=0), np.where(rate > 0, distance, np.inf).min(axis=0), number
 
 
-def _refined(
+def refined(
     body: Body,
-    position: Array,
-    along: Array,
-    travel: Array,
+    motion: Callable[[Index, Array], Motion],
     start: tuple[Array, Array, Index, Array],
     wanted: Mask,
     *,
     tip: bool = False,
 ) -> tuple[Array, Array, Index, Array]:
-    """Touch-downs improved by Newton's method: the rod's point is the body's, and the rod is tangential or ends there."""
+    """Touch-downs improved by Newton's method: the rod's point is the body's, and the rod is tangential or ends there.
+
+    `motion` gives straight rods by their rows and their places on their paths; `start` are places, arc lengths, features and
+    coordinates (k,), of which the `wanted` are improved.
+    """
     begin, s1, feature, coordinates = (column.copy() for column in start)
     rows = np.flatnonzero(wanted)
     for _ in range(_STEPS):
         if not len(rows):
             break
-        t, s, here = begin[rows], s1[rows], (feature[rows], coordinates[:, rows])
-        patch = body.patch(*here)
-        line, way = along[:, rows], travel[:, rows]
+        s, here = s1[rows], (feature[rows], coordinates[:, rows])
+        patch, at = body.patch(*here), motion(rows, begin[rows])
         jacobian, residual = np.zeros((len(rows), 4, 4)), np.zeros((len(rows), 4))
-        residual[:, :3] = (position[:, rows] + t * way + s * line - patch.point).T
-        for k, column in enumerate((way, line, -patch.point_1, -patch.point_2)):
+        residual[:, :3] = (at.position + s * at.along - patch.point).T
+        for k, column in enumerate((at.speed + s * at.turning, at.along, -patch.point_1, -patch.point_2)):
             jacobian[:, :3, k] = column.T
         if tip:
             residual[:, 3], jacobian[:, 3, 1] = s - 1, 1.0
         else:
-            residual[:, 3] = dot(patch.normal, line)
-            jacobian[:, 3, 2], jacobian[:, 3, 3] = dot(patch.normal_1, line), dot(patch.normal_2, line)
+            residual[:, 3], jacobian[:, 3, 0] = dot(patch.normal, at.along), dot(patch.normal, at.turning)
+            jacobian[:, 3, 2], jacobian[:, 3, 3] = dot(patch.normal_1, at.along), dot(patch.normal_2, at.along)
         open_rows = np.abs(residual).max(axis=1) > _EXACT
         # a place on an edge or a face that the rod is parallel to has no unique solution: the point is kept
         jacobian[:, range(4), range(4)] += 1e-14
         step = -np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0]
         step[~(np.isfinite(step).all(axis=1) & open_rows)] = 0.0
         moved = body.moved(*here, patch, step[:, 2:].T)
-        begin[rows], s1[rows] = t + moved[2] * step[:, 0], s + moved[2] * step[:, 1]
+        begin[rows], s1[rows] = begin[rows] + moved[2] * step[:, 0], s + moved[2] * step[:, 1]
         feature[rows], coordinates[:, rows] = moved[0], moved[1]
         rows = rows[open_rows]
     return begin, s1, feature, coordinates

@@ -1,0 +1,78 @@
+"""Sweeps in space have the reference values of a prototype in plain numpy, to all digits given.
+
+Ellipsoid with the semi-axes (0.9, 0.675, 0.45) about (0, 1.075, 0), base at (x0, 0, 0.1125) moving in -x from 0.92.
+Columns: x0; contact; s1; support reaction; moment's x and z.  With friction the values are extrapolated to step 0.
+"""
+
+import numpy as np
+
+from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.sweeping import sweep
+
+BODY = Ellipsoid((0.9, 0.675, 0.45), (0.0, 1.075, 0.0))
+FRICTIONLESS = """
+0.7  0.7869688 0.9493596 0.2016290 0.9591246 -0.2918141 0.0828239 -0.2990623 -0.2912997 0.2842396
+0.5  0.5896206 0.8015688 0.2869811 0.8300092 -0.4491038 0.3702539 -0.8743543 -0.7654575 0.3931700
+0.3  0.3587317 0.6953255 0.3259755 0.7367475 -0.4077753 0.7672555 -1.4821631 -1.1943760 0.3285988
+0.1  0.1200880 0.6420749 0.3399928 0.6895639 -0.1669100 1.0697269 -1.8902200 -1.4570179 0.1286575
+"""
+FRICTION_03 = """
+0.7  0.824369 0.955204 0.161943 0.966406 -0.412435 0.059358 -0.163965 -0.159555 0.401342
+0.5  0.668238 0.814433 0.246351 0.847971 -0.804429 0.330476 -0.640011 -0.565480 0.710752
+0.3  0.451591 0.703968 0.300553 0.752470 -1.006529 0.724946 -1.248626 -1.015322 0.818460
+0.1  0.216555 0.643373 0.328596 0.697911 -0.947536 1.062197 -1.756758 -1.359788 0.733423
+-0.1 -0.025163 0.635967 0.341577 0.689153 -0.627132 1.113808 -1.919658 -1.475988 0.482190
+"""
+
+
+def table(text):
+    return np.array([line.split() for line in text.strip().splitlines()], dtype=float)
+
+
+def columns(base, friction, substeps):
+    """Base positions with contacts and reactions (n, 10) of the sweep at z = 0.1125, in the order of the tables."""
+    position = np.stack([base, 0 * base, 0 * base + 0.1125], axis=1)[None]
+    swept = sweep(BODY, position, np.eye(3)[None], friction, substeps=substeps)
+    parts = (base[:, None], swept.point[0], swept.s1[0][:, None], swept.force[0], swept.moment[0][:, [0, 2]])
+    return np.concatenate(parts, axis=1)
+
+
+def rows_at(found, base):
+    return found[np.abs(found[:, :1] - base).argmin(axis=0)]
+
+
+def test_without_friction():
+    found = columns(np.linspace(0.92, -0.92, 93), 0.0, 1)
+    expected = table(FRICTIONLESS)
+    assert np.abs(rows_at(found, expected[:, 0]) - expected).max() < 0.51e-7
+    # symmetric in x0
+    mirrored = rows_at(found, -expected[:, 0])
+    signs = np.array([-1, -1, 1, 1, 1, -1, 1, 1, 1, -1])
+    assert np.abs(mirrored * signs - expected).max() < 0.51e-7
+
+
+def test_without_friction_steps_do_not_matter():
+    base = np.linspace(0.92, -0.92, 47)
+    once, often, jump = columns(base, 0.0, 1), columns(base, 0.0, 5), columns(base[::4], 0.0, 1)
+    touching = np.isfinite(once).all(axis=1)
+    assert touching.sum() > 40
+    assert np.abs(once - often)[touching].max() < 1e-10
+    assert np.nanmax(np.abs(once[::4] - jump)) < 1e-10
+
+
+def test_with_friction_extrapolated_to_step_zero():
+    """Steps of 1/150 to 1/1200 as the prototype's; two extrapolations, because the error is h and then h²."""
+    expected, base = table(FRICTION_03), np.linspace(0.92, -0.10, 154)
+    one, two, four, eight = (rows_at(columns(base, 0.3, n), expected[:, 0]) for n in (1, 2, 4, 8))
+    first = [2 * b - a for a, b in ((one, two), (two, four), (four, eight))]
+    second = [(4 * b - a) / 3 for a, b in zip(first[:-1], first[1:], strict=True)]
+    assert np.abs(second[1] - second[0]).max() < 1e-6
+    assert np.abs(second[1] - expected).max() < 1.5e-6
+
+
+def test_friction_is_of_first_order_in_the_step():
+    base = np.linspace(0.92, -0.10, 52)
+    found = [columns(base, 0.3, n)[10:] for n in (1, 2, 4, 8)]
+    steps = [np.abs(b - a).max() for a, b in zip(found[:-1], found[1:], strict=True)]
+    ratios = np.array(steps[:-1]) / steps[1:]
+    assert (np.abs(np.log2(ratios) - 1) < 0.1).all(), ratios
