@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_scans import CUBE, EGG, scanned, scanned_in_space
 from spatial_scans import SEMI_AXES
 
 import planar
 import scan3d
 from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
+from scan3d.pictures.scene import of_cloud
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +122,20 @@ def test_rods_in_space_touch_where_the_contacts_are_and_keep_their_length(ellips
         rest = np.diff(sweep.straight, axis=1)[tangential, 0]
         rest /= np.linalg.norm(rest, axis=1, keepdims=True)
         assert rest == pytest.approx(cloud.tangents[rows][tangential], abs=1e-6)
+
+
+def test_clamps_may_turn_during_a_sweep(ellipsoid):
+    recording, number = ellipsoid.recording, shown_sweep(ellipsoid).number
+    # turned about the world's z axis, as far as the sample's number says; contacts turn about the clamps
+    turns = Rotation.from_rotvec(np.outer(1e-3 * np.arange(len(recording)), [0, 0, 1]))
+    quaternion = (turns * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True)
+    turned = replace(recording, quaternion=quaternion)
+    cloud = scan3d.reconstruct(turned)
+    sweep = shown_sweep(of_cloud(cloud, recording=turned), number)
+    rows = cloud.sweep == number
+    assert sweep.turns == pytest.approx(turned.axes()[cloud.row[rows]])
+    assert not np.allclose(sweep.turns[0], sweep.turns[-1])
+    assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
 
 
 def test_rods_in_space_stay_outside_of_the_fattened_body(ellipsoid):

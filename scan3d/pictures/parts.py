@@ -138,8 +138,8 @@ class ShownSweep:
     """None where contacts lie in no slices, as those of the spatial model."""
     base: Array
     """(k, 3) position of the clamp"""
-    axes: Array
-    """(3, 3) the clamp's x, y and z axes, as rows"""
+    turns: Array
+    """(k, 3, 3) the clamp's x, y and z axes, as rows"""
     curved: Array
     """(k, p, 3) the rod from the clamp to the contact"""
     straight: Array
@@ -148,6 +148,12 @@ class ShownSweep:
     """(k, 3) f0x, f0y in EI/L² and m0z in EI/L (8); of the spatial model (k, 6) f0x, f0y, f0z and m0x, m0y, m0z"""
     phase: NDArray[np.int8]
     """(k,) of `planar.Phase`"""
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) the clamp's axes at the first contact, which it keeps in most sweeps."""
+        first: Array = self.turns[0]
+        return first
 
     @property
     def contact(self) -> Array:
@@ -204,7 +210,7 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         number=int(chosen),
         slice=None if slices is None else int(slices[selected][0]),
         base=base[kept] * scale,
-        axes=axes[0],
+        turns=axes[kept],
         curved=world(lines.curved),
         straight=world(lines.straight),
         reactions=reactions[kept],

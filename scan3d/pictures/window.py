@@ -81,8 +81,8 @@ class Window:
         """Colour the contacts by one of `COLORS`."""
         shaded = shade_contacts(self.scene, color)
         self.contacts["rgb"] = shaded.rgb
-        norm = shaded.norm
-        scale = "tangential red, tip orange" if norm is None else f"{norm.vmin:.3g} (dark) to {norm.vmax:.3g} (light)"
+        norm, (low, high) = shaded.norm, ("blue", "red") if color == "bending" else ("dark", "light")
+        scale = "tangential red, tip orange" if norm is None else f"{norm.vmin:.3g} ({low}) to {norm.vmax:.3g} ({high})"
         self.plotter.add_text(
             f"{shaded.title}: {scale}", position="lower_right", font_size=_FONT, color=INK, name="colour"
         )
