@@ -17,7 +17,7 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.reconstruction import Contradiction, noise_of, radius_errors
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure, sigmas
+from scan3d.surfaces import Certificate, Enclosure, SpatialEnclosure, certificate, sigmas
 
 SCHEMA = 1
 # Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
@@ -29,6 +29,9 @@ _COVERED_DEG = 5.0
 # The surface counts as covered where its certified bound is no more than this fraction of the diagonal.  Larger, the coverage
 # says less about accuracy; smaller, it is low for scans whose accuracy is sufficient.
 _COVERED_BOUND = 1e-3
+# A surface with fewer facets than this is subdivided to measure its coverage, to edges of this fraction of its diagonal.  More
+# and smaller facets take longer; fewer and larger ones have vertices only at the edges of a polyhedron.
+_COARSE, _SUBDIVIDED = 2000, 50
 # What the parts of an enclosure's bound are called in the error budget.
 _CAUSES = {
     "slices": "between_slices",
@@ -231,13 +234,22 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     }
 
 
+def _local_bounds(analysis: Analysis) -> tuple[Any, Array]:
+    """The surface and the local bounds at its vertices; with more vertices where contacts lie anywhere and facets are large."""
+    surface, bounds = analysis.surface, analysis.bounds
+    if isinstance(bounds, SpatialEnclosure) and bounds.confidence and len(surface.faces) < _COARSE:
+        fine = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / _SUBDIVIDED, max_iter=100)
+        return fine, certificate(bounds, fine).at_vertices
+    return surface, analysis.certificate.at_vertices
+
+
 def _coverage(analysis: Analysis) -> dict[str, Any]:
     """How much of the body the contacts cover.
 
     `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal.  `normals` is
     the fraction of the sphere of directions that lies within 5° of a contact's normal.
     """
-    cloud, surface, bound = analysis.cloud, analysis.surface, analysis.certificate.at_vertices
+    cloud, (surface, bound) = analysis.cloud, _local_bounds(analysis)
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     area = np.asarray(surface.area_faces)
     closed = bound[surface.faces].max(axis=1) <= _COVERED_BOUND * diagonal
