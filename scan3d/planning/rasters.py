@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array
 from scan3d.geometry.hulls import hull
 
-# Angle between the normal of an open facet and the direction from which a sweep is aimed at it, in radians: in the middle of
-# what a sweep sees.
-_AIM = 0.7
+# Where along the rod, in its lengths, a place is touched that a sweep is aimed at.  Nearer to the tip, contacts are lighter;
+# nearer to the clamp, the clamp comes closer to the body.
+_TOUCHED = 0.6
 # How much denser lines are at the ends of a body than in its middle, from 0 (evenly spaced) to 1 (cosine spacing).
-_DENSE_ENDS = float(__import__("os").environ.get("DE", "0.5"))
+_DENSE_ENDS = 1.0
 # Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left for
 # the next round; smaller, several sweeps go to one place.
 _APART = 1.0
@@ -84,18 +84,15 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     return Lines(np.concatenate(origin), np.concatenate(axes))
 
 
-def aimed(points: Array, contacts: Array, count: int, clearance: float, generator: np.random.Generator) -> Lines:
-    """`count` lines aimed at the places where the hull of contacts (n, 3) leaves most room for the body.
+def aimed(contacts: Array, count: int, generator: np.random.Generator) -> Lines:
+    """At most `count` lines aimed at the places where the hull of contacts (n, 3) leaves most room for the body.
 
-    `points` span the body as in `rasters`; the contacts will do.
+    The rod comes down on such a place along its normal, lying across it: it touches there first, wherever it slides afterwards.
+    Lengths are in rod lengths.
     """
     target, normal = _open_places(contacts, count)
-    angle = generator.uniform(0, 2 * np.pi, (2, len(target)))
-    y = -(np.cos(_AIM) * normal + np.sin(_AIM) * _around(normal, angle[0]))
-    x = _around(y, angle[1])
-    level = (points @ y.T).min(axis=0) - clearance
-    origin = target + (level - (target * y).sum(axis=1))[:, None] * y
-    return Lines(origin, np.stack([x, y, np.cross(x, y)], axis=1))
+    y = _around(normal, generator.uniform(0, 2 * np.pi, len(target)))
+    return Lines(target - _TOUCHED * y, np.stack([normal, y, np.cross(normal, y)], axis=1))
 
 
 def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:

@@ -18,7 +18,9 @@ from scan3d.arrays import Array, Mask
 _ROUNDING = 1e-7
 # Depth below a facet, relative to the hull's size, at which a contact lies on it.  Larger, contacts count as lying on facets that
 # they are below; smaller, rounding takes them from the facets that they lie on.
-_SAME_PLANE = 1e-10
+_SAME_PLANE = 1e-9
+# Half an angle, in radians, from which on the facets at a contact are asked as well: its neighbours may be too close to count.
+_WIDE = 0.1
 # Contacts whose depths below all facets are computed at once.
 _BLOCK = 256
 
@@ -69,10 +71,9 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
     normal = np.where(known[:, None], normal, np.nan)
     half_width = np.where(known, np.maximum(half_width, 0.0), np.inf)
     # tip contacts, and contacts inside faces and edges of the hull
-    rows = np.flatnonzero(~known)
-    axis, width, farthest = _cones(hull, points[rows] - middle, _SAME_PLANE * size)
-    edge = np.cross(axis, farthest)
-    sharp = tangential[rows] & (np.linalg.norm(edge, axis=1) > _ROUNDING)
+    rows = np.flatnonzero(~known | (half_width > _WIDE))
+    axis, width, edge = _cones(hull, points[rows] - middle, _SAME_PLANE * size)
+    sharp = tangential[rows] & np.isfinite(edge[:, 0])
     # the supporting plane contains the edge and the tangent
     exact = np.cross(tangents[rows], edge)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -80,15 +81,20 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
     cosine = (exact * axis).sum(axis=1)
     exact *= np.sign(cosine)[:, None]
     sharp &= np.abs(cosine) >= np.cos(width) - _ROUNDING  # it lies between the facets' normals
-    normal[rows] = np.where(sharp[:, None], exact, axis)
-    half_width[rows] = np.where(sharp, 0.0, width)
+    by_facets = np.where(sharp, 0.0, width)
+    better = by_facets < half_width[rows]
+    normal[rows[better]] = np.where(sharp[:, None], exact, axis)[better]
+    half_width[rows[better]] = by_facets[better]
     return HullNormals(normal, half_width)
 
 
 def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, Array]:
-    """The middle (n, 3) of the normals of the hull's facets that points (n, 3) lie on, the largest angle (n,), and its normal."""
+    """The middle (n, 3) of the normals of the hull's facets that points (n, 3) lie on, and the largest angle (n,) to it.
+
+    The third is the direction (n, 3) of the edge for points inside an edge of the hull, where two planes meet, else NaN.
+    """
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    middle, width, farthest = np.empty_like(points), np.empty(len(points)), np.empty_like(points)
+    middle, width, edges = np.empty_like(points), np.empty(len(points)), np.empty_like(points)
     for first in range(0, len(points), _BLOCK):
         part = points[first : first + _BLOCK]
         depth = -(part @ normals.T + offsets)
@@ -98,6 +104,12 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         cosine = np.where(on_facet, axis @ normals.T, 1.0)
         rows = slice(first, first + _BLOCK)
         number = cosine.argmin(axis=1)
-        middle[rows], farthest[rows] = axis, normals[number]
+        edge = np.cross(axis, normals[number])
+        size = np.linalg.norm(edge, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            edge /= size[:, None]
+        across = np.where(on_facet, np.abs(edge @ normals.T), 0.0).max(axis=1)
+        edge[~(size > _ROUNDING) | ~(across < _ROUNDING)] = np.nan
+        middle[rows], edges[rows] = axis, edge
         width[rows] = np.arccos(np.clip(cosine[np.arange(len(part)), number], -1.0, 1.0))
-    return middle, width, farthest
+    return middle, width, edges

@@ -68,7 +68,7 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
             break
         if progress is not None:
             progress(1 + number, 1 + _ROUNDS)
-        lines = aimed(points, contacts, further, plan.clearance, generator)
+        lines = aimed(contacts, further, generator)
         swept.append(_sweep(body, lines, plan, 1 + number))
     if progress is not None:
         progress(1 + _ROUNDS, 1 + _ROUNDS)
@@ -85,6 +85,10 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> _S
     begin, end = passage.begin[rows], passage.end[rows]
     distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * np.linspace(0, 1, plan.samples)
     position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
+    # where rod and face are nearly parallel, the touch-down is found to some thousandths only, and may lie before the beginning
+    again = passages(body, position[:, 0].T, y[:, rows], (position[:, -1] - position[:, 0]).T)
+    clear = again.touches & (again.begin >= 0)
+    rows, position = rows[clear], position[clear]
     low, high = plan.friction_range
     friction = np.full((len(rows), plan.samples), low)
     if high > low:

@@ -44,7 +44,7 @@ _SLIGHT = 1e-9
 _CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
 _ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
 # Steps of Newton's method from one sample to the next before a sweep is given up.
-_EFFORT = 1500
+_EFFORT = 400
 # Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its largest value.
 _DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
 # Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
@@ -54,7 +54,7 @@ _LONG_FLOW, _AFTER_LONG, _AFTER_SHORT = 0.02, 1.5, 1 / 3
 # Slip and drag below which the flow has come to rest.
 _AT_REST, _LITTLE_DRAG = 1e-7, 1e-3
 # Steps of the flow of a snap at most.
-_FLOW_STEPS = 120
+_FLOW_STEPS = 60
 # Part of the force along the normal below which a rod that snaps leaves the body.
 _LEAVES = 0.05
 # Difference of places on a path, in samples, that is rounding.

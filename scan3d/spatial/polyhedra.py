@@ -13,9 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import Array, Index
-from scan3d.spatial.bodies import Patch
+from scan3d.spatial.bodies import Patch, sphere_directions
 from scan3d.spatial.vectors import basis, cross, dot, unit
 
+# Directions whose highest vertices the search for a highest vertex begins with.
+_COARSE = 500
 # Largest turn of a normal in one step of Newton's method, in radians.
 _LARGEST_TURN = 0.5
 # A mesh is fine if the median angle between its faces is smaller than this, in radians.  Friction on it then refers to normals
@@ -136,7 +138,11 @@ class RoundedPolyhedron:
         column = np.arange(degree.max())[:, None]
         chosen = order[np.minimum(begin + np.where(column < degree, column, 0), len(order) - 1)]
         self.star = chosen % edges
-        self.away = np.where(chosen < edges, 1.0, -1.0) * self.direction[:, self.star]
+        forward = chosen < edges
+        self.away = np.where(forward, 1.0, -1.0) * self.direction[:, self.star]
+        self._neighbours = np.where(forward, self.head[self.star], self.tail[self.star])
+        everywhere = sphere_directions(_COARSE)
+        self._coarse = np.unique(np.argmax(everywhere.T @ self.vertices, axis=1))
 
     def _parts(self, feature: Index) -> tuple[Index, Index, Index]:
         """The rows with features of each kind: faces, edges, vertices."""
@@ -295,7 +301,16 @@ class RoundedPolyhedron:
         coordinates[:, at] = np.stack([along, np.clip(angle, 0.0, self.angle[e]), np.zeros(len(at))])
 
     def extreme(self, normal: Array) -> tuple[Index, Array, Array]:
-        number = np.argmax(normal.T @ self.vertices, axis=1)
+        number = self._coarse[np.argmax(normal.T @ self.vertices[:, self._coarse], axis=1)]
+        # from the best of some vertices upwards along edges: on a convex body that leads to the highest
+        rows = np.arange(len(number))
+        while len(rows):
+            across = self._neighbours[:, number[rows]]
+            height = dot(self.vertices[:, across], normal[:, None, rows])
+            best = height.argmax(axis=0)
+            higher = height.max(axis=0) > dot(self.vertices[:, number[rows]], normal[:, rows])
+            number[rows[higher]] = across[best, np.arange(len(rows))][higher]
+            rows = rows[higher]
         feature = self.normals.shape[1] + len(self.tail) + number
         return feature, normal, self.vertices[:, number] + self.radius * normal
 
