@@ -2,8 +2,8 @@
 
 Unknowns are the rod's state (ω, α, q², s1) and two local coordinates of the place on the body.  The equations state that the
 rod's contact is that place (three), that Coulomb's law holds between the force and the slip since the state before (two), and
-that the contact is the tip or tangential (one).  Coulomb's law is taken one branch at a time: (S20) contains both, but near touch-down
-Newton's method flips between them.
+that the contact is the tip or tangential (one).  Coulomb's law is taken one branch at a time: (S20) contains both, but near
+touch-down Newton's method flips between them.
 """
 
 from __future__ import annotations
@@ -142,7 +142,10 @@ def _friction(
     force: tuple[Array, Array],
     normal: tuple[Array, Array],
 ) -> Mask:
-    """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force; where it sticks."""
+    """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force.
+
+    Returns where the contact sticks.
+    """
     (v, v_slopes), (g, g_slopes), (normal_force, normal_slopes) = slip, force, normal
     g = g + law.drag * v
     g_slopes = g_slopes + law.drag * v_slopes
@@ -161,4 +164,4 @@ def _friction(
         residual[3 + k] = np.where(sticks, law.rate * v[k], g[k] + cone * direction[k])
         slides = g_slopes[k] + law.friction * direction[k] * normal_slopes + across[k] * turned
         jacobian[3 + k] = np.where(sticks, law.rate * v_slopes[k], slides)
-    return sticks
+    return np.asarray(sticks)

@@ -53,7 +53,7 @@ class Results:
 
     def contacts(self) -> Mask:
         """(m, n) whether the rod touches."""
-        return np.isfinite(self.s1)
+        return np.asarray(np.isfinite(self.s1))
 
     def vectors(self) -> dict[str, Array]:
         """Fields with vectors (m, n, 3)."""

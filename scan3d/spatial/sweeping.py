@@ -1,8 +1,8 @@
 """Quasi-static sweeps of round rods in space past a convex body, with Coulomb friction, many sweeps in lockstep (MODEL3D, 4).
 
 Every sweep is a lane of the arrays.  In each round all lanes take one step of Newton's method, each at its own place of its own
-path: a lane whose equations are solved goes on to its next sample, one whose equations cannot be solved halves its step, and one
-that has no equilibrium near the last one follows the overdamped flow of its snap.  So no lane waits for another.
+path.  A lane whose equations are solved goes on to its next sample, one whose equations cannot be solved halves its step, and
+one that has no equilibrium near the last one follows the overdamped flow of its snap.  So no lane waits for another.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def sweep(body: Body, position: ArrayLike, axes: ArrayLike, friction: ArrayLike 
     position
         (m, n, 3) clamp at the samples; it moves on a straight line from each to the next.
     axes
-        (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z; or (m, n, 3, 3) for clamps that
-        turn, steadily from each sample to the next.
+        (m, 3, 3) axes of the clamps in the world, as rows: x, y along the undeformed rod, and z; or (m, n, 3, 3) for clamps
+        that turn, steadily from each sample to the next.
     friction
         coefficient of friction: one number, (m,) or (m, n).
     substeps

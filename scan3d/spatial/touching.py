@@ -134,7 +134,7 @@ def refined(
     `motion` gives straight rods by their rows and their places on their paths; `start` are places, arc lengths, features and
     coordinates (k,), of which the `wanted` are improved.
     """
-    begin, s1, feature, coordinates = (column.copy() for column in start)
+    begin, s1, feature, coordinates = start[0].copy(), start[1].copy(), start[2].copy(), start[3].copy()
     rows = np.flatnonzero(wanted)
     for _ in range(_STEPS):
         if not len(rows):
@@ -153,7 +153,7 @@ def refined(
         open_rows = np.abs(residual).max(axis=1) > _EXACT
         # a place on an edge or a face that the rod is parallel to has no unique solution: the point is kept
         jacobian[:, range(4), range(4)] += 1e-14
-        step = -np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0]
+        step = np.asarray(-np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0], dtype=float)
         step[~(np.isfinite(step).all(axis=1) & open_rows)] = 0.0
         moved = body.moved(*here, patch, step[:, 2:].T)
         begin[rows], s1[rows] = begin[rows] + moved[2] * step[:, 0], s + moved[2] * step[:, 1]
