@@ -13,7 +13,7 @@ METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds."""
 VIEWS = ("cloud", "surface", "bound", "compare", "explain")
 """What a picture can show."""
-COLORS = ("phase", "force", "friction", "error")
+COLORS = ("phase", "force", "friction", "error", "bending")
 """The quantities by which contacts can be coloured."""
 MOVIES = ("sweep", "growth")
 """What a movie can show; the first is the default."""

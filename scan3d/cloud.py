@@ -34,6 +34,8 @@ class NormalSource(IntEnum):
     """Perpendicular to the rod and to the path of the contact over the surface (spatial model)."""
     FORCE = 6
     """The direction of the contact force, where there is no friction (spatial model)."""
+    HULL = 7
+    """Perpendicular to the rod, with all contacts on one side: the middle of the angles that this leaves (spatial model)."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,9 @@ class Cloud(Shown):
     through the centre point along the tangent is free of the interior of the fattened body."""
     bending_angle: Array | None = None
     """(n,) angle between the plane in which the rod bends and the plane of its sweep, in radians (spatial model)."""
+    slip_to_path: Array | None = None
+    """(n,) angle in radians between the normals from slip and path, where both are known to a degree, else NaN (spatial model).
+    Without isotropic Coulomb friction it is not small."""
     independent: bool = True
     """Whether the errors of successive contacts are independent, as those of noise are; those of rounding alone are not."""
 
@@ -140,4 +145,5 @@ _PER_CONTACT = (
     "centre_points",
     "tangents",
     "bending_angle",
+    "slip_to_path",
 )

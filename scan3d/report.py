@@ -17,7 +17,7 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.reconstruction import Contradiction, noise_of, radius_errors
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure, sigmas
+from scan3d.surfaces import Certificate, Enclosure, SpatialEnclosure, certificate, sigmas
 
 SCHEMA = 1
 # Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
@@ -29,6 +29,9 @@ _COVERED_DEG = 5.0
 # The surface counts as covered where its certified bound is no more than this fraction of the diagonal.  Larger, the coverage
 # says less about accuracy; smaller, it is low for scans whose accuracy is sufficient.
 _COVERED_BOUND = 1e-3
+# A surface with fewer facets than this is subdivided to measure its coverage, to edges of this fraction of its diagonal.  More
+# and smaller facets take longer; fewer and larger ones have vertices only at the edges of a polyhedron.
+_COARSE, _SUBDIVIDED = 2000, 50
 # What the parts of an enclosure's bound are called in the error budget.
 _CAUSES = {
     "slices": "between_slices",
@@ -148,14 +151,16 @@ def _counts(analysis: Analysis) -> dict[str, int]:
 
 
 def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
+    friction, law = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL], {}
     if cloud.model == "spatial":
         friction = cloud.friction[np.isfinite(cloud.friction)]
-    else:
-        friction = cloud.friction[cloud.phase == planar.Phase.TANGENTIAL]
+        angle = np.empty(0) if cloud.slip_to_path is None else cloud.slip_to_path[np.isfinite(cloud.slip_to_path)]
+        law = {"slip_to_path_deg": float(np.degrees(np.median(angle))) if len(angle) else None}
     return {
         "set": friction_set,
         "estimated_median": float(np.median(friction)) if len(friction) else None,
         "estimated_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
+        **law,
     }
 
 
@@ -229,13 +234,22 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     }
 
 
+def _local_bounds(analysis: Analysis) -> tuple[Any, Array]:
+    """The surface and the local bounds at its vertices; with more vertices where contacts lie anywhere and facets are large."""
+    surface, bounds = analysis.surface, analysis.bounds
+    if isinstance(bounds, SpatialEnclosure) and bounds.confidence and len(surface.faces) < _COARSE:
+        fine = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / _SUBDIVIDED, max_iter=100)
+        return fine, certificate(bounds, fine).at_vertices
+    return surface, analysis.certificate.at_vertices
+
+
 def _coverage(analysis: Analysis) -> dict[str, Any]:
     """How much of the body the contacts cover.
 
     `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal.  `normals` is
     the fraction of the sphere of directions that lies within 5° of a contact's normal.
     """
-    cloud, surface, bound = analysis.cloud, analysis.surface, analysis.certificate.at_vertices
+    cloud, (surface, bound) = analysis.cloud, _local_bounds(analysis)
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     area = np.asarray(surface.area_faces)
     closed = bound[surface.faces].max(axis=1) <= _COVERED_BOUND * diagonal
@@ -273,10 +287,6 @@ def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
     return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
 
 
-def _where(data: Mapping[str, Any]) -> str:
-    return "space" if data.get("model") == "spatial" else f"{data['counts']['slices']} slices"
-
-
 class Summary(NamedTuple):
     """A table of a few rows for the terminal."""
 
@@ -289,9 +299,8 @@ class Summary(NamedTuple):
 def summary(data: Mapping[str, Any]) -> Summary:
     """The most important numbers of a report."""
     counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
-    heading = (
-        f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {_where(data)}"
-    )
+    where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
+    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {where}"
     rows = []
     if errors:
         error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths)"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from spatial_scans import recorded
 
 import scan3d
 from scan3d.cli import main
@@ -43,6 +44,16 @@ def scanned(path, **plan):
             ("size", "40 mm"),
         ),
     )
+
+
+@functools.cache
+def scanned_in_space(**raster):
+    """The scene of sweeps in space past an ellipsoid about the origin; `raster` as in `spatial_scans.recorded`."""
+    recording, _, _ = recorded(**{**dict(diameter=0.01, directions=6, heights=6, samples=32), **raster})
+    cloud = scan3d.reconstruct(recording)
+    hull = surface(cloud, "hull")
+    bound = certificate(enclosure(cloud), hull).at_vertices.astype(np.float32)
+    return of_cloud(cloud, name="ellipsoid", surface=hull, bound=bound, recording=recording)
 
 
 def scanned_folder(place):

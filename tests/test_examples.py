@@ -261,3 +261,64 @@ def test_rod_for_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     script.main(["--out", str(tmp_path / "rod.png")])
     assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")
     assert len(capsys.readouterr().out.splitlines()) == error.size
+
+
+def test_what_planarity_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = example("what_planarity_costs")
+    at = {height: k for k, height in enumerate(script.HEIGHTS)}
+    between = (script.HEIGHTS >= 0.25) & (script.HEIGHTS <= 0.75)
+    for (_, friction), cost in script.COSTS.items():
+        # from a quarter to three quarters of the height much is refused, and without friction nearly everything
+        assert (cost.refused[between] > (0.25 if friction else 0.95)).all()
+        assert (np.diff(cost.refused) > -0.05).all()
+        assert cost.spatial.max() < 1e-10
+        if not friction:
+            continue
+        # the others are off by per cents of the diagonal
+        read = between & np.isfinite(cost.median)
+        assert read.any()
+        assert (cost.median[read] > 0.012).all()
+        assert (cost.median[read] < 0.043).all()
+        assert (cost.largest[read] > 0.024).all()
+        assert (cost.largest[read] < 0.062).all()
+        # and already in a slice nearly in the middle
+        assert cost.median[at[0.02]] == pytest.approx(0.004, abs=0.0005)
+    assert max(cost.out_of_plane[between].max() for cost in script.COSTS.values()) == pytest.approx(0.4, abs=0.01)
+    script.main(["--out", str(tmp_path / "costs.png")])
+    assert (tmp_path / "costs.png").read_bytes().startswith(b"\x89PNG")
+    assert len(capsys.readouterr().out.splitlines()) == 2 + 4 * len(script.HEIGHTS)
+
+
+def test_sphere_off_equator(tmp_path: Path) -> None:
+    script = example("sphere_off_equator")
+    touching = np.isfinite(script.SWEPT.s1)
+    assert touching.sum(axis=1).min() > 100
+    for number in range(len(script.HEIGHTS)):
+        # both touch at the same samples, and agree
+        np.testing.assert_array_equal(touching[number], script.PLANAR[number].phase != planar.Phase.NONE)
+        for name, values in script.differences(number).items():
+            np.testing.assert_allclose(values[touching[number]], 0, atol=1e-9, err_msg=name)
+    # symmetric, without a snap, and without a force at both ends
+    np.testing.assert_array_equal(touching, touching[:, ::-1])
+    np.testing.assert_allclose(script.FORCE, script.FORCE[:, ::-1], rtol=0, atol=1e-9)
+    assert not script.SWEPT.snapped.any()
+    largest = np.nanmax(script.FORCE, axis=1)
+    assert (np.array([force[np.isfinite(force)][-1] for force in script.FORCE]) < 0.05 * largest).all()
+    script.main(["--out", str(tmp_path / "sphere.png")])
+    assert (tmp_path / "sphere.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_rod_that_slides_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = example("rod_that_slides_away")
+    # (S23) says where the sweep without friction becomes unstable; on the sphere, in the middle
+    np.testing.assert_allclose(script.MEASURED, script.LIMITS, rtol=0, atol=2e-4)
+    assert script.LIMITS[script.RATIOS.index(1.0)] == pytest.approx(0, abs=1e-9)
+    # friction slows the growth, which the estimate predicts to 30 %
+    grown = [script.ON_SPHERE[friction][-1] for friction in (0.3, 0.6)]
+    assert grown == pytest.approx([66, 6.5], rel=0.05)
+    for friction, deviation in script.ON_SPHERE.items():
+        known = np.isfinite(deviation)
+        np.testing.assert_allclose(script.ESTIMATES[friction][known], deviation[known], rtol=0.3)
+    script.main(["--out", str(tmp_path / "rod.png")])
+    assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")
+    assert len(capsys.readouterr().out.splitlines()) == len(script.FRICTIONS) + len(script.RATIOS)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from image_checks import of_color
 from PIL import Image, ImageSequence
-from small_scans import CUBE, EGG, scanned
+from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import scan3d
 from scan3d.choices import COLORS, MOVIES, VIEWS
@@ -60,6 +60,30 @@ def test_the_rod_moves_as_the_clamp_did(egg):
         thick = ink[2:-2, 2:-2] & ink[:-4, 2:-2] & ink[4:, 2:-2] & ink[2:-2, :-4] & ink[2:-2, 4:]
         squares.append(np.argwhere(thick)[:, 1].mean())
     assert np.all(np.diff(squares) < 0)
+
+
+def test_a_sweep_in_space(tmp_path):
+    movie.movie(scanned_in_space(), tmp_path / "sweep.gif", frames=5)
+    shown = images(tmp_path / "sweep.gif")
+    assert len(shown) == 5
+    for image in shown:
+        assert (image[:5] == 255).all()
+        assert of_color(image[LEFT], shading.BODY).mean() > 0.03
+        assert of_color(image[LEFT], shading.ROD).sum() > 200
+    # three components of force and moment, each in its colour
+    for color in (shading.ROD, shading.TIP, shading.TANGENTIAL):
+        curves = [of_color(image[RIGHT], color).sum() for image in shown]
+        assert np.all(np.diff(curves) > 0)
+
+
+@pytest.mark.rendering
+def test_growth_in_space_adds_sweeps(tmp_path):
+    scene = scanned_in_space()
+    movie.movie(scene, tmp_path / "growth.gif", "growth", frames=3)
+    shown = images(tmp_path / "growth.gif")
+    size = [(image[:500] < 250).any(axis=2).sum() for image in shown]
+    assert len(shown) == 3
+    assert np.all(np.diff(size) > 0)
 
 
 @pytest.mark.rendering
@@ -188,7 +212,7 @@ def test_help_loads_no_library_for_pictures():
     ("option", "choices"),
     [
         ("--view", ("cloud", "surface", "bound", "compare", "explain")),
-        ("--color", ("phase", "force", "friction", "error")),
+        ("--color", ("phase", "force", "friction", "error", "bending")),
         ("--movie-of", ("sweep", "growth")),
     ],
 )

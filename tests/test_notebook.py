@@ -13,12 +13,12 @@ import pytest
 import trimesh
 from image_checks import fraction_of_color
 from PIL import Image
-from small_scans import CUBE, EGG
+from small_scans import CUBE, EGG, scanned_in_space
 from without_renderer import MISSING, headless, hidden_renderer
 
 import planar
 import scan3d
-from scan3d.pictures import notebook, rendering, shading
+from scan3d.pictures import charts, notebook, rendering, shading
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +124,22 @@ def test_units_normals_and_noise_of_a_recording(recording):
     many = np.stack([np.cos(turns), np.sin(turns), 0 * turns, 0 * turns], axis=1)
     rows = dict(Reader(replace(recording, quaternion=many)._repr_html_()).rows)
     assert rows["normals of the slices"].endswith(" more")
+
+
+def test_six_axis_recordings_and_their_clouds_show_themselves(no_renderer):
+    recording = scanned_in_space().recording
+    force, moment = recording.wrench()
+    rows = dict(Reader(recording._repr_html_()).rows)
+    assert rows["samples"] == f"{len(recording)}, {np.any(force != 0, axis=1).sum()} with a force"
+    largest = 1e3 * np.linalg.norm(force, axis=1).max(), 1e6 * np.linalg.norm(moment, axis=1).max()
+    assert rows["largest reactions"] == "{:.4g} mN, {:.4g} mN mm".format(*largest)
+    assert "normals of the slices" not in rows
+    assert rows["z axes of the clamp"].startswith("(0, -0.343, 0.939)")
+    panels = charts.reactions(recording).axes[:6]
+    assert [axes.get_ylabel()[4:6] for axes in panels] == ["0x", "0x", "0y", "0y", "0z", "0z"]
+    rows = dict(Reader(scan3d.reconstruct(recording)._repr_html_()).rows)
+    assert "slices" not in rows
+    assert rows["model"].startswith("spatial")
 
 
 def test_text_from_files_stays_text(recording):
@@ -279,7 +295,7 @@ def test_what_can_not_be_plotted(recording, cloud, surface, mesh, monkeypatch):
         ((surface,), dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
         ((surface,), dict(view="rainbow"), "view must be one of cloud, surface, .*, got 'rainbow'"),
         ((surface,), dict(view="cloud"), "the surface has no contacts"),
-        ((cloud,), dict(color="taste"), "contacts are coloured by phase, force, friction, error, got 'taste'"),
+        ((cloud,), dict(color="taste"), "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
         ((cloud,), dict(color="error"), "the error of the contacts of the cloud is not known"),
         ((cloud,), dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
         ((recording,), dict(view="surface"), "the recording has no surface to show"),

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small_scans import CUBE, scanned
+from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
 from scan3d.pictures.page import page as html_page
@@ -71,6 +71,24 @@ def test_the_page_holds_the_scan(cube):
     assert faces.max() < len(floats(surface["position"])) / 3
     for quantity, value in cube.key_figures:
         assert f"<th>{quantity}</th><td>{value}</td>" in page.decode()
+
+
+def test_the_page_of_a_scan_in_space():
+    scene = scanned_in_space()
+    page = html_page(scene)
+    names = [layer["name"] for layer in data_of(page)["layers"]]
+    assert names == ["surface", "contacts", "normals", "contact paths", "rod in one sweep"]
+    contacts = layer(page, "contacts")
+    bending = contacts["colors"][-1]
+    assert bending["title"] == "bending out of the sweep's plane in °"
+    assert bending["low"] == -bending["high"]  # symmetric
+    angle = scan3d.reconstruct(scene.recording).bending_angle
+    assert floats(bending["values"]) == pytest.approx(np.rad2deg(np.arcsin(np.sin(angle))), abs=1e-4)
+    assert set(contacts["columns"]) == {"sweep"}
+    # the lines of the paths run through contacts
+    lines = floats(layer(page, "contact paths")["position"]).reshape(-1, 3)
+    distance = np.linalg.norm(lines[:, None] - floats(contacts["position"]).reshape(-1, 3), axis=2).min(axis=1)
+    assert distance.max() == 0
 
 
 def test_the_page_needs_no_other_file(cube):

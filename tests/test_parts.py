@@ -4,10 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scans import CUBE, EGG, scanned
+from scipy.spatial.transform import Rotation
+from small_scans import CUBE, EGG, scanned, scanned_in_space
+from spatial_scans import SEMI_AXES
 
+import planar
 import scan3d
-from scan3d.pictures.parts import outlines, shown_surface, shown_sweep
+from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
+from scan3d.pictures.scene import of_cloud
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +95,95 @@ def test_contacts_in_any_order_have_their_rods(egg):
     shuffled = replace(egg, contacts=egg.contacts[order])
     expected = shuffled.points[shuffled.column("sweep") == number]
     assert shown_sweep(shuffled, number).contact == pytest.approx(expected, abs=1e-6 * egg.diagonal)
+
+
+# --- the rod in space ---
+
+
+@pytest.fixture(scope="module")
+def ellipsoid():
+    return scanned_in_space()
+
+
+def test_rods_in_space_touch_where_the_contacts_are_and_keep_their_length(ellipsoid):
+    cloud = scan3d.reconstruct(ellipsoid.recording)
+    for number in np.unique(cloud.sweep)[::5]:
+        sweep = shown_sweep(ellipsoid, number, points=2000)
+        rows = cloud.sweep == number
+        assert sweep.slice is None
+        assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
+        length = ellipsoid.recording.rod.length_m * 1e3
+        along = [np.linalg.norm(np.diff(lines, axis=1), axis=2).sum(axis=1) for lines in (sweep.curved, sweep.straight)]
+        assert sum(along) == pytest.approx(np.full(rows.sum(), length), rel=1e-6)
+        # the rod starts along the clamp's y axis, and past a tangential contact goes straight on along its tangent
+        start = sweep.curved[:, 1] - sweep.curved[:, 0]
+        assert (start @ sweep.axes[1] > 0.999 * np.linalg.norm(start, axis=1)).all()
+        tangential = sweep.phase == planar.Phase.TANGENTIAL
+        rest = np.diff(sweep.straight, axis=1)[tangential, 0]
+        rest /= np.linalg.norm(rest, axis=1, keepdims=True)
+        assert rest == pytest.approx(cloud.tangents[rows][tangential], abs=1e-6)
+
+
+def test_clamps_may_turn_during_a_sweep(ellipsoid):
+    recording, number = ellipsoid.recording, shown_sweep(ellipsoid).number
+    # turned about the world's z axis, as far as the sample's number says; contacts turn about the clamps
+    turns = Rotation.from_rotvec(np.outer(1e-3 * np.arange(len(recording)), [0, 0, 1]))
+    quaternion = (turns * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True)
+    turned = replace(recording, quaternion=quaternion)
+    cloud = scan3d.reconstruct(turned)
+    sweep = shown_sweep(of_cloud(cloud, recording=turned), number)
+    rows = cloud.sweep == number
+    assert sweep.turns == pytest.approx(turned.axes()[cloud.row[rows]])
+    assert not np.allclose(sweep.turns[0], sweep.turns[-1])
+    assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
+
+
+def test_rods_in_space_stay_outside_of_the_fattened_body(ellipsoid):
+    semi_axes = np.array(SEMI_AXES) * 50  # mm
+    for number in np.unique(ellipsoid.column("sweep"))[::5]:
+        points = shown_sweep(ellipsoid, number).rods.reshape(-1, 3)
+        assert (np.linalg.norm(points / semi_axes, axis=1) > 1.0).all()
+
+
+def test_rods_of_a_noisy_recording_in_space_reach_their_contacts():
+    noisy = scanned_in_space(noise=(1e-3, 1e-3))
+    cloud = scan3d.reconstruct(noisy.recording)
+    sweep = shown_sweep(noisy)
+    assert sweep.contact == pytest.approx(cloud.centre_points[cloud.sweep == sweep.number], abs=1e-9 * noisy.diagonal)
+
+
+def test_paths_of_contacts_are_broken_where_the_rod_leaves_the_body(ellipsoid):
+    row, sweep = ellipsoid.column("row"), ellipsoid.column("sweep")
+    paths = contact_paths(ellipsoid)
+    assert {number for _, number in paths} <= set(sweep)
+    for line, number in paths:
+        mine = np.flatnonzero(sweep == number)
+        index = [mine[np.argmin(np.linalg.norm(ellipsoid.points[mine] - point, axis=1))] for point in line]
+        assert (np.diff(row[index]) == 1).all()
+    assert max(np.linalg.norm(np.diff(line, axis=0), axis=1).max() for line, _ in paths) < 0.2 * ellipsoid.diagonal
+    # the sweep that is shown unless another is asked for has the longest of them
+    longest = max(paths, key=lambda path: np.linalg.norm(np.diff(path[0], axis=0), axis=1).sum())
+    assert shown_sweep(ellipsoid).number == longest[1]
+
+
+def test_rods_that_bend_downward_are_seen_from_below(ellipsoid):
+    sides = set()
+    for number in np.unique(ellipsoid.column("sweep")):
+        sweep = shown_sweep(ellipsoid, number)
+        up = ((sweep.contact - sweep.base) @ sweep.axes[2]).mean()
+        assert np.sign(sweep_direction(sweep) @ sweep.axes[2]) == np.sign(up)
+        sides.add(np.sign(up))
+    assert sides == {-1.0, 1.0}
+
+
+def test_a_recording_of_the_plane_has_no_rods_in_space(ellipsoid):
+    without = dict.fromkeys(("force_z_N", "moment_x_Nm", "moment_y_Nm"))
+    flat = replace(ellipsoid, recording=replace(ellipsoid.recording, **without))
+    with pytest.raises(scan3d.InputError, match="the contacts of ellipsoid do not belong to its recording"):
+        shown_sweep(flat)
+
+
+# --- contacts of another recording ---
 
 
 def without_rows(scene):

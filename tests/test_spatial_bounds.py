@@ -20,6 +20,7 @@ from spatial_bodies import (
 
 import scan3d
 from planar import Phase
+from scan3d import report
 from scan3d.geometry.hulls import hull
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
@@ -273,3 +274,18 @@ def test_the_parts_of_the_bound():
     assert set(bounds.parts()) == {"contacts", "rod"}
     assert max(bounds.parts().values()) == bounds.bound
     assert hull(bounds.corners).volume > bounds.inner.volume
+
+
+def test_the_report_states_the_parts_of_the_bound():
+    cloud = spatial_cloud(box([1, 0.7, 0.5]), 2000, 1, 0.01)
+    bounds = enclosure(cloud)
+    mesh = surface(cloud, bounds=bounds)
+    analysis = report.Analysis(None, cloud, bounds, mesh, certificate(bounds, mesh))
+    certified, budget = report._certificate(analysis), report._budget(analysis)
+    assert certified["parts"] == {**bounds.parts(), "noise": bounds.margin}
+    assert certified["bound"] == analysis.certificate.bound
+    assert budget["between_contacts"]["at_most"] == bounds.parts()["contacts"]
+    assert budget["thickness_of_rod"]["at_most"] == bounds.parts()["rod"]
+    assert "largest of between_contacts and thickness_of_rod" in budget["sum"]
+    assert "between_slices" not in budget
+    assert 0 < report._coverage(analysis)["surface"] <= 1

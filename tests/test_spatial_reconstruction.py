@@ -35,13 +35,18 @@ def test_contacts_and_normals_of_few_sweeps(few):
     assert cloud.fit is None
     np.testing.assert_array_equal(np.isfinite(points[:, 0]).sum(), len(cloud))
     np.testing.assert_allclose(cloud.points, points[cloud.row], atol=1e-8)
-    assert {NormalSource.SLIP, NormalSource.PATH, NormalSource.UNKNOWN} == set(cloud.normal_source)
-    known = cloud.normal_source != NormalSource.UNKNOWN
+    expected = {NormalSource.SLIP, NormalSource.PATH, NormalSource.HULL, NormalSource.UNKNOWN}
+    assert {NormalSource.SLIP, NormalSource.PATH} < set(cloud.normal_source) <= expected
+    known = np.isin(cloud.normal_source, (NormalSource.SLIP, NormalSource.PATH))
+    assert known.mean() > 0.8
     error = np.degrees(angles(cloud.normals[known], normals[cloud.row[known]]))
     assert np.median(error) < 0.02
     assert np.percentile(error, 95) < 0.2
     # the sweeps' own error, of the first order in their step, is 0.001
     assert np.nanmedian(np.abs(cloud.friction - 0.3)) < 1e-4
+    compared = np.isfinite(cloud.slip_to_path)
+    assert compared.sum() > 50
+    assert np.degrees(np.median(cloud.slip_to_path[compared])) < 0.05
     assert np.isnan(cloud.in_plane_normals).all()
     assert (cloud.slice == -1).all()
     assert cloud.slice_axis.shape == (0, 3)
@@ -69,7 +74,7 @@ def test_smooth_bodies_are_fitted_whatever_the_friction_and_points_move_by_the_r
     np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)
     np.testing.assert_allclose(cloud.points, (points - cloud.rod_radius * normals)[cloud.row], atol=5e-5)
     offset = cloud.points - cloud.fit.points(cloud.normals)
-    assert np.abs(offset).max() < 1e-4
+    assert np.abs(offset).max() < 5e-4
     assert np.nanmin(cloud.friction) >= 0
     assert np.nanmax(cloud.friction) < 0.4001
 
@@ -78,7 +83,11 @@ def test_unknown_normals_leave_an_error_of_the_radius(few):
     recording, points, normals = recorded((0.0, 0.4), diameter=0.01, substeps=1, **FEW)
     cloud = scan3d.reconstruct(recording)
     unknown = cloud.normal_source == NormalSource.UNKNOWN
-    assert unknown.mean() > 0.5
+    assert unknown.mean() > 0.1
+    by_hull = cloud.normal_source == NormalSource.HULL
+    assert by_hull.mean() > 0.5
+    error = angles(cloud.normals, normals[cloud.row])[by_hull]
+    assert (error <= cloud.normal_sd[by_hull]).all()
     distance = np.linalg.norm(cloud.points - (points - cloud.rod_radius * normals)[cloud.row], axis=1)
     assert distance[unknown].max() < 1.01 * cloud.rod_radius * np.tan(0.4)
     np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)

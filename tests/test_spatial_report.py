@@ -23,6 +23,7 @@ def test_counts_and_friction_of_a_scan_in_space(scanned):
     assert (counts["slices"], counts["empty_slices"]) == (0, 0)
     assert counts["contacts"] == np.isfinite(points[:, 0]).sum()
     friction = _friction(cloud, "0.0:0.4")
+    assert friction["slip_to_path_deg"] is None or friction["slip_to_path_deg"] < 5
     assert 0 <= friction["estimated_range"][0] <= friction["estimated_median"] <= friction["estimated_range"][1]
 
 

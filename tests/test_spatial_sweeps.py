@@ -37,6 +37,13 @@ def inside(points, semi_axes, axes):
     return -value / (2 * np.linalg.norm(local / semi_axes**2, axis=-1))
 
 
+def test_frictionless_sweeps_off_the_mirror_planes_are_stable(swept):
+    *_, friction, result = swept
+    touching = np.isfinite(result.s1)
+    assert not result.stable[~touching].any()
+    assert result.stable[touching].mean() > (0.98 if friction else 0.99)
+
+
 def test_sweeps_touch_and_leave(swept):
     *_, friction, result = swept
     touching = np.isfinite(result.s1)
@@ -169,6 +176,10 @@ def test_stability_in_a_mirror_plane_changes_where_it_should(semi_axes):
     slope, offset = np.polyfit(base[near], compliance[near], 1)
     assert abs(-offset / slope - critical) < 0.002
     beyond = (base < critical - 0.01) & (base > critical - 0.03)
+    mirror = sweep(Ellipsoid(semi_axes, centre), position * [1, 1, 0], np.eye(3)[None])
+    turns = base[np.flatnonzero(np.isfinite(mirror.s1[0]) & ~mirror.stable[0])[0]]
+    assert mirror.stable[0, np.isfinite(mirror.s1[0]) & (base > turns)].all()
+    assert abs(turns - critical) < 0.002
     # the rod has left the plane, or stays near it on the branch that is unstable, with a negative lateral stiffness
     left = np.nan_to_num(np.abs(swept.point[0, beyond, 2]), nan=1.0) > 0.01
     assert (left | (compliance[beyond] < 0)).all()

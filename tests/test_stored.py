@@ -8,17 +8,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from small_scans import CUBE, EGG, scanned_folder
+from small_scans import CUBE, EGG, scanned_folder, scanned_in_space
 
 import scan3d
 from scan3d.cli import main, verbs
 from scan3d.files.ply import ply
-from scan3d.pictures import stored
+from scan3d.pictures import rendering, stored
+from scan3d.pictures.parts import contact_paths, shown_sweep
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return scanned_folder(tmp_path_factory.mktemp("show"))
+
+
+def test_a_stored_scan_in_space_has_all_that_its_pictures_need(tmp_path, monkeypatch):
+    scene = scanned_in_space()
+    scan3d.write_recording(scene.recording, tmp_path / "recording.csv")
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    assert main(["reconstruct", str(tmp_path / "recording.csv"), "--out", str(tmp_path), "--quiet"]) == 0
+    read, report = stored.read_folder(tmp_path, "mm")
+    assert report["model"] == "spatial"
+    cloud = scan3d.reconstruct(read.recording)
+    assert read.column("slice") is None
+    assert "slices" not in dict(read.key_figures)
+    assert read.column("bending") == pytest.approx(cloud.bending_angle, abs=1e-6)
+    tangents = np.stack([read.column(f"t{axis}") for axis in "xyz"], axis=1)
+    assert tangents == pytest.approx(cloud.tangents, abs=1e-6)
+    sweep = shown_sweep(read)
+    assert sweep.contact == pytest.approx(cloud.centre_points[cloud.sweep == sweep.number], abs=1e-9 * read.diagonal)
+    assert len(contact_paths(read)) == len(contact_paths(scene))
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from image_checks import fraction_of_color, pixels
-from small_scans import CUBE, EGG, scanned
+from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import scan3d
 from scan3d.choices import COLORS
@@ -74,7 +74,7 @@ def test_the_surface_by_its_bound(egg, tmp_path):
 
 
 @pytest.mark.rendering
-@pytest.mark.parametrize("color", COLORS)
+@pytest.mark.parametrize("color", sorted(set(COLORS) - {"bending"}))
 @pytest.mark.slow
 def test_the_cloud_by_each_colour(egg, tmp_path, color):
     image = draw(egg, tmp_path / "cloud.png", "cloud", color)
@@ -91,6 +91,38 @@ def test_the_cloud_by_each_colour(egg, tmp_path, color):
         assert (np.ptp(right, axis=2) > 60).mean() > 0.02  # the bar
     # normals stick out of the body
     assert fraction_of_color(body, shading.NORMAL, 60) > 1e-3
+
+
+@pytest.mark.rendering
+def test_contacts_by_the_bending_out_of_the_plane(tmp_path):
+    scene = scanned_in_space()
+    shaded = shading.shade_contacts(scene, "bending")
+    assert shaded.title == "bending out of the sweep's plane in °"
+    assert shaded.norm.vmin == -shaded.norm.vmax  # symmetric
+    # a rod that bends to the clamp's z by as much as along the sweep bends 45° out of the plane
+    angle = np.rad2deg(np.arcsin(np.sin(scan3d.reconstruct(scene.recording).bending_angle)))
+    assert shaded.norm.vmax == pytest.approx(np.abs(angle).max(), rel=1e-6)
+    assert 45 < shaded.norm.vmax <= 90
+    # blue below the plane and red above it
+    red, blue = shaded.rgb[:, 0].astype(int), shaded.rgb[:, 2].astype(int)
+    assert (red > blue)[angle > 5].all()
+    assert (blue > red)[angle < -5].all()
+    bar = draw(scene, tmp_path / "cloud.png", "cloud", "bending")[BAR][:, 30].astype(int)
+    inside = np.flatnonzero(np.ptp(bar, axis=1) > 60)
+    assert bar[inside[0], 0] > bar[inside[0], 2]
+    assert bar[inside[-1], 0] < bar[inside[-1], 2]
+
+
+def test_the_bending_of_planar_contacts_is_not_known(egg):
+    with pytest.raises(scan3d.InputError, match="the bending of the contacts of egg is not known; known are phase"):
+        shading.shade_contacts(egg, "bending")
+
+
+@pytest.mark.rendering
+def test_the_rod_in_space(tmp_path):
+    image = draw(scanned_in_space(), tmp_path / "explain.png", "explain")
+    for color in (shading.BODY, shading.ROD, shading.TANGENTIAL, shading.INK):
+        assert fraction_of_color(image[:-150], color, 60) > 1e-3
 
 
 @pytest.mark.rendering
@@ -157,7 +189,7 @@ def test_the_scale_is_a_round_length(length, step):
     ("change", "options", "sentence"),
     [
         ({}, dict(view="rainbow"), "view must be one of cloud, surface, bound, compare, explain, got 'rainbow'"),
-        ({}, dict(color="taste"), "contacts are coloured by phase, force, friction, error, got 'taste'"),
+        ({}, dict(color="taste"), "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
         (
             dict(contacts=None),
             dict(view="cloud"),

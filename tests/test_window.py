@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_scans import EGG, scanned, scanned_folder
+from small_scans import EGG, scanned, scanned_folder, scanned_in_space
 
 import scan3d
 from scan3d.cli import main
@@ -37,6 +37,18 @@ def test_the_window(egg):
         built.pick(egg.points[17])
         built.pick(egg.points[17] + 100.0)
         assert sentences == [contact_sentence(egg, 17)]
+    finally:
+        built.plotter.close()
+
+
+@pytest.mark.rendering
+def test_the_window_of_a_scan_in_space():
+    scene = scanned_in_space()
+    built = window.build_window(scene, print, "bending", off_screen=True)
+    try:
+        assert list(built.layers) == ["surface", "contacts", "normals", "contact paths", "rods"]
+        assert all(built.layers.values())
+        assert np.array_equal(built.contacts["rgb"], shading.shade_contacts(scene, "bending").rgb)
     finally:
         built.plotter.close()
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scans import EGG, scanned, scanned_folder
+from small_scans import EGG, scanned, scanned_folder, scanned_in_space
 
 import planar
-from scan3d.pictures.words import contact_sentence, key_figures
+import scan3d
+from scan3d.pictures.words import contact_sentence, key_figures, out_of_plane_deg
 
 
 @pytest.fixture(scope="module")
@@ -42,3 +43,17 @@ def test_the_sentence_of_a_contact(egg):
         assert part in sentence
     points_only = replace(egg, contacts=egg.contacts[["x", "y", "z"]])
     assert contact_sentence(points_only, 0) == "contact 0: ({:.6g}, {:.6g}, {:.6g}) mm".format(*egg.points[0])
+
+
+def test_the_sentence_of_a_contact_in_space():
+    scene = scanned_in_space()
+    angle = scan3d.reconstruct(scene.recording).bending_angle
+    contact = int(np.argmax(np.abs(np.sin(angle))))
+    sentence = contact_sentence(scene, contact)
+    assert f", bending {np.rad2deg(np.arcsin(np.sin(angle[contact]))):.1f}° out of the sweep's plane" in sentence
+    assert "slice" not in sentence
+
+
+def test_the_angle_out_of_the_plane_is_small_for_rods_that_bend_backward():
+    angles = np.deg2rad([0.0, 30.0, 90.0, 150.0, 180.0, -170.0, -90.0, -10.0])
+    assert out_of_plane_deg(angles) == pytest.approx([0, 30, 90, 30, 0, -10, -90, -10], abs=1e-9)

@@ -31,6 +31,9 @@ _FAR = 300.0
 _REPAIRS = 60
 # Half-widths below this, in radians, count as equal.  Larger, wide arcs would be kept; smaller, rounding chooses between arcs.
 _NARROW = 1e-5
+# Directions in a triangle in which the support function is bounded, by weights of its corners.  More give tighter local bounds
+# and take longer.
+_WEIGHTS = np.array([[1, 1, 1], [3, 1, 1], [1, 3, 1], [1, 1, 3], [2, 2, 1], [1, 2, 2], [2, 1, 2]]) / 5
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
 
 
@@ -147,6 +150,26 @@ def _apexes(planes: SupportingPlanes, triangles: Index) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         apexes = (heights[0] * bc + heights[1] * ca + heights[2] * ab) / determinant[..., None]
     return determinant.min(axis=1), apexes + origin[:, None]
+
+
+def support_bounds(planes: SupportingPlanes, covering: Cover) -> tuple[Array, Array]:
+    """Directions (d, 3) and upper bounds (d,) of the body's support function there, from the triangles that are closed.
+
+    A direction lies in a triangle whichever normals its arcs contain if it does so at the ends of the arcs.
+    """
+    closed = np.isfinite(covering.apexes[:, 0, 0])
+    triangles, apexes = covering.planes[closed], covering.apexes[closed]
+    directions = np.einsum("wk,mkx->mwx", _WEIGHTS, planes.middle[triangles])
+    directions /= np.linalg.norm(directions, axis=2)[:, :, None]
+    ends = planes.ends()[triangles]
+    inside = np.ones(directions.shape[:2], dtype=bool)
+    for k in range(3):
+        a, b = ends[:, (k + 1) % 3], ends[:, (k + 2) % 3]
+        for i in range(2):
+            for j in range(2):
+                inside &= (directions * np.cross(a[:, i], b[:, j])[:, None]).sum(axis=2) >= 0
+    values = np.einsum("mwx,mcx->mwc", directions, apexes).max(axis=2)
+    return directions[inside], values[inside]
 
 
 def cut_depths(planes: SupportingPlanes, rows: Index, points: Array) -> Array:

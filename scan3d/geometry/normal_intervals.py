@@ -7,7 +7,8 @@ point q leaves a half turn of directions to n::
     n = cos θ ν + sin θ τ,   |θ| <= δ,   ν, τ perpendicular to t.
 
 Neither a measured normal nor a law of friction enters.  Any points of the body may be chosen for q, since fewer points make
-wider intervals only.  Where places have errors of at most e, the inequality is ``<n, q - p> <= e_p + e_q``.
+wider intervals only.  Where places have errors of at most e and t one of at most ε, the normal that is turned until it is
+perpendicular to the measured t satisfies ``<n, q - p> <= e_p + e_q + ε |q - p|``.
 """
 
 from __future__ import annotations
@@ -44,12 +45,14 @@ class NormalIntervals(NamedTuple):
 
 
 def normal_intervals(
-    points: Array, tangents: Array, errors: Array, body: Array, body_errors: Array, edges: Index
+    points: Array, tangents: Array, errors: Array, turns: Array, body: Array, body_errors: Array, edges: Index
 ) -> NormalIntervals:
     """The intervals of the normals at points (n, 3) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
 
     errors, body_errors
         (n,) and (h,) largest errors of the points' places and of those of `body`.
+    turns
+        (n,) largest errors of the tangents, in radians.
     body
         (h, 3) points of the body, the vertices of a convex polyhedron.
     edges
@@ -61,7 +64,7 @@ def normal_intervals(
     parts = []
     for first in range(0, len(points), _BLOCK):
         rows = slice(first, first + _BLOCK)
-        sight = _Sight(points[rows], tangents[rows], errors[rows], centre, body, body_errors)
+        sight = _Sight(points[rows], tangents[rows], errors[rows], turns[rows], centre, body, body_errors)
         near = [
             numbers[tree.query(points[rows], k=np.arange(1, min(_NEIGHBOURS, tree.n) + 1))[1]]
             for tree, numbers in levels
@@ -79,9 +82,17 @@ class _Sight:
     """What is seen of a body along lines (b,) through points of its surface."""
 
     def __init__(
-        self, points: Array, tangents: Array, errors: Array, centre: Array, body: Array, body_errors: Array
+        self,
+        points: Array,
+        tangents: Array,
+        errors: Array,
+        turns: Array,
+        centre: Array,
+        body: Array,
+        body_errors: Array,
     ) -> None:
-        self._points, self._errors, self._body, self._body_errors = points, errors, body, body_errors
+        self._points, self._errors, self._turns = points, errors, turns
+        self._body, self._body_errors = body, body_errors
         outward = points - centre
         self._outward = outward - dot(outward, tangents)[:, None] * tangents
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -97,6 +108,8 @@ class _Sight:
         x, y = -dot(offset, self._outward[:, None]), -dot(offset, self._across[:, None])
         distance = np.hypot(x, y)
         error = self._errors[:, None] + self._body_errors[numbers]
+        if self._turns.any():
+            error += self._turns[:, None] * np.linalg.norm(offset, axis=2)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(error < distance, error / distance, 1.0)
         # a point that is no farther away than the errors says nothing
@@ -114,8 +127,9 @@ class _Sight:
 
     def interval(self, low: Array, high: Array) -> NormalIntervals:
         """The intervals between angles (b,)."""
+        low, high = np.maximum(low, -np.pi), np.minimum(high, np.pi)
         middle, half = (low + high) / 2, (high - low) / 2
-        half[~(half >= 0)] = np.nan
+        half[~((half >= 0) & (half < np.pi / 2))] = np.nan
         cos, sin = np.cos(middle)[:, None], np.sin(middle)[:, None]
         return NormalIntervals(cos * self._outward + sin * self._across, cos * self._across - sin * self._outward, half)
 

@@ -27,7 +27,7 @@ from scan3d.arrays import Array
 
 # Largest number of contacts used for a fit, spread over all slices.  More take longer; fewer come close to the number of
 # coefficients, and the series follows their noise.
-_MAX_CONTACTS = 4000
+MAX_CONTACTS = 4000
 # Rounds in which the normals follow the fit.  Each improves them by a factor of ten or more and takes as long as the first;
 # with fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
@@ -78,7 +78,7 @@ class SupportFit:
 def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
     """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`."""
     center, shape = inertia(points)
-    step = max(1, -(-len(points) // _MAX_CONTACTS))
+    step = max(1, -(-len(points) // MAX_CONTACTS))
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
     directions = _unit(normals[::step] @ shape)
     coefficients = np.zeros((degree + 1) ** 2)

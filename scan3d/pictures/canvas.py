@@ -139,8 +139,8 @@ class Canvas:
         for k in states:
             actors.append(self.add_tube(rods[k], ROD, _ROD_RADIUS))
             clamp = pyvista.Cube(x_length=3 * mark, y_length=3 * mark, z_length=3 * mark)
-            center = sweep.base[k] - 1.5 * mark * sweep.axes[1]  # the rod begins at the clamp's face
-            clamp.points = center + clamp.points @ sweep.axes
+            center = sweep.base[k] - 1.5 * mark * sweep.turns[k, 1]  # the rod begins at the clamp's face
+            clamp.points = center + clamp.points @ sweep.turns[k]
             actors.append(self.plotter.add_mesh(clamp, color=INK))
             ball = pyvista.Sphere(radius=1.7 * mark, center=sweep.contact[k])
             actors.append(self.plotter.add_mesh(ball, color=TANGENTIAL))

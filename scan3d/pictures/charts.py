@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.comparison import Comparison
-from scan3d.pictures.figures import FONT, REACTION_LABELS, blank_figure
+from scan3d.pictures.figures import FONT, REACTION_LABELS, SIX_REACTION_LABELS, blank_figure
 from scan3d.pictures.parts import evenly_chosen
 from scan3d.pictures.shading import INK, ROD, UNKNOWN
 from scan3d.pictures.words import unit_symbol
@@ -27,17 +27,20 @@ _ROOM = 1.4
 
 
 def reactions(recording: Recording) -> Any:
-    """A figure of the support reactions over the clamp travel, with a curve for every sweep."""
+    """A figure of the support reactions over the clamp travel, with a curve for every sweep: three panels, or six."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
 
     numbers = np.unique(recording.sweep)
     colors = ScalarMappable(Normalize(float(numbers[0]), float(max(numbers[-1], numbers[0] + 1))), "viridis")
-    values = np.column_stack([1e3 * recording.force_N, 1e6 * recording.moment_Nm])
+    force, moment = recording.wrench() if recording.six_axis else (recording.force_N, recording.moment_Nm)
+    values = np.column_stack([1e3 * force, 1e6 * moment])
+    labels = SIX_REACTION_LABELS if recording.six_axis else REACTION_LABELS
     figure = blank_figure(_PANELS_HEIGHT)
-    places = dict(left=0.13, right=0.80, top=0.96, bottom=0.12, hspace=0.18)
-    panels = figure.subplots(3, 1, sharex=True, gridspec_kw=places)
+    places = dict(left=0.13, right=0.80, top=0.96, bottom=0.12, hspace=0.18, wspace=0.55)
+    columns = figure.subplots(3, len(labels) // 3, sharex=True, squeeze=False, gridspec_kw=places).T
+    panels = columns.ravel()
     scale = 1 / UNITS_M[recording.unit]
     for number in numbers[evenly_chosen(len(numbers), _MOST_SWEEPS)]:
         rows = recording.sweep == number
@@ -45,13 +48,14 @@ def reactions(recording: Recording) -> Any:
         travel = scale * np.linalg.norm(position - position[0], axis=1)
         for axes, column in zip(panels, values[rows].T, strict=True):
             axes.plot(travel, column, color=colors.to_rgba(number), lw=0.8)
-    for axes, label in zip(panels, REACTION_LABELS, strict=True):
+    for axes, label in zip(panels, labels, strict=True):
         axes.set_ylabel(label, fontsize=FONT - 1)
         axes.tick_params(labelsize=FONT - 2)
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0.01)
-    figure.align_ylabels(panels)
-    panels[-1].set_xlabel(f"clamp travel in {unit_symbol(recording.unit)}", fontsize=FONT)
+    for column in columns:
+        figure.align_ylabels(column)
+        column[-1].set_xlabel(f"clamp travel in {unit_symbol(recording.unit)}", fontsize=FONT)
     if len(numbers) > 1:
         bar = figure.colorbar(colors, cax=figure.add_axes((0.842, 0.15, 0.025, 0.70)))
         bar.locator = MaxNLocator(6, integer=True)

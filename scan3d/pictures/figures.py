@@ -18,6 +18,20 @@ from scan3d.pictures.words import unit_symbol
 WIDTH, FONT = 7.0, 12
 # Axis labels of the support reactions (8).
 REACTION_LABELS = ("$f_{0x}$ in mN", "$f_{0y}$ in mN", "$m_{0z}$ in mN mm")
+# Axis labels of six support reactions.
+SIX_REACTION_LABELS = (
+    "$f_{0x}$ in mN",
+    "$f_{0y}$ in mN",
+    "$f_{0z}$ in mN",
+    "$m_{0x}$ in mN mm",
+    "$m_{0y}$ in mN mm",
+    "$m_{0z}$ in mN mm",
+)
+# Labels of two axes for three components each, with the names of the components.
+SPATIAL_LABELS = [
+    ["force in mN", "$f_{0x}$", "$f_{0y}$", "$f_{0z}$"],
+    ["moment in mN mm", "$m_{0x}$", "$m_{0y}$", "$m_{0z}$"],
+]
 # Pixels to the inch: 1400 pixels of width are sharp in print and on screens; more make larger files.
 DPI = 200
 # A figure is at least this high, in inches, so that a colour bar has room for its title, and at most this fraction of its

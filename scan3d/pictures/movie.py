@@ -1,4 +1,4 @@
-"""Movies: the rod along one sweep with its reactions, and the body growing slice by slice."""
+"""Movies: the rod along one sweep with its reactions, and the body growing slice by slice, or sweep by sweep."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array
 from scan3d.choices import MOVIES
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.figures import FONT, REACTION_LABELS, blank_figure, quiet
-from scan3d.pictures.parts import evenly_chosen, outlines, shown_sweep
+from scan3d.pictures.figures import FONT, REACTION_LABELS, SPATIAL_LABELS, blank_figure, quiet
+from scan3d.pictures.parts import ShownSweep, evenly_chosen, is_spatial, outlines, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
@@ -25,6 +26,7 @@ from scan3d.pictures.shading import (
     ROD,
     SLICE,
     TANGENTIAL,
+    TIP,
 )
 from scan3d.pictures.words import unit_symbol
 
@@ -32,7 +34,7 @@ ENDINGS = (".gif", ".mp4")
 NO_FFMPEG = (
     "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
 )
-# Frames of a movie, at most as many as samples or slices: five seconds, in a GIF of less than a megabyte.
+# Frames of a movie, at most as many as samples, slices or sweeps: five seconds, in a GIF of less than a megabyte.
 FRAMES = 60
 _PER_SECOND = 12
 # The last frame is shown as long as this many frames, so that the result can be looked at before the movie starts again.
@@ -47,6 +49,8 @@ _WHITE = 245
 _CURVE_MARGIN, _PLANE_MARGIN = 0.06, 0.05
 # Diameter of a contact in pixels, smaller than in pictures as frames are smaller.
 _CONTACT_SIZE = 3
+# Colours of the components along x, y and z, of which the first is that of single curves.
+_COMPONENTS = (ROD, TIP, TANGENTIAL)
 # Height of the rendered body as a fraction of the frame; the caption is below.
 _BODY_HEIGHT = 0.92
 
@@ -72,7 +76,7 @@ def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = 
     subject
         one of `scan3d.choices.MOVIES`.
     frames
-        the number of frames, at most the number of samples or slices.
+        the number of frames, at most the number of samples, or of slices or sweeps.
 
     Raises InputError for an unknown subject or ending, where the scene lacks what the movie shows, where nothing can be
     rendered (growth), and for an .mp4 without imageio-ffmpeg.
@@ -134,23 +138,27 @@ def _pixels(figure: Any) -> Image:
 
 
 def _sweep_frames(scene: Scene, frames: int) -> Iterator[Image]:
-    """The plane of a slice with contour, clamp, rod and contacts so far; beside it the reactions over the clamp travel."""
+    """A slice's plane, or the body in space, with clamp, rod and contacts so far; beside it the reactions over the travel."""
     sweep = shown_sweep(scene)
     assert scene.recording is not None
-    rod, origin, plane = scene.recording.rod, sweep.base[0], sweep.axes[:2]
+    rod, x, y, origin = scene.recording.rod, *sweep.axes[:2], sweep.base[0]
+    units = [rod.force_unit_N * 1e3] * (sweep.reactions.shape[1] - 1) + [rod.moment_unit_Nm * 1e6]
+    caption = f"{scene.name}, slice {sweep.slice}, sweep {sweep.number}"
+    labels, views = [[label] for label in REACTION_LABELS], np.stack([x, y])
+    if sweep.slice is None:
+        units = [rod.force_unit_N * 1e3] * 3 + [rod.moment_unit_Nm * 1e6] * 3
+        caption = f"{scene.name}, sweep {sweep.number}"
+        labels, views = SPATIAL_LABELS, _projection(sweep)
 
     def in_plane(points: Array) -> Array:
-        coordinates: Array = (points - origin) @ plane.T
+        coordinates: Array = (points - origin) @ views.T
         return coordinates
 
     base, contacts, rods = in_plane(sweep.base), in_plane(sweep.contact), in_plane(sweep.rods)
-    outline = in_plane(next(line for line, number in outlines(scene) if number == sweep.slice))
-    travel = -base[:, 0]
-    reactions = sweep.reactions * [rod.force_unit_N * 1e3, rod.force_unit_N * 1e3, rod.moment_unit_Nm * 1e6]
+    travel = -(sweep.base - origin) @ x
     figure = _blank_frame()
-    axes = _plane_axes(figure, outline, rods, base)
-    curves = _reaction_axes(figure, travel, reactions, unit_symbol(scene.unit))
-    caption = f"{scene.name}, slice {sweep.slice}, sweep {sweep.number}"
+    axes = _plane_axes(figure, in_plane(_outline(scene, sweep, views)), rods, base)
+    curves = _reaction_axes(figure, travel, sweep.reactions * units, labels, unit_symbol(scene.unit))
     figure.text(0.02, 0.03, caption, fontsize=FONT - 1, va="center")
     trace = axes.plot([], [], ".", color=TANGENTIAL, ms=4)[0]
     bent = axes.plot([], [], color=ROD, lw=2.5, solid_capstyle="round")[0]
@@ -161,27 +169,58 @@ def _sweep_frames(scene: Scene, frames: int) -> Iterator[Image]:
         trace.set_data(*contacts[: k + 1].T)
         clamp.set_data(*base[k : k + 1].T)
         contact.set_data(*contacts[k : k + 1].T)
-        for (curve, mark), values in zip(curves, reactions.T, strict=True):
+        for curve, mark, values in curves:
             curve.set_data(travel[: k + 1], values[: k + 1])
             mark.set_data(travel[k : k + 1], values[k : k + 1])
         yield _pixels(figure)
 
 
-def _reaction_axes(figure: Any, travel: Array, reactions: Array, unit: str) -> list[tuple[Any, Any]]:
-    """Axes of the reactions (k, 3) in mN and mN mm, in grey; returns the coloured curve and mark of each, still empty."""
+def _projection(sweep: ShownSweep) -> Array:
+    """(2, 3) directions to the right and up of a picture of a sweep in space, seen as in the view explain."""
+    toward = sweep_direction(sweep)
+    toward /= np.linalg.norm(toward)
+    right = np.cross(sweep.axes[2], toward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(toward, right)])
+
+
+def _outline(scene: Scene, sweep: ShownSweep, views: Array) -> Array:
+    """(p, 3) the outline of the sweep's slice, or of the body as it is seen in space."""
+    if sweep.slice is not None:
+        return next(line for line, number in outlines(scene) if number == sweep.slice)
+    points = scene.points if scene.truth is None else np.asarray(scene.truth.vertices)
+    corners: Array = points[ConvexHull(points @ views.T).vertices]
+    return corners
+
+
+def _reaction_axes(
+    figure: Any, travel: Array, reactions: Array, labels: list[list[str]], unit: str
+) -> list[tuple[Any, Any, Array]]:
+    """Axes of the reactions (k, c) in mN and mN mm, in grey; of each its coloured curve and mark, still empty, and its values.
+
+    `labels` are those of the axes, each followed by the names of its reactions if there are several.
+    """
     all_axes = figure.subplots(
-        3, 1, sharex=True, gridspec_kw=dict(left=0.68, right=0.975, top=0.95, bottom=0.14, hspace=0.2)
+        len(labels), 1, sharex=True, gridspec_kw=dict(left=0.68, right=0.975, top=0.95, bottom=0.14, hspace=0.2)
     )
-    curves = []
-    for axes, values, label in zip(all_axes, reactions.T, REACTION_LABELS, strict=True):
-        margin = _CURVE_MARGIN * (np.ptp(values) or 1.0)
-        axes.set_ylim(values.min() - margin, values.max() + margin)
+    curves, columns = [], iter(reactions.T)
+    for axes, (label, *names) in zip(all_axes, labels, strict=True):
+        group = [next(columns) for _ in names or [label]]
+        low, high = min(values.min() for values in group), max(values.max() for values in group)
+        margin = _CURVE_MARGIN * ((high - low) or 1.0)
+        axes.set_ylim(low - margin, high + margin)
         axes.set_xlim(travel[0], travel[-1])
         axes.set_ylabel(label, fontsize=FONT - 1)
         axes.tick_params(labelsize=FONT - 3)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.plot(travel, values, color="#dddddd", lw=1)
-        curves.append((axes.plot([], [], color=ROD, lw=2)[0], axes.plot([], [], "o", color=ROD, ms=5)[0]))
+        for values, color in zip(group, _COMPONENTS, strict=False):
+            axes.plot(travel, values, color="#dddddd", lw=1)
+            curve, mark = axes.plot([], [], color=color, lw=2)[0], axes.plot([], [], "o", color=color, ms=5)[0]
+            curves.append((curve, mark, values))
+        if names:
+            handles = [curve for curve, _, _ in curves[-len(names) :]]
+            axes.legend(handles, names, ncols=3, frameon=False, fontsize=FONT - 3, loc="lower center",
+                        bbox_to_anchor=(0.5, 0.96), handlelength=1, columnspacing=1, borderpad=0)  # fmt: skip
     figure.align_ylabels(all_axes)
     all_axes[-1].set_xlabel(f"clamp travel in {unit}", fontsize=FONT - 1)
     return curves
@@ -203,25 +242,26 @@ def _plane_axes(figure: Any, outline: Array, rods: Array, base: Array) -> Any:
 
 
 def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
-    """The hull of the contacts of more and more slices."""
+    """The hull of the contacts of more and more slices, or sweeps where there are no slices."""
     from scan3d.geometry.hulls import hull
 
-    slices = scene.column("slice")
-    if slices is None:
+    name = "sweep" if is_spatial(scene) else "slice"
+    parts = scene.column(name)
+    if parts is None:
         raise InputError(
             f"{scene.name} does not say which slices its contacts lie in; show a scan's folder, or a recording"
         )
     need_renderer()
-    numbers, points = np.unique(slices), scene.points
+    numbers, points = np.unique(parts), scene.points
     figure = _blank_frame()
     canvas = Canvas(points)
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
     width, height = round(_SIZE[0] * _DPI), round(_BODY_HEIGHT * _SIZE[1] * _DPI)
     shown = None
     for k in evenly_chosen(len(numbers), frames):
-        selected = points[slices <= numbers[k]]
+        selected = points[parts <= numbers[k]]
         actors = [canvas.add_points(selected, TANGENTIAL, _CONTACT_SIZE)]
-        with suppress(InputError):  # the contacts of one slice span no body yet
+        with suppress(InputError):  # the contacts of one slice or sweep span no body yet
             actors.append(canvas.add_body(hull(selected), BODY))
         image, _ = canvas.image(width, height)
         for actor in actors:
@@ -231,6 +271,6 @@ def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
             axes.set_axis_off()
             shown = axes.imshow(image, interpolation="nearest", aspect="auto")
         shown.set_data(image)
-        caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} slices, {len(selected)} contacts")
+        caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} {name}s, {len(selected)} contacts")
         yield _pixels(figure)
     canvas.plotter.close()

@@ -118,14 +118,15 @@ def to_html(result: Any) -> str:
 def _recording_html(recording: Recording) -> str:
     """Counts, rod, noise, and where the samples were taken, with the reactions."""
     rod, unit = recording.rod, recording.unit
-    with_force = np.any(recording.force_N != 0, axis=1)
-    force = np.hypot(*recording.force_N.T)
+    force, moment = np.linalg.norm(recording.force_N, axis=1), np.abs(recording.moment_Nm)
+    if recording.six_axis:
+        force, moment = (np.linalg.norm(reaction, axis=1) for reaction in recording.wrench())
     rows: Rows = [
-        ("samples", f"{len(recording)}, {with_force.sum()} with a force"),
+        ("samples", f"{len(recording)}, {(force > 0).sum()} with a force"),
         ("sweeps", str(len(np.unique(recording.sweep)))),
-        ("normals of the slices", _directions(recording.axes()[:, 2])),
+        ("z axes of the clamp" if recording.six_axis else "normals of the slices", _directions(recording.axes()[:, 2])),
         ("rod", f"{1e3 * rod.length_m:.4g} mm long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
-        ("largest reactions", f"{1e3 * force.max():.4g} mN, {1e6 * np.abs(recording.moment_Nm).max():.4g} mN mm"),
+        ("largest reactions", f"{1e3 * force.max():.4g} mN, {1e6 * moment.max():.4g} mN mm"),
         ("noise", _noise(recording)),
         ("clamp from", _point(recording.position_m.min(axis=0) / UNITS_M[unit], unit)),
         ("to", _point(recording.position_m.max(axis=0) / UNITS_M[unit], unit)),
@@ -143,7 +144,7 @@ def _cloud_html(cloud: Cloud) -> str:
     size = np.ptp(cloud.points, axis=0) if len(cloud) else np.zeros(3)
     rows: Rows = [
         ("contacts", f"{len(cloud)}: {len(cloud) - tips} tangential, {tips} at the tip"),
-        ("slices", f"{len(np.unique(cloud.slice))} with contacts of {len(cloud.slice_height)}"),
+        *_slices(cloud),
         ("sweeps", str(len(np.unique(cloud.sweep)))),
         ("size", " × ".join(f"{extent:.4g}" for extent in size) + f" {unit_symbol(cloud.unit)}"),
         ("normals", f"{known.sum()} known"),
@@ -159,6 +160,13 @@ def _cloud_html(cloud: Cloud) -> str:
     if len(cloud) and rendering.can_render():
         return _html("Cloud", rows, _small(plot(cloud)))
     return _html("Cloud", rows, note=None if rendering.can_render() else rendering.NO_RENDERER)
+
+
+def _slices(cloud: Cloud) -> Rows:
+    """The row about slices, in which contacts of the spatial model do not lie."""
+    if cloud.model == "spatial":
+        return [("model", "spatial: the rod may leave the plane of its sweep")]
+    return [("slices", f"{len(np.unique(cloud.slice))} with contacts of {len(cloud.slice_height)}")]
 
 
 @to_html.register

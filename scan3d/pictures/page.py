@@ -19,7 +19,7 @@ from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.figures import quiet
-from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, outlines, shown_surface, shown_sweep
+from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, sections, shown_surface, shown_sweep
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
     BODY,
@@ -31,7 +31,7 @@ from scan3d.pictures.shading import (
     largest_known,
     shade_contacts,
 )
-from scan3d.pictures.words import unit_symbol
+from scan3d.pictures.words import out_of_plane_deg, unit_symbol
 
 # Colours of a scale in the page, which interpolates between them: the difference to the exact scale is not visible.
 _STOPS = 33
@@ -121,7 +121,7 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
                 {"title": "kind of contact", "kinds": kinds, "values": _floats(planar.Phase.TANGENTIAL - values)}
             )
         else:
-            shown = values * 1e3 if color == "force" else values
+            shown = values * 1e3 if color == "force" else out_of_plane_deg(values) if color == "bending" else values
             log = type(shaded.norm).__name__ == "LogNorm"
             low, high = float(shaded.norm.vmin), float(shaded.norm.vmax)
             colors.append(_scale(shaded.title, shown, low, high, shaded.map, log=log))
@@ -133,14 +133,14 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
 
 
 def _lines(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
-    """Normals, slices, and the rod along one sweep, where they are known."""
+    """Normals, slices or paths of contacts, and the rod along one sweep, where they are known."""
     layers: list[dict[str, Any] | None] = []
     normals = normal_lines(scene)
     if len(normals):
         layers.append(_strips("normals", list(normals), center, NORMAL, 1.0))
-    contours = [outline for outline, _ in outlines(scene)]
-    if contours:
-        layers.append(_strips("slices", contours, center, INK, 1.2))
+    name, lines = sections(scene)
+    if lines:
+        layers.append(_strips(name, [line for line, _ in lines], center, INK, 1.2))
     if has_rods(scene):
         sweep = shown_sweep(scene, points=_ROD_POINTS)
         rods = sweep.rods[evenly_chosen(len(sweep.base), _STATES)]

@@ -1,4 +1,4 @@
-"""Parts of a scene as they are drawn: its surface with values, outlines of its slices, normals, and the rod along a sweep."""
+"""Parts of a scene as they are drawn: its surface with values, outlines of slices, paths of contacts, normals, and rods."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.distance import signed_distances
 from scan3d.pictures.scene import Scene
+from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
+from scan3d.spatial import inverse
 from scan3d.units import UNITS_M
 
 # Slices at least this fraction as wide as the widest count as widest; the one of them nearest to the middle is shown.  With 1
@@ -32,6 +34,12 @@ _NORMAL_LENGTH = 0.035
 _SAME_FORCE = 1e-6
 # Decimals to which relative distances between contacts are compared: in a symmetric body rounding would choose among equals.
 _SAME_DISTANCE_DECIMALS = 6
+# A contact that moves by more than this fraction of the diagonal from one sample to the next has jumped, as in a snap: its path
+# is not drawn there.  Smaller, and paths of few samples would fall apart; larger, and lines would cross the body.
+_JUMP = 0.15
+# From a sweep toward the camera, along the clamp's axes: from the base line and above the slice, so that rods hide little of
+# the body and do not hide each other.
+_SWEEP_DIRECTION = (0.45, -0.6, 0.7)
 
 
 def evenly_chosen(count: int, at_most: int) -> NDArray[np.integer]:
@@ -98,28 +106,58 @@ def outlines(scene: Scene) -> list[tuple[Array, int]]:
     return lines
 
 
+def contact_paths(scene: Scene) -> list[tuple[Array, int]]:
+    """The paths of the contacts over the body as lines (k, 3), with the numbers of their sweeps.
+
+    The path of a sweep is broken where samples without contact lie between its contacts, and where the contact jumps.
+    """
+    sweeps, rows = scene.column("sweep"), scene.column("row")
+    if sweeps is None or rows is None:
+        return []
+    order = np.lexsort((rows, sweeps))
+    points, sweeps, rows = scene.points[order], sweeps[order], rows[order]
+    ends = (np.diff(sweeps) != 0) | (np.diff(rows) != 1)
+    ends |= np.linalg.norm(np.diff(points, axis=0), axis=1) > _JUMP * scene.diagonal
+    pieces = np.split(np.arange(len(points)), np.flatnonzero(ends) + 1)
+    return [(points[piece], int(sweeps[piece[0]])) for piece in pieces if len(piece) > 1]
+
+
+def sections(scene: Scene) -> tuple[str, list[tuple[Array, int]]]:
+    """The lines on the body that belong to slices or sweeps, with their numbers, and what they are called."""
+    if scene.column("slice") is None:
+        return "contact paths", contact_paths(scene)
+    return "slices", outlines(scene)
+
+
 @dataclass(frozen=True)
 class ShownSweep:
     """One sweep as it is drawn, with k samples in contact.  Lengths in the scene's unit."""
 
     number: int
-    slice: int
+    slice: int | None
+    """None where contacts lie in no slices, as those of the spatial model."""
     base: Array
     """(k, 3) position of the clamp"""
-    axes: Array
-    """(3, 3) the clamp's x, y and z axes, as rows"""
+    turns: Array
+    """(k, 3, 3) the clamp's x, y and z axes, as rows"""
     curved: Array
     """(k, p, 3) the rod from the clamp to the contact"""
     straight: Array
     """(k, 2, 3) the straight rest of the rod, from the contact to the tip"""
     reactions: Array
-    """(k, 3) f0x, f0y in EI/L² and m0z in EI/L (8)"""
+    """(k, 3) f0x, f0y in EI/L² and m0z in EI/L (8); of the spatial model (k, 6) f0x, f0y, f0z and m0x, m0y, m0z"""
     phase: NDArray[np.int8]
     """(k,) of `planar.Phase`"""
 
     @property
+    def axes(self) -> Array:
+        """(3, 3) the clamp's axes at the first contact, which it keeps in most sweeps."""
+        first: Array = self.turns[0]
+        return first
+
+    @property
     def contact(self) -> Array:
-        """(k, 3) points of contact"""
+        """(k, 3) points of contact, on the rod's centre line"""
         return self.curved[:, -1]
 
     @property
@@ -140,7 +178,7 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
     """
     recording = scene.recording
     sweeps, slices, phases = (scene.column(name) for name in ("sweep", "slice", "phase"))
-    if recording is None or sweeps is None or slices is None or phases is None:
+    if recording is None or sweeps is None or phases is None:
         raise InputError(
             f"{scene.name} has no recording, which rods are drawn from: show a scan's folder, or a recording"
         )
@@ -151,27 +189,63 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
             f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweeps))} that have, such as {int(sweeps[0])}"
         )
     rod, rows = recording.rod, _rows(scene, recording)[selected]
-    force, moment = recording.force_N[rows] / rod.force_unit_N, recording.moment_Nm[rows] / rod.moment_unit_Nm
-    lines = planar.elastic_lines(np.zeros(len(rows)), force[:, 0], force[:, 1], moment, points)
     axes = recording.axes()[rows]
+    if is_spatial(scene):
+        reactions, in_plane, plane = _spatial_reactions(recording, rows, axes)
+    else:
+        force = recording.force_N[rows] / rod.force_unit_N
+        reactions = in_plane = np.column_stack([force, recording.moment_Nm[rows] / rod.moment_unit_Nm])
+        plane = axes[:, :2]
+    across, along, moment = in_plane.T
+    lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
     kept = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
     scale = 1 / UNITS_M[scene.unit]
     base = recording.position_m[rows]
 
     def world(line: Array) -> Array:
-        points: Array = base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, axes[:, :2])
+        points: Array = base[:, None] + rod.length_m * np.einsum("npi,nij->npj", line, plane)
         return points[kept] * scale
 
     return ShownSweep(
         number=int(chosen),
-        slice=int(slices[selected][0]),
+        slice=None if slices is None else int(slices[selected][0]),
         base=base[kept] * scale,
-        axes=axes[0],
+        turns=axes[kept],
         curved=world(lines.curved),
         straight=world(lines.straight),
-        reactions=np.column_stack([force, moment])[kept],
+        reactions=reactions[kept],
         phase=phases[selected][kept].astype(np.int8),
     )
+
+
+def sweep_direction(sweep: ShownSweep) -> Array:
+    """(3,) from a sweep toward the camera; rods that bend below the sweep's plane are seen from below."""
+    x, y, z = sweep.axes
+    side = -1.0 if sweep.slice is None and ((sweep.contact - sweep.base) @ z).mean() < 0 else 1.0
+    direction: Array = side * _SWEEP_DIRECTION[2] * z + _SWEEP_DIRECTION[1] * y + _SWEEP_DIRECTION[0] * x
+    return direction
+
+
+def is_spatial(scene: Scene) -> bool:
+    """Whether the contacts come from the spatial model, in which the rod bends in a plane of its own in every sample."""
+    return scene.column("bending") is not None
+
+
+def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Array) -> tuple[Array, Array, Array]:
+    """The six reactions (n, 6) of some rows, those three (n, 3) in the plane of bending, and its directions (n, 2, 3).
+
+    The plane contains the undeformed rod and the direction ``e`` to which it bends; in it the rod is that of the plane with the
+    reactions ``f0·e``, ``f0·t0`` and ``m0·b`` about its normal ``b = e × t0``.  Raises InputError without six axes.
+    """
+    rod, noise = recording.rod, noise_of(recording)
+    force, moment = (columns[rows] for columns in recording.wrench())
+    force, moment = force / rod.force_unit_N, moment / rod.moment_unit_Nm
+    deviations = noise.force_N / rod.force_unit_N, noise.moment_Nm / rod.moment_unit_Nm
+    bending = inverse.reconstruct(force, moment, noise=deviations).bending
+    across = np.einsum("ni,ni->n", force, bending)
+    about = moment[:, 2] * bending[:, 0] - moment[:, 0] * bending[:, 2]
+    plane = np.stack([np.einsum("ni,nij->nj", bending, axes), axes[:, 1]], axis=1)
+    return np.column_stack([force, moment]), np.column_stack([across, force[:, 1], about]), plane
 
 
 def _rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
@@ -179,7 +253,8 @@ def _rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
         indices = rows.astype(np.int64)
-        of_recording = np.linalg.norm(recording.force_N[indices], axis=1)
+        components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
+        of_recording = np.linalg.norm(components[indices], axis=1)
         same_force = forces is None or np.allclose(forces, of_recording, rtol=_SAME_FORCE, atol=0)
         if np.array_equal(recording.sweep[indices], sweeps) and same_force:
             return indices
@@ -188,8 +263,14 @@ def _rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     )
 
 
-def _most_informative_sweep(scene: Scene, slices: Array, sweeps: Array) -> int:
-    """The sweep whose contacts extend farthest, in the slice nearest to the middle among the widest slices."""
+def _most_informative_sweep(scene: Scene, slices: Array | None, sweeps: Array) -> int:
+    """The sweep whose contacts extend farthest, in the slice nearest to the middle among the widest slices.
+
+    Without slices it is the sweep with the longest path of contacts.
+    """
+    if slices is None:
+        paths = contact_paths(scene) or [(scene.points, int(sweeps[0]))]
+        return max(paths, key=lambda path: float(np.linalg.norm(np.diff(path[0], axis=0), axis=1).sum()))[1]
     numbers = np.unique(slices)
     extents = [np.ptp(scene.points[slices == number], axis=0) for number in numbers]
     width = np.linalg.norm(extents, axis=1)

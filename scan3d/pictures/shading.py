@@ -13,6 +13,7 @@ from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.parts import shown_surface
 from scan3d.pictures.scene import Scene
+from scan3d.pictures.words import out_of_plane_deg
 
 # A pale body, on which contacts and rods of saturated colours stand out.  Red and orange differ in lightness, so that readers
 # with deficient colour vision can distinguish them.
@@ -24,6 +25,10 @@ _DECADES = 4.0
 # Coefficients of friction that differ by less are shown as one value, in the middle of a scale of twice this half width:
 # a scale of their own range would show rounding errors.
 _SAME_FRICTION, _FRICTION_HALF_WIDTH = 1e-6, 0.05
+# The bending angle has a sign and a middle: a diverging map, whose middle is grey enough to be seen on a white page.
+_BENDING_MAP = "coolwarm"
+# Smallest end of the scale of bending angles, in degrees: a scale of rounding errors would show differences that do not exist.
+_SMALLEST_BENDING_DEG = 1.0
 
 
 class Shade(NamedTuple):
@@ -76,6 +81,10 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         if high - low <= _SAME_FRICTION:
             low, high = max(low - _FRICTION_HALF_WIDTH, 0.0), high + _FRICTION_HALF_WIDTH
         return shade(values, "coefficient of friction", low, high)
+    if color == "bending":
+        angle = out_of_plane_deg(values)
+        largest = max(largest_known(np.abs(angle)), _SMALLEST_BENDING_DEG)
+        return shade(angle, "bending out of the sweep's plane in °", -largest, largest, map=_BENDING_MAP)
     high = largest_known(values) or 1.0
     return shade(values, f"distance from the truth in {scene.unit}", high * 10**-_DECADES, high, log=True)
 

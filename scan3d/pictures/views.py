@@ -12,7 +12,7 @@ from scan3d.choices import VIEWS
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.figures import blank_figure, color_bar, figure_height, legend, quiet, save, show_canvas
-from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, outlines, shown_sweep
+from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, sections, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import BODY, INK, NORMAL, ROD, SLICE, TANGENTIAL, TIP, shade_contacts, shade_surface
@@ -28,9 +28,6 @@ _LEGEND_HEIGHT, _TITLE_HEIGHT = 0.7, 0.3
 _OUTLINE_RADIUS = 0.004
 # The base line is drawn longer by this fraction of its length at each end, so that its arrow is clear of the clamps.
 _BASE_LINE_MARGIN = 0.12
-# From a sweep toward the camera, along the clamp's axes: from the base line and above the slice, so that rods hide little of
-# the body and do not hide each other.
-_SWEEP_DIRECTION = (0.45, -0.6, 0.7)
 # Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
 _CONTACT_SIZE = 7
 
@@ -120,10 +117,11 @@ def _explain(scene: Scene, view: str, color: str) -> Any:
     figure = blank_figure(figure_height(canvas, 1.0) + _LEGEND_HEIGHT)
     bottom = _LEGEND_HEIGHT / figure.get_size_inches()[1]
     show_canvas(figure, canvas, (0.0, bottom, 1.0, 1 - bottom), scene.unit)
+    lines = "contact path" if sweep.slice is None else "slice"
     entries = [
         ("body", BODY, "s"),
-        ("slices", SLICE, "-"),
-        ("slice of the sweep", INK, "-"),
+        (f"{lines}s", SLICE, "-"),
+        (f"{lines} of the sweep", INK, "-"),
         ("contact", TANGENTIAL, "o"),
         ("bent rod", ROD, "-"),
         ("clamp", INK, "s"),
@@ -135,23 +133,23 @@ def _explain(scene: Scene, view: str, color: str) -> Any:
 
 def _sweep_canvas(scene: Scene, sweep: ShownSweep) -> Canvas:
     """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
-    x, y, z = sweep.axes
+    x, _, z = sweep.axes
     rod_points = np.concatenate([sweep.straight[:, 1], sweep.base, sweep.contact])
     margin = np.array([_BASE_LINE_MARGIN, -_BASE_LINE_MARGIN])
     base_line = sweep.base[[0, -1]] + np.outer(margin, np.linalg.norm(sweep.base[0] - sweep.base[-1]) * x)
     body = scene.truth if scene.truth is not None else scene.surface
-    slice_points = scene.points[scene.column("slice") == sweep.slice]
+    slice_points = sweep.contact if sweep.slice is None else scene.points[scene.column("slice") == sweep.slice]
     size = float(np.linalg.norm(np.ptp(np.concatenate([rod_points, slice_points]), axis=0)))
     # a long body is seen only as far from the slice as the rods reach
     near = scene.corners[np.abs((scene.corners - slice_points[0]) @ z) < size]
-    direction = _SWEEP_DIRECTION[2] * z + _SWEEP_DIRECTION[1] * y + _SWEEP_DIRECTION[0] * x
-    canvas = Canvas(np.concatenate([rod_points, base_line, slice_points, near]), direction, z)
+    canvas = Canvas(np.concatenate([rod_points, base_line, slice_points, near]), sweep_direction(sweep), z)
     canvas.size = size
     if body is not None:
         canvas.add_body(body, BODY)
-    for outline, number in outlines(scene):
-        canvas.add_lines(outline[None], SLICE, 1)
-        if number == sweep.slice:
-            canvas.add_tube(outline, INK, _OUTLINE_RADIUS)
+    drawn = sweep.number if sweep.slice is None else sweep.slice
+    for line, number in sections(scene)[1]:
+        canvas.add_lines(line[None], SLICE, 1)
+        if number == drawn:
+            canvas.add_tube(line, INK, _OUTLINE_RADIUS)
     canvas.add_arrow(base_line)
     return canvas

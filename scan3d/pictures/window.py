@@ -13,7 +13,7 @@ import numpy as np
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import WINDOW_SIZE, Canvas
-from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, outlines, shown_sweep
+from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, sections, shown_sweep
 from scan3d.pictures.rendering import renders
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
@@ -81,8 +81,8 @@ class Window:
         """Colour the contacts by one of `COLORS`."""
         shaded = shade_contacts(self.scene, color)
         self.contacts["rgb"] = shaded.rgb
-        norm = shaded.norm
-        scale = "tangential red, tip orange" if norm is None else f"{norm.vmin:.3g} (dark) to {norm.vmax:.3g} (light)"
+        norm, (low, high) = shaded.norm, ("blue", "red") if color == "bending" else ("dark", "light")
+        scale = "tangential red, tip orange" if norm is None else f"{norm.vmin:.3g} ({low}) to {norm.vmax:.3g} ({high})"
         self.plotter.add_text(
             f"{shaded.title}: {scale}", position="lower_right", font_size=_FONT, color=INK, name="colour"
         )
@@ -121,9 +121,8 @@ def build_window(
         )
         window.layers["contacts"] = [actor]
         window.layers["normals"] = canvas.add_lines(normal_lines(scene), NORMAL, 1)
-        window.layers["slices"] = [
-            actor for outline, _ in outlines(scene) for actor in canvas.add_lines(outline[None], INK, 1)
-        ]
+        name, lines = sections(scene)
+        window.layers[name] = [actor for line, _ in lines for actor in canvas.add_lines(line[None], INK, 1)]
     if has_rods(scene):
         sweep = shown_sweep(scene)
         window.layers["rods"] = canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))

@@ -8,12 +8,21 @@ from typing import Any
 import numpy as np
 
 import planar
+from scan3d.arrays import Array
 from scan3d.pictures.scene import Scene
 
 
 def unit_symbol(unit: str) -> str:
     """The symbol of a unit of `scan3d.units` as it is printed."""
     return unit.replace("um", "µm")
+
+
+def out_of_plane_deg(bending_angle: Array) -> Array:
+    """(n,) angles in degrees between the directions to which the rod bends and the plane of the sweep, from -90 to 90.
+
+    In contrast to the angle of the bending plane, from -180° to 180°, it does not jump, and is 0 for rods that bend backward.
+    """
+    return np.rad2deg(np.arcsin(np.sin(bending_angle)))
 
 
 def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
@@ -30,7 +39,7 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     rows += [
         (name, str(entry("counts", name)))
         for name in ("contacts", "slices", "sweeps")
-        if entry("counts", name) is not None
+        if entry("counts", name) is not None and not (name == "slices" and entry("counts", name) == 0)
     ]
     if entry("contact_error", "max") is not None:
         rows.append(("contact error", f"{entry('contact_error', 'max'):.2g} {unit} at most"))
@@ -69,6 +78,9 @@ def contact_sentence(scene: Scene, contact: int) -> str:
         parts.append(f"force {1e3 * force[contact]:.4g} mN")
     if friction is not None and np.isfinite(friction[contact]):
         parts.append(f"friction {friction[contact]:.4g}")
+    bending = scene.column("bending")
+    if bending is not None:
+        parts.append(f"bending {out_of_plane_deg(bending)[contact]:.1f}° out of the sweep's plane")
     normal = scene.normals[contact]
     if np.isfinite(normal).all():
         parts.append("normal ({})".format(", ".join(f"{x:.4f}" for x in normal)))

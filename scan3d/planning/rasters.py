@@ -11,6 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.geometry.hulls import hull
@@ -18,7 +20,15 @@ from scan3d.geometry.hulls import hull
 # Angle between the normal of an open facet and the direction from which a sweep is aimed at it, in radians: in the middle of
 # what a sweep sees.
 _AIM = 0.7
-# Facets whose directions differ by less than this many radians, and whose distance is less than their size, are one target.
+# How much denser lines are at the ends of a body than in its middle, from 0 (evenly spaced) to 1 (cosine spacing).
+_DENSE_ENDS = float(__import__("os").environ.get("DE", "0.5"))
+# Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left for
+# the next round; smaller, several sweeps go to one place.
+_APART = 1.0
+# Determinant of the normals of three planes below which they do not meet in a point.
+_PARALLEL = 1e-9
+# Angles by which the directions are turned, in radians: any that belong to no symmetry.
+_ASKEW = (0.2, 0.37, 0.61)
 _GOLDEN = (1 + np.sqrt(5)) / 2
 
 
@@ -32,10 +42,14 @@ class Lines(NamedTuple):
 
 
 def icosahedron() -> Array:
-    """(12, 3) unit vectors to the vertices of an icosahedron."""
+    """(12, 3) unit vectors to the vertices of an icosahedron that is turned askew.
+
+    A rod that lies flat on a face, or sweeps in a body's plane of symmetry, sees little.
+    """
     ends = np.array([(0, a, b * _GOLDEN) for a in (-1, 1) for b in (-1, 1)])
     vertices = np.concatenate([np.roll(ends, k, axis=1) for k in range(3)])
-    return vertices / np.linalg.norm(vertices[0])
+    turned: Array = Rotation.from_euler("xyz", _ASKEW).apply(vertices / np.linalg.norm(vertices[0]))
+    return turned
 
 
 def rasters(points: Array, count: int, clearance: float) -> Lines:
@@ -58,7 +72,8 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     origin, axes = [], []
     for spread, moved, number in ((first, second, numbers[0]), (second, first, numbers[1])):
         place = points @ spread
-        offsets = place.min() + np.ptp(place) * (np.arange(number) + 0.5) / number
+        even = (np.arange(number) + 0.5) / number
+        offsets = place.min() + np.ptp(place) * ((1 - _DENSE_ENDS) * even + _DENSE_ENDS * (1 - np.cos(np.pi * even)) / 2)
         middle = points.mean(axis=0)
         base = middle + ((points @ along).min() - clearance - middle @ along) * along
         origin.append(base + (offsets - base @ spread)[:, None] * spread)
@@ -70,25 +85,52 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
 
 
 def aimed(points: Array, contacts: Array, count: int, clearance: float, generator: np.random.Generator) -> Lines:
-    """`count` lines aimed at the largest facets of the hull of contacts (n, 3): there the surface is least known.
+    """`count` lines aimed at the places where the hull of contacts (n, 3) leaves most room for the body.
 
     `points` span the body as in `rasters`; the contacts will do.
     """
-    body = hull(contacts)
-    corners = body.vertices.view(np.ndarray)[body.faces]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    target, normal = corners.mean(axis=1), body.face_normals.view(np.ndarray)
-    chosen = np.argsort(-sides.max(axis=1), kind="stable")[:count]
-    target, normal = target[chosen], normal[chosen]
-    angle = generator.uniform(0, 2 * np.pi, (2, len(chosen)))
-    first, second = (np.array(axes) for axes in zip(*map(_across, normal), strict=True))
-    side = np.cos(angle[0])[:, None] * first + np.sin(angle[0])[:, None] * second
-    y = -(np.cos(_AIM) * normal + np.sin(_AIM) * side)
-    first, second = (np.array(axes) for axes in zip(*map(_across, y), strict=True))
-    x = np.cos(angle[1])[:, None] * first + np.sin(angle[1])[:, None] * second
+    target, normal = _open_places(contacts, count)
+    angle = generator.uniform(0, 2 * np.pi, (2, len(target)))
+    y = -(np.cos(_AIM) * normal + np.sin(_AIM) * _around(normal, angle[0]))
+    x = _around(y, angle[1])
     level = (points @ y.T).min(axis=0) - clearance
     origin = target + (level - (target * y).sum(axis=1))[:, None] * y
     return Lines(origin, np.stack([x, y, np.cross(x, y)], axis=1))
+
+
+def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
+    """Points and outward normals (k, 3), k <= count, of the facets of the contacts' hull that leave most room, apart from each other.
+
+    The room above a facet is the height of the point in which the planes of its three neighbours meet.
+    """
+    body = hull(contacts)
+    faces, normals = body.faces, body.face_normals.view(np.ndarray)
+    corners = body.vertices.view(np.ndarray)[faces]
+    target, size = corners.mean(axis=1), np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    pairs = body.face_adjacency
+    order = np.argsort(pairs.ravel(), kind="stable")
+    neighbours = pairs[:, ::-1].ravel()[order].reshape(-1, 3)
+    planes = normals[neighbours]
+    offsets = (planes * target[neighbours]).sum(axis=2)
+    regular = np.abs(np.linalg.det(planes)) > _PARALLEL
+    apex = target.copy()
+    apex[regular] = np.linalg.solve(planes[regular], offsets[regular, :, None])[:, :, 0]
+    room = np.clip(((apex - target) * normals).sum(axis=1), 0.0, size)
+    tree, taken, chosen = cKDTree(target), np.zeros(len(target), dtype=bool), []
+    for facet in np.argsort(-room, kind="stable"):
+        if len(chosen) == count:
+            break
+        if not taken[facet]:
+            chosen.append(facet)
+            taken[tree.query_ball_point(target[facet], _APART * size[facet])] = True
+    return target[chosen], normals[chosen]
+
+
+def _around(direction: Array, angle: Array) -> Array:
+    """Unit vectors (n, 3) across unit vectors (n, 3), turned about them by angles (n,)."""
+    first, second = (np.array(axes) for axes in zip(*map(_across, direction), strict=True))
+    turned: Array = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    return turned
 
 
 def _across(direction: Array) -> tuple[Array, Array]:

@@ -18,15 +18,18 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.reconstruction.spatial_fit import EXACT, with_fit
+from scan3d.reconstruction.spatial_hull import hull_normals
 from scan3d.recording import Recording
 from scan3d.spatial import inverse
-from scan3d.spatial.normals import Normals, Source, Track, along_sweeps, angles, frictionless
+from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.spatial.uncertainty import SpatialErrors, errors
 from scan3d.units import UNITS_M
 
 # As in the plane (`scan3d.reconstruction.contacts`): standard deviations of the distance to the tip that count as zero, the
 # largest such distance, and when a contact is left out as too light.
 _TIP_SIGMAS, _LARGEST_TOLERANCE, _LIGHT, _TOLERABLE = 5.0, 0.5, 4.0, 1e-3
+# Normals from slip and path are compared where their difference is known to this, in radians.
+_COMPARABLE = np.pi / 180
 # Standard deviations within which 95 % of the errors of a direction lie, both components of which are normally distributed.
 _SIGMAS_95 = 2.45
 # Friction angle, in radians, where no contact says what it is: that of a coefficient of 0.5.
@@ -79,8 +82,8 @@ def spatial_contacts(recording: Recording) -> Cloud:
     known = readings(recording)
     cloud = without_normals(recording, known)
     force = np.einsum("ni,nij->nj", known.found.force[cloud.row], recording.axes()[cloud.row])
-    cloud = _with_sweep_normals(cloud, track(recording, known, cloud, force), known)
-    cloud = with_fit(cloud, force)
+    cloud, slides = _with_sweep_normals(cloud, track(recording, known, cloud, force), known)
+    cloud = with_fit(_with_hull_normals(cloud, force, slides), force, slides)
     return _moved_by_radius(cloud, force)
 
 
@@ -168,8 +171,8 @@ def sweep_normals(path: Track) -> Normals:
     return Normals(**back)
 
 
-def _with_sweep_normals(cloud: Cloud, path: Track, known: Readings) -> Cloud:
-    """The cloud with the normals from slip, path and force, and with the coefficients of friction of sliding contacts."""
+def _with_sweep_normals(cloud: Cloud, path: Track, known: Readings) -> tuple[Cloud, Mask]:
+    """The cloud with the normals from slip, path and force, and whether contacts (n,) slide and have a known friction."""
     beta, error = known.found.friction_angle_bound[cloud.row], known.error
     direction = path.force / np.linalg.norm(path.force, axis=1, keepdims=True)
     tangential = path.tangential
@@ -177,13 +180,41 @@ def _with_sweep_normals(cloud: Cloud, path: Track, known: Readings) -> Cloud:
     if frictionless(beta[tangential], beta_sd):
         sd = np.full(len(cloud), EXACT) if error is None else error.force[cloud.row]
         source = np.full(len(cloud), NormalSource.FORCE, dtype=np.int8)
-        return replace(cloud, normals=direction, normal_source=source, normal_sd=sd, friction=np.zeros(len(cloud)))
+        cloud = replace(cloud, normals=direction, normal_source=source, normal_sd=sd, friction=np.zeros(len(cloud)))
+        return cloud, np.ones(len(cloud), dtype=bool)
     found = sweep_normals(path)
     source = np.full(len(cloud), NormalSource.UNKNOWN, dtype=np.int8)
     for origin, meaning in _SOURCES.items():
         source[found.source == origin] = meaning
     friction = np.where(found.sticks, np.nan, np.tan(angles(found.normal, direction)))
-    return replace(cloud, normals=found.normal, normal_source=source, normal_sd=found.sd, friction=friction)
+    both = found.disagreement_sd < _COMPARABLE
+    cloud = replace(
+        cloud,
+        normals=found.normal,
+        normal_source=source,
+        normal_sd=found.sd,
+        friction=friction,
+        slip_to_path=np.where(both, found.disagreement, np.nan),
+    )
+    return cloud, ~found.sticks
+
+
+def _with_hull_normals(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
+    """The cloud with normals by the hull of the contacts where these are more certain, which they are without noise only."""
+    if cloud.covariance is not None or cloud.tangents is None or cloud.normal_sd is None:
+        return cloud
+    by_hull = hull_normals(cloud.points, cloud.tangents, cloud.phase == planar.Phase.TANGENTIAL)
+    better = (by_hull.half_width + EXACT < cloud.normal_sd) & (by_hull.half_width < UNKNOWN)
+    better |= np.isnan(cloud.normals[:, 0]) & np.isfinite(by_hull.half_width)
+    normals = np.where(better[:, None], by_hull.normal, cloud.normals)
+    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+    return replace(
+        cloud,
+        normals=normals,
+        normal_source=np.where(better, NormalSource.HULL, cloud.normal_source).astype(np.int8),
+        normal_sd=np.where(better, by_hull.half_width + EXACT, cloud.normal_sd),
+        friction=np.where(better & slides, np.tan(angles(normals, direction)), cloud.friction),
+    )
 
 
 def _moved_by_radius(cloud: Cloud, force: Array) -> Cloud:

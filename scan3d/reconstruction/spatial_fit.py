@@ -8,14 +8,15 @@ contacts are perpendicular to the rod, so that deviations from it show the error
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 import planar
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.geometry.support import SupportFit, fit_support
+from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.normals import (
     CONTACTS_PER_COEFFICIENT,
     CONTACTS_TO_TRY,
@@ -36,7 +37,9 @@ _START = 0.03
 _REFITS, _GAIN = 6, 0.7
 # Errors of a fit, in mean radii: that of rounding, that which no higher degree need improve, and that above which a body has
 # edges whatever the degree.
-_ROUNDING, _SMALL, _HOPELESS = 1e-11, 1e-8, 2e-2
+_ROUNDING, _SMALL, _HOPELESS = 1e-11, 1e-6, 2e-2
+# Largest number of contacts of exact data used for a fit.  More take longer; fewer come close to the number of coefficients.
+_EXACT_CONTACTS = 2000
 # Tangential contacts around a contact that show the error of fitted normals.
 _NEIGHBOURS = 12
 # A fit is that of the body from outside if the contact forces act outwards in at least this fraction of the contacts.
@@ -45,8 +48,11 @@ EXACT = 1e-9
 """Standard deviation, in radians, of the normals of exact data: rounding."""
 
 
-def with_fit(cloud: Cloud, force: Array) -> Cloud:
-    """The cloud, whose points are the centre points, with the normals of the body fitted to them if that is smooth."""
+def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
+    """The cloud, whose points are the centre points, with the normals of the body fitted to them if that is smooth.
+
+    Contact forces (n, 3) are in the world; only contacts that slide (n,) have a friction that is known.
+    """
     start = _start(cloud)
     fit = None if start is None else _smooth_body(cloud, start)
     if fit is None:
@@ -60,8 +66,7 @@ def with_fit(cloud: Cloud, force: Array) -> Cloud:
     fit_error = error * mean_radius(fitted)
     if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
         fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree)
-    sticks = np.isfinite(cloud.normals[:, 0]) & np.isnan(cloud.friction)
-    friction = np.where(sticks, np.nan, np.tan(angles(normals, direction)))
+    friction = np.where(slides, np.tan(angles(normals, direction)), np.nan)
     return replace(
         cloud,
         normals=normals,
@@ -80,32 +85,48 @@ def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array
         return None
     held_out = held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
-    best: tuple[SupportFit, float, Array] | None = None
+    used = used[:: max(1, -(-len(used) // (MAX_CONTACTS if cloud.noise else _EXACT_CONTACTS)))]
+    parts = _Part(cloud.points[used], normals[used]), _Part(cloud.points[held_out], normals[held_out])
+    best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
     for degree in DEGREES:
         if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
             break
-        fit = _converged(cloud.points, normals if best is None else best[2], degree, (used, held_out))
+        fit = _converged(*(parts if best is None else best[2]), degree)
         if best is not None and not fit[1] < DEGREE_GAIN * best[1]:
             break
         best = fit
-        if not _SMALL < best[1] < _HOPELESS:
+        # a higher degree would follow the noise
+        small = max(_SMALL, cloud.noise / mean_radius(best[0]))
+        if not small < best[1] < _HOPELESS:
             break
-    return best if best is not None and is_smooth(best[0], best[1], cloud.noise) else None
+    if best is None or not is_smooth(best[0], best[1], cloud.noise):
+        return None
+    fitted, error, (known, _) = best
+    # elsewhere the normals start from those of the nearest contact of the fit
+    start = known.normals[cKDTree(known.points).query(cloud.points)[1]]
+    return fitted, error, fitted.normals(cloud.points, fitted.normals(cloud.points, start))
 
 
-def _converged(
-    points: Array, normals: Array, degree: int, parts: tuple[Index, Index]
-) -> tuple[SupportFit, float, Array]:
-    """The fit of some degree to the first part of the contacts, repeated from its own normals, and its error at the other."""
-    used, held_out = parts
-    best: tuple[SupportFit, float, Array] | None = None
+class _Part(NamedTuple):
+    """Some contacts: their points (n, 3) and normals (n, 3)."""
+
+    points: Array
+    normals: Array
+
+    def followed(self, fitted: SupportFit) -> _Part:
+        return _Part(self.points, fitted.normals(self.points, self.normals))
+
+
+def _converged(used: _Part, held_out: _Part, degree: int) -> tuple[SupportFit, float, tuple[_Part, _Part]]:
+    """The fit of some degree to contacts, repeated from its own normals, its error at others, and the normals of both."""
+    best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
     for _ in range(1 + _REFITS):
-        fitted = fit_support(points[used], normals[used], degree)
-        normals = fitted.normals(points, normals)
-        error = held_out_error(fitted, points[held_out], normals[held_out])
+        fitted = fit_support(used.points, used.normals, degree)
+        used, held_out = used.followed(fitted), held_out.followed(fitted)
+        error = held_out_error(fitted, held_out.points, held_out.normals)
         falling = best is None or error < _GAIN * best[1]
         if best is None or error < best[1]:
-            best = fitted, error, normals
+            best = fitted, error, (used, held_out)
         if not falling or not _ROUNDING < error < _HOPELESS:
             break
     assert best is not None

@@ -57,6 +57,18 @@ def interpolating(position: Array, own: Rows) -> Array:
         return np.asarray(weights / scale)
 
 
+def extrapolating(position: Array, at: Array) -> Array:
+    """Weights (k, w) of the slope of the polynomial through values at `position` (k, w), at other places `at` (k,)."""
+    _, w = position.shape
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.ptp(position, axis=1)[:, None]
+        difference = (position[:, :, None] - position[:, None, :]) / scale[:, :, None]
+        difference[:, np.arange(w), np.arange(w)] = 1
+        away = (at[:, None] - position) / scale
+        basis = away.prod(axis=1)[:, None] / away / difference.prod(axis=2)
+        return np.asarray(basis * ((1 / away).sum(axis=1)[:, None] - 1 / away) / scale)
+
+
 def fitting(position: Array, own: Rows, degree: int, weight: Array, values: Array) -> tuple[Array, Array]:
     """Weights (k, w) of the slope of a fitted polynomial, and the fit's misfit (k,).
 

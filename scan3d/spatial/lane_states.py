@@ -62,6 +62,9 @@ class LaneStates:
     straightened: Index
     """Successive steps of Newton's method that would bend the rod the other way: it lifts off."""
 
+    effort: Index
+    """Steps of Newton's method since the last sample."""
+
     drag: Array
     """Drag on the slip while a snap is followed, else zero."""
     flow_steps: Index
@@ -116,6 +119,7 @@ def started(
         frozen=np.full(count, FROZEN_STEPS),
         iterations=zeros(),
         straightened=zeros(),
+        effort=zeros(),
         drag=np.zeros(count),
         flow_steps=zeros(),
         has_snapped=np.zeros(count, dtype=bool),

@@ -40,9 +40,12 @@ _SLIP_WEIGHT = 10.0
 # Friction, as a part of the force, below which it does not give the slip's direction.
 _SLIGHT = 1e-9
 # A step that fails is the lift-off if the straight rod is clear of the body, the rod is nearly straight, and the step is short;
-# or if Newton's method straightens the rod in the last sample before that.  The numbers are places in samples, q², and samples.
+# or if Newton's method straightens a rod that is even less bent, and the step is short or the straight rod nearly clear.  The
+# numbers are places in samples, q², samples, places in samples, and q².
 _CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
 _ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
+# Steps of Newton's method from one sample to the next before a sweep is given up.
+_EFFORT = 1500
 # Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its limit.
 _DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
 # Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
@@ -143,6 +146,8 @@ class Lanes:
             self._accept(np.flatnonzero(accepted), rod, patch, equations)
         if failed.any():
             self._fail(np.flatnonzero(failed))
+        lanes.effort += 1
+        self._finish(np.flatnonzero(lanes.effort > _EFFORT), End.LOST)
         kept = lanes.number >= 0
         if not kept.all():
             lanes.keep(kept)
@@ -157,7 +162,9 @@ class Lanes:
         valid &= np.where(equations.sticks, held, against_slip)
         path = point - lanes.point
         reach = np.maximum(_REACH, _REACH_IN_STEPS * step * self.paths.pace[lanes.number])
-        return np.asarray(valid & ((np.sqrt(dot(path, path)) < reach) | flowing))
+        # a rod that first lies along a face or an edge may touch it anywhere
+        anywhere = flowing | (lanes.state[2] <= 2 * STRAIGHT)
+        return np.asarray(valid & ((np.sqrt(dot(path, path)) < reach) | anywhere))
 
     def _try_other_branch(self, rows: Index) -> None:
         """Begin these lanes' step again on another branch of Coulomb's law: two of them at touch-down, else one."""
@@ -197,6 +204,7 @@ class Lanes:
         irregular = lanes.has_snapped[rows] | equations.sticks[rows]
         sample = np.round(lanes.progress[rows]).astype(np.intp)
         reached = np.abs(lanes.progress[rows] - sample) < _ROUNDING
+        lanes.effort[rows[reached]] = 0
         self.results.record(lanes, rows[reached], sample[reached], rod, patch, equations)
         lanes.step[rows] = np.minimum(2 * lanes.step[rows], self._longest)
         lanes.target[rows] = self._next(lanes)[rows]
@@ -223,9 +231,12 @@ class Lanes:
         lanes = self._lanes
         lanes.mode[rows], lanes.branches[rows] = Mode.SLIDE, 0
         target, clear, bend = lanes.target[rows], lanes.clear_after[rows], lanes.state[2, rows]
-        off = (target >= clear - _CLEAR) & (bend < _NEARLY_STRAIGHT) & (target - lanes.progress[rows] <= _SHORT)
+        short = target - lanes.progress[rows] <= _SHORT
+        off = (target >= clear - _CLEAR) & (bend < _NEARLY_STRAIGHT) & short
         straightened = lanes.straightened[rows] >= _LARGEST_STRAIGHTENED
-        off |= (target >= clear - _ALMOST_CLEAR) & (bend < _STRAIGHTENED) & straightened
+        # where Newton's method straightens the rod, the force has come to its end, wherever the straight rod would be
+        soon = short | (target >= clear - _ALMOST_CLEAR)
+        off |= (bend > 2 * STRAIGHT) & (bend < _STRAIGHTENED) & straightened & soon
         flowing = lanes.drag[rows] > 0
         flow = rows[flowing]
         lanes.drag[flow] *= _MORE_DRAG

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from scan3d.arrays import Array, Mask
-from scan3d.spatial.derivatives import fitting, interpolating, windows
+from scan3d.spatial.derivatives import extrapolating, fitting, interpolating, windows
 
 # Widths of the windows for exact data.  More take longer; fewer leave larger errors of truncation where the path is smooth.
 _WIDTHS = (3, 5, 7, 9)
@@ -43,7 +43,7 @@ _STICK = 1e-7
 _SNAP_SIGMAS = 8.0
 # Normals that are less certain, in radians, are unknown.  Larger, they disturb more than they help; smaller, starts for the fit
 # of a smooth body are lost.
-_UNKNOWN = 0.1
+UNKNOWN = 0.1
 # Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
 _ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
 # A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
@@ -125,11 +125,11 @@ def along_sweeps(track: Track) -> Normals:
     by_slip = slip_sd < _CLEARLY * path_sd
     normal = np.where(by_slip[:, None], normals[Source.SLIP], normals[Source.PATH])
     sd = np.where(by_slip, slip_sd, path_sd)
-    unknown = ~(sd < _UNKNOWN)
+    unknown = ~(sd < UNKNOWN)
     normal[unknown], sd[unknown] = np.nan, np.inf
     chosen = np.where(by_slip, Source.SLIP, Source.PATH).astype(np.int8)
     chosen[unknown] = Source.UNKNOWN
-    both = (slip_sd < _UNKNOWN) & (path_sd < _UNKNOWN)
+    both = (slip_sd < UNKNOWN) & (path_sd < UNKNOWN)
     return Normals(
         normal,
         chosen,
@@ -246,11 +246,20 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
 
 
 def _without_an_end(position: Array, own: NDArray[np.intp]) -> Array:
-    """Weights (k, w) of the slope of the polynomial through all but one sample of each window, at one of its ends."""
-    weights = np.zeros_like(position)
-    first = own > 0  # the end that is left out
-    weights[first, 1:] = interpolating(position[first, 1:], own[first] - 1)
-    weights[~first, :-1] = interpolating(position[~first, :-1], own[~first])
+    """Weights (k, w) of the slope of the polynomial through all but one sample of each window, at one of its ends.
+
+    If the sample itself is an end it is left out: after a transition it may be the only one on its piece of the surface.
+    """
+    weights, w = np.zeros_like(position), position.shape[1]
+    for first, last, rows in (
+        (1, w, own == w // 2),
+        (0, w - 1, (own > 0) & (own < w // 2)),
+        (1, w, (own > w // 2) & (own < w - 1)),
+    ):
+        weights[rows, first:last] = interpolating(position[rows, first:last], own[rows] - first)
+    for first, last, end in ((1, w, 0), (0, w - 1, w - 1)):
+        rows = own == end
+        weights[rows, first:last] = extrapolating(position[rows, first:last], position[rows, end])
     return weights
 
 
@@ -315,7 +324,8 @@ def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, sour
     else:
         squares -= turned(slopes.difference)
     # truncation as it is on average over the window: single contacts may hide it by chance
-    squares = np.maximum(_running_mean(squares, slopes.width), 0.0)
+    own = squares if slopes.difference is None else np.zeros_like(squares)
+    squares = np.maximum(_running_mean(squares, slopes.width), own)
     if slopes.variance is not None:
         squares += turned(slopes.variance)
     squares += (slopes.rounding * (gain + gain_sideways)) ** 2 + _SMALLEST_SD**2

@@ -46,6 +46,9 @@ class Sweeps:
     """(m, n) of `planar.Phase`."""
     sticks: NDArray[np.bool_]
     """(m, n) whether the contact did not slip in the step to this sample."""
+    stable: NDArray[np.bool_]
+    """(m, n) whether the equilibrium is stable: no branch forks or folds between touch-down and it.  In a mirror plane of the
+    body the rod can be followed on after it has become unstable; a real one leaves the plane there."""
     snapped: NDArray[np.bool_]
     """(m, n) whether the rod snapped since the sample before."""
     steps: NDArray[np.int32]
@@ -151,6 +154,7 @@ def _sweeps(results: Results) -> Sweeps:
         s1=results.s1,
         phase=phase.astype(np.int8),
         sticks=results.sticks,
+        stable=results.stable,
         snapped=results.snapped,
         steps=results.steps,
         end=results.end,

@@ -28,13 +28,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.apexes import SupportingPlanes
+from scan3d.geometry.apexes import SupportingPlanes, support_bounds
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.normal_intervals import edges_of, normal_intervals
@@ -57,6 +57,8 @@ _QUANTILES = (1.0, 0.7, 0.4)
 # Largest angles, in radians, of the normals from the middles of their intervals, of the contacts in each of the inner bodies by
 # intervals.  More take longer; with fewer, the rod's radius weakens the bound.
 _WIDEST = (1e-4, 1e-3, 1e-2)
+# Directions near a vertex' normal in which its depth in the body is bounded.  More take longer; fewer give wider local bounds.
+_NEAR = 8
 # Entries of a matrix computed at once.  More need more memory.
 _ENTRIES = 4_000_000
 
@@ -79,6 +81,11 @@ class SpatialEnclosure(Enclosure):
     """(m, 3) apexes over triangles of directions, by the middles of the normals' intervals."""
     open: Mask
     """(m,) whether nothing bounds the body in the directions of the triangle."""
+
+    directions: Array
+    """(d, 3) unit vectors in which the body's support function is bounded."""
+    support: Array
+    """(d,) its upper bounds."""
 
     def sticking_out(self, points: Array) -> Array:
         """Upper bounds (n,) of the distances of points (n, 3) from the true body, negative inside."""
@@ -116,13 +123,15 @@ def _by_contacts(cloud: Cloud, errors: Array, confidence: float) -> SpatialEnclo
     inner = _inner_body(cloud, centre_hull)
     tangent = _tangent_planes(cloud, errors)
     apexes = _best_apexes(tangent, centre_hull)
+    directions, support = np.empty((0, 3)), np.empty(0)
     if apexes is None:
         corners, middles, is_open = np.empty((0, 3)), np.zeros((1, 3)), np.ones(1, dtype=bool)
     else:
+        directions, support = tangent.support_bounds(apexes)
         is_open = apexes.open
         corners = np.unique(tangent.to_world(apexes.cover.apexes[~is_open].reshape(-1, 3)), axis=0)
         middles = tangent.to_world(apexes.cover.nominal)
-    bodies = ((centre_hull, radius + margin), *_bodies_by_intervals(cloud, tangent, radius, margin))
+    bodies = ((centre_hull, radius + margin), *_bodies_by_intervals(cloud, tangent, errors, radius))
     gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
     excess = max(float(_sticking_out(_vertices(inner), bodies).max()), margin)
     unbounded = bool(is_open.any())
@@ -139,6 +148,8 @@ def _by_contacts(cloud: Cloud, errors: Array, confidence: float) -> SpatialEnclo
         excess=excess,
         apexes=middles,
         open=is_open,
+        directions=directions,
+        support=support - radius,
     )
 
 
@@ -195,6 +206,13 @@ class _TangentPlanes(NamedTuple):
         """Points (n, 3) of the frame in the world."""
         return points @ self.shape + self.centre
 
+    def support_bounds(self, apexes: Apexes) -> tuple[Array, Array]:
+        """Directions (d, 3) in the world, and upper bounds (d,) of the support function there."""
+        directions, values = support_bounds(self.planes, apexes.cover)
+        directions = directions @ np.linalg.inv(self.shape)
+        length = np.linalg.norm(directions, axis=1)
+        return directions / length[:, None], (directions @ self.centre + values) / length
+
     def normals(self) -> tuple[Array, Array]:
         """Middle normals (k, 3) in the world, and the largest angle (k,) of the true ones from them."""
         inverse = np.linalg.inv(self.shape)
@@ -213,20 +231,25 @@ def _tangent_planes(cloud: Cloud, errors: Array) -> _TangentPlanes:
     rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
     # the map stretches errors by no more than its largest factor, and angles by no more than its condition
     stretched = errors * float(np.linalg.norm(to_frame, 2))
+    turns = _turns(cloud, errors)[rows] * float(np.linalg.cond(shape))
     vertices, edges = edges_of(ConvexHull(points))
     intervals = normal_intervals(
-        points[rows], tangents[rows], stretched[rows], points[vertices], stretched[vertices], edges
+        points[rows], tangents[rows], stretched[rows], turns, points[vertices], stretched[vertices], edges
     )
     moved, ball = stretched[rows], np.inf
-    if cloud.place_sd is not None:
+    if turns.any():
         size = float(np.linalg.norm(points, axis=1).max())
         ball = (1 + _BALL) * size
-        turned = _TURN * errors[rows] / cloud.rod_length * float(np.linalg.cond(shape))
-        moved = moved + turned * (ball + size)
+        moved = moved + turns * (ball + size)
     # planes through these points bound the body whichever normal of its interval each of them has
     with np.errstate(invalid="ignore"):
         outwards = (moved / np.cos(intervals.half_width))[:, None] * intervals.middle
     return _TangentPlanes(SupportingPlanes(points[rows] + outwards, *intervals), rows, centre, shape, ball)
+
+
+def _turns(cloud: Cloud, errors: Array) -> Array:
+    """Largest errors (n,) of the tangents, in radians; 0 for exact contacts."""
+    return np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
 
 
 def _unit(vectors: Array) -> Array:
@@ -245,34 +268,52 @@ def _best_apexes(tangent: _TangentPlanes, centre_hull: Any) -> Apexes | None:
 
 
 def _bodies_by_intervals(
-    cloud: Cloud, tangent: _TangentPlanes, radius: float, margin: float
+    cloud: Cloud, tangent: _TangentPlanes, errors: Array, radius: float
 ) -> Iterator[tuple[Any, float]]:
     """Hulls of the points of the surface that follow from the intervals of the normals, and how far they may stick out."""
     if not radius:
         return
     assert cloud.centre_points is not None
     normals, angle = tangent.normals()
+    turn, margin = float(_turns(cloud, errors).max()), float(errors.max())
     points = cloud.centre_points[tangent.rows] - radius * normals
     for widest in _WIDEST:
         narrow = angle <= widest
         with suppress(InputError):
             if narrow.sum() > 3:
-                yield hull(points[narrow]), radius * widest + margin
+                yield hull(points[narrow]), radius * (widest + turn) + margin
 
 
 def spatial_certificate(bounds: SpatialEnclosure, surface: Any) -> tuple[float, Array]:
     """The bound of a convex surface, and the local bound at its vertices."""
     vertices = _vertices(surface)
-    local = np.maximum(bounds.sticking_out(vertices), 0.0)
-    distance = np.zeros(1)
-    if len(bounds.corners):
-        signed, face, _ = nearest(bounds.corners, surface)
-        distance = np.maximum(signed - bounds.radius, 0.0)
-        np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
-    if not bounds.open.any():
-        return float(max(local.max(), distance.max())), local
-    local[_open_vertices(bounds, surface)] = np.inf
-    return np.inf, local
+    outwards = np.maximum(bounds.sticking_out(vertices), 0.0)
+    local = np.maximum(outwards, _depths(bounds, surface))
+    if bounds.open.any():
+        local[_open_vertices(bounds, surface)] = np.inf
+        return np.inf, local
+    distance = nearest(bounds.corners, surface)[0] - bounds.radius
+    bound = float(max(outwards.max(), distance.max()))
+    return bound, np.minimum(local, bound)
+
+
+def _depths(bounds: SpatialEnclosure, surface: Any) -> Array:
+    """Upper bounds (v,) of the distances of a surface's vertices in the body from the body's surface.
+
+    A point x of a body lies no farther from its surface than ``h(u) - <u, x>``, for every direction u.
+    """
+    vertices = _vertices(surface)
+    if not len(bounds.directions):
+        return np.full(len(vertices), np.inf)
+    faces: Index = surface.faces
+    corners = vertices[faces]
+    normals = np.zeros_like(vertices)
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    np.add.at(normals, faces.ravel(), np.repeat(face_normals, 3, axis=0))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+    near = cKDTree(bounds.directions).query(normals, k=np.arange(1, min(_NEAR, len(bounds.directions)) + 1))[1]
+    depths: Array = (bounds.support[near] - (bounds.directions[near] * vertices[:, None]).sum(axis=2)).min(axis=1)
+    return np.maximum(depths, 0.0)
 
 
 def _open_vertices(bounds: SpatialEnclosure, surface: Any) -> Index:

@@ -28,6 +28,9 @@ _PLANE = 5e-6
 # Depth, in diagonals, of the smallest cut by a contact's tangent plane.  Larger, curved parts of bodies with edges are
 # coarse; smaller, errors of the normals cut off what lies in the plane faces.
 _CUT = 1e-4
+# Fraction of the contacts that lie in plane faces of a body with edges.  Larger, bodies with small faces count as curved;
+# smaller, dense contacts of curved bodies count as faces.
+_IN_FACES = 0.05
 # Tangent planes that are used at most.  More take longer; fewer leave curved parts of bodies with edges coarser.
 _TANGENT_PLANES = 6000
 # Sweeps with contacts that are needed before any is held out.  Larger, small scans are not judged by cross-validation;
@@ -35,6 +38,8 @@ _TANGENT_PLANES = 6000
 _FEWEST_SWEEPS = 6
 # Every how-many-th sweep is held out, and the number of held-out contacts at most.  More take longer.
 _EVERY, _HELD_OUT = 4, 3000
+# Contacts that are kept at most for cross-validation, evenly spread over all.  More take longer; fewer judge a coarser scan.
+_KEPT = 12_000
 
 
 class HeldOutErrors(NamedTuple):
@@ -74,7 +79,9 @@ def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Array] | None:
     held_out = number % _EVERY == _EVERY // 2
     rows = np.flatnonzero(held_out)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _HELD_OUT)).astype(np.intp))]
-    return replace(cloud.select(~held_out), fit=None, fit_error=np.inf), cloud.points[rows]
+    kept = np.flatnonzero(~held_out)
+    kept = kept[:: -(-len(kept) // _KEPT)]
+    return replace(cloud.select(kept), fit=None, fit_error=np.inf), cloud.points[rows]
 
 
 def _hull(cloud: Cloud) -> Any:
@@ -113,7 +120,8 @@ def _with_edges(cloud: Cloud) -> Any:
     """The polytope of the plane faces, cut by the contacts' tangent planes."""
     points, normals, diagonal = cloud.points, cloud.normals, _diagonal(cloud)
     faces = plane_faces(points, _PLANE * diagonal)
-    if not len(faces):
+    in_face = (faces[:, 3, None] - faces[:, :3] @ points.T <= _PLANE * diagonal).any(axis=0)
+    if in_face.mean() < _IN_FACES:
         return hull(points)
     tangent = np.column_stack([normals, (normals * points).sum(axis=1)])
     tangent = tangent[:: -(-len(tangent) // _TANGENT_PLANES)]

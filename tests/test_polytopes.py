@@ -1,0 +1,42 @@
+"""Plane faces of hulls, and polytopes of planes."""
+
+import numpy as np
+import pytest
+from spatial_bodies import Ellipsoid, box, spatial_cloud, unit
+
+from scan3d.geometry.polytopes import cut_polytope, plane_faces
+
+
+def test_the_plane_faces_of_a_box():
+    cloud = spatial_cloud(box([1, 0.7, 0.5], corners=0.0), 500, 1)
+    faces = plane_faces(cloud.points, 1e-9)
+    assert len(faces) == 6
+    assert np.sort(faces[:, 3]) == pytest.approx([0.25, 0.25, 0.35, 0.35, 0.5, 0.5])
+
+
+def test_a_curved_body_has_no_plane_face():
+    assert len(plane_faces(Ellipsoid(np.ones(3)).touched(2000, np.random.default_rng(1))[0], 1e-6)) == 0
+
+
+def test_the_vertices_of_a_box():
+    cloud = spatial_cloud(box([1, 0.7, 0.5], corners=0.0), 500, 1)
+    corners = cut_polytope(plane_faces(cloud.points, 1e-9), np.empty((0, 4)), np.zeros(3), 1.0, 1e-6)
+    assert len(corners) == 8
+    assert np.abs(corners) == pytest.approx(np.tile([0.5, 0.35, 0.25], (8, 1)))
+
+
+def test_tangent_planes_cut_what_faces_leave_open():
+    normals = unit(np.random.default_rng(2).normal(size=(3000, 3)))
+    normals = normals[np.abs(normals[:, 2]) < 0.8]
+    caps = np.array([[0.0, 0, 1, 0.8], [0, 0, -1, 0.8]])
+    corners = cut_polytope(caps, np.column_stack([normals, np.ones(len(normals))]), np.zeros(3), 2.0, 1e-3)
+    assert np.abs(corners[:, 2]).max() == pytest.approx(0.8)
+    assert np.linalg.norm(corners, axis=1).min() > 0.99
+    assert np.linalg.norm(corners, axis=1).max() < 1.01
+    # every remaining cut is shallower than the tolerance
+    assert (corners @ normals.T - 1).max() < 1e-3
+
+
+def test_no_planes_leave_a_box_around_the_body():
+    corners = cut_polytope(np.empty((0, 4)), np.empty((0, 4)), np.ones(3), 1.0, 1e-6)
+    assert np.abs(corners - 1) == pytest.approx(np.full((8, 3), 2.0))

@@ -1,0 +1,122 @@
+"""Surfaces from contacts anywhere: their distance to the body, and the choice between them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, largest_difference, random_polyhedron, spatial_cloud
+
+import scan3d
+from scan3d.geometry.support import fit_support
+from scan3d.surfaces import certificate, enclosure, surface
+
+SMOOTH = Ellipsoid(np.array([1.0, 0.7, 0.5]))
+
+
+def fitted(cloud, degree=4):
+    return dataclasses.replace(cloud, fit=fit_support(cloud.points, cloud.normals, degree), fit_error=1e-9)
+
+
+def test_the_hull_lies_in_the_body():
+    cloud = spatial_cloud(SMOOTH, 1000, 1, 0.01)
+    mesh = surface(cloud, "hull")
+    assert mesh.is_watertight
+    assert mesh.metadata["method"] == "hull"
+    assert np.linalg.norm(np.asarray(mesh.vertices) / SMOOTH.semi_axes, axis=1).max() <= 1 + 1e-9
+
+
+def test_contacts_without_normals_are_left_out_of_the_hull():
+    cloud = spatial_cloud(SMOOTH, 1000, 1, 0.01)
+    points = cloud.points.copy()
+    points[::3] = np.nan
+    assert np.isfinite(surface(dataclasses.replace(cloud, points=points), "hull").vertices).all()
+
+
+def test_a_smooth_body_is_the_fitted_one():
+    cloud = fitted(spatial_cloud(SMOOTH, 1500, 2, 0.01))
+    mesh = surface(cloud)
+    assert mesh.metadata["method"] == "support"
+    assert "held-out sweeps lie within" in mesh.metadata["reason"]
+    assert np.linalg.norm(np.asarray(mesh.vertices) / SMOOTH.semi_axes, axis=1) == pytest.approx(1, abs=1e-4)
+    assert surface(cloud, "support").metadata["reason"].endswith("as requested")
+
+
+def test_without_a_fit_a_smooth_body_is_curved_between_its_contacts():
+    cloud = spatial_cloud(SMOOTH, 3000, 3, 0.01)
+    mesh = surface(cloud)
+    assert mesh.metadata["reason"].startswith("curved between the contacts")
+    assert mesh.is_watertight
+    assert largest_difference(mesh, SMOOTH) < 0.5 * largest_difference(surface(cloud, "hull"), SMOOTH)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.005])
+def test_a_polyhedron_has_its_vertices_though_no_contact_lies_there(radius):
+    for seed in (1, 4, 6):
+        body = Polyhedron(random_polyhedron(seed).vertices, corners=0.0)
+        cloud = spatial_cloud(body, 3000, seed, radius)
+        mesh = surface(cloud)
+        assert mesh.metadata["method"] == "bracket"
+        assert "sharp edges" in mesh.metadata["reason"]
+        assert largest_difference(mesh, body) < 1e-9
+        assert largest_difference(surface(cloud, "hull"), body) > 1e-4
+
+
+def test_a_cylinder_keeps_its_rims():
+    body = Cylinder(0.4, 1.0)
+    cloud = spatial_cloud(body, 4000, 5, 0.005)
+    assert largest_difference(surface(cloud), body) < 3e-4 * body.size
+
+
+def test_wrong_normals_do_not_pass_cross_validation():
+    """A surface that is curved by wrong normals predicts held-out contacts worse than the hull does."""
+    cloud = spatial_cloud(SMOOTH, 3000, 6)
+    rng = np.random.default_rng(0)
+    normals = cloud.normals + 0.5 * rng.normal(size=cloud.normals.shape)
+    wrong = dataclasses.replace(cloud, normals=normals / np.linalg.norm(normals, axis=1)[:, None])
+    assert surface(wrong).metadata["reason"].startswith("convex hull")
+
+
+def test_too_few_sweeps_give_the_hull():
+    cloud = spatial_cloud(SMOOTH, 200, 7)
+    mesh = surface(cloud, "bracket")
+    assert "too few sweeps" in mesh.metadata["reason"]
+
+
+def test_the_hull_is_taken_where_it_is_proven():
+    cloud = spatial_cloud(SMOOTH, 1000, 8)
+    bounds = dataclasses.replace(enclosure(cloud), bound=1e-6)
+    mesh = surface(cloud, bounds=bounds)
+    assert mesh.metadata["method"] == "hull"
+    assert mesh.metadata["reason"].startswith("convex hull of the contacts: proven to lie within 1e-06 mm")
+
+
+def test_support_without_a_fit_is_refused():
+    with pytest.raises(scan3d.InputError, match="not smooth enough"):
+        surface(spatial_cloud(SMOOTH, 200, 9), "support")
+
+
+def test_the_local_bound_contains_the_surface():
+    cloud = spatial_cloud(SMOOTH, 3000, 10, 0.01)
+    bounds = enclosure(cloud)
+    for method in ("hull", "bracket"):
+        mesh = surface(cloud, method, bounds=bounds)
+        bound, local = certificate(bounds, mesh)
+        vertices = np.asarray(mesh.vertices)
+        scaled = np.linalg.norm(vertices / SMOOTH.semi_axes, axis=1)
+        # to the first order, the distance of the vertices from the ellipsoid
+        distance = np.abs(scaled - 1) * scaled / np.linalg.norm(vertices / SMOOTH.semi_axes**2, axis=1)
+        assert (local >= 0.99 * distance - 1e-8).all()
+        assert local.max() <= bound
+        assert np.median(local) < 0.7 * bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "body", [box([0.4, 0.3, 0.25], corners=0.01), box([1, 0.7, 0.5], 0.1, corners=0.3), Cylinder(0.5, 1.0), SMOOTH]
+)
+def test_many_contacts_give_close_surfaces_and_small_bounds(body):
+    cloud = spatial_cloud(body, 20_000, 11, 0.002 * body.size)
+    bounds = enclosure(cloud)
+    mesh = surface(cloud, bounds=bounds)
+    assert largest_difference(mesh, body) < 1e-3 * body.size
+    assert largest_difference(mesh, body) <= certificate(bounds, mesh).bound < 5e-3 * body.size
