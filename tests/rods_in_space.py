@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planar.elastica import bend, partial_shape
-from scan3d.spatial.bodies import Ellipsoid
-from scan3d.spatial.bodies import sphere_directions
+from scan3d.spatial.bodies import Ellipsoid, sphere_directions
 
 
 class Rods(NamedTuple):
@@ -23,7 +22,7 @@ class Rods(NamedTuple):
 
 
 def rods(swept, axes, rows):
-    """The rods of the samples `rows` (m, n): bending plane, direction and size of the force, from the reactions (S5) to (S7)."""
+    """The rods of the samples `rows` (m, n): bending plane and force, from the reactions (S5) to (S7)."""
     number, _ = np.nonzero(rows)
     x, y, z = (axes[number] if axes.ndim == 3 else axes[rows]).swapaxes(0, 1)
     force, moment = swept.force[rows], swept.moment[rows]

@@ -18,8 +18,8 @@ def in_plane(angle, depth):
     return planar.Ellipse(semi_axes, center, angle), Ellipsoid((*semi_axes, depth), (*center, 0), axes)
 
 
-# The plane is a mirror, so that the rod stays in it; but on bodies that are not deep enough it is unstable there (S23), and what
-# rounding and the solver's tolerance push it aside grows.  On these bodies it grows to less than the tolerance of the test.
+# The plane is a mirror, so that the rod stays in it; but on bodies that are not deep enough it is unstable there (S23), and
+# what rounding and the solver's tolerance push it aside grows.  On these bodies it stays below the tolerance of the test.
 @pytest.mark.parametrize(
     ("angle", "depth", "friction"),
     [(a, 2.0, mu) for a in (-0.3, 0.0, 0.4) for mu in (0.0, 0.05, 0.1, 0.3, 0.6)] + [(0.4, 0.5, 0.6), (-0.3, 0.5, 0.3)],

@@ -73,7 +73,9 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     for spread, moved, number in ((first, second, numbers[0]), (second, first, numbers[1])):
         place = points @ spread
         even = (np.arange(number) + 0.5) / number
-        offsets = place.min() + np.ptp(place) * ((1 - _DENSE_ENDS) * even + _DENSE_ENDS * (1 - np.cos(np.pi * even)) / 2)
+        offsets = place.min() + np.ptp(place) * (
+            (1 - _DENSE_ENDS) * even + _DENSE_ENDS * (1 - np.cos(np.pi * even)) / 2
+        )
         middle = points.mean(axis=0)
         base = middle + ((points @ along).min() - clearance - middle @ along) * along
         origin.append(base + (offsets - base @ spread)[:, None] * spread)

@@ -103,7 +103,7 @@ class Ellipsoid(SmoothBody):
         super().__init__(radius)
         lengths, turn = np.asarray(semi_axes, dtype=float), np.eye(3) if axes is None else np.asarray(axes, dtype=float)
         if lengths.shape != (3,) or not ((lengths > 0) & np.isfinite(lengths)).all():
-            raise ValueError(f"an ellipsoid has three semi-axes > 0, got {semi_axes}")
+            raise ValueError(f"an ellipsoid has three semi-axes > 0, got {semi_axes!r}")
         self.center = np.asarray(center, dtype=float).reshape(3, 1)
         self.matrix = turn.T * lengths**2 @ turn
 

@@ -2,8 +2,8 @@
 
 Unknowns are the rod's state (ω, α, q², s1) and two local coordinates of the place on the body.  The equations state that the
 rod's contact is that place (three), that Coulomb's law holds between the force and the slip since the state before (two), and
-that the contact is the tip or tangential (one).  Coulomb's law is taken one branch at a time: (S20) contains both, but near touch-down
-Newton's method flips between them.
+that the contact is the tip or tangential (one).  Coulomb's law is taken one branch at a time: (S20) contains both, but near
+touch-down Newton's method flips between them.
 """
 
 from __future__ import annotations
@@ -70,8 +70,7 @@ class System(NamedTuple):
 
 def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     """The equations at states (4, n) with their bent rods and places on the body."""
-    n, m = patch.normal, patch.law_normal
-    count = n.shape[1]
+    n, count = patch.normal, state.shape[1]
     residual, jacobian = np.empty((6, count)), np.zeros((6, 6, count))
     residual[:3] = rod.place - patch.point
     for k, slope in enumerate(rod.place_slopes):
@@ -79,47 +78,10 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     np.negative(patch.point_1, out=jacobian[:3, 4])
     np.negative(patch.point_2, out=jacobian[:3, 5])
 
-    # slip v = P y with y = r1 - r1⁻ - (s1 - s1⁻) t1, and its derivatives by all unknowns
-    along = state[3] - law.s1
-    y = patch.point - law.place - along * rod.tangent
-    y_n, normal_force = dot(y, m), dot(rod.force, m)
-    tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_square * rod.tangent_angle])
-    y_slopes = np.concatenate(
-        [-along * tangents, -rod.tangent[None], patch.point_1[None], patch.point_2[None]]
-    )  # fmt: skip
     zero = np.zeros(count)
-    normal_slopes = np.stack(
-        [
-            dot(rod.force_omega, m),
-            dot(rod.force_alpha, m),
-            zero,
-            zero,
-            dot(rod.force, patch.law_normal_1),
-            dot(rod.force, patch.law_normal_2),
-        ]
-    )
-    v, g, frame, v_slopes, g_slopes = *(np.empty((2, count)) for _ in range(3)), [], []
-    for k, u in enumerate(basis(m)):
-        turned = dot(patch.law_normal_1, u), dot(patch.law_normal_2, u)
-        v[k], g[k], frame[k] = dot(y, u), dot(rod.force, u), dot(law.direction, u)
-        v_slope = dot(y_slopes.swapaxes(0, 1), u[:, None])
-        v_slope[4] -= y_n * turned[0]
-        v_slope[5] -= y_n * turned[1]
-        v_slopes.append(v_slope)
-        g_slopes.append(
-            np.stack(
-                [
-                    dot(rod.force_omega, u),
-                    dot(rod.force_alpha, u),
-                    zero,
-                    zero,
-                    -normal_force * turned[0],
-                    -normal_force * turned[1],
-                ]
-            )
-        )
-    normal_part = (normal_force, normal_slopes)
-    sticks = _friction(residual, jacobian, law, frame, (v, np.stack(v_slopes)), (g, np.stack(g_slopes)), normal_part)
+    tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_square * rod.tangent_angle])
+    parts = _across(state, rod, patch, law, tangents)
+    sticks = _friction(residual, jacobian, law, parts)
 
     lean = -dot(rod.tangent, n)
     tip = 1 - state[3] <= lean
@@ -128,22 +90,53 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     slopes += [-dot(rod.tangent, patch.normal_1), -dot(rod.tangent, patch.normal_2)]
     jacobian[5] = np.where(tip, 0.0, np.stack(slopes))
     jacobian[5, 3] = np.where(tip, -1.0, 0.0)
-    return System(
-        residual, jacobian, normal_force, np.hypot(v[0], v[1]), np.hypot(g[0], g[1]), -(v * g).sum(axis=0), sticks
-    )
+    v, g = parts.slip, parts.force
+    slip, friction_force = np.hypot(v[0], v[1]), np.hypot(g[0], g[1])
+    return System(residual, jacobian, parts.normal_force, slip, friction_force, -(v * g).sum(axis=0), sticks)
 
 
-def _friction(
-    residual: Array,
-    jacobian: Array,
-    law: Law,
-    frame: Array,
-    slip: tuple[Array, Array],
-    force: tuple[Array, Array],
-    normal: tuple[Array, Array],
-) -> Mask:
-    """Fill in the two equations of friction, from values and derivatives of slip, tangential and normal force; where it sticks."""
-    (v, v_slopes), (g, g_slopes), (normal_force, normal_slopes) = slip, force, normal
+class _Across(NamedTuple):
+    """Slip and force in the tangent plane (2, n), and their derivatives (2, 6, n) by the unknowns."""
+
+    slip: Array
+    slip_slopes: Array
+    force: Array
+    force_slopes: Array
+    normal_force: Array
+    """(n,)"""
+    normal_slopes: Array
+    """(6, n)"""
+    frozen: Array
+    """(2, n) direction of the slip where it is frozen."""
+
+
+def _across(state: Array, rod: Bent, patch: Patch, law: Law, tangents: Array) -> _Across:
+    """What the law of friction needs, with the derivatives (3, 3, n) of the rod's tangent by ω, α, q²."""
+    m, count = patch.law_normal, state.shape[1]
+    # slip v = P y with y = r1 - r1⁻ - (s1 - s1⁻) t1
+    along = state[3] - law.s1
+    y = patch.point - law.place - along * rod.tangent
+    y_slopes = np.concatenate([-along * tangents, -rod.tangent[None], patch.point_1[None], patch.point_2[None]])
+    y_n, normal_force, zero = dot(y, m), dot(rod.force, m), np.zeros(count)
+    by_place = dot(rod.force, patch.law_normal_1), dot(rod.force, patch.law_normal_2)
+    normal_slopes = np.stack([dot(rod.force_omega, m), dot(rod.force_alpha, m), zero, zero, *by_place])
+    slip, force, frozen = (np.empty((2, count)) for _ in range(3))
+    slip_slopes, force_slopes = [], []
+    for k, u in enumerate(basis(m)):
+        turned = dot(patch.law_normal_1, u), dot(patch.law_normal_2, u)
+        slip[k], force[k], frozen[k] = dot(y, u), dot(rod.force, u), dot(law.direction, u)
+        slope = dot(y_slopes.swapaxes(0, 1), u[:, None])
+        slope[4] -= y_n * turned[0]
+        slope[5] -= y_n * turned[1]
+        slip_slopes.append(slope)
+        by_place = -normal_force * turned[0], -normal_force * turned[1]
+        force_slopes.append(np.stack([dot(rod.force_omega, u), dot(rod.force_alpha, u), zero, zero, *by_place]))
+    return _Across(slip, np.stack(slip_slopes), force, np.stack(force_slopes), normal_force, normal_slopes, frozen)
+
+
+def _friction(residual: Array, jacobian: Array, law: Law, parts: _Across) -> Mask:
+    """Fill in the two equations of friction; returns where the contact sticks."""
+    v, v_slopes, g, g_slopes, normal_force, normal_slopes, frame = parts
     g = g + law.drag * v
     g_slopes = g_slopes + law.drag * v_slopes
     cone = law.friction * normal_force
@@ -161,4 +154,4 @@ def _friction(
         residual[3 + k] = np.where(sticks, law.rate * v[k], g[k] + cone * direction[k])
         slides = g_slopes[k] + law.friction * direction[k] * normal_slopes + across[k] * turned
         jacobian[3 + k] = np.where(sticks, law.rate * v_slopes[k], slides)
-    return sticks
+    return np.asarray(sticks)

@@ -1,8 +1,9 @@
 """Many sweeps in lockstep: each lane solves its equations by Newton's method, step by step along its path.
 
-A round is one step of Newton's method in every lane.  What it leads to is accepted as the state at the lane's target, or goes on,
-or has failed.  A failed step is tried on the other branches of Coulomb's law, then with half its length; a step that cannot be
-halved further is a snap, and the lane follows the overdamped flow, at a fixed clamp, to the next equilibrium or off the body.
+A round is one step of Newton's method in every lane.  What it leads to is accepted as the state at the lane's target, or goes
+on, or has failed.  A failed step is tried on the other branches of Coulomb's law, then with half its length; a step that cannot
+be halved further is a snap, and the lane follows the overdamped flow, at a fixed clamp, to the next equilibrium or off the
+body.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ _SLIGHT = 1e-9
 _CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
 _ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
 # Steps of Newton's method from one sample to the next before a sweep is given up.
-_EFFORT = 400
-# Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its largest value.
+_EFFORT = 800
+# Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its limit.
 _DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
 # Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
 _BEYOND_FOLD = 0.5
@@ -103,10 +104,10 @@ class Lanes:
 
     def _next(self, lanes: LaneStates) -> Array:
         """The end of the next step: no farther than the next sample."""
-        return np.minimum(np.floor(lanes.progress + _ROUNDING) + 1, lanes.progress + lanes.step)
+        return np.asarray(np.minimum(np.floor(lanes.progress + _ROUNDING) + 1, lanes.progress + lanes.step))
 
     def _sample_after(self, progress: Array) -> Index:
-        return np.minimum(np.ceil(progress - _ROUNDING).astype(np.intp), self._last)
+        return np.asarray(np.minimum(np.ceil(progress - _ROUNDING).astype(np.intp), self._last))
 
     def _bend(self, lanes: LaneStates, rows: Index) -> None:
         """Bend the straight rods among `rows` at first by what the body pushes them aside, to begin Newton's method with."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 from scan3d.spatial.shapes import Clamp
 from scan3d.spatial.vectors import cross, dot
 
@@ -51,7 +51,7 @@ class Paths:
             return speed, np.zeros_like(speed)
         return speed, cross(self._turn[:, lane, number], self.clamp(lane, progress).y)
 
-    def straight(self) -> tuple[Array, Array]:
+    def straight(self) -> tuple[Mask, Array]:
         """Which paths (m,) are straight lines of clamps that do not turn, and the samples' places (m, n) along them, 0 to 1."""
         start = self.position[:, :, :1]
         travel = self.position[:, :, -1:] - start
@@ -59,7 +59,7 @@ class Paths:
             place = dot(self.position - start, travel) / dot(travel, travel)
             away = np.abs(start + place * travel - self.position).max(axis=(0, 2))
         straight = (away < _STRAIGHT) & (np.diff(place, axis=1) > 0).all(axis=1)
-        return straight & (self._turn is None), place
+        return np.asarray(straight & (self._turn is None)), place
 
     def _step(self, progress: Array) -> tuple[Index, Array]:
         number = np.minimum(progress.astype(np.intp), self.samples - 2)

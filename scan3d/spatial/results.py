@@ -35,6 +35,7 @@ class Results:
         )
         self.s1 = np.full((sweeps, samples), np.nan)
         self.sticks, self.snapped = (np.zeros((sweeps, samples), dtype=bool) for _ in range(2))
+        self.stable = np.zeros((sweeps, samples), dtype=bool)
         self.steps = np.zeros((sweeps, samples), dtype=np.int32)
         self.end = np.full(sweeps, End.NO_TOUCH, dtype=np.int8)
 
@@ -46,6 +47,8 @@ class Results:
         self.point[:, number, sample], self.normal[:, number, sample] = patch.point[:, rows], patch.normal[:, rows]
         self.tangent[:, number, sample], self.s1[number, sample] = rod.tangent[:, rows], lanes.state[3, rows]
         self.sticks[number, sample] = equations.sticks[rows]
+        # positive from touch-down, and zero where branches of equilibria fork or fold
+        self.stable[number, sample] = np.linalg.det(equations.jacobian[:, :, rows].transpose(2, 0, 1)) > 0
         self.snapped[number, sample] = lanes.has_snapped[rows]
         self.steps[number, sample] = lanes.steps_taken[rows]
         lanes.has_snapped[rows] = False
@@ -53,7 +56,7 @@ class Results:
 
     def contacts(self) -> Mask:
         """(m, n) whether the rod touches."""
-        return np.isfinite(self.s1)
+        return np.asarray(np.isfinite(self.s1))
 
     def vectors(self) -> dict[str, Array]:
         """Fields with vectors (m, n, 3)."""

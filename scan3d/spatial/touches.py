@@ -1,7 +1,7 @@
 """Touch-downs of straight rods on paths of any form, and where they have passed the body.
 
-Straight paths of clamps that do not turn cross the body once, which `touching` finds.  On other paths the distance of the rod from
-the body along many directions shows where it comes near, and Newton's method gives the touch-down within the step.
+Straight paths of clamps that do not turn cross the body once, which `touching` finds.  On other paths the distance of the rod
+from the body along many directions shows where it comes near, and Newton's method gives the touch-down within the step.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scan3d.spatial.paths import Paths
 from scan3d.spatial.touching import Motion, passages, refined
 from scan3d.spatial.vectors import dot
 
-# Directions along which the distance of rod and body is evaluated.  Fewer miss more of what is no farther than some thousandths.
+# Directions along which the distance of rod and body is evaluated.  Fewer miss more of the slightest touches.
 _DIRECTIONS = sphere_directions(1500)
 # Rods that are evaluated at once, so that the intermediate arrays stay small.
 _BLOCK = 2048
@@ -123,7 +123,7 @@ def _next_touches(body: Body, paths: Paths, number: Index, after: Array | None) 
     return Touch(*(np.concatenate(part, axis=-1) for part in zip(*found, strict=True)))
 
 
-def _end(body: Body, paths: Paths, number: Index, distances: tuple[Array, Array, Array], begin: Array) -> Array:
+def _end(body: Body, paths: Paths, number: Index, distances: tuple[Array, Index, Array], begin: Array) -> Array:
     """Where straight rods that touch the body at `begin` (k,) have passed it; infinite if they do not before the path ends."""
     distance, direction, grid = distances
     clear = (distance > 0) & (grid > begin[:, None])
@@ -136,7 +136,7 @@ def _end(body: Body, paths: Paths, number: Index, distances: tuple[Array, Array,
     return end
 
 
-def _distances(body: Body, paths: Paths, number: Index, grid: Array) -> tuple[Array, Array]:
+def _distances(body: Body, paths: Paths, number: Index, grid: Array) -> tuple[Array, Index]:
     """Largest distances (k, g) of straight rods beyond the body over all directions, and the numbers of those directions.
 
     They are lower bounds of the true distances.

@@ -25,6 +25,8 @@ _SPHERE = sphere_directions(1500)
 _BLOCK = 64
 # Steps of Newton's method at most, and the residual in rod lengths at which it ends.
 _STEPS, _EXACT = 60, 1e-13
+# Residual at which a place counts as found.
+_FOUND = 1e-10
 
 
 class Passage(NamedTuple):
@@ -62,23 +64,29 @@ def passages(body: Body, position: Array, along: Array, travel: Array) -> Passag
 
 def _passages(body: Body, position: Array, along: Array, travel: Array) -> Passage:
     begin, normal = _crossing(body, position, along, travel, -1.0)
-    end, _ = _crossing(body, position, along, travel, 1.0)
+    end, end_normal = _crossing(body, position, along, travel, 1.0)
     feature, coordinates, point = body.extreme(normal)
     s1 = dot(along, point - position - begin * travel)
+    end_feature, end_coordinates, end_point = body.extreme(end_normal)
+    end_s1 = dot(along, end_point - position - end * travel)
     touches = begin < end
     motion = _straight(position, along, travel)
+    end, end_s1, _, _ = refined(body, motion, (end, end_s1, end_feature, end_coordinates), touches)
     begin, s1, feature, coordinates = refined(body, motion, (begin, s1, feature, coordinates), touches)
-    tip = touches & (s1 > 1)
-    if tip.any():
-        tip_begin, tip_end, number = _ray(body, (position + along)[:, tip], travel[:, tip])
-        hits = tip_begin < tip_end
-        begin[tip], s1[tip], touches[tip] = tip_begin, 1.0, hits
-        end[tip] = np.where(hits, np.maximum(tip_end, tip_begin), np.nan)
-        place = body.extreme(_SPHERE[:, number])
-        feature[tip], coordinates[:, tip] = place[0], place[1]
-        start = begin[tip], s1[tip], feature[tip], coordinates[:, tip]
-        motion = _straight(position[:, tip], along[:, tip], travel[:, tip])
-        begin[tip], s1[tip], feature[tip], coordinates[:, tip] = refined(body, motion, start, hits, tip=True)
+    enters_by_tip, leaves_by_tip = touches & (s1 > 1), touches & (end_s1 > 1)
+    rows = np.flatnonzero(enters_by_tip | leaves_by_tip)
+    if len(rows):
+        tip_begin, tip_end, entry, leave = _ray(body, (position + along)[:, rows], travel[:, rows])
+        touches[rows] &= (tip_begin < tip_end) | ~enters_by_tip[rows]
+        tip = enters_by_tip[rows]
+        begin[rows[tip]], s1[rows[tip]] = tip_begin[tip], 1.0
+        feature[rows[tip]], coordinates[:, rows[tip]] = body.extreme(_SPHERE[:, entry[tip]])[:2]
+        wanted = enters_by_tip & touches
+        begin, s1, feature, coordinates = refined(body, motion, (begin, s1, feature, coordinates), wanted, tip=True)
+        tip = leaves_by_tip[rows]
+        end[rows[tip]] = _tip_end(body, motion, rows[tip], tip_end[tip], leave[tip])
+        # a touch-down by a graze that the polyhedron of directions misses is over at once
+        end[rows] = np.fmax(end[rows], begin[rows])
     touches &= s1 > 0
     begin, end = np.where(touches, begin, np.nan), np.where(touches, end, np.nan)
     return Passage(touches, begin, end, s1, feature, coordinates)
@@ -110,15 +118,26 @@ def _crossing(body: Body, position: Array, along: Array, travel: Array, sign: fl
     return distance[best, rows], n[:, best, rows]
 
 
-def _ray(body: Body, start: Array, travel: Array) -> tuple[Array, Array, Index]:
-    """Where points enter and leave the polyhedron of `_SPHERE` about the body, and the number of the plane of entry."""
+def _ray(body: Body, start: Array, travel: Array) -> tuple[Array, Array, Index, Index]:
+    """Where points enter and leave the polyhedron of `_SPHERE` about the body, and the numbers of the planes there."""
     height = dot(body.extreme(_SPHERE)[2], _SPHERE)
     rate, gap = _SPHERE.T @ travel, height[:, None] - _SPHERE.T @ start
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = gap / rate
-    inside = np.where(rate < 0, distance, -np.inf)
-    number = np.argmax(inside, axis=0)
-    return inside.max(axis=0), np.where(rate > 0, distance, np.inf).min(axis=0), number
+    inward, outward = np.where(rate < 0, distance, -np.inf), np.where(rate > 0, distance, np.inf)
+    return inward.max(axis=0), outward.min(axis=0), np.argmax(inward, axis=0), np.argmin(outward, axis=0)
+
+
+def _tip_end(body: Body, motion: Callable[[Index, Array], Motion], rows: Index, end: Array, plane: Index) -> Array:
+    """Where the tips of the rods `rows` (k,) leave the body, from where they leave the polyhedron of `_SPHERE`."""
+    feature, coordinates, _ = body.extreme(_SPHERE[:, plane])
+    start = end, np.ones(len(end)), feature, coordinates
+    result, _, feature, coordinates = refined(
+        body, lambda some, part: motion(rows[some], part), start, np.isfinite(end), tip=True
+    )
+    patch, at = body.patch(feature, coordinates), motion(rows, result)
+    found = np.abs(at.position + at.along - patch.point).max(axis=0) < _FOUND
+    return np.where(found & (dot(at.speed, patch.normal) > 0), result, end)
 
 
 def refined(
@@ -134,7 +153,7 @@ def refined(
     `motion` gives straight rods by their rows and their places on their paths; `start` are places, arc lengths, features and
     coordinates (k,), of which the `wanted` are improved.
     """
-    begin, s1, feature, coordinates = (column.copy() for column in start)
+    begin, s1, feature, coordinates = start[0].copy(), start[1].copy(), start[2].copy(), start[3].copy()
     rows = np.flatnonzero(wanted)
     for _ in range(_STEPS):
         if not len(rows):
@@ -153,7 +172,7 @@ def refined(
         open_rows = np.abs(residual).max(axis=1) > _EXACT
         # a place on an edge or a face that the rod is parallel to has no unique solution: the point is kept
         jacobian[:, range(4), range(4)] += 1e-14
-        step = -np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0]
+        step = np.asarray(-np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0], dtype=float)
         step[~(np.isfinite(step).all(axis=1) & open_rows)] = 0.0
         moved = body.moved(*here, patch, step[:, 2:].T)
         begin[rows], s1[rows] = begin[rows] + moved[2] * step[:, 0], s + moved[2] * step[:, 1]

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
+import spatial_sweeps
 from numpy.typing import NDArray
 
 import planar
@@ -46,6 +47,9 @@ BVP_TOLERANCE = 1e-8
 FORWARD_RATE, FORWARD_RATIO, FORWARD_PRECISION = 300_000, 1_000, 100
 INVERSE_RATE, INVERSE_RATIO = 3_000_000, 5_000
 SPATIAL_INVERSE_RATE = 2_000_000
+SPATIAL_FORWARD_RATE, SPATIAL_MESH_RATE = 20_000, 1_000
+# Sweeps in space past a smooth body and past a mesh, as many as those of a scan, and the rods that are integrated beside them.
+SPATIAL_SWEEPS, SPATIAL_MESH_SWEEPS, INTEGRATED_SWEEPS = 400, 200, 1
 LARGEST_MEMORY_GB = 2.0
 
 
@@ -170,6 +174,34 @@ def forward(contacts: int) -> list[Line]:
     return [
         Line(name, count, count / time_s, errors) for (name, count, errors), time_s in zip(rows, taken, strict=True)
     ]
+
+
+# Step 1 in space
+
+
+def forward_in_space(sweeps: int) -> list[Line]:
+    """Step 1 in space, all sweeps in lockstep; errors as the largest distance of contacts from the ends of integrated rods."""
+    cases = []
+    for name, body, count in (
+        ("ellipsoid", spatial_sweeps.ellipsoid(), sweeps),
+        ("cube.stl", spatial_sweeps.polyhedron("cube.stl"), min(sweeps, SPATIAL_MESH_SWEEPS)),
+        ("egg.stl", spatial_sweeps.polyhedron("egg.stl"), min(sweeps, SPATIAL_MESH_SWEEPS)),
+    ):
+        scene = spatial_sweeps.paths(body, count)
+        cases += [(f"{name}, μ = {mu:g}", body, scene, mu) for mu in (0.0, 0.3)]
+    lines = []
+    for name, body, scene, mu in cases:
+        (taken,) = seconds(partial(spatial_sweeps.swept, body, scene, mu))
+        few = tuple(column[:INTEGRATED_SWEEPS] for column in scene)
+        count = spatial_sweeps.contacts(spatial_sweeps.swept(body, scene, mu))
+        error = spatial_sweeps.distance(spatial_sweeps.swept(body, few, mu), few)
+        lines.append(Line(name, count, count / taken, (error,)))
+    _, body, scene, mu = cases[0]
+    few = tuple(column[:INTEGRATED_SWEEPS] for column in scene)
+    result = spatial_sweeps.swept(body, few, mu)
+    (taken,) = seconds(lambda: spatial_sweeps.integrated(result, few[1], few[0]))
+    count = spatial_sweeps.contacts(result)
+    return [*lines, Line("rod integrated once, rtol=1e-12", count, count / taken, (np.nan,))]
 
 
 # Step 2
@@ -309,6 +341,10 @@ def main() -> None:
     ratio, precision = closed.rate / rival.rate, max(rival.errors) / max(closed.errors)
     print(f"closed form over solve_bvp: {rounded(ratio)} x the contacts, error 1/{rounded(precision)}")
 
+    print("\nStep 1 in space, body to reactions")
+    space = forward_in_space(SPATIAL_SWEEPS // 4 if options.quick else SPATIAL_SWEEPS)
+    print_lines(space, ("to integrated rod/L",))
+
     print("\nStep 2, reactions to contacts")
     lines = inverse(contacts)
     print_lines(lines, ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
@@ -331,6 +367,14 @@ def main() -> None:
         (f"step 2: {INVERSE_RATIO:,} x the integration", inverse_ratio >= INVERSE_RATIO),
         (f"step 2: {INVERSE_RATE:,} contacts/s", lines[0].rate >= INVERSE_RATE),
         (f"step 2 in space: {SPATIAL_INVERSE_RATE:,} contacts/s", in_space_lines[0].rate >= SPATIAL_INVERSE_RATE),
+        (
+            f"step 1 in space: {SPATIAL_FORWARD_RATE:,} contacts/s, smooth",
+            min(line.rate for line in space[:2]) >= SPATIAL_FORWARD_RATE,
+        ),
+        (
+            f"step 1 in space: {SPATIAL_MESH_RATE:,} contacts/s, meshes",
+            min(line.rate for line in space[2:6]) >= SPATIAL_MESH_RATE,
+        ),
         (f"{sizes[-1]:,} contacts in {LARGEST_MEMORY_GB:g} GB", largest <= LARGEST_MEMORY_GB),
     ):
         print(f"{name:44}{verdict(reached)}")

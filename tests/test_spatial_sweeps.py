@@ -1,0 +1,238 @@
+"""Whole sweeps in space past ellipsoids: what must hold of every sample, by reactions, contacts and poses alone."""
+
+import numpy as np
+import pytest
+from rods_in_space import (
+    elastic_energy,
+    follows,
+    random_ellipsoid,
+    random_paths,
+    rods,
+    shapes,
+    slip,
+    turned,
+)
+
+import planar
+from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.sweeping import End, sweep
+
+SEEDS = range(4)
+FRICTIONS = [0.0, 0.2, 0.6]
+
+
+@pytest.fixture(scope="module", params=[(seed, mu) for seed in SEEDS for mu in FRICTIONS], ids=str)
+def swept(request):
+    """Sweeps past an ellipsoid turned at random, with clamps that lean at random."""
+    seed, friction = request.param
+    body, semi_axes, axes = random_ellipsoid(seed)
+    position, clamps = random_paths(body, 40, 60, np.random.default_rng(seed))
+    return semi_axes, axes, position, clamps, friction, sweep(body, position, clamps, friction)
+
+
+def inside(points, semi_axes, axes):
+    """How far points (..., 3) are inside an ellipsoid about the origin, to first order."""
+    local = points @ axes.T
+    value = (local**2 / semi_axes**2).sum(axis=-1) - 1
+    return -value / (2 * np.linalg.norm(local / semi_axes**2, axis=-1))
+
+
+def test_frictionless_sweeps_off_the_mirror_planes_are_stable(swept):
+    *_, friction, result = swept
+    touching = np.isfinite(result.s1)
+    assert not result.stable[~touching].any()
+    assert result.stable[touching].mean() > (0.98 if friction else 0.99)
+
+
+def test_sweeps_touch_and_leave(swept):
+    *_, friction, result = swept
+    touching = np.isfinite(result.s1)
+    assert touching.any(axis=1).mean() > 0.3
+    # a lost sweep is one whose snap was not followed to its end
+    assert (result.end == End.LOST).mean() <= 0.05
+    assert (result.end[~touching.any(axis=1)] != End.PATH).all()
+    assert ((result.phase == planar.Phase.TIP) == (np.abs(result.s1 - 1) < 1e-9)).all()
+
+
+def test_contacts_lie_on_the_body_with_its_normal(swept):
+    semi_axes, axes, *_, result = swept
+    touching = np.isfinite(result.s1)
+    point = result.point[touching]
+    assert np.abs(inside(point, semi_axes, axes)).max() < 1e-11
+    normal = (point @ axes.T / semi_axes**2) @ axes
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    assert np.abs(normal - result.normal[touching]).max() < 1e-10
+
+
+def test_no_point_of_the_rod_is_inside_the_body(swept):
+    semi_axes, axes, _, clamps, _, result = swept
+    touching = np.isfinite(result.s1)
+    assert inside(shapes(result, clamps, touching), semi_axes, axes).max() < 1e-10
+
+
+def test_the_rod_of_the_reactions_begins_at_the_clamp_and_ends_at_the_contact(swept):
+    _, _, position, clamps, _, result = swept
+    touching = np.isfinite(result.s1)
+    shape = shapes(result, clamps, touching)
+    assert np.abs(shape[:, 0] - position[touching]).max() < 1e-9
+    part = np.linalg.norm(np.diff(shape[:, :60], axis=1), axis=2).sum(axis=1)
+    assert np.abs(part - result.s1[touching]).max() < 1e-3  # chords of the arc
+
+
+def test_contacts_are_tangential_or_the_tip(swept):
+    *_, result = swept
+    touching = np.isfinite(result.s1)
+    lean = (result.tangent * result.normal).sum(axis=2)
+    assert np.abs(lean[result.phase == planar.Phase.TANGENTIAL]).max(initial=0) < 1e-10
+    assert lean[touching].max() < 1e-10
+    assert ((result.s1[touching] > 0) & (result.s1[touching] < 1 + 1e-10)).all()
+
+
+def test_forces_lie_in_the_cone(swept):
+    *_, clamps, friction, result = swept
+    touching = np.isfinite(result.s1)
+    force = rods(result, clamps, touching).force
+    normal = result.normal[touching]
+    pressed = (force * normal).sum(axis=1)
+    assert (pressed > 0).all()
+    tangential = np.linalg.norm(force - pressed[:, None] * normal, axis=1)
+    excess = (tangential - friction * pressed) / np.linalg.norm(force, axis=1)
+    assert excess.max() < 1e-9
+    slides = ~result.sticks[touching]
+    assert np.abs(excess[slides]).max() < 1e-9
+
+
+def test_friction_is_against_the_slip(swept):
+    *_, clamps, friction, result = swept
+    rows = follows(result) & ~result.sticks
+    assert rows.sum() > 200
+    force, normal, path = rods(result, clamps, rows).force, result.normal[rows], slip(result, rows)
+    size = np.linalg.norm(force, axis=1)[:, None]
+    pressed = (force * normal).sum(axis=1)[:, None]
+    direction = path / np.linalg.norm(path, axis=1)[:, None]
+    amiss = np.linalg.norm(force - pressed * normal + friction * pressed * direction, axis=1) / size[:, 0]
+    # the direction of a short path is known only to the solution's tolerance over its length
+    long_enough = np.linalg.norm(path, axis=1) > 1e-4
+    assert long_enough.mean() > 0.9
+    assert amiss[long_enough].max() < 1e-8
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_base_does_the_work_of_bending_and_of_friction(friction):
+    """Trapezoids of work over the steps: the balance is of second order in them, as is theirs."""
+    body, _, _ = random_ellipsoid(3)
+    missing = []
+    for samples in (100, 200, 400):
+        position, clamps = random_paths(body, 40, samples, np.random.default_rng(3))
+        result = sweep(body, position, clamps, friction)
+        touching = np.isfinite(result.s1)
+        force = np.full((*touching.shape, 3), np.nan)
+        force[touching] = rods(result, clamps, touching).force
+        energy = np.full(touching.shape, np.nan)
+        energy[touching] = elastic_energy(result, clamps, touching)
+        path = np.full((*touching.shape, 3), np.nan)
+        rows = follows(result)
+        path[rows] = slip(result, rows)
+        mean = (force[:, 1:] + force[:, :-1]) / 2
+        base = -(mean * np.diff(position, axis=1)).sum(axis=2)
+        pressed = (force * result.normal).sum(axis=2)
+        tangential = force - pressed[:, :, None] * result.normal
+        # the chord of the surface leaves the tangent plane, and the normal force takes part along it
+        lost = -((tangential[:, 1:] + tangential[:, :-1]) / 2 * path[:, 1:]).sum(axis=2)
+        balance = base - lost - np.diff(energy, axis=1)
+        kept = rows[:, 1:] & (result.steps[:, 1:] == 1)
+        # sweeps that follow without a snap or a stick
+        regular = ~(result.snapped | result.sticks).any(axis=1) & (result.end != End.LOST) & touching.any(axis=1)
+        regular &= np.nan_to_num(np.linalg.norm(force, axis=2)).max(axis=1) < 20
+        sums = np.where(kept, balance, 0)[regular].sum(axis=1)
+        work = np.where(kept, np.abs(base), 0)[regular].sum(axis=1)
+        assert regular.sum() > 8
+        missing.append(np.median(np.abs(sums) / work))
+    assert missing[0] < 0.02
+    order = np.log2(np.array(missing[:-1]) / missing[1:])
+    assert (order > 0.9).all(), missing
+
+
+@pytest.mark.parametrize("semi_axes", [(0.9, 0.675, 0.45), (0.6, 0.6, 0.6), (0.7, 0.4, 0.63)], ids=str)
+def test_stability_in_a_mirror_plane_changes_where_it_should(semi_axes):
+    """(S23): the rod beside the plane is pushed out of it without bound where x1 - x0 = (C/A)² (x1 - x_c)."""
+    a, b, c = semi_axes
+    centre = (0.0, b + 0.4, 0.0)
+    contour = planar.Ellipse((a, b), centre[:2])
+    base = np.linspace(planar.events(contour).x0[0] + 1e-3, -a, 1200)
+    plane = planar.sweep(contour, base=base)
+    measure = plane.point[:, 0] - base - (c / a) ** 2 * plane.point[:, 0]
+    first = np.flatnonzero(measure > 0)[0]
+    part = -measure[first - 1] / (measure[first] - measure[first - 1])
+    critical = base[first - 1] + part * (base[first] - base[first - 1])
+
+    aside = 1e-7
+    position = np.stack([base, 0 * base, 0 * base + aside], axis=1)[None]
+    swept = sweep(Ellipsoid(semi_axes, centre), position, np.eye(3)[None])
+    compliance = aside / swept.point[0, :, 2]
+    near = (base > critical + 0.01) & (base < critical + 0.03)
+    assert (compliance[near] > 0).all()
+    # it falls to zero there: linearly, as the lateral stiffness does
+    slope, offset = np.polyfit(base[near], compliance[near], 1)
+    assert abs(-offset / slope - critical) < 0.002
+    beyond = (base < critical - 0.01) & (base > critical - 0.03)
+    mirror = sweep(Ellipsoid(semi_axes, centre), position * [1, 1, 0], np.eye(3)[None])
+    turns = base[np.flatnonzero(np.isfinite(mirror.s1[0]) & ~mirror.stable[0])[0]]
+    assert mirror.stable[0, np.isfinite(mirror.s1[0]) & (base > turns)].all()
+    assert abs(turns - critical) < 0.002
+    # the rod has left the plane, or stays near it on the branch that is unstable, with a negative lateral stiffness
+    left = np.nan_to_num(np.abs(swept.point[0, beyond, 2]), nan=1.0) > 0.01
+    assert (left | (compliance[beyond] < 0)).all()
+
+
+def same(result, other, point, vectors=1e-7):
+    """Whether reactions, arc lengths and contacts agree; samples after a snap, which rounding may lead elsewhere, left out."""
+    regular = ~np.logical_or.accumulate(result.snapped | other.snapped, axis=1)
+    touching = np.isfinite(result.s1) & np.isfinite(other.s1) & regular
+    assert (np.isfinite(result.s1) != np.isfinite(other.s1))[regular].mean() < 0.01
+    assert touching.sum() > 300
+    assert np.abs(result.s1 - other.s1)[touching].max() < vectors
+    assert np.abs(point - other.point)[touching].max() < vectors
+    return touching
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_scene_may_be_turned_and_shifted(friction):
+    rng = np.random.default_rng(11)
+    body, semi_axes, axes = random_ellipsoid(1)
+    position, clamps = random_paths(body, 30, 50, rng)
+    turn, shift = turned(rng), rng.normal(size=3)
+    result = sweep(body, position, clamps, friction)
+    other = sweep(Ellipsoid(semi_axes, shift, axes=axes @ turn.T), position @ turn.T + shift, clamps @ turn.T, friction)
+    rows = same(result, other, result.point @ turn.T + shift)
+    assert np.abs(result.force - other.force)[rows].max() < 1e-6
+    assert np.abs(result.moment - other.moment)[rows].max() < 1e-6
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_scene_may_be_mirrored(friction):
+    """A mirror image of the clamp's frame is left-handed, so its z is reversed: with it the reactions along z."""
+    body, semi_axes, axes = random_ellipsoid(1)
+    position, clamps = random_paths(body, 30, 50, np.random.default_rng(11))
+    mirror = np.diag([1.0, 1.0, -1.0])
+    reversed_z = clamps @ mirror * np.array([1.0, 1, -1])[:, None]
+    result = sweep(body, position, clamps, friction)
+    other = sweep(Ellipsoid(semi_axes, axes=axes @ mirror), position @ mirror, reversed_z, friction)
+    rows = same(result, other, result.point @ mirror)
+    assert np.abs(result.force - other.force * [1, 1, -1])[rows].max() < 1e-6
+    assert np.abs(result.moment - other.moment * [-1, -1, 1])[rows].max() < 1e-6
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_clamp_may_be_turned_about_its_axis(friction):
+    body, _, _ = random_ellipsoid(1)
+    rng = np.random.default_rng(11)
+    position, clamps = random_paths(body, 30, 50, rng)
+    angle = rng.uniform(-np.pi, np.pi, 30)
+    cos, sin, zero = np.cos(angle), np.sin(angle), 0 * angle
+    about = np.array([[cos, zero, sin], [zero, zero + 1, zero], [-sin, zero, cos]]).transpose(2, 0, 1)
+    result, other = sweep(body, position, clamps, friction), sweep(body, position, about @ clamps, friction)
+    rows = same(result, other, result.point)
+    turned_back = np.einsum("mji,mnj->mni", about, other.force)
+    assert np.abs(result.force - turned_back)[rows].max() < 1e-6
+    assert np.abs(result.moment - np.einsum("mji,mnj->mni", about, other.moment))[rows].max() < 1e-6

@@ -1,0 +1,107 @@
+"""Sweeps in space past fattened polyhedra: distances by brute force, and a fine mesh beside the smooth body it stands for."""
+
+import numpy as np
+import pytest
+import trimesh
+from rods_in_space import follows, random_paths, rods, shapes, slip, turned
+
+import planar
+from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.sweeping import End, sweep
+
+HALF = np.array([0.3, 0.2, 0.25])
+
+
+def nearest_of_cuboid(points):
+    return np.clip(points, -HALF, HALF)
+
+
+@pytest.fixture(scope="module", params=[(0.03, 0.0), (0.03, 0.2), (0.005, 0.3)], ids=str)
+def swept(request):
+    """Sweeps past a cuboid turned askew."""
+    radius, friction = request.param
+    rng = np.random.default_rng(5)
+    turn = turned(rng)
+    mesh = trimesh.creation.box(2 * HALF)
+    body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
+    position, clamps = random_paths(body, 60, 64, rng)
+    result = sweep(body, position, clamps, friction)
+    return radius, friction, turn, position, clamps, result
+
+
+def test_contacts_lie_on_the_fattened_cuboid(swept):
+    radius, _, turn, _, _, result = swept
+    touching = np.isfinite(result.s1)
+    assert touching.sum() > 800
+    point = result.point[touching] @ turn.T
+    away = point - nearest_of_cuboid(point)
+    distance = np.linalg.norm(away, axis=1)
+    assert np.abs(distance - radius).max() < 1e-12
+    assert np.abs(away / distance[:, None] - result.normal[touching] @ turn.T).max() < 1e-12 / radius
+    # most contacts lie across edges
+    assert 0.5 < (np.count_nonzero(away, axis=1) == 2).mean() < 0.99
+
+
+def test_no_point_of_the_rod_is_inside_the_fattened_cuboid(swept):
+    radius, _, turn, _, clamps, result = swept
+    touching = np.isfinite(result.s1)
+    points = shapes(result, clamps, touching) @ turn.T
+    distance = np.linalg.norm(points - nearest_of_cuboid(points), axis=-1)
+    assert (radius - distance).max() < 1e-10
+
+
+def test_contacts_are_tangential_or_the_tip(swept):
+    *_, result = swept
+    lean = (result.tangent * result.normal).sum(axis=2)
+    assert np.abs(lean[result.phase == planar.Phase.TANGENTIAL]).max() < 1e-10
+    assert lean[result.phase == planar.Phase.TIP].max(initial=-1.0) < 1e-10
+    assert (result.end == End.LOST).mean() <= 0.1
+
+
+def test_forces_lie_in_the_cone_and_against_the_slip(swept):
+    _, friction, _, _, clamps, result = swept
+    touching = np.isfinite(result.s1)
+    force, normal = np.zeros((2, *touching.shape, 3))
+    force[touching] = rods(result, clamps, touching).force
+    normal[touching] = result.normal[touching]
+    pressed = (force * normal).sum(axis=2)[:, :, None]
+    size = np.linalg.norm(force, axis=2)[:, :, None]
+    tangential = force - pressed * normal
+    assert (pressed[touching] > 0).all()
+    excess = (np.linalg.norm(tangential, axis=2)[:, :, None] - friction * pressed)[touching] / size[touching]
+    assert excess.max() < 1e-9
+    rows = follows(result) & ~result.sticks
+    path = slip(result, rows)
+    length = np.linalg.norm(path, axis=1)[:, None]
+    amiss = (tangential[rows] + friction * pressed[rows] * path / np.maximum(length, 1e-300)) / size[rows]
+    assert np.abs(amiss[length[:, 0] > 1e-4]).max() < 1e-8
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_fine_mesh_of_a_sphere_is_the_sphere(friction):
+    """Forces differ by the angles between the facets, by which their normals jump; four times the facets halve that."""
+    ball = Ellipsoid((0.5, 0.5, 0.5), radius=0.01)
+    position, clamps = random_paths(ball, 40, 40, np.random.default_rng(8))
+    exact = sweep(ball, position, clamps, friction)
+    differences, angles = [], []
+    for subdivisions in (2, 3, 4):
+        mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5)
+        # vertices on a sphere that is larger, so that the polyhedron is as large as the ball in the mean
+        vertices = mesh.vertices * (np.pi / 6 / mesh.volume) ** (1 / 3)
+        result = sweep(RoundedPolyhedron(vertices, mesh.faces, 0.01), position, clamps, friction)
+        angles.append(np.median(mesh.face_adjacency_angles))
+        both = np.isfinite(exact.s1) & np.isfinite(result.s1)
+        assert both.sum() > 0.95 * np.isfinite(exact.s1).sum()
+        difference = np.linalg.norm(result.force - exact.force, axis=2)[both]
+        differences.append(np.quantile(difference / (1 + np.linalg.norm(exact.force, axis=2)[both]), 0.9))
+    assert (np.array(differences) < 1.5 * np.array(angles)).all(), (differences, angles)
+    assert differences[2] < 0.6 * differences[1] < 0.36 * differences[0]
+
+
+def test_open_surfaces_are_refused():
+    mesh = trimesh.creation.box((1, 1, 1))
+    with pytest.raises(ValueError, match="closed surface"):
+        RoundedPolyhedron(mesh.vertices, mesh.faces[:-1], 0.01)
+    with pytest.raises(ValueError, match="radius"):
+        RoundedPolyhedron(mesh.vertices, mesh.faces, -0.01)

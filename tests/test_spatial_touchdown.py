@@ -1,0 +1,140 @@
+"""Where straight rods touch a body, by brute force: the rod's smallest distance from the body along its path."""
+
+import numpy as np
+import pytest
+import trimesh
+from rods_in_space import random_ellipsoid, random_paths, turned
+
+from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.sweeping import End, sweep
+from scan3d.spatial.touching import passages
+
+HALF = np.array([0.3, 0.2, 0.25])
+
+
+def depth_of_ellipsoid(semi_axes, axes):
+    """Smallest value, over segments (..., 3) of length 1, of |A⁻¹x|² - 1: a parabola along each."""
+
+    def depth(start, along):
+        p, d = start @ axes.T / semi_axes, along @ axes.T / semi_axes
+        s = np.clip(-(p * d).sum(-1) / (d * d).sum(-1), 0, 1)
+        return ((p + s[..., None] * d) ** 2).sum(-1) - 1
+
+    return depth
+
+
+def depth_of_cuboid(turn, radius):
+    """Smallest distance of segments from a fattened cuboid, by ternary search, since it is convex along the rod."""
+
+    def distance(points):
+        local = points @ turn.T
+        return np.linalg.norm(local - np.clip(local, -HALF, HALF), axis=-1) - radius
+
+    def depth(start, along):
+        low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
+        for _ in range(70):
+            first, second = low + (high - low) / 3, high - (high - low) / 3
+            left = distance(start + first[..., None] * along) < distance(start + second[..., None] * along)
+            low, high = np.where(left, low, first), np.where(left, second, high)
+        return distance(start + low[..., None] * along)
+
+    return depth
+
+
+def crossings(depth, position, along, samples=1500):
+    """Fractions of straight paths at which rods enter and leave, by scanning and bisection; NaN for rods that do not."""
+    start, travel = position[:, 0], position[:, -1] - position[:, 0]
+    places = np.linspace(0, 1, samples)
+    inside = np.array([depth(start + t * travel, along) < 0 for t in places])
+    hit = inside.any(axis=0)
+    ends = []
+    for first, step in ((np.argmax(inside, axis=0), -1), (samples - 1 - np.argmax(inside[::-1], axis=0), 1)):
+        within, without = places[first], places[np.clip(first + step, 0, samples - 1)]
+        for _ in range(40):
+            middle = (within + without) / 2
+            now = depth(start + middle[:, None] * travel, along) < 0
+            within, without = np.where(now, middle, within), np.where(now, without, middle)
+        ends.append(np.where(hit, within, np.nan))
+    return ends
+
+
+def check(body, depth, rng, exact):
+    position, clamps = random_paths(body, 120, 2, rng)
+    along = clamps[:, 1]
+    travel = position[:, -1] - position[:, 0]
+    passage = passages(body, position[:, 0].T, along.T, travel.T)
+    begin, end = crossings(depth, position, along)
+    # grazes shorter than the brute force's steps are left out
+    clear = ~(np.nan_to_num(passage.end - passage.begin, nan=1.0) < 4e-3)
+    assert np.array_equal(passage.touches[clear], np.isfinite(begin)[clear])
+    touches = passage.touches & clear
+    assert 40 < touches.sum() < 120
+    assert np.abs(passage.begin - begin)[touches].max() < exact
+    assert np.abs(passage.end - end)[touches].max() < 0.004
+    place = body.patch(passage.feature, passage.coordinates)
+    contact = position[:, 0] + passage.begin[:, None] * travel + passage.s1[:, None] * along
+    assert np.abs(contact - place.point.T)[touches].max() < 1e-10
+    lean = (along * place.normal.T).sum(axis=1)
+    tip = passage.s1 > 1 - 1e-9
+    assert np.abs(lean[touches & ~tip]).max() < 1e-9
+    assert lean[touches & tip].max(initial=-1.0) < 1e-9
+    assert (touches & tip).any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ellipsoids(seed):
+    body, semi_axes, axes = random_ellipsoid(seed)
+    check(body, depth_of_ellipsoid(semi_axes, axes), np.random.default_rng(seed), 1e-9)
+
+
+@pytest.mark.parametrize("radius", [0.003, 0.05])
+def test_cuboids(radius):
+    rng = np.random.default_rng(3)
+    turn = turned(rng)
+    mesh = trimesh.creation.box(2 * HALF)
+    body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
+    check(body, depth_of_cuboid(turn, radius), rng, 1e-9)
+
+
+def test_paths_that_begin_in_the_body_are_refused():
+    body, axes = Ellipsoid((0.4, 0.3, 0.3)), np.eye(3)[None]
+    path = np.zeros((1, 10, 3))
+    path[0, :, 0], path[0, :, 1] = np.linspace(0.1, -1, 10), -0.8
+    with pytest.raises(ValueError, match="sweep 0"):
+        sweep(body, path, axes)
+    path[0, :, 0] += 0.5
+    sweep(body, path, axes)
+    path[0, :, 0] -= 2
+    assert sweep(body, path, axes).end[0] == End.NO_TOUCH
+
+
+def test_paths_that_end_before_the_body_do_not_touch():
+    path = np.zeros((1, 10, 3))
+    path[0, :, 0], path[0, :, 1] = np.linspace(2, 1, 10), -0.8
+    swept = sweep(Ellipsoid((0.4, 0.3, 0.3)), path, np.eye(3)[None])
+    assert swept.end[0] == End.NO_TOUCH
+    assert np.isnan(swept.s1).all()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_samples_may_be_unevenly_spaced(friction):
+    """The rod is at the same place at the same clamp; with friction the steps differ, hence its small difference."""
+    body, _, _ = random_ellipsoid(2)
+    position, clamps = random_paths(body, 20, 2, np.random.default_rng(2))
+    even = np.linspace(0, 1, 161)
+    uneven = np.unique(np.concatenate([even[::4], even[60:90]]))
+    travel = position[:, -1:] - position[:, :1]
+    first, second = (
+        sweep(body, position[:, :1] + part[:, None] * travel, clamps, friction, substeps=2) for part in (even, uneven)
+    )
+    rows = np.searchsorted(even, uneven)
+    regular = ~np.logical_or.accumulate(first.snapped, axis=1)[:, rows] & ~np.logical_or.accumulate(
+        second.snapped, axis=1
+    )
+    both = np.isfinite(second.s1) & np.isfinite(first.s1[:, rows]) & regular
+    assert both.sum() > 200
+    assert (np.isfinite(second.s1) != np.isfinite(first.s1[:, rows]))[regular].mean() < 0.02
+    difference = np.abs(first.point[:, rows] - second.point)[both].max(axis=1)
+    assert np.median(difference) < (1e-4 if friction else 1e-11)
+    assert difference.max() < (0.05 if friction else 1e-8)
