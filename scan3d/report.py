@@ -26,9 +26,10 @@ _DIRECTIONS = 5000
 # A direction is covered if a contact's normal lies within this many degrees of it.  Larger, gaps between the normals are
 # overlooked; smaller, a dense scan seems to leave gaps between its samples.
 _COVERED_DEG = 5.0
-# The surface counts as covered where its certified bound is no more than this fraction of the diagonal.  Larger, the coverage
-# says less about accuracy; smaller, it is low for scans whose accuracy is sufficient.
-_COVERED_BOUND = 1e-3
+# The surface counts as covered where its certified bound is no more than this fraction of the diagonal, for contacts in slices
+# and for contacts anywhere, whose bounds are wider.  Larger, the coverage says less about accuracy; smaller, it is low for scans
+# whose accuracy is sufficient.
+_COVERED_BOUND, _COVERED_ANYWHERE = 1e-3, 5e-3
 # A surface with fewer facets than this is subdivided to measure its coverage, to edges of this fraction of its diagonal.  More
 # and smaller facets take longer; fewer and larger ones have vertices only at the edges of a polyhedron.
 _COARSE, _SUBDIVIDED = 2000, 50
@@ -246,14 +247,16 @@ def _local_bounds(analysis: Analysis) -> tuple[Any, Array]:
 def _coverage(analysis: Analysis) -> dict[str, Any]:
     """How much of the body the contacts cover.
 
-    `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal.  `normals` is
+    `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal, or 0.5 % for
+    contacts of the spatial model, as `surface_within` says.  `normals` is
     the fraction of the sphere of directions that lies within 5° of a contact's normal.
     """
     cloud, (surface, bound) = analysis.cloud, _local_bounds(analysis)
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     area = np.asarray(surface.area_faces)
-    closed = bound[surface.faces].max(axis=1) <= _COVERED_BOUND * diagonal
-    covered = {"surface": float(area[closed].sum() / area.sum()), "surface_within": _COVERED_BOUND * diagonal}
+    within = (_COVERED_ANYWHERE if cloud.model == "spatial" else _COVERED_BOUND) * diagonal
+    closed = bound[surface.faces].max(axis=1) <= within
+    covered = {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}
     known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
     if not len(known):
         return {**covered, "normals": 0.0}

@@ -8,7 +8,7 @@ import planar
 from scan3d.spatial.inverse import Status, reconstruct
 from scan3d.spatial.uncertainty import errors
 
-# MODEL3D, section 10: x0, r1, s1, f0, (m0x, m0z), tangential contacts with an ellipsoid; base at (x0, 0, 0.1125).
+# Reference values: x0, r1, s1, f0, (m0x, m0z), tangential contacts with an ellipsoid; base at (x0, 0, 0.1125).
 FRICTIONLESS = [
     (0.7, (0.7869688, 0.9493596, 0.2016290), 0.9591246, (-0.2918141, 0.0828239, -0.2990623), (-0.2912997, 0.2842396)),
     (0.5, (0.5896206, 0.8015688, 0.2869811), 0.8300092, (-0.4491038, 0.3702539, -0.8743543), (-0.7654575, 0.3931700)),

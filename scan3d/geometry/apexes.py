@@ -1,4 +1,4 @@
-"""Where supporting planes of a convex body meet whose normals lie in known intervals (MODEL3D.md, (S28)).
+"""Where supporting planes of a convex body meet whose normals lie in known intervals (S28).
 
 Let K be a convex body, and let n_i be normals with ``h_K(n_i) <= <n_i, p_i>``, each of them unknown in an arc about ν_i.  Let
 the ν_i be triangulated as points of the sphere, and let ``det(n_i, n_j, n_k)`` be positive in every triangle for all 8 choices

@@ -1,4 +1,4 @@
-"""Intervals of the normals of a convex body at points of its surface where a line touches it (MODEL3D.md, (S27)).
+"""Intervals of the normals of a convex body at points of its surface where a line touches it (S27).
 
 The line ``p + s t`` through a point p of the surface is free of the body's interior.  Some supporting plane at p contains the
 line, so that its normal n is perpendicular to t, and ``<n, q - p> <= 0`` for every point q of the body.  Seen along t, every

@@ -97,7 +97,7 @@ class Plan:
     def _check_spatial(self) -> None:
         """Raise InputError for settings of slices, which the spatial model does not have."""
         for name in ("spacing", "axis", "standoff", "tolerance"):
-            value, default = getattr(self, name), type(self).__dataclass_fields__[name].default
+            value, default = getattr(self, name), getattr(type(self), name)
             if not np.array_equal(value, default):
                 raise InputError(
                     f"{name} is a setting of slices, and the spatial model has none; leave out {name} {value!r}"

@@ -1,9 +1,9 @@
 """Sweeps of a round rod in space: from many directions, in rasters of parallel lines, and aimed at what is still open.
 
-A rod that comes from one side bends aside and slides over the body (MODEL3D, S24): it sees the part of the surface whose normals
-lie some 13° to 70° from its own direction.  Twelve directions, those of the vertices of an icosahedron, see every normal from two
-or more sides.  From each of them the lines run in two directions across each other, and every other line runs backwards, because
-a sweep sees most of the side that it comes to.
+A rod that comes from one side bends aside and slides over the body (S24): it sees the part of the surface whose normals lie
+some 13° to 70° from its own direction.  Twelve directions, those of the vertices of an icosahedron, see every normal from two
+or more sides.  From each of them the lines run in two directions across each other, and every other line runs backwards,
+because a sweep sees most of the side that it comes to.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from scan3d.geometry.hulls import hull
 _TOUCHED = 0.6
 # How much denser lines are at the ends of a body than in its middle, from 0 (evenly spaced) to 1 (cosine spacing).
 _DENSE_ENDS = 1.0
-# Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left for
-# the next round; smaller, several sweeps go to one place.
+# Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left
+# for the next round; smaller, several sweeps go to one place.
 _APART = 1.0
 # Determinant of the normals of three planes below which they do not meet in a point.
 _PARALLEL = 1e-9
@@ -98,7 +98,7 @@ def aimed(contacts: Array, count: int, generator: np.random.Generator) -> Lines:
 
 
 def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
-    """Points and outward normals (k, 3), k <= count, of the facets of the contacts' hull that leave most room, apart from each other.
+    """Points and outward normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
 
     The room above a facet is the height of the point in which the planes of its three neighbours meet.
     """
@@ -115,12 +115,13 @@ def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
     apex = target.copy()
     apex[regular] = np.linalg.solve(planes[regular], offsets[regular, :, None])[:, :, 0]
     room = np.clip(((apex - target) * normals).sum(axis=1), 0.0, size)
-    tree, taken, chosen = cKDTree(target), np.zeros(len(target), dtype=bool), []
+    tree, taken = cKDTree(target), np.zeros(len(target), dtype=bool)
+    chosen: list[int] = []
     for facet in np.argsort(-room, kind="stable"):
         if len(chosen) == count:
             break
         if not taken[facet]:
-            chosen.append(facet)
+            chosen.append(int(facet))
             taken[tree.query_ball_point(target[facet], _APART * size[facet])] = True
     return target[chosen], normals[chosen]
 

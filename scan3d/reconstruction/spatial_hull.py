@@ -1,8 +1,8 @@
-"""Normals of contacts from the hull of all contacts, whatever the friction (MODEL3D, S27).
+"""Normals of contacts from the hull of all contacts, whatever the friction (S27).
 
-A plane that supports the body at a contact has all contacts on one side: its normal lies between those of the hull's facets that
-meet in the contact.  At a tangential contact the plane contains the rod's tangent as well.  Seen along the tangent the hull fills
-an angle at the contact: the normal lies between the perpendiculars to both its sides.
+A plane that supports the body at a contact has all contacts on one side: its normal lies between those of the hull's facets
+that meet in the contact.  At a tangential contact the plane contains the rod's tangent as well.  Seen along the tangent the
+hull fills an angle at the contact: the normal lies between the perpendiculars to both its sides.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from scan3d.arrays import Array, Mask
 
 # Distances of the hull's corners, relative to its size, below which directions between them are rounding.
 _ROUNDING = 1e-7
-# Depth below a facet, relative to the hull's size, at which a contact lies on it.  Larger, contacts count as lying on facets that
-# they are below; smaller, rounding takes them from the facets that they lie on.
+# Depth below a facet, relative to the hull's size, at which a contact lies on it.  Larger, contacts count as lying on facets
+# that they are below; smaller, rounding takes them from the facets that they lie on.
 _SAME_PLANE = 1e-9
 # Half an angle, in radians, from which on the facets at a contact are asked as well: its neighbours may be too close to count.
 _WIDE = 0.1

@@ -21,8 +21,8 @@ from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
 
-# Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what they left open, of all sweeps.  With
-# these, a scan in space has about as many samples as a planar one of as many slices.
+# Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what they left open, of all sweeps.
+# With these, a scan in space has about as many samples as a planar one of as many slices.
 _LINES_PER_SLICE, _AIMED = 0.5, 0.25
 # Rounds in which the aimed sweeps are made.
 _ROUNDS = 2
@@ -93,7 +93,7 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> _S
     friction = np.full((len(rows), plan.samples), low)
     if high > low:
         # a separate random stream for each sweep, so that its draws don't depend on the order of work
-        draws = [np.random.default_rng([plan.seed, 3, number, row]) for row in rows]
+        draws = [np.random.default_rng([plan.seed, 3, number, int(row)]) for row in rows]
         friction = np.array([draw.uniform(low, high, plan.samples) for draw in draws]).reshape(friction.shape)
     axes = lines.axes[rows]
     return _Swept(position, axes, sweep(body, position, axes, friction))

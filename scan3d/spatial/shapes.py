@@ -1,4 +1,4 @@
-"""The rod in space under one contact force: it bends in the plane of its clamp's axis and the force (MODEL3D, S1 to S3).
+"""The rod in space under one contact force: it bends in the plane of its clamp's axis and the force (S1 to S3).
 
 A state of the rod is four numbers (4, n): the angle ω of the bending plane, ``e = cos ω x + sin ω z``, the direction α of the
 force in that plane, ``F = f (sin α e - cos α t0)``, its size as ``q² = m0² / (4 f)``, and the contact's arc length s1.  The

@@ -1,4 +1,4 @@
-"""Quasi-static sweeps of round rods in space past a convex body, with Coulomb friction, many sweeps in lockstep (MODEL3D, 4).
+"""Quasi-static sweeps of round rods in space past a convex body, with Coulomb friction, many sweeps in lockstep (4).
 
 Every sweep is a lane of the arrays.  In each round all lanes take one step of Newton's method, each at its own place of its own
 path.  A lane whose equations are solved goes on to its next sample, one whose equations cannot be solved halves its step, and

@@ -1,4 +1,4 @@
-"""An inner and an outer body from contacts anywhere, without slices, normals or a law of friction (MODEL3D.md 6 and 11).
+"""An inner and an outer body from contacts anywhere, without slices, normals or a law of friction (S25, S27, S28).
 
 B is the body and a the rod's radius.  The rod's centre line touches the fattened body ``K = B + ball(a)`` in the points r, and
 in tangential contact the whole line through r along the rod is free of the interior of K.  H, the hull of the points r, lies in

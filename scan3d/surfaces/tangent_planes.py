@@ -1,4 +1,4 @@
-"""The choice of the supporting planes whose apexes bound a body (MODEL3D.md, (S28)).
+"""The choice of the supporting planes whose apexes bound a body (S28).
 
 Every choice gives a valid bound.  A coarse one is refined where the apexes lie farthest outside: the plane is added that cuts
 off most of the apex, whichever normals of their arcs the planes have, and a plane with a wide arc is removed where no other
