@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 from rods_in_space import follows, random_paths, rods, shapes, slip, turned
+from scipy.spatial.transform import Rotation
 
 import planar
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.polyhedra import RoundedPolyhedron
 from scan3d.spatial.sweeping import End, sweep
+from scan3d.spatial.touching import passages
 
 HALF = np.array([0.3, 0.2, 0.25])
 
@@ -105,3 +107,26 @@ def test_open_surfaces_are_refused():
         RoundedPolyhedron(mesh.vertices, mesh.faces[:-1], 0.01)
     with pytest.raises(ValueError, match="radius"):
         RoundedPolyhedron(mesh.vertices, mesh.faces, -0.01)
+
+
+def test_contacts_end_only_where_the_straight_rod_is_clear():
+    """A thin rod past a cube, with friction: rods that have just touched are nearly straight, too, but do not lift off."""
+    mesh = trimesh.creation.box(np.full(3, 1 / np.sqrt(3)))
+    body = RoundedPolyhedron(mesh.vertices, mesh.faces, 0.003)
+    rng, axes = np.random.default_rng(0), Rotation.random(200, random_state=2).as_matrix()
+    x, y, z = axes.swapaxes(0, 1)
+    height, lift = rng.uniform(-0.3, 0.3, (200, 1)), rng.uniform(-0.1, 0.1, (200, 1))
+    start = x + (lift - 0.75) * y + height * z
+    passage = passages(body, start.T, y.T, -x.T)
+    assert passage.touches.mean() > 0.9
+    begin, end = passage.begin[passage.touches, None], passage.end[passage.touches, None]
+    travel = begin - 1e-6 + (end - begin) * np.linspace(0, 1.02, 64)
+    x, start = x[passage.touches], start[passage.touches]
+    result = sweep(body, start[:, None] - travel[:, :, None] * x[:, None], axes[passage.touches], 0.3)
+    left = result.end == End.OFF
+    touching = np.isfinite(result.s1)
+    last = touching.shape[1] - 1 - np.argmax(touching[:, ::-1], axis=1)
+    assert left.sum() > 40
+    after = np.take_along_axis(travel, np.minimum(last + 1, 63)[:, None], axis=1)
+    assert (after >= end - 0.02)[left].all()
+    assert (result.end == End.LOST).mean() < 0.05

@@ -40,8 +40,8 @@ _SLIP_WEIGHT = 10.0
 # Friction, as a part of the force, below which it does not give the slip's direction.
 _SLIGHT = 1e-9
 # A step that fails is the lift-off if the straight rod is clear of the body, the rod is nearly straight, and the step is short;
-# or if Newton's method straightens a rod that is even less bent, and the step is short or the straight rod nearly clear.  The
-# numbers are places in samples, q², samples, places in samples, and q².
+# or if Newton's method straightens a rod that is even less bent, and the straight rod is nearly clear.  The numbers are
+# places in samples, q², samples, places in samples, and q².
 _CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
 _ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
 # Steps of Newton's method from one sample to the next before a sweep is given up.
@@ -234,9 +234,7 @@ class Lanes:
         short = target - lanes.progress[rows] <= _SHORT
         off = (target >= clear - _CLEAR) & (bend < _NEARLY_STRAIGHT) & short
         straightened = lanes.straightened[rows] >= _LARGEST_STRAIGHTENED
-        # where Newton's method straightens the rod, the force has come to its end, wherever the straight rod would be
-        soon = short | (target >= clear - _ALMOST_CLEAR)
-        off |= (bend > 2 * STRAIGHT) & (bend < _STRAIGHTENED) & straightened & soon
+        off |= (target >= clear - _ALMOST_CLEAR) & (bend > 2 * STRAIGHT) & (bend < _STRAIGHTENED) & straightened
         flowing = lanes.drag[rows] > 0
         flow = rows[flowing]
         lanes.drag[flow] *= _MORE_DRAG
