@@ -9,30 +9,17 @@ from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
+from scan3d.coverage import coverage
 from scan3d.reconstruction import Contradiction, noise_of, radius_errors
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure, SpatialEnclosure, certificate, sigmas
+from scan3d.surfaces import Certificate, Enclosure, sigmas
 
 SCHEMA = 1
-# Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
-# coarser fraction.
-_DIRECTIONS = 5000
-# A direction is covered if a contact's normal lies within this many degrees of it.  Larger, gaps between the normals are
-# overlooked; smaller, a dense scan seems to leave gaps between its samples.
-_COVERED_DEG = 5.0
-# The surface counts as covered where its certified bound is no more than this fraction of the diagonal, for contacts in slices
-# and for contacts anywhere, whose bounds are wider.  Larger, the coverage says less about accuracy; smaller, it is low for scans
-# whose accuracy is sufficient.
-_COVERED_BOUND, _COVERED_ANYWHERE = 1e-3, 5e-3
-# A surface with fewer facets than this is subdivided to measure its coverage, to edges of this fraction of its diagonal.  More
-# and smaller facets take longer; fewer and larger ones have vertices only at the edges of a polyhedron.
-_COARSE, _SUBDIVIDED = 2000, 50
 # What the parts of an enclosure's bound are called in the error budget.
 _CAUSES = {
     "slices": "between_slices",
@@ -109,7 +96,7 @@ def report(
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "noise": _noise(analysis),
         "error_budget": _budget(analysis),
-        "coverage": _coverage(analysis),
+        "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate),
         "surface": {
             "method": surface.metadata["method"],
             "reason": surface.metadata["reason"],
@@ -232,41 +219,6 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
         "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
         "sum": f"hull, at most = largest of {', '.join(causes[:-1])} and {causes[-1]}, which contain the errors of the "
         "contacts; surface: what its method makes of that",
-    }
-
-
-def _local_bounds(analysis: Analysis) -> tuple[Any, Array]:
-    """The surface and the local bounds at its vertices; with more vertices where contacts lie anywhere and facets are large."""
-    surface, bounds = analysis.surface, analysis.bounds
-    if isinstance(bounds, SpatialEnclosure) and bounds.confidence and len(surface.faces) < _COARSE:
-        fine = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / _SUBDIVIDED, max_iter=100)
-        return fine, certificate(bounds, fine).at_vertices
-    return surface, analysis.certificate.at_vertices
-
-
-def _coverage(analysis: Analysis) -> dict[str, Any]:
-    """How much of the body the contacts cover.
-
-    `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal, or 0.5 % for
-    contacts of the spatial model, as `surface_within` says.  `normals` is
-    the fraction of the sphere of directions that lies within 5° of a contact's normal.
-    """
-    cloud, (surface, bound) = analysis.cloud, _local_bounds(analysis)
-    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    area = np.asarray(surface.area_faces)
-    within = (_COVERED_ANYWHERE if cloud.model == "spatial" else _COVERED_BOUND) * diagonal
-    closed = bound[surface.faces].max(axis=1) <= within
-    covered = {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}
-    known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
-    if not len(known):
-        return {**covered, "normals": 0.0}
-    # a Fibonacci lattice
-    number = np.arange(_DIRECTIONS) + 0.5
-    z, angle = 1 - 2 * number / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * number
-    sphere = np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
-    return {
-        **covered,
-        "normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(_COVERED_DEG / 2)))),
     }
 
 

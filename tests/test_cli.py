@@ -163,7 +163,10 @@ def test_invalid_settings(call, tmp_path, command, arguments, sentence):
     ("name", "sentence"),
     [
         ("missing", r"can't read the settings .*missing\.toml: No such file or directory"),
-        ("unknown", r"unknown\.toml: unknown setting slises; known are slices, spacing.*; did you mean slices\?"),
+        (
+            "unknown",
+            r"unknown\.toml: unknown setting slises; known are model, slices, spacing.*; did you mean slices\?",
+        ),
         ("type", r"type\.toml: slices must be a whole number, got 'many'"),
         ("whole", r"whole\.toml: slices must be a whole number, got 3\.5"),
         ("flag", r"flag\.toml: hull must be true or false, got 1"),
@@ -656,7 +659,7 @@ def test_a_file_from_windows(tmp_path):
 def test_settings_given_in_python():
     assert settings({}) == Settings()
     assert settings({"slices": 3}) == Settings(slices=3)
-    with pytest.raises(InputError, match="the command line: unknown setting slises; known are slices"):
+    with pytest.raises(InputError, match="the command line: unknown setting slises; known are model, slices"):
         settings({"slises": 3})
     with pytest.raises(InputError, match="the command line: slices must be a whole number, got True"):
         settings({"slices": True})

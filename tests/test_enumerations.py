@@ -11,7 +11,7 @@ MEMBERS = {
     planar.Status: ["OK", "NO_FORCE", "WRONG_SIDE", "NO_ROD", "INFLECTION", "BEYOND_TIP", "UNDEFINED"],
     planar.EventKind: ["TOUCH_DOWN", "TO_TANGENTIAL", "TO_TIP", "SNAP", "SNAP_OFF"],
     planar.NormalSource: ["NONE", "TANGENTIAL", "FRICTION"],
-    NormalSource: ["UNKNOWN", "SLICES", "FIT", "FRICTION"],
+    NormalSource: ["UNKNOWN", "SLICES", "FIT", "FRICTION", "SLIP", "PATH", "FORCE", "HULL"],
     Gap: ["SLICES", "CONTACTS", "CAPS"],
 }
 

@@ -319,7 +319,7 @@ def _progress(arguments: Namespace) -> Callable[[int, int], None]:
     if arguments.quiet or not is_terminal(sys.stderr):
         return lambda *_: None
 
-    parts = "rounds" if arguments.model == "spatial" else "slices"
+    parts = "rounds" if getattr(arguments, "model", None) == "spatial" else "slices"
 
     def show_progress(done: int, total: int) -> None:
         end = f"\r{'':40}\r" if done >= total else ""

@@ -98,7 +98,7 @@ def aimed(contacts: Array, count: int, generator: np.random.Generator) -> Lines:
 
 
 def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
-    """Points and outward normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
+    """Points and normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
 
     The room above a facet is the height of the point in which the planes of its three neighbours meet.
     """

@@ -205,7 +205,6 @@ def _with_hull_normals(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
         return cloud
     by_hull = hull_normals(cloud.points, cloud.tangents, cloud.phase == planar.Phase.TANGENTIAL)
     better = (by_hull.half_width + EXACT < cloud.normal_sd) & (by_hull.half_width < UNKNOWN)
-    better |= np.isnan(cloud.normals[:, 0]) & np.isfinite(by_hull.half_width)
     normals = np.where(better[:, None], by_hull.normal, cloud.normals)
     direction = force / np.linalg.norm(force, axis=1, keepdims=True)
     return replace(
@@ -220,11 +219,15 @@ def _with_hull_normals(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
 def _moved_by_radius(cloud: Cloud, force: Array) -> Cloud:
     """The cloud with its points on the surface: `rod_radius` inside the centre points along the normals.
 
-    Where the normal is unknown the direction of the force takes its place, which differs from it by the friction angle.
+    Where the normal is unknown the direction of the force takes its place, which differs from it by the friction angle.  In
+    tangential contact that is the force's part across the rod, without the friction along the rod (S11).
     """
     if cloud.rod_radius == 0:
         return cloud
     unknown = np.isnan(cloud.normals[:, 0])
+    if cloud.tangents is not None:
+        along = (force * cloud.tangents).sum(axis=1, keepdims=True) * cloud.tangents
+        force = np.where((cloud.phase == planar.Phase.TANGENTIAL)[:, None], force - along, force)
     direction = np.where(unknown[:, None], force / np.linalg.norm(force, axis=1, keepdims=True), cloud.normals)
     points = cloud.points - cloud.rod_radius * direction
     if cloud.covariance is None or cloud.place_sd is None or cloud.normal_sd is None:

@@ -19,6 +19,8 @@ _ROUNDING = 1e-7
 # Depth below a facet, relative to the hull's size, at which a contact lies on it.  Larger, contacts count as lying on facets
 # that they are below; smaller, rounding takes them from the facets that they lie on.
 _SAME_PLANE = 1e-9
+# Depth of a contact, in those of a contact on a facet, from which on it lies inside the hull.
+_INSIDE = 1e3
 # Half an angle, in radians, from which on the facets at a contact are asked as well: its neighbours may be too close to count.
 _WIDE = 0.1
 # Contacts whose depths below all facets are computed at once.
@@ -80,7 +82,7 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
         exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     cosine = (exact * axis).sum(axis=1)
     exact *= np.sign(cosine)[:, None]
-    sharp &= np.abs(cosine) >= np.cos(width) - _ROUNDING  # it lies between the facets' normals
+    sharp &= np.abs(cosine) >= np.cos(np.minimum(width, np.pi)) - _ROUNDING  # it lies between the facets' normals
     by_facets = np.where(sharp, 0.0, width)
     better = by_facets < half_width[rows]
     normal[rows[better]] = np.where(sharp[:, None], exact, axis)[better]
@@ -98,9 +100,11 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
     for first in range(0, len(points), _BLOCK):
         part = points[first : first + _BLOCK]
         depth = -(part @ normals.T + offsets)
-        on_facet = depth <= np.maximum(near, depth.min(axis=1, keepdims=True))
+        nearest = depth.min(axis=1)
+        on_facet = depth <= np.maximum(near, nearest)[:, None]
         total = on_facet @ normals
-        axis = total / np.linalg.norm(total, axis=1, keepdims=True)
+        with np.errstate(divide="ignore", invalid="ignore"):  # on a flat hull, whose facets are opposite
+            axis = total / np.linalg.norm(total, axis=1, keepdims=True)
         cosine = np.where(on_facet, axis @ normals.T, 1.0)
         rows = slice(first, first + _BLOCK)
         number = cosine.argmin(axis=1)
@@ -111,5 +115,7 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         across = np.where(on_facet, np.abs(edge @ normals.T), 0.0).max(axis=1)
         edge[~(size > _ROUNDING) | ~(across < _ROUNDING)] = np.nan
         middle[rows], edges[rows] = axis, edge
-        width[rows] = np.arccos(np.clip(cosine[np.arange(len(part)), number], -1.0, 1.0))
+        angle = np.arccos(np.clip(cosine[np.arange(len(part)), number], -1.0, 1.0))
+        # a contact inside the hull contradicts the model
+        width[rows] = np.where(np.isfinite(angle) & (nearest <= _INSIDE * near), angle, np.inf)
     return middle, width, edges
