@@ -94,6 +94,11 @@ _OPTIONS = (
     ("clearance", "X", "distance of the base line from the slice, in rod lengths"),
     ("standoff", "RULE", f"{one_of(STANDOFFS)}: whether the base line follows every slice or clears the widest one"),
     ("tolerance", "X", "certified bound at which adaptive spacing stops, relative to the diagonal"),
+    (
+        "accuracy",
+        "X",
+        "spatial model: largest change where the steps of sweeps are halved; 0: one step from sample to sample",
+    ),
     ("noise", "SIGMA", "standard deviation of force and moment, in EI/L² and EI/L"),
     ("seed", "N", "seed of the random numbers; the same seed gives the same files"),
     ("unit", "UNIT", f"unit of the mesh's coordinates: {one_of(tuple(UNITS_M))}"),

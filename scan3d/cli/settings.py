@@ -41,6 +41,7 @@ class Settings:
     clearance: float = 0.3
     standoff: str = "follow"
     tolerance: float = 0.0
+    accuracy: float = 0.0
     noise: float = 0.0
     seed: int = 0
     unit: str = "mm"
@@ -68,6 +69,7 @@ class Settings:
             standoff=self.standoff,
             tolerance=self.tolerance,
             rod=parse_rod(self.rod),
+            accuracy=self.accuracy,
             noise=self.noise,
             seed=self.seed,
             unit=self.unit,

@@ -53,6 +53,9 @@ class Plan:
     """The base line keeps its distance from every slice ('follow'), or from the outline of the whole body ('fixed')."""
     rod: Rod | None = None
     """The rod; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the body."""
+    accuracy: float = 0.0
+    """Largest change of contacts, in rod lengths, and of reactions that the spatial model leaves where the steps of its sweeps
+    are halved; sweeps with friction take as many steps as that needs.  0: one step from sample to sample."""
     noise: float = 0.0
     """Standard deviation of force and moment, in EI/L² and EI/L."""
     seed: int = 0
@@ -73,6 +76,12 @@ class Plan:
             raise InputError(f"standoff must be one of {', '.join(STANDOFFS)}, got {self.standoff!r}")
         if not (_is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
+        if not (_is_finite(self.accuracy) and self.accuracy >= 0):
+            raise InputError(f"accuracy must be a number >= 0, got {self.accuracy}")
+        if self.accuracy and self.model != "spatial":
+            raise InputError(
+                f"accuracy is a setting of the spatial model, the planar one is exact; leave out accuracy {self.accuracy!r}"
+            )
         if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         low, high = self.friction_range

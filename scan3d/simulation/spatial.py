@@ -59,7 +59,11 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
     except ValueError as error:
         raise InputError(f"this body can't be swept in space: {error}") from None
     per_direction = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
-    swept = [_sweep(body, rasters(points, per_direction, plan.clearance), plan, 0)]
+    swept = _sweep(body, rasters(points, per_direction, plan.clearance), plan, 0)
+    if not swept:
+        raise InputError(
+            "the rod touches nothing: its sweeps do not reach the body; choose a longer rod or less clearance"
+        )
     generator = np.random.default_rng([plan.seed, 2])
     further = 0 if plan.sweeps else round(_AIMED * 12 * per_direction / _ROUNDS)
     for number in range(_ROUNDS if further else 0):
@@ -69,19 +73,22 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
         if progress is not None:
             progress(1 + number, 1 + _ROUNDS)
         lines = aimed(contacts, further, generator)
-        swept.append(_sweep(body, lines, plan, 1 + number))
+        swept += _sweep(body, lines, plan, 1 + number)
     if progress is not None:
         progress(1 + _ROUNDS, 1 + _ROUNDS)
     return _recording(swept, plan, rod, middle, length)
 
 
-def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> _Swept:
-    """Sweep along those lines on which the rod touches the body."""
+def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> list[_Swept]:
+    """Sweep along those lines on which the rod touches the body; an empty list if there are none."""
     x, y = lines.axes[:, 0].T, lines.axes[:, 1].T
     reach = 2 * np.abs(body.vertices).max() + 1
     start = lines.origin.T + reach * x
     passage = passages(body, start, y, -x)
-    rows = np.flatnonzero(passage.touches)
+    with np.errstate(invalid="ignore"):
+        rows = np.flatnonzero(passage.touches & (passage.end > passage.begin + _BEFORE))
+    if not len(rows):
+        return []
     begin, end = passage.begin[rows], passage.end[rows]
     distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * np.linspace(0, 1, plan.samples)
     position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
@@ -89,6 +96,8 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> _S
     again = passages(body, position[:, 0].T, y[:, rows], (position[:, -1] - position[:, 0]).T)
     clear = again.touches & (again.begin >= 0)
     rows, position = rows[clear], position[clear]
+    if not len(rows):
+        return []
     low, high = plan.friction_range
     friction = np.full((len(rows), plan.samples), low)
     if high > low:
@@ -96,7 +105,7 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> _S
         draws = [np.random.default_rng([plan.seed, 3, number, int(row)]) for row in rows]
         friction = np.array([draw.uniform(low, high, plan.samples) for draw in draws]).reshape(friction.shape)
     axes = lines.axes[rows]
-    return _Swept(position, axes, sweep(body, position, axes, friction))
+    return [_Swept(position, axes, sweep(body, position, axes, friction, accuracy=plan.accuracy or None))]
 
 
 def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length: float) -> Recording:
@@ -115,10 +124,6 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
         axes.append(part.axes[sweep_number])
         force.append(np.nan_to_num(part.result.force[kept]))
         moment.append(np.nan_to_num(part.result.moment[kept]))
-    if not sweeps:
-        raise InputError(
-            "the rod touches nothing: its sweeps do not reach the body; choose a longer rod or less clearance"
-        )
     # scipy wants the clamp's axes as columns
     quaternion = Rotation.from_matrix(np.swapaxes(np.concatenate(axes), 1, 2)).as_quat(scalar_first=True)
     forces, moments = np.concatenate(force), np.concatenate(moment)
@@ -140,5 +145,16 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
         noise_force_N=plan.noise * rod.force_unit_N,
         noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
         unit=plan.unit,
-        source={"kind": "simulation", "seed": plan.seed, "model": "spatial"},
+        source={"kind": "simulation", "seed": plan.seed, "model": "spatial", **_step_errors(swept)},
+    )
+
+
+def _step_errors(swept: list[_Swept]) -> dict[str, float]:
+    """What the steps of the sweeps leave, where that was checked: the median and the largest change by halving them."""
+    errors = np.concatenate([part.result.step_error for part in swept])
+    errors = errors[np.isfinite(errors)]
+    return (
+        {"step_error_median": float(np.median(errors)), "step_error_largest": float(errors.max())}
+        if len(errors)
+        else {}
     )

@@ -1,0 +1,235 @@
+"""Scans in space: their plans, the sweeps that are chosen, the recording, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from small_scans import CUBE
+
+import scan3d
+from scan3d.cli import main
+from scan3d.errors import InputError
+from scan3d.geometry.distance import nearest
+from scan3d.planning import rasters
+from scan3d.simulation import spatial
+
+SMALL = dict(model="spatial", slices=8, samples=24)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return scan3d.load_mesh(CUBE)
+
+
+@pytest.fixture(scope="module")
+def recording(cube):
+    return scan3d.simulate(cube, scan3d.Plan(friction=(0.0, 0.4), **SMALL))
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (dict(model="flat"), r"model must be one of planar, spatial, got 'flat'"),
+        (
+            dict(spacing="adaptive"),
+            r"spacing is a setting of slices, and the spatial model has none; leave out spacing 'adaptive'",
+        ),
+        (dict(axis="x"), r"axis is a setting of slices"),
+        (dict(axis=[0.0, 0.0, 1.0]), r"axis is a setting of slices"),
+        (dict(standoff="fixed"), r"standoff is a setting of slices"),
+        (dict(tolerance=1e-3), r"tolerance is a setting of slices"),
+        (dict(accuracy=-1.0), r"accuracy must be a number >= 0, got -1\.0"),
+        (dict(accuracy=float("nan")), r"accuracy must be a number >= 0, got nan"),
+    ],
+)
+def test_impossible_plans(given, sentence):
+    with pytest.raises(InputError, match=sentence):
+        scan3d.Plan(**{"model": "spatial", **given})
+
+
+def test_accuracy_is_not_for_the_planar_model():
+    with pytest.raises(InputError, match=r"accuracy is a setting of the spatial model, the planar one is exact"):
+        scan3d.Plan(accuracy=1e-4)
+
+
+def test_the_directions_are_spread_evenly():
+    directions = rasters.icosahedron()
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    cosines = np.sort(directions @ directions.T, axis=1)
+    np.testing.assert_allclose(cosines[:, 6:11], 1 / np.sqrt(5))
+    # none of them lies along an axis of coordinates, or in a plane of two
+    assert np.abs(directions).min() > 0.02
+
+
+def test_rasters_cross_the_body(cube):
+    points = np.asarray(cube.vertices) / 40
+    lines = rasters.rasters(points, 10, 0.3)
+    assert 12 * 9 <= len(lines.origin) <= 12 * 11
+    np.testing.assert_allclose(
+        lines.axes @ lines.axes.swapaxes(1, 2), np.tile(np.eye(3), (len(lines.axes), 1, 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.det(lines.axes), 1)
+    x, y, z = lines.axes.swapaxes(0, 1)
+    # the clamp keeps its distance, and its path lies beside the middle by less than the body does
+    nearest_point = (points @ y.T).min(axis=0)
+    np.testing.assert_allclose(nearest_point - (lines.origin * y).sum(axis=1), 0.3)
+    offset, places = (lines.origin * z).sum(axis=1), points @ z.T
+    assert ((offset > places.min(axis=0)) & (offset < places.max(axis=0))).all()
+    # every other line runs backwards
+    assert np.mean([(x[k] @ x[k + 1]) < -0.9 for k in range(len(x) - 1)]) > 0.7
+
+
+def test_sweeps_are_aimed_at_a_missing_corner():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(4000, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    towards = np.array([0.6, 0.0, 0.8])
+    lines = rasters.aimed(points[points @ towards < 0.9], 5, rng)
+    x, y, _ = lines.axes.swapaxes(0, 1)
+    assert (x[0] @ towards) > 0.95
+    np.testing.assert_allclose((x * y).sum(axis=1), 0, atol=1e-12)
+    # the rod's straight line touches the sphere's gap from outside
+    foot = lines.origin[0] - (lines.origin[0] @ y[0]) * y[0]
+    assert 0.85 < np.linalg.norm(foot) < 1
+
+
+def test_recordings_have_six_axes_and_touch_the_fattened_body(recording, cube):
+    assert recording.six_axis
+    assert recording.source["model"] == "spatial"
+    assert recording.rod.diameter_m == pytest.approx(0.006 * recording.rod.length_m)
+    assert recording.rod.length_m == pytest.approx(0.04)
+    cloud = scan3d.reconstruct(recording)
+    assert cloud.model == "spatial"
+    assert len(cloud) > 900
+    distance = nearest(cloud.centre_points, cube)[0]
+    assert np.abs(distance - cloud.rod_radius).max() < 1e-9 * cloud.rod_length
+    force = np.linalg.norm(recording.wrench()[0], axis=1)
+    # each sweep begins before its touch-down, and ends with the first sample after its last contact
+    for number in np.unique(recording.sweep):
+        rows = np.flatnonzero(recording.sweep == number)
+        assert force[rows[0]] == 0
+        assert len(rows) < 3 or (force[rows[1:-1]] > 0).mean() > 0.9
+    # the sweeps of a direction move along straight lines
+    step = np.diff(recording.position_m[recording.sweep == 0], axis=0)
+    np.testing.assert_allclose(step, np.tile(step[0], (len(step), 1)), atol=1e-15)
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_recording(recording, cube):
+    def columns(seed):
+        again = scan3d.simulate(cube, scan3d.Plan(friction=(0.0, 0.4), seed=seed, **SMALL))
+        return np.concatenate([again.force_N.ravel(), again.moment_x_Nm, again.position_m.ravel()])
+
+    first = np.concatenate([recording.force_N.ravel(), recording.moment_x_Nm, recording.position_m.ravel()])
+    np.testing.assert_array_equal(columns(0), first)
+    other = columns(1)
+    assert len(other) != len(first) or not np.array_equal(other, first)
+
+
+@pytest.mark.slow
+def test_a_scan_in_space_depends_neither_on_place_nor_on_unit(recording, cube):
+    moved = trimesh.Trimesh(np.asarray(cube.vertices) / 1000 + [5.0, -3.0, 2.0], cube.faces, process=False)
+    again = scan3d.simulate(moved, scan3d.Plan(friction=(0.0, 0.4), unit="m", **SMALL))
+    np.testing.assert_array_equal(np.unique(again.sweep), np.unique(recording.sweep))
+    # where rods snap, rounding may decide when, so that the beginnings of the sweeps are compared
+    rows, others = (
+        np.concatenate([np.flatnonzero(r.sweep == k)[:4] for k in np.unique(r.sweep)]) for r in (recording, again)
+    )
+    np.testing.assert_allclose(again.position_m[others], recording.position_m[rows] + [5.0, -3.0, 2.0], atol=1e-9)
+    off = np.abs(again.force_N[others] - recording.force_N[rows]).max(axis=1) / np.abs(recording.force_N).max()
+    assert (off < 1e-6).mean() > 0.95
+
+
+@pytest.mark.slow
+def test_noise_is_that_of_the_plan(cube):
+    noise = 1e-3
+    exact, noisy = (scan3d.simulate(cube, scan3d.Plan(friction=0.2, noise=sigma, **SMALL)) for sigma in (0.0, noise))
+    off = (np.array(noisy.wrench()[0]) - exact.wrench()[0]) / exact.rod.force_unit_N
+    assert off.std() == pytest.approx(noise, rel=0.05)
+    assert noisy.noise_force_N == pytest.approx(noise * exact.rod.force_unit_N)
+    off = (noisy.wrench()[1] - exact.wrench()[1]) / exact.rod.moment_unit_Nm
+    assert off.std(axis=0) == pytest.approx([noise] * 3, rel=0.1)
+
+
+@pytest.mark.slow
+def test_fixed_sweeps_are_not_aimed(cube):
+    recording = scan3d.simulate(cube, scan3d.Plan(friction=0.0, sweeps=2, **SMALL))
+    assert len(np.unique(recording.sweep)) <= 24
+
+
+@pytest.mark.slow
+def test_the_accuracy_of_the_steps_is_reported(cube):
+    plan = dict(SMALL, sweeps=1, samples=8)
+    source = scan3d.simulate(cube, scan3d.Plan(friction=0.2, accuracy=0.05, **plan)).source
+    assert 0 <= source["step_error_median"] <= 0.05
+    assert source["step_error_median"] <= source["step_error_largest"]
+    assert "step_error_median" not in scan3d.simulate(cube, scan3d.Plan(friction=0.2, **plan)).source
+
+
+def test_a_rod_that_reaches_nothing(cube, monkeypatch):
+    def distant(*arguments):
+        lines = rasters.rasters(*arguments)
+        return lines._replace(origin=lines.origin - 2 * lines.axes[:, 1])
+
+    monkeypatch.setattr(spatial, "rasters", distant)
+    with pytest.raises(
+        InputError, match=r"the rod touches nothing: its sweeps do not reach the body; choose a longer rod"
+    ):
+        scan3d.simulate(cube, scan3d.Plan(**SMALL))
+
+
+def test_progress_counts_rounds(cube):
+    told = []
+    scan3d.simulate(
+        cube, scan3d.Plan(friction=0.0, model="spatial", slices=4, samples=8), lambda *done: told.append(done)
+    )
+    assert told[-1] == (3, 3)
+    assert sorted(told) == told
+
+
+@pytest.mark.slow
+def test_the_command_scans_in_space(tmp_path, capsys):
+    out = tmp_path / "out"
+    few = ["--slices", "12", "--samples", "32", "--friction", "0.0:0.4"]
+    assert main(["scan", str(CUBE), "--out", str(out), "--model", "spatial", *few]) == 0
+    assert "sweeps" in capsys.readouterr().out
+    report = json.loads((out / "report.json").read_text())
+    assert report["model"] == "spatial"
+    assert report["warnings"] == []
+    assert report["hausdorff"]["two_sided"] <= report["certificate"]["bound"]
+    assert report["counts"]["slices"] == 0
+    header = (out / "recording.csv").read_text().splitlines()[0].split(",")
+    assert {"fz_N", "mx_Nm", "my_Nm"} <= set(header)
+    assert "diameter_m" in (out / "recording.toml").read_text()
+
+    assert (
+        main(["reconstruct", str(out / "recording.csv"), "--out", str(tmp_path / "again"), "--truth", str(CUBE)]) == 0
+    )
+    again = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert again["certificate"] == report["certificate"]
+
+    flat = ["--model", "planar", "--out", str(tmp_path / "flat")]
+    assert main(["reconstruct", str(out / "recording.csv"), *flat]) == 0
+    warnings = json.loads((tmp_path / "flat" / "report.json").read_text())["warnings"]
+    assert "out-of-plane" in {warning["code"] for warning in warnings}
+    capsys.readouterr()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cube.stl", "egg.stl", "needle.ply", "capsule.stl", "lens.off"])
+def test_a_scan_in_space_takes_no_more_than_twice_the_samples_of_a_planar_one(name):
+    mesh = scan3d.load_mesh(CUBE.parent / name)
+    planar_scan = scan3d.simulate(mesh, scan3d.Plan(slices=16))
+    recording = scan3d.simulate(mesh, scan3d.Plan(model="spatial", slices=16))
+    assert len(recording) <= 2 * len(planar_scan)
+
+
+def test_an_open_mesh_is_refused(cube):
+    holed = trimesh.Trimesh(cube.vertices, cube.faces[:-1], process=False)
+    with pytest.raises(InputError):
+        scan3d.simulate(holed, scan3d.Plan(**SMALL))
+    with pytest.raises(
+        InputError, match=r"this body can't be swept in space: the triangles of a polyhedron must be a closed"
+    ):
+        spatial.simulate_spatial(holed, scan3d.Plan(**SMALL))
