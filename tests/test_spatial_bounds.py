@@ -21,6 +21,7 @@ from spatial_bodies import (
 import scan3d
 from planar import Phase
 from scan3d import report
+from scan3d.coverage import coverage
 from scan3d.geometry.hulls import hull
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
@@ -288,4 +289,4 @@ def test_the_report_states_the_parts_of_the_bound():
     assert budget["thickness_of_rod"]["at_most"] == bounds.parts()["rod"]
     assert "largest of between_contacts and thickness_of_rod" in budget["sum"]
     assert "between_slices" not in budget
-    assert 0 < report._coverage(analysis)["surface"] <= 1
+    assert 0 < coverage(cloud, bounds, mesh, analysis.certificate)["surface"] <= 1

@@ -111,7 +111,8 @@ def test_recordings_have_six_axes_and_touch_the_fattened_body(recording, cube):
         assert force[rows[0]] == 0
         assert len(rows) < 3 or (force[rows[1:-1]] > 0).mean() > 0.9
     # the sweeps of a direction move along straight lines
-    step = np.diff(recording.position_m[recording.sweep == 0], axis=0)
+    longest = np.argmax(np.bincount(recording.sweep))
+    step = np.diff(recording.position_m[recording.sweep == longest], axis=0)
     np.testing.assert_allclose(step, np.tile(step[0], (len(step), 1)), atol=1e-15)
 
 
@@ -184,7 +185,7 @@ def test_progress_counts_rounds(cube):
     scan3d.simulate(
         cube, scan3d.Plan(friction=0.0, model="spatial", slices=4, samples=8), lambda *done: told.append(done)
     )
-    assert told[-1] == (3, 3)
+    assert told[-1] == (4, 4)
     assert sorted(told) == told
 
 

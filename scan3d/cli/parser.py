@@ -84,7 +84,7 @@ _METHOD = f"surface from the contacts: {one_of(METHODS)}; bracket estimates it b
 # Name, placeholder and description of each setting; types and defaults are those of `Settings`.
 _OPTIONS = (
     ("model", "MODEL", f"model of contact: {one_of(MODELS)}; a round rod in space leaves the plane of its sweep"),
-    ("slices", "N", "number of slices; in the spatial model half as many sweeps from each of twelve directions"),
+    ("slices", "N", "number of slices; in the spatial model 0.6 times as many sweeps from each of 12 directions"),
     ("spacing", "RULE", f"heights of the slices: {one_of(SPACINGS)}; cosine is dense at the ends"),
     ("axis", "AXIS", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0"),
     ("sweeps", "N", "sweeps per slice, or in the spatial model per direction, or auto: as many as the body needs"),

@@ -33,7 +33,7 @@ class Plan:
     """Model of contact: 'planar', the rod stays in its slice, or 'spatial', a round rod bends where the contact pushes it."""
     slices: int = 64
     """Number of slices along each axis; with adaptive spacing empty slices count.  In the spatial model there are no slices,
-    and half as many sweeps from each of twelve directions."""
+    and 0.6 times as many sweeps from each of twelve directions."""
     spacing: str = "cosine"
     """Heights of the slices: 'cosine' (dense at the ends), 'uniform', or 'adaptive' (where the contacts so far leave most
     room for the body)."""

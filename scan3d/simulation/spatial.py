@@ -23,9 +23,9 @@ Progress = Callable[[int, int], None]
 
 # Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what they left open, of all sweeps.
 # With these, a scan in space has about as many samples as a planar one of as many slices.
-_LINES_PER_SLICE, _AIMED = 0.5, 0.25
+_LINES_PER_SLICE, _AIMED = 0.6, 0.35
 # Rounds in which the aimed sweeps are made.
-_ROUNDS = 2
+_ROUNDS = 3
 # How far a sweep goes on after the straight rod has passed the body, as a part of the path within it: the bent rod may follow.
 _BEYOND = 0.1
 # Path before the touch-down, in rod lengths, at which a sweep begins.

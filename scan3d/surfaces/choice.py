@@ -16,7 +16,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.support import SupportFit, fit_support
 from scan3d.reconstruction.normals import with_slice_normals
-from scan3d.surfaces.bounds import enclosure, slice_enclosure
+from scan3d.surfaces.bounds import certificate, enclosure, slice_enclosure
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
 from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
@@ -27,6 +27,9 @@ from scan3d.surfaces.tuning import Tuning
 # Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
 # of the facets by four and multiplies the number of vertices by four; one fewer does the opposite.
 _SUBDIVISIONS = 6
+# An estimate from contacts anywhere is given up if it is bounded so many times less well than the hull: it lies outside the
+# outer body somewhere.  Larger, wrong estimates pass; smaller, right ones are given up, bounded by the outer body's corners.
+_FAR = 2.0
 _DESCRIPTIONS = {
     Edges.NONE: "flat between its slices",
     Edges.SOME: "bent, with some edges",
@@ -141,6 +144,12 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
     if with_fit and bounds.bound <= tuning.proven * diagonal:
         return _proven(cloud, bounds)
     mesh, description, errors = best_estimate(cloud, with_fit=with_fit)
+    convex = hull(cloud.points)
+    if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
+        mesh, description = (
+            convex,
+            f"convex hull of the contacts, because the estimate, {description}, is bounded less well",
+        )
     fit_is_better = (
         errors is not None and errors.fit is not None and errors.fit.rms < tuning.fit_gain * errors.estimate.rms
     )

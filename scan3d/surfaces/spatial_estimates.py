@@ -101,7 +101,10 @@ def _curved(cloud: Cloud) -> Any:
     turn = normals[ends[:, 1]] - normals[ends[:, 0]]
     mean = normals[ends].sum(axis=1)
     length = np.linalg.norm(mean, axis=1)
-    rise = np.maximum((turn * chord).sum(axis=1), 0.0) / 8
+    rise = (turn * chord).sum(axis=1) / 8
+    if cloud.normal_sd is not None:  # no more than the errors of the normals leave
+        rise -= cloud.normal_sd[ends].sum(axis=1) * np.linalg.norm(chord, axis=1) / 8
+    rise = np.maximum(rise, 0.0)
     # no higher than the tangent planes at both ends
     for k in range(2):
         slope = (mean * normals[ends[:, k]]).sum(axis=1) / np.maximum(length, 1e-12)
