@@ -105,6 +105,7 @@ def test_recordings_have_six_axes_and_touch_the_fattened_body(recording, cube):
     distance = nearest(cloud.centre_points, cube)[0]
     assert np.abs(distance - cloud.rod_radius).max() < 1e-9 * cloud.rod_length
     force = np.linalg.norm(recording.wrench()[0], axis=1)
+    assert force.max() < 60 * recording.rod.force_unit_N
     # each sweep begins before its touch-down, and ends with the first sample after its last contact
     for number in np.unique(recording.sweep):
         rows = np.flatnonzero(recording.sweep == number)

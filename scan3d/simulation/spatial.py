@@ -28,6 +28,9 @@ _LINES_PER_SLICE, _AIMED = 0.6, 0.35
 _ROUNDS = 3
 # How far a sweep goes on after the straight rod has passed the body, as a part of the path within it: the bent rod may follow.
 _BEYOND = 0.1
+# Arc length of a contact, in rod lengths, at which a sweep ends: the clamp comes close to the body, and the force grows without
+# limit.  Larger, parts of the body are left out; smaller, a rig would be damaged.
+_NEAREST = 0.2
 # Path before the touch-down, in rod lengths, at which a sweep begins.
 _BEFORE = 1e-6
 
@@ -109,14 +112,19 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
 
 
 def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length: float) -> Recording:
-    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact."""
+    """The recording of all sweeps, as a rig would log it, each up to the first sample after its last contact.
+
+    A sweep ends before its contact comes so near to the clamp that the clamp would soon hit the body.
+    """
     position, axes, force, moment, sweeps = [], [], [], [], 0
     numbers = []
     for part in swept:
-        touching = np.isfinite(part.result.s1)
+        with np.errstate(invalid="ignore"):  # no arc length without contact
+            too_near = np.maximum.accumulate(part.result.s1 < _NEAREST, axis=1)
+        touching = np.isfinite(part.result.s1) & ~too_near
         n = touching.shape[1]
         last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)
-        kept = np.arange(n) <= last[:, None]
+        kept = (np.arange(n) <= last[:, None]) & ~too_near
         sweep_number, _ = np.nonzero(kept)
         numbers.append(sweep_number + sweeps)
         sweeps += len(touching)
