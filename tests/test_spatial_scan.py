@@ -130,9 +130,12 @@ def test_the_same_seed_gives_the_same_recording(recording, cube):
 
 
 @pytest.mark.slow
-def test_a_scan_in_space_depends_neither_on_place_nor_on_unit(recording, cube):
+def test_a_scan_in_space_depends_neither_on_place_nor_on_unit(cube):
+    # without aimed sweeps, whose choice among equally open places rounding may decide
+    plan = dict(SMALL, sweeps=3, friction=(0.0, 0.4))
+    recording = scan3d.simulate(cube, scan3d.Plan(**plan))
     moved = trimesh.Trimesh(np.asarray(cube.vertices) / 1000 + [5.0, -3.0, 2.0], cube.faces, process=False)
-    again = scan3d.simulate(moved, scan3d.Plan(friction=(0.0, 0.4), unit="m", **SMALL))
+    again = scan3d.simulate(moved, scan3d.Plan(unit="m", **plan))
     np.testing.assert_array_equal(np.unique(again.sweep), np.unique(recording.sweep))
     # where rods snap, rounding may decide when, so that the beginnings of the sweeps are compared
     rows, others = (
