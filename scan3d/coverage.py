@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
+from scan3d.spatial.bodies import sphere_directions
 from scan3d.surfaces import Certificate, Enclosure, SpatialEnclosure, certificate
 
 # Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
@@ -50,10 +51,7 @@ def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifica
     known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
     if not len(known):
         return {**covered, "normals": 0.0}
-    # a Fibonacci lattice
-    number = np.arange(_DIRECTIONS) + 0.5
-    z, angle = 1 - 2 * number / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * number
-    sphere = np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
+    sphere = sphere_directions(_DIRECTIONS).T
     return {
         **covered,
         "normals": float(np.mean(cKDTree(known).query(sphere)[0] < 2 * np.sin(np.radians(_COVERED_DEG / 2)))),

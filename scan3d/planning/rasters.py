@@ -20,8 +20,6 @@ from scan3d.geometry.hulls import hull
 # Where along the rod, in its lengths, a place is touched that a sweep is aimed at.  Nearer to the tip, contacts are lighter;
 # nearer to the clamp, the clamp comes closer to the body.
 _TOUCHED = 0.6
-# How much denser lines are at the ends of a body than in its middle, from 0 (evenly spaced) to 1 (cosine spacing).
-_DENSE_ENDS = 1.0
 # Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left
 # for the next round; smaller, several sweeps go to one place.
 _APART = 1.0
@@ -36,7 +34,7 @@ class Lines(NamedTuple):
     """Straight paths (k) of a clamp, before it is known where on them the rod touches."""
 
     origin: Array
-    """(k, 3) a point of each path, level with the body's middle."""
+    """(k, 3) a point of each path."""
     axes: Array
     """(k, 3, 3) axes of the clamp as rows: x, against which it moves, y along the rod, and z."""
 
@@ -72,10 +70,8 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     origin, axes = [], []
     for spread, moved, number in ((first, second, numbers[0]), (second, first, numbers[1])):
         place = points @ spread
-        even = (np.arange(number) + 0.5) / number
-        offsets = place.min() + np.ptp(place) * (
-            (1 - _DENSE_ENDS) * even + _DENSE_ENDS * (1 - np.cos(np.pi * even)) / 2
-        )
+        # dense at the ends, where pointed bodies are small
+        offsets = place.min() + np.ptp(place) * (1 - np.cos(np.pi * (np.arange(number) + 0.5) / number)) / 2
         middle = points.mean(axis=0)
         base = middle + ((points @ along).min() - clearance - middle @ along) * along
         origin.append(base + (offsets - base @ spread)[:, None] * spread)

@@ -157,12 +157,17 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
     )
 
 
-def _step_errors(swept: list[_Swept]) -> dict[str, float]:
-    """What the steps of the sweeps leave, where that was checked: the median and the largest change by halving them."""
+def _step_errors(swept: list[_Swept]) -> dict[str, Any]:
+    """What the steps of the sweeps leave, where that was checked: the median and the largest change by halving them.
+
+    Sweeps in which the rod touches at other samples if the steps are halved have no such change; their number is stated.
+    """
     errors = np.concatenate([part.result.step_error for part in swept])
-    errors = errors[np.isfinite(errors)]
-    return (
-        {"step_error_median": float(np.median(errors)), "step_error_largest": float(errors.max())}
-        if len(errors)
-        else {}
-    )
+    errors = errors[~np.isnan(errors)]
+    if not len(errors):
+        return {}
+    known = errors[np.isfinite(errors)]
+    found: dict[str, Any] = {"step_error_unknown_sweeps": len(errors) - len(known)}
+    if len(known):
+        found |= {"step_error_median": float(np.median(known)), "step_error_largest": float(known.max())}
+    return found

@@ -144,12 +144,6 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
     if with_fit and bounds.bound <= tuning.proven * diagonal:
         return _proven(cloud, bounds)
     mesh, description, errors = best_estimate(cloud, with_fit=with_fit)
-    convex = hull(cloud.points)
-    if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
-        mesh, description = (
-            convex,
-            f"convex hull of the contacts, because the estimate, {description}, is bounded less well",
-        )
     fit_is_better = (
         errors is not None and errors.fit is not None and errors.fit.rms < tuning.fit_gain * errors.estimate.rms
     )
@@ -157,6 +151,10 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
         return _labelled(_of_fit(cloud.fit), "support", reason)
+    convex = hull(cloud.points)
+    if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
+        reason = f"convex hull of the contacts, because the estimate, {description}, is bounded much less well"
+        return _labelled(convex, "bracket", reason)
     if errors is None:
         reason = f"{description}; too few sweeps for cross-validation"
     else:
