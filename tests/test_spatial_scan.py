@@ -13,6 +13,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.planning import rasters
 from scan3d.simulation import spatial
+from scan3d.spatial.polyhedra import RoundedPolyhedron
 
 SMALL = dict(model="spatial", slices=8, samples=24)
 
@@ -85,13 +86,49 @@ def test_sweeps_are_aimed_at_a_missing_corner():
     points = rng.normal(size=(4000, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
     towards = np.array([0.6, 0.0, 0.8])
-    lines = rasters.aimed(points[points @ towards < 0.9], 5, rng)
+    felt = points[points @ towards < 0.9]
+    lines = rasters.aimed(felt, felt, 5, rng)
     x, y, _ = lines.axes.swapaxes(0, 1)
     assert (x[0] @ towards) > 0.95
     np.testing.assert_allclose((x * y).sum(axis=1), 0, atol=1e-12)
     # the rod's straight line touches the sphere's gap from outside
     foot = lines.origin[0] - (lines.origin[0] @ y[0]) * y[0]
     assert 0.85 < np.linalg.norm(foot) < 1
+
+
+def test_no_sweep_is_aimed_at_a_flat_face_though_contacts_are_sparse_on_it():
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-1, 1, (3000, 3))
+    axis = np.argmax(np.abs(points), axis=1)
+    normals = np.sign(points) * (axis[:, None] == np.arange(3))
+    points = np.where(normals != 0, normals, points)
+    # one face has few contacts, and two edges have a gap
+    gap = (np.abs(points[:, :2]) > 0.7).all(axis=1) & (points[:, 0] > 0)
+    kept = ~gap & ((normals[:, 2] < 1) | (rng.uniform(size=len(points)) < 0.01))
+    unknown = np.where(rng.uniform(size=(len(points), 1)) < 0.05, np.nan, normals)
+    lines = rasters.aimed(points[kept], unknown[kept], 8, rng)
+    place = lines.origin + rasters._TOUCHED * lines.axes[:, 1]
+    outside = np.sort(np.abs(place), axis=1)[:, 1] > 0.6  # near an edge or a vertex, not in the middle of a face
+    assert len(place) == 8
+    assert outside.all()
+    assert ((np.abs(place[:, :2]) > 0.6).all(axis=1) & (place[:, 0] > 0)).sum() >= 2
+
+
+def test_aimed_sweeps_touch_where_they_are_aimed(cube):
+    rng = np.random.default_rng(2)
+    body = RoundedPolyhedron(cube.vertices / 40, cube.faces, 0.003)
+    places = rng.normal(size=(2000, 3))
+    places *= 0.503 / np.abs(places).max(axis=1, keepdims=True)
+    normals = np.sign(places) * (np.abs(places) == np.abs(places).max(axis=1, keepdims=True))
+    lines = rasters.aimed(places, normals, 10, rng)
+    plan = scan3d.Plan(model="spatial", friction=0.2)
+    [swept] = spatial._sweep(body, lines, plan, 1)
+    touches = np.isfinite(swept.result.s1)
+    first = swept.result.point[np.arange(len(touches)), touches.argmax(axis=1)]
+    target = lines.origin + rasters._TOUCHED * lines.axes[:, 1]
+    distance = np.linalg.norm(first[:, None] - target, axis=2).min(axis=1)
+    assert np.median(distance) < 0.05
+    assert np.ptp(np.diff(swept.position[:, :, 0], axis=1), axis=1).min() > 0
 
 
 def test_recordings_have_six_axes_and_touch_the_fattened_body(recording, cube):

@@ -8,7 +8,7 @@ from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, largest_differe
 
 import scan3d
 from scan3d.geometry.support import fit_support
-from scan3d.surfaces import certificate, enclosure, surface
+from scan3d.surfaces import certificate, enclosure, spatial_estimates, surface
 
 SMOOTH = Ellipsoid(np.array([1.0, 0.7, 0.5]))
 
@@ -65,6 +65,39 @@ def test_a_cylinder_keeps_its_rims():
     body = Cylinder(0.4, 1.0)
     cloud = spatial_cloud(body, 4000, 5, 0.005)
     assert largest_difference(surface(cloud), body) < 3e-4 * body.size
+
+
+def test_contacts_that_the_rod_displaces_hide_no_face():
+    """A few contacts with unsure normals, which stand out of the body, cost a polyhedron neither faces nor vertices."""
+    body = Polyhedron(random_polyhedron(4).vertices, corners=0.0)
+    cloud = spatial_cloud(body, 3000, 4, 0.005)
+    rng = np.random.default_rng(0)
+    rows = rng.choice(len(cloud), 60, replace=False)
+    points, normals, sd = cloud.points.copy(), cloud.normals.copy(), np.full(len(cloud), 1e-6)
+    points[rows] += 0.002 * body.size * normals[rows]
+    normals[rows] += 0.1 * rng.normal(size=(60, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    sd[rows] = 0.1
+    unsure = dataclasses.replace(cloud, points=points, normals=normals, normal_sd=sd)
+    well_placed = np.delete(np.arange(len(cloud)), rows)
+    assert largest_difference(spatial_estimates._with_edges(unsure), body) < 1e-6 * body.size
+    assert largest_difference(spatial_estimates._with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
+
+
+def test_long_edges_of_a_capsule_are_straight():
+    """The ends of a generator lie in the caps, where normals lean; the contacts beside it show that it is straight."""
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(4000, 3))
+    normals[:600, 2] = 0  # on the cylinder
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    height = np.where(normals[:, 2] == 0, rng.uniform(-2, 2, 4000), 2 * np.sign(normals[:, 2]))
+    points = normals + height[:, None] * np.array([0, 0, 1])
+    cloud = spatial_cloud(SMOOTH, 4000, 3)
+    capsule = dataclasses.replace(cloud, points=points, normals=normals, normal_sd=None)
+    mesh = spatial_estimates._curved(capsule)
+    vertices = np.asarray(mesh.vertices)
+    axis = np.clip(vertices[:, 2:], -2, 2) * np.array([0, 0, 1])
+    assert np.linalg.norm(vertices - axis, axis=1).max() < 1.002
 
 
 def test_wrong_normals_do_not_pass_cross_validation():

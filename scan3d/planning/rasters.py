@@ -11,11 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
-from scan3d.geometry.hulls import hull
 
 # Where along the rod, in its lengths, a place is touched that a sweep is aimed at.  Nearer to the tip, contacts are lighter;
 # nearer to the clamp, the clamp comes closer to the body.
@@ -23,8 +22,6 @@ _TOUCHED = 0.6
 # Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left
 # for the next round; smaller, several sweeps go to one place.
 _APART = 1.0
-# Determinant of the normals of three planes below which they do not meet in a point.
-_PARALLEL = 1e-9
 # Angles by which the directions are turned, in radians: any that belong to no symmetry.
 _ASKEW = (0.2, 0.37, 0.61)
 _GOLDEN = (1 + np.sqrt(5)) / 2
@@ -82,35 +79,33 @@ def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     return Lines(np.concatenate(origin), np.concatenate(axes))
 
 
-def aimed(contacts: Array, count: int, generator: np.random.Generator) -> Lines:
-    """At most `count` lines aimed at the places where the hull of contacts (n, 3) leaves most room for the body.
+def aimed(contacts: Array, normals: Array, count: int, generator: np.random.Generator) -> Lines:
+    """At most `count` lines aimed at the places where contacts leave most room for the body outside of their hull.
 
     The rod comes down on such a place along its normal, lying across it: it touches there first, wherever it slides afterwards.
-    Lengths are in rod lengths.
+
+    contacts, normals
+        (n, 3) in rod lengths, and outward unit vectors (n, 3), NaN where they are unknown.
     """
-    target, normal = _open_places(contacts, count)
+    target, normal = _open_places(contacts, normals, count)
     y = _around(normal, generator.uniform(0, 2 * np.pi, len(target)))
     return Lines(target - _TOUCHED * y, np.stack([normal, y, np.cross(normal, y)], axis=1))
 
 
-def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
+def _open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Array]:
     """Points and normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
 
-    The room above a facet is the height of the point in which the planes of its three neighbours meet.
+    The room is the height above the middle of a facet at which the tangent planes at its three corners end it.
     """
-    body = hull(contacts)
-    faces, normals = body.faces, body.face_normals.view(np.ndarray)
-    corners = body.vertices.view(np.ndarray)[faces]
+    qhull = ConvexHull(contacts)
+    faces, outward = qhull.simplices, qhull.equations[:, :3]
+    corners = contacts[faces]
     target, size = corners.mean(axis=1), np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    pairs = body.face_adjacency
-    order = np.argsort(pairs.ravel(), kind="stable")
-    neighbours = pairs[:, ::-1].ravel()[order].reshape(-1, 3)
-    planes = normals[neighbours]
-    offsets = (planes * target[neighbours]).sum(axis=2)
-    regular = np.abs(np.linalg.det(planes)) > _PARALLEL
-    apex = target.copy()
-    apex[regular] = np.linalg.solve(planes[regular], offsets[regular, :, None])[:, :, 0]
-    room = np.clip(((apex - target) * normals).sum(axis=1), 0.0, size)
+    height = ((corners - target[:, None]) * normals[faces]).sum(axis=2)
+    slope = (outward[:, None] * normals[faces]).sum(axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(slope > 0, height / slope, np.inf).min(axis=1)
+    room = np.clip(room, 0.0, size)
     tree, taken = cKDTree(target), np.zeros(len(target), dtype=bool)
     chosen: list[int] = []
     for facet in np.argsort(-room, kind="stable"):
@@ -119,7 +114,7 @@ def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
         if not taken[facet]:
             chosen.append(int(facet))
             taken[tree.query_ball_point(target[facet], _APART * size[facet])] = True
-    return target[chosen], normals[chosen]
+    return target[chosen], outward[chosen]
 
 
 def _around(direction: Array, angle: Array) -> Array:

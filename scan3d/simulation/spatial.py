@@ -31,6 +31,9 @@ _BEYOND = 0.1
 # Arc length of a contact, in rod lengths, at which a sweep ends: the clamp comes close to the body, and the force grows without
 # limit.  Larger, parts of the body are left out; smaller, a rig would be damaged.
 _NEAREST = 0.2
+# Exponent by which the samples of aimed sweeps are denser at the touch-down.  Larger, the first contacts are lighter; smaller,
+# they lie farther from the place.
+_DENSE_AT_FIRST = 2
 # Path before the touch-down, in rod lengths, at which a sweep begins.
 _BEFORE = 1e-6
 
@@ -70,12 +73,15 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
     generator = np.random.default_rng([plan.seed, 2])
     further = 0 if plan.sweeps else round(_AIMED * 12 * per_direction / _ROUNDS)
     for number in range(_ROUNDS if further else 0):
-        contacts = np.concatenate([part.result.point[np.isfinite(part.result.s1)] for part in swept])
+        contacts, normals = (
+            np.concatenate([vectors[np.isfinite(part.result.s1)] for part, vectors in zip(swept, columns, strict=True)])
+            for columns in ([part.result.point for part in swept], [part.result.normal for part in swept])
+        )
         if len(contacts) < 4:
             break
         if progress is not None:
             progress(1 + number, 1 + _ROUNDS)
-        lines = aimed(contacts, further, generator)
+        lines = aimed(contacts, normals, further, generator)
         swept += _sweep(body, lines, plan, 1 + number)
     if progress is not None:
         progress(1 + _ROUNDS, 1 + _ROUNDS)
@@ -93,7 +99,9 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
     if not len(rows):
         return []
     begin, end = passage.begin[rows], passage.end[rows]
-    distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * np.linspace(0, 1, plan.samples)
+    # a sweep that is aimed at a place touches it at the beginning
+    spacing = np.linspace(0, 1, plan.samples) ** (_DENSE_AT_FIRST if number else 1)
+    distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * spacing
     position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
     # where rod and face are nearly parallel, the touch-down is found to some thousandths only, and may lie before the beginning
     again = passages(body, position[:, 0].T, y[:, rows], (position[:, -1] - position[:, 0]).T)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
@@ -31,6 +31,12 @@ _CUT = 1e-4
 # Fraction of the contacts that lie in plane faces of a body with edges.  Larger, bodies with small faces count as curved;
 # smaller, dense contacts of curved bodies count as faces.
 _IN_FACES = 0.05
+# Standard deviation of a normal, in radians, above which its contact does not count for a body with edges, if half of the
+# normals are better known.  Larger, contacts that the rod's radius displaces hide faces, and their tangent planes cut
+# corners off; smaller, curved parts of bodies with edges are coarse.
+_WELL_KNOWN = 1e-3
+# Contacts whose tangent planes limit the estimate of a place.  More take longer; fewer leave it higher.
+_BESIDE = 12
 # Tangent planes that are used at most.  More take longer; fewer leave curved parts of bodies with edges coarser.
 _TANGENT_PLANES = 6000
 # Sweeps with contacts that are needed before any is held out.  Larger, small scans are not judged by cross-validation;
@@ -96,7 +102,9 @@ def _curved(cloud: Cloud) -> Any:
     except QhullError:
         raise InputError("the contacts span no body") from None
     faces = qhull.simplices
-    ends = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    order = np.lexsort(sides.T)  # each edge is a side of two facets
+    ends, opposite = sides[order[::2]], faces[:, [2, 0, 1]].T.ravel()[order].reshape(-1, 2)
     chord = points[ends[:, 1]] - points[ends[:, 0]]
     turn = normals[ends[:, 1]] - normals[ends[:, 0]]
     mean = normals[ends].sum(axis=1)
@@ -115,12 +123,41 @@ def _curved(cloud: Cloud) -> Any:
         inside = (face[3] - points[ends] @ face[:3] <= _PLANE * _diagonal(cloud)).all(axis=1)
         rise[inside] = 0.0
     curved = rise > 0
-    middles = points[ends].mean(axis=1)[curved] + (rise[curved] / length[curved])[:, None] * mean[curved]
-    return hull(np.concatenate([points, middles]))
+    middle, outward = points[ends].mean(axis=1)[curved], mean[curved] / length[curved, None]
+    rise = np.minimum(rise[curved], _room(cloud, opposite[curved], middle, outward))
+    return hull(np.concatenate([points, middle + rise[:, None] * outward]))
+
+
+def _room(cloud: Cloud, opposite: Index, places: Array, outward: Array) -> Array:
+    """How far middles (n, 3) of edges can be moved along directions (n, 3) below the tangent planes of contacts beside them.
+
+    An edge may be long, and its ends turned by curvature that is near them only: the contacts nearest to its middle and those
+    opposite (n, 2) to the edge, in the facets on both sides, know better.
+    """
+    known = np.arange(len(cloud.points)) if cloud.normal_sd is None else _well_known(cloud)
+    number = min(_BESIDE, len(known))
+    near = known[cKDTree(cloud.points[known]).query(places, k=np.arange(1, number + 1))[1]]
+    room = np.full(len(places), np.inf)
+    for rows in np.column_stack([near, opposite]).T:
+        step = cloud.points[rows] - places
+        height, slope = (step * cloud.normals[rows]).sum(axis=1), (outward * cloud.normals[rows]).sum(axis=1)
+        if cloud.normal_sd is not None:
+            height += cloud.normal_sd[rows] * np.linalg.norm(step, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.minimum(room, np.where(slope > 0, np.maximum(height, 0.0) / slope, np.inf))
+    return room
+
+
+def _well_known(cloud: Cloud) -> Index:
+    """The contacts whose normals are well known, or the better half of all."""
+    assert cloud.normal_sd is not None
+    return np.flatnonzero(cloud.normal_sd <= max(_WELL_KNOWN, float(np.median(cloud.normal_sd))))
 
 
 def _with_edges(cloud: Cloud) -> Any:
     """The polytope of the plane faces, cut by the contacts' tangent planes."""
+    if cloud.normal_sd is not None:
+        cloud = cloud.select(_well_known(cloud))
     points, normals, diagonal = cloud.points, cloud.normals, _diagonal(cloud)
     faces = plane_faces(points, _PLANE * diagonal)
     in_face = (faces[:, 3, None] - faces[:, :3] @ points.T <= _PLANE * diagonal).any(axis=0)
