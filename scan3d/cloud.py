@@ -96,9 +96,13 @@ class Cloud(Shown):
     centre_points: Array | None = None
     """(n, 3) points of the rod's centre line at the contacts (spatial model): they lie on the surface of the body fattened by
     the rod's radius, and `points` are ``centre_points - rod_radius * normals``."""
+    centre_sd: Array | None = None
+    """(n,) standard deviation of each centre point in its least certain direction; None for exact data."""
     tangents: Array | None = None
     """(n, 3) unit tangents of the rod at the contacts, towards its tip (spatial model).  In tangential contact the whole line
     through the centre point along the tangent is free of the interior of the fattened body."""
+    tangent_sd: Array | None = None
+    """(n,) root of the mean square error of each tangent's direction, in radians; None for exact data."""
     bending_angle: Array | None = None
     """(n,) angle between the plane in which the rod bends and the plane of its sweep, in radians (spatial model)."""
     slip_to_path: Array | None = None
@@ -143,7 +147,9 @@ _PER_CONTACT = (
     "place_sd",
     "normal_sd",
     "centre_points",
+    "centre_sd",
     "tangents",
+    "tangent_sd",
     "bending_angle",
     "slip_to_path",
 )

@@ -239,3 +239,23 @@ def test_readings_tell_what_each_row_is(few):
     np.testing.assert_array_equal(known.touching, np.isfinite(points[:, 0]))
     assert np.abs(known.found.torsion).max() < 1e-12
     assert np.abs(known.found.skew).max() < 1e-12
+
+
+def test_under_noise_centre_points_and_tangents_have_errors_as_stated(few):
+    exact = scan3d.reconstruct(few[0])
+    assert exact.centre_sd is None
+    assert exact.tangent_sd is None
+    recording, points, _ = recorded(0.3, diameter=0.01, noise=(1e-4, 1e-4), substeps=10, **FEW)
+    cloud = scan3d.reconstruct(recording)
+    without, points_without, _ = recorded(0.3, diameter=0.01, substeps=10, **FEW)
+    true = scan3d.reconstruct(without)
+    # both clouds leave out rows without contact, and under noise light touches as well
+    both, here, there = np.intersect1d(cloud.row, true.row, return_indices=True)
+    np.testing.assert_array_equal(points, points_without)
+    assert len(both) > 0.8 * len(true)
+    turned = angles(cloud.tangents[here], true.tangents[there])
+    assert np.sqrt(np.mean((turned / cloud.tangent_sd[here]) ** 2)) == pytest.approx(1, abs=0.1)
+    moved = np.linalg.norm(cloud.centre_points - points[cloud.row], axis=1)
+    assert 0.4 < np.sqrt(np.mean((moved / cloud.centre_sd) ** 2)) < 1.5
+    # the rod's radius adds the errors of the normals
+    assert (cloud.place_sd >= cloud.centre_sd).all()

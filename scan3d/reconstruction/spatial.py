@@ -99,10 +99,10 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
     rod, scale, found, error = recording.rod, UNITS_M[recording.unit], known.found, known.error
     n, length = len(rows), rod.length_m / scale
     points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[rows], axes)
-    covariance = place_sd = None
+    covariance = place_sd = tangent_sd = None
     if error is not None:
         covariance = length**2 * np.einsum("nik,nij,njl->nkl", axes, error.point[rows], axes)
-        place_sd = length * error.largest[rows]
+        place_sd, tangent_sd = length * error.largest[rows], error.tangent[rows]
     pose = noise_of(recording)
     return Cloud(
         points=points,
@@ -128,6 +128,8 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         model="spatial",
         rod_radius=rod.diameter_m / 2 / scale,
         centre_points=points,
+        centre_sd=place_sd,
+        tangent_sd=tangent_sd,
         tangents=np.einsum("ni,nij->nj", found.tangent[rows], axes),
         bending_angle=found.bending_angle[rows],
         independent=pose.independent,

@@ -46,8 +46,8 @@ from scan3d.surfaces.tangent_planes import Apexes, best_apexes
 # Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave.
 # Larger, the bounds of exact contacts widen; smaller, they would no longer be certain.
 _EXACT = 2e-9
-# Error of a tangent, in radians, of a contact whose place is off by one rod length.  A rod that is off by d at its tip, where
-# bending sets in at half its length, has turned by no more than 6 d per length.
+# Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
+# A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
 # Radius of the ball within which tangents' errors are allowed for, in sizes of the contacts.  Larger, the planes are moved
 # farther out; smaller, apexes of sparse contacts lie outside.
@@ -105,23 +105,31 @@ def spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> 
     errors = np.full(len(cloud), _EXACT * cloud.rod_length + cloud.pose_error if margin is None else margin)
     noisy = margin is None and cloud.place_sd is not None
     if not noisy:
-        return _by_contacts(cloud, errors, 1.0)
+        turns = np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
+        return _by_contacts(cloud, errors, turns, 1.0)
     assert cloud.place_sd is not None
-    errors += sigmas(len(cloud), confidence) * cloud.place_sd
+    kappa = sigmas(len(cloud), confidence)
+    errors += kappa * (cloud.place_sd if cloud.centre_sd is None else cloud.centre_sd)
+    turns = _TURN * errors / cloud.rod_length if cloud.tangent_sd is None else _EXACT + kappa * cloud.tangent_sd
     candidates = []
     for quantile in _QUANTILES:
-        kept = errors <= np.quantile(errors, quantile)
-        candidates.append(_by_contacts(cloud.select(kept), errors[kept], confidence))
+        kept = (errors <= np.quantile(errors, quantile)) & (turns <= np.quantile(turns, quantile))
+        if kept.any():
+            candidates.append(_by_contacts(cloud.select(kept), errors[kept], turns[kept], confidence))
     return min(candidates, key=lambda candidate: candidate.bound)
 
 
-def _by_contacts(cloud: Cloud, errors: Array, confidence: float) -> SpatialEnclosure:
-    """The enclosure by all contacts of a cloud, whose places have errors (n,) of at most so much."""
+def _by_contacts(cloud: Cloud, errors: Array, turns: Array, confidence: float) -> SpatialEnclosure:
+    """The enclosure by all contacts of a cloud.
+
+    errors, turns
+        (n,) the largest errors of their places, and of their tangents in radians.
+    """
     assert cloud.centre_points is not None
     centre_hull = hull(cloud.centre_points)
     margin, radius = float(errors.max()), cloud.rod_radius
     inner = _inner_body(cloud, centre_hull)
-    tangent = _tangent_planes(cloud, errors)
+    tangent = _tangent_planes(cloud, errors, turns)
     apexes = _best_apexes(tangent, centre_hull)
     directions, support = np.empty((0, 3)), np.empty(0)
     if apexes is None:
@@ -131,7 +139,7 @@ def _by_contacts(cloud: Cloud, errors: Array, confidence: float) -> SpatialEnclo
         is_open = apexes.open
         corners = np.unique(tangent.to_world(apexes.cover.apexes[~is_open].reshape(-1, 3)), axis=0)
         middles = tangent.to_world(apexes.cover.nominal)
-    bodies = ((centre_hull, radius + margin), *_bodies_by_intervals(cloud, tangent, errors, radius))
+    bodies = ((centre_hull, radius + margin), *_bodies_by_intervals(cloud, tangent, errors, turns))
     gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
     excess = max(float(_sticking_out(_vertices(inner), bodies).max()), margin)
     unbounded = bool(is_open.any())
@@ -221,8 +229,8 @@ class _TangentPlanes(NamedTuple):
         return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
 
 
-def _tangent_planes(cloud: Cloud, errors: Array) -> _TangentPlanes:
-    """The supporting planes of a cloud whose places have errors (n,) of at most so much."""
+def _tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> _TangentPlanes:
+    """The supporting planes of a cloud with errors (n,) of its places, and of its tangents in radians."""
     assert cloud.centre_points is not None
     assert cloud.tangents is not None
     centre, shape = inertia(cloud.centre_points)
@@ -231,7 +239,7 @@ def _tangent_planes(cloud: Cloud, errors: Array) -> _TangentPlanes:
     rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
     # the map stretches errors by no more than its largest factor, and angles by no more than its condition
     stretched = errors * float(np.linalg.norm(to_frame, 2))
-    turns = _turns(cloud, errors)[rows] * float(np.linalg.cond(shape))
+    turns = turns[rows] * float(np.linalg.cond(shape))
     vertices, edges = edges_of(ConvexHull(points))
     intervals = normal_intervals(
         points[rows], tangents[rows], stretched[rows], turns, points[vertices], stretched[vertices], edges
@@ -245,11 +253,6 @@ def _tangent_planes(cloud: Cloud, errors: Array) -> _TangentPlanes:
     with np.errstate(invalid="ignore"):
         outwards = (moved / np.cos(intervals.half_width))[:, None] * intervals.middle
     return _TangentPlanes(SupportingPlanes(points[rows] + outwards, *intervals), rows, centre, shape, ball)
-
-
-def _turns(cloud: Cloud, errors: Array) -> Array:
-    """Largest errors (n,) of the tangents, in radians; 0 for exact contacts."""
-    return np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
 
 
 def _unit(vectors: Array) -> Array:
@@ -268,14 +271,15 @@ def _best_apexes(tangent: _TangentPlanes, centre_hull: Any) -> Apexes | None:
 
 
 def _bodies_by_intervals(
-    cloud: Cloud, tangent: _TangentPlanes, errors: Array, radius: float
+    cloud: Cloud, tangent: _TangentPlanes, errors: Array, turns: Array
 ) -> Iterator[tuple[Any, float]]:
     """Hulls of the points of the surface that follow from the intervals of the normals, and how far they may stick out."""
+    radius = cloud.rod_radius
     if not radius:
         return
     assert cloud.centre_points is not None
     normals, angle = tangent.normals()
-    turn, margin = float(_turns(cloud, errors).max()), float(errors.max())
+    turn, margin = float(turns.max()), float(errors.max())
     points = cloud.centre_points[tangent.rows] - radius * normals
     for widest in _WIDEST:
         narrow = angle <= widest

@@ -13,7 +13,7 @@ because the rod does not reach it or the samples pass it by, counts as empty, an
 poses: digits of the poses that are coarser than 1e-4 rod lengths are taken for those of a plan, and for exact; and slices that
 are closer than those digits count as one.
 
-Scans in space have all their digits.  Their contacts lie off the surface by what the normals' errors make of the rod's radius, so
+Scans in space have all their digits.  Their contacts lie off the surface by what errors of the normals make of the radius, so
 that the inner body is asked for its bound only.
 """
 
