@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from scan3d.cli import rig
 from scan3d.cli.settings import Settings, settings
 from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
 from scan3d.errors import InputError
@@ -60,9 +61,15 @@ def simulate(arguments: Namespace) -> int:
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
+    rig.check_rig_options(arguments)
     chosen = _settings(arguments)
     if arguments.print_config:
         return _print_config(chosen)
+    if arguments.poses:
+        data, text, warnings = rig.simulate_rig(arguments, chosen)
+        for warning in warnings:
+            _say(f"warning: {warning}")
+        return _print(arguments, data, text)
     check_path(arguments.out)
     inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
     check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
@@ -78,6 +85,11 @@ def simulate(arguments: Namespace) -> int:
     }
     text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
     return _print(arguments, data, text)
+
+
+def plan(arguments: Namespace) -> int:
+    """Poses for a body that nobody knows yet."""
+    return _print(arguments, *rig.plan(arguments))
 
 
 def reconstruct(arguments: Namespace) -> int:
@@ -258,6 +270,7 @@ def completion(arguments: Namespace) -> int:
 VERBS: dict[str, Callable[[Namespace], int]] = {
     "scan": scan,
     "simulate": simulate,
+    "plan": plan,
     "reconstruct": reconstruct,
     "compare": compare,
     "show": show,

@@ -1,0 +1,181 @@
+"""The commands for a rig: poses for a body that nobody knows yet, and the log of a rig that is computed."""
+
+from __future__ import annotations
+
+import dataclasses
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scan3d.cli.settings import Settings, UsageError
+from scan3d.cli.terminal import printable
+from scan3d.errors import InputError
+from scan3d.rods import parse_rod
+
+if TYPE_CHECKING:
+    from scan3d.simulation.rig import RawLog
+
+# Settings of a simulated scan that do not concern a rig with given poses, with what to do instead.
+_SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "standoff", "tolerance", "noise", "method")
+
+
+def plan(arguments: Namespace) -> tuple[dict[str, Any], str]:
+    """Write poses for an unknown body; returns the data for --json and the text."""
+    from scan3d.files.atomic import folder
+    from scan3d.files.poses import check_poses, write_poses
+    from scan3d.planning.envelopes import parse_envelope
+    from scan3d.planning.rig_plan import FORCE_FACTOR, RigPlan, plan_poses
+
+    check_poses(arguments.out, arguments.overwrite)
+    try:
+        chosen = RigPlan(
+            around=parse_envelope(arguments.around),
+            model=arguments.model,
+            slices=arguments.slices,
+            sweeps=arguments.sweeps,
+            samples=arguments.samples,
+            rod=parse_rod(arguments.rod),
+            clearance=arguments.clearance,
+            max_force_N=arguments.max_force,
+            floor=arguments.floor,
+            workspace=parse_envelope(arguments.workspace) if arguments.workspace else None,
+            speed=arguments.speed,
+            unit=arguments.unit,
+        )
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    poses = plan_poses(chosen)
+    with folder(Path(arguments.out).parent):
+        write_poses(poses, arguments.out)
+    rod, clearance = chosen.resolved_rod(), chosen.resolved_clearance()
+    seconds, largest = float(poses.times()[-1]), FORCE_FACTOR * rod.force_unit_N / clearance**2
+    data = {
+        "poses": str(arguments.out),
+        "sweeps": len(poses.sweeps()),
+        "rows": len(poses),
+        "seconds": seconds,
+        "clearance": clearance,
+        "largest_force_N": largest,
+        "rod": {
+            "length_m": rod.length_m,
+            "bending_stiffness_Nm2": rod.bending_stiffness_Nm2,
+            "diameter_m": rod.diameter_m,
+        },
+    }
+    text = (
+        f"{data['sweeps']} sweeps with {data['rows']} poses, {seconds / 60:.0f} minutes, for a rod of "
+        f"{1000 * rod.length_m:.4g} mm with {1000 * rod.diameter_m:.3g} mm diameter; forces stay below "
+        f"{largest:.3g} N; written to {data['poses']}"
+    )
+    return data, printable(text)
+
+
+def check_rig_options(arguments: Namespace) -> None:
+    """Raise UsageError for options that would have no effect."""
+    if arguments.poses is None:
+        for name in ("faults", "placed", "as_is"):
+            if getattr(arguments, name):
+                raise UsageError(f"--{name.replace('_', '-')} is for a rig: give --poses FILE as well")
+        return
+    given = [name for name in _SCAN_ONLY if name in vars(arguments)]
+    if given:
+        instead = "noise belongs into --faults" if given == ["noise"] else "give it to scan3d plan, or leave it out"
+        raise UsageError(f"--{given[0]} is a setting of a scan, and --poses says where the clamp goes; {instead}")
+
+
+def simulate_rig(arguments: Namespace, chosen: Settings) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+    """Write the log of a rig that goes through a list of poses; returns data, text, and warnings."""
+    from scan3d.files.atomic import folder
+    from scan3d.files.poses import read_poses
+    from scan3d.files.raw_logs import map_path
+    from scan3d.simulation import rig
+    from scan3d.simulation.bodies import load_mesh
+    from scan3d.simulation.faults import read_faults
+
+    plan = chosen.plan()
+    _check_files(arguments)
+    poses = read_poses(arguments.poses)
+    faults = read_faults(arguments.faults) if arguments.faults else None
+    body = load_mesh(arguments.mesh, hull=chosen.hull)
+    body = body if arguments.as_is else rig.standing(body)
+    log = rig.simulate_rig(
+        body,
+        poses,
+        faults=faults,
+        rod=plan.rod,
+        model=chosen.model if "model" in vars(arguments) else None,
+        friction=plan.friction_range,
+        accuracy=plan.accuracy,
+        seed=plan.seed,
+        unit=plan.unit,
+    )
+    origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
+    log = dataclasses.replace(log, source=log.source | origin)
+    with folder(Path(arguments.out).parent):
+        _write(log, arguments.out)
+        if arguments.placed:
+            _write_placed(body, plan.unit, arguments.placed)
+    data: dict[str, Any] = {
+        "log": str(arguments.out),
+        "rows": len(log),
+        "sweeps": len(poses.sweeps()),
+        "seconds": float(log.time_s[-1]),
+        "moved": log.source.get("moved"),
+        "warnings": list(log.warnings),
+    }
+    beside = ""
+    if faults is not None:
+        data["map"] = str(map_path(arguments.out))
+        beside = f", with the map {data['map']}"
+    text = f"{data['rows']} rows of {data['sweeps']} sweeps, written to {data['log']}{beside}"
+    return data, printable(text), log.warnings
+
+
+def _check_files(arguments: Namespace) -> None:
+    """Raise InputError for files that must not be written."""
+    from scan3d.files.ownership import check_file, check_recording
+    from scan3d.files.raw_logs import check_log
+    from scan3d.files.recordings import check_path, sidecar
+
+    check_path(arguments.out)
+    inputs = {"mesh": arguments.mesh, "list of poses": arguments.poses, "file of faults": arguments.faults}
+    inputs |= {"TOML file of the poses": sidecar(arguments.poses), "file of settings": arguments.config}
+    if arguments.faults:
+        check_log(arguments.out, inputs, arguments.overwrite)
+    else:
+        check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
+    if arguments.placed:
+        if Path(arguments.placed).suffix != ".ply":
+            raise InputError(f"the placed mesh is written as .ply, got {Path(arguments.placed).name!r}")
+        check_file(arguments.placed, inputs, arguments.overwrite, "--placed")
+
+
+def _write(log: RawLog, path: str) -> None:
+    import numpy as np
+
+    from scan3d.files.raw_logs import RAW_COLUMNS, write_exact_log, write_log
+
+    if log.faults is None:
+        write_exact_log(log.recording(slice(None)), log.time_s, log.move, path)
+        return
+    values = [log.time_s, *(1000 * log.position_m.T), *log.quaternion.T, *log.wrench.T[:3], *(1000 * log.wrench.T[3:])]
+    columns = dict(zip(RAW_COLUMNS, [*map(np.asarray, values), log.sweep], strict=True))
+    nominal = log.faults.nominal
+    sensor = {
+        "position_mm": list(nominal.position_mm),
+        "euler_deg": list(nominal.euler_deg),
+        "shows": log.faults.shows,
+    }
+    write_log(columns, dataclasses.asdict(log.rod), sensor, path)
+
+
+def _write_placed(body: Any, unit: str, path: str) -> None:
+    """Write a mesh with coordinates of double precision."""
+    import numpy as np
+
+    from scan3d.files.atomic import write_atomic
+    from scan3d.files.ply import ply
+
+    vertices = np.asarray(body.vertices, dtype=float)
+    table = np.array(list(map(tuple, vertices)), dtype=[(name, "f8") for name in "xyz"])
+    write_atomic(path, ply(table, np.asarray(body.faces), comments=("scan3d surface", f"unit {unit}")), "--placed")

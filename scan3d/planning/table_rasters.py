@@ -1,0 +1,136 @@
+"""Rasters of straight sweeps in space about a body on a table: from those directions of `rasters` that lie above it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from scan3d.arrays import Array
+from scan3d.planning.rasters import icosahedron
+
+# How far the clamp may be drawn back along the rod, in rod lengths, so that the rod's tip stays above the table, and the
+# largest distance of the clamp from the body along the rod.  Larger, sweeps hardly reach the body; smaller, steep ones are
+# left out.
+_RAISED, _FARTHEST = 0.3, 0.9
+# Places about a line at which the width of the body is looked up.
+_PLACES = 17
+
+
+class Line(NamedTuple):
+    """A straight sweep: where it begins and ends (3,), and the clamp's axes (3, 3) as rows."""
+
+    start: Array
+    end: Array
+    axes: Array
+
+
+class _Raster(NamedTuple):
+    """What the lines from one direction have in common; lengths in the user's unit."""
+
+    points: Array
+    """(n, 3) in which the body lies."""
+    along: Array
+    """(3,) of the rod, which points down."""
+    length: float
+    clearance: float
+    margin: float
+    beyond: float
+    """How far the clamp goes on past the body."""
+    floor: float
+
+
+def rasters_above(
+    points: Array, count: int, length: float, distances: tuple[float, float, float], floor: float
+) -> list[Line]:
+    """About `count` lines from each direction above the table.
+
+    points (n, 3)
+        corners of a polyhedron in which the body lies.
+    length
+        of the rod, in the unit of the points.
+    distances
+        in rod lengths: of the clamp from the body along the rod, of the rod from the body at both ends of the line, and how far
+        the clamp goes on past the body.
+    floor
+        height above which clamp and straight rod stay.
+
+    The first lines of a direction move across the slope of the rod and up and down along it, the others level.  A line whose
+    rod would hit the table is drawn back along the rod; one that then does not reach the body is left out.
+    """
+    clearance, margin, beyond = (length * part for part in distances)
+    found = []
+    for direction in icosahedron():
+        if direction[2] <= 0:
+            continue
+        raster = _Raster(points, -direction, length, clearance, margin, beyond, floor)
+        level = np.cross([0.0, 0.0, 1.0], raster.along)
+        level /= np.linalg.norm(level)
+        slope = np.cross(raster.along, level)
+        widths = [float(np.ptp(points @ axis)) for axis in (level, slope)]
+        number = max(1, round(count * widths[0] / sum(widths)))
+        first = _lines(raster, level, slope, number)
+        found += first + _lines(raster, slope, level, max(1, count - len(first)))
+    return found
+
+
+def _lines(raster: _Raster, spread: Array, moved: Array, number: int) -> list[Line]:
+    """`number` lines in the direction `moved`, every other one backwards, next to each other in the direction `spread`."""
+    place = raster.points @ spread
+    middle = raster.points.mean(axis=0)
+    depth = (raster.points @ raster.along).min() - raster.clearance
+    base = middle + (depth - middle @ raster.along) * raster.along
+    lowest = place.min()
+    if spread[2] > 0 and moved[2] == 0:
+        # lower lines would have to be drawn back too far
+        tip = base[2] + raster.length * raster.along[2] - (base @ spread) * spread[2]
+        lowest = max(lowest, (raster.floor + _RAISED * raster.length * raster.along[2] - tip) / spread[2])
+    found = []
+    for k, part in enumerate((1 - np.cos(np.pi * (np.arange(number) + 0.5) / number)) / 2):
+        offset = lowest + part * (place.max() - lowest)
+        high, low = _extent(raster, spread, moved, offset)
+        x = -moved if k % 2 else moved
+        ends = (high + raster.margin, low - raster.margin - raster.beyond)
+        if k % 2:
+            ends = (low - raster.margin, high + raster.margin + raster.beyond)
+        origin = base + (offset - base @ spread) * spread
+        start, end = (origin + (value - origin @ moved) * moved for value in ends)
+        lowest_point = min(start[2], end[2]) + raster.length * raster.along[2]
+        raised = max(raster.floor - lowest_point, 0.0) / -raster.along[2]
+        if raster.clearance + raised > _FARTHEST * raster.length:
+            continue
+        axes = np.stack([x, raster.along, np.cross(x, raster.along)])
+        found.append(Line(start - raised * raster.along, end - raised * raster.along, axes))
+    return found
+
+
+def _extent(raster: _Raster, spread: Array, moved: Array, offset: float) -> tuple[float, float]:
+    """Largest and smallest coordinate along `moved` of the body near a line at an offset along `spread`."""
+    figure = np.stack([raster.points @ spread, raster.points @ moved], axis=1)
+    corners = figure[ConvexHull(figure).vertices]
+    at = np.clip(offset + raster.margin * np.linspace(-1, 1, _PLACES), corners[:, 0].min(), corners[:, 0].max())
+    ends = []
+    for sign in (1.0, -1.0):
+        # the chain of corners that lies above, or below, the line through both ends of the figure
+        order = np.lexsort((-sign * corners[:, 1], corners[:, 0]))
+        chain = _chain(corners[order], sign)
+        ends.append(sign * (sign * np.interp(at, chain[:, 0], chain[:, 1])).max())
+    return ends[0], ends[1]
+
+
+def _chain(corners: Array, sign: float) -> Array:
+    """The upper (sign 1) or lower (-1) border of a convex figure as a polyline, from its corners in order of their places."""
+    kept: list[Array] = []
+    for corner in corners:
+        if kept and kept[-1][0] == corner[0]:
+            continue
+        while len(kept) >= 2 and _turn(kept[-2], kept[-1], corner) * sign >= 0:
+            kept.pop()
+        kept.append(corner)
+    return np.array(kept)
+
+
+def _turn(first: Array, second: Array, third: Array) -> float:
+    a, b = second - first, third - second
+    return float(a[0] * b[1] - a[1] * b[0])
