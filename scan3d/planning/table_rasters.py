@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.segments import segments_meet
 from scan3d.planning.rasters import icosahedron
 
-# How far the clamp may be drawn back along the rod, in rod lengths, so that the rod's tip stays above the table, and the
-# largest distance of the clamp from the body along the rod.  Larger, sweeps hardly reach the body; smaller, steep ones are
-# left out.
-_RAISED, _FARTHEST = 0.3, 0.9
+# How far the clamp may be drawn back along the rod, in rod lengths, so that the rod's tip stays above the table, for the lowest
+# of the level lines.  Larger, they hardly reach the body; smaller, more of its foot is left out.
+_RAISED = 0.3
+# Part of the rod, from its tip, that must enter the body somewhere on a line, and the places where that is looked up.  Smaller,
+# sweeps are made in which only the tip can touch; larger, steep ones are left out.
+_LEAST, _PLACES_ALONG = 0.1, 65
 # Places about a line at which the width of the body is looked up.
 _PLACES = 17
 
@@ -29,8 +33,10 @@ class Line(NamedTuple):
 class _Raster(NamedTuple):
     """What the lines from one direction have in common; lengths in the user's unit."""
 
+    body: Any
+    """A convex `trimesh.Trimesh` around the body."""
     points: Array
-    """(n, 3) in which the body lies."""
+    """(n, 3) in which it lies."""
     along: Array
     """(3,) of the rod, which points down."""
     length: float
@@ -60,11 +66,12 @@ def rasters_above(
     rod would hit the table is drawn back along the rod; one that then does not reach the body is left out.
     """
     clearance, margin, beyond = (length * part for part in distances)
+    body = hull(points)
     found = []
     for direction in icosahedron():
         if direction[2] <= 0:
             continue
-        raster = _Raster(points, -direction, length, clearance, margin, beyond, floor)
+        raster = _Raster(body, points, -direction, length, clearance, margin, beyond, floor)
         level = np.cross([0.0, 0.0, 1.0], raster.along)
         level /= np.linalg.norm(level)
         slope = np.cross(raster.along, level)
@@ -98,11 +105,18 @@ def _lines(raster: _Raster, spread: Array, moved: Array, number: int) -> list[Li
         start, end = (origin + (value - origin @ moved) * moved for value in ends)
         lowest_point = min(start[2], end[2]) + raster.length * raster.along[2]
         raised = max(raster.floor - lowest_point, 0.0) / -raster.along[2]
-        if raster.clearance + raised > _FARTHEST * raster.length:
-            continue
         axes = np.stack([x, raster.along, np.cross(x, raster.along)])
-        found.append(Line(start - raised * raster.along, end - raised * raster.along, axes))
+        line = Line(start - raised * raster.along, end - raised * raster.along, axes)
+        if _reaches(raster, line):
+            found.append(line)
     return found
+
+
+def _reaches(raster: _Raster, line: Line) -> bool:
+    """Whether the straight rod enters the body by a part of its length somewhere on the line."""
+    places = line.start + np.linspace(0, 1, _PLACES_ALONG)[:, None] * (line.end - line.start)
+    along = np.broadcast_to(raster.along, places.shape)
+    return bool(segments_meet(raster.body, places, along, (1 - _LEAST) * raster.length).any())
 
 
 def _extent(raster: _Raster, spread: Array, moved: Array, offset: float) -> tuple[float, float]:

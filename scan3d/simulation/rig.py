@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.meshes import check_body
+from scan3d.geometry.segments import segments_meet
 from scan3d.memory import check_memory
 from scan3d.poses import Move, PoseList
 from scan3d.recording import Recording
@@ -28,7 +29,6 @@ from scan3d.simulation.rig_contact import (
     Track,
     planar_contact,
     spatial_contact,
-    straight_touches,
     way_touches,
 )
 from scan3d.units import UNITS_M
@@ -240,7 +240,7 @@ def _check_begins(mesh: Any, tracks: list[Track], length: float, radius: float) 
     """Raise InputError if the rod lies in the body where a sweep begins."""
     start = np.array([track.position[0] for track in tracks])
     along = np.array([track.axes[0, 1] for track in tracks])
-    touches = straight_touches(mesh, start, along, length, radius)
+    touches = segments_meet(mesh, start, along, length, radius)
     if touches.any():
         raise InputError(
             f"the rod lies in the body where {touches.sum()} of {len(tracks)} sweeps begin, first sweep "

@@ -12,6 +12,7 @@ import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_polygons
+from scan3d.geometry.segments import segments_meet
 from scan3d.spatial.polyhedra import RoundedPolyhedron
 from scan3d.spatial.results import End
 from scan3d.spatial.sweeping import sweep
@@ -25,10 +26,8 @@ _AT_ONCE_PLANAR, _AT_ONCE = 16, 128
 # Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The reactions in between are
 # interpolated, with errors of some 1e-5 of them.  Larger, a sensor would notice; smaller, a log at 1 kHz takes long.
 _STEP = 0.0025
-# Fastest sampling of straight rods on their paths outside of sweeps, in rod lengths, and rods that are tested at once.
-_LOOKED_AT, _RODS_AT_ONCE = 0.02, 128
-# Depth in rod lengths below which a straight rod does not count as touching.
-_ROUNDING = 1e-9
+# Distance of the places, in rod lengths, at which straight rods are looked at on their paths outside of sweeps.
+_LOOKED_AT = 0.02
 
 
 class Track(NamedTuple):
@@ -216,33 +215,6 @@ def _between(at: Array, values: Array, touches: Mask, joined: Mask, rows: int) -
     return mixed, np.where(part > 0, touches[before + 1], touches[before])
 
 
-def straight_touches(mesh: Any, position: Array, along: Array, length: float, radius: float) -> Mask:
-    """Which straight rods (n,) touch the body; lengths in the mesh's unit.
-
-    The body is fattened by the rod's radius by moving its faces outwards, which at edges is more than the rod needs.
-    """
-    normals, corner = np.asarray(mesh.face_normals), np.asarray(mesh.triangles)[:, 0]
-    offset = (normals * corner).sum(axis=1) + radius - _ROUNDING * length
-    middle, reach = mesh.bounds.mean(axis=0), float(np.linalg.norm(mesh.extents)) / 2 + radius
-    nearest = np.clip(((middle - position) * along).sum(axis=1), 0.0, length)
-    near = np.linalg.norm(position + nearest[:, None] * along - middle, axis=1) < reach
-    touches = np.zeros(len(position), dtype=bool)
-    rows = np.flatnonzero(near)
-    for first in range(0, len(rows), _RODS_AT_ONCE):
-        part = rows[first : first + _RODS_AT_ONCE]
-        touches[part] = _crosses(position[part] @ normals.T - offset, length * (along[part] @ normals.T))
-    return touches
-
-
-def _crosses(height: Array, change: Array) -> Mask:
-    """Which segments (n,) pass below all planes (f,), whose heights (n, f) at their beginnings change by (n, f)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        place = -height / change
-    enter = np.where(change < 0, place, np.where((change == 0) & (height > 0), np.inf, -np.inf)).max(axis=1)
-    leave = np.where(change > 0, place, np.inf).min(axis=1)
-    return np.asarray(np.maximum(enter, 0.0) < np.minimum(leave, 1.0))
-
-
 def way_touches(mesh: Any, position: Array, axes: Array, length: float, radius: float) -> Mask:
     """(n - 1,) in which steps between poses (n) a straight rod touches the body on its way."""
     turns = Rotation.from_matrix(np.swapaxes(axes, 1, 2))
@@ -253,5 +225,5 @@ def way_touches(mesh: Any, position: Array, axes: Array, length: float, radius: 
     part = (np.arange(len(step)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[step]
     place = position[step] + part[:, None] * (position[step + 1] - position[step])
     along = (turns[step] * Rotation.from_rotvec(part[:, None] * vector[step])).as_matrix()[:, :, 1]
-    touches = straight_touches(mesh, place, along, length, radius)
+    touches = segments_meet(mesh, place, along, length, radius)
     return np.asarray(np.bincount(step, touches, minlength=len(count)) > 0)
