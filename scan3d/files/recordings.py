@@ -157,7 +157,12 @@ def _read_table(path: Path) -> dict[str, Array]:
 
 
 def _sweeping(path: Path, body: list[tuple[int, list[str]]], column: int) -> list[tuple[int, list[str]]]:
-    """The rows in which the clamp sweeps; in the others it approaches or retracts.  Raises InputError for other moves."""
+    """The rows in which the clamp sweeps; in the others it approaches or retracts.  Raises InputError for other moves.
+
+    A column without any sweep is not that of a rig: all rows are read.
+    """
+    if not any(line[column].strip() == _MOVES[Move.SWEEP] for _, line in body):
+        return body
     for number, line in body:
         if line[column].strip() not in _MOVES:
             raise InputError(

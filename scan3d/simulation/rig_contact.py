@@ -24,7 +24,8 @@ _AXIS_DECIMALS = 12
 # Sweeps that are computed at once.  More keep one another company in the rounds of the solution; fewer take less memory.
 _AT_ONCE_PLANAR, _AT_ONCE = 16, 128
 # Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The reactions in between are
-# interpolated, with errors of some 1e-5 of them.  Larger, a sensor would notice; smaller, a log at 1 kHz takes long.
+# interpolated; contacts from them are off by some 1e-5 rod lengths, and next to snaps by a step.  Larger, a sensor would
+# notice; smaller, a log at 1 kHz takes long.
 _STEP = 0.0025
 # Distance of the places, in rod lengths, at which straight rods are looked at on their paths outside of sweeps.
 _LOOKED_AT = 0.02
@@ -206,13 +207,22 @@ def _swept(
 
 
 def _between(at: Array, values: Array, touches: Mask, joined: Mask, rows: int) -> tuple[Array, Mask]:
-    """Values (n, k) at the rows from those at places `at` (m,); where two places are not joined, those of the place before."""
+    """Values (n, k) at the rows from those at places `at` (m,), between which they are smooth where two places are `joined`.
+
+    From the place before a touch-down to the first place that touches, and likewise at a lift-off, nothing touches; on both
+    sides of a snap the values are those of the nearest place.
+    """
     row = np.arange(rows, dtype=float)
     before = np.minimum(np.searchsorted(at, row, side="right") - 1, len(at) - 2)
-    part = np.where(joined[before], (row - at[before]) / (at[before + 1] - at[before]), 0.0)
+    part = (row - at[before]) / (at[before + 1] - at[before])
+    part = np.where(joined[before], part, np.round(part))
     part[-1] = 1.0
     mixed = (1 - part[:, None]) * values[before] + part[:, None] * values[before + 1]
-    return mixed, np.where(part > 0, touches[before + 1], touches[before])
+    exact = np.isin(row, at)
+    touching = np.where(exact & (part == 0), touches[before], touches[before] & touches[before + 1])
+    touching[-1] = touches[-1]
+    mixed[~touching] = 0.0
+    return mixed, touching
 
 
 def way_touches(mesh: Any, position: Array, axes: Array, length: float, radius: float) -> Mask:
