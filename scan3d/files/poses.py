@@ -31,6 +31,7 @@ _MOVES = {move.name.lower(): move for move in Move}
 _NAMES = ("schema", "unit", "model", "speed_m_s", "rod", "source")
 # Memory per byte of a table while it is read.
 _MEMORY_PER_BYTE = 12
+_YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
 _NANOSECONDS = 10**9
 
 
@@ -56,7 +57,16 @@ def write_poses(poses: PoseList, path: str | Path) -> None:
     Raises InputError if they can't be written.
     """
     path = Path(path)
-    text = to_yaml(poses) if path.suffix == ".yaml" else _to_csv(poses)
+    _write(path, to_yaml(poses) if path.suffix == ".yaml" else _to_csv(poses), poses)
+
+
+def write_header(poses: PoseList, path: str | Path) -> None:
+    """Write a list without poses, where nothing is left to be swept; its TOML file is that of `poses`."""
+    path = Path(path)
+    _write(path, _YAML_HEADER + "points: []\n" if path.suffix == ".yaml" else header(), poses)
+
+
+def _write(path: Path, text: str, poses: PoseList) -> None:
     meta: dict[str, Any] = {
         "schema": _SCHEMA,
         "unit": poses.unit,
@@ -88,7 +98,7 @@ def _to_csv(poses: PoseList) -> str:
 def to_yaml(poses: PoseList) -> str:
     """The poses as points with times, named as in trajectory_msgs/JointTrajectory and geometry_msgs/PoseStamped of ROS 2."""
     names = {int(move): name for name, move in _MOVES.items()}
-    lines = ["header:", "  stamp: {sec: 0, nanosec: 0}", "  frame_id: world", "points:"]
+    lines = [f"{_YAML_HEADER}points:"]
     numbers = zip(poses.position_m.tolist(), poses.quaternion.tolist(), strict=True)
     for (position, turn), time, sweep, move in zip(
         numbers, poses.times().tolist(), poses.sweep.tolist(), poses.move.tolist(), strict=True

@@ -88,12 +88,12 @@ def aimed(contacts: Array, count: int, generator: np.random.Generator) -> Lines:
     The rod comes down on such a place along its normal, lying across it: it touches there first, wherever it slides afterwards.
     Lengths are in rod lengths.
     """
-    target, normal = _open_places(contacts, count)
+    target, normal = open_places(contacts, count)
     y = _around(normal, generator.uniform(0, 2 * np.pi, len(target)))
     return Lines(target - _TOUCHED * y, np.stack([normal, y, np.cross(normal, y)], axis=1))
 
 
-def _open_places(contacts: Array, count: int) -> tuple[Array, Array]:
+def open_places(contacts: Array, count: int) -> tuple[Array, Array]:
     """Points and normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
 
     The room above a facet is the height of the point in which the planes of its three neighbours meet.

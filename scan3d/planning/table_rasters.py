@@ -18,6 +18,9 @@ _RAISED = 0.3
 # Part of the rod, from its tip, that must enter the body somewhere on a line, and the places where that is looked up.  Smaller,
 # sweeps are made in which only the tip can touch; larger, steep ones are left out.
 _LEAST, _PLACES_ALONG = 0.1, 65
+# Directions of the rod that are tried for a place to which a sweep is aimed, and the sine of the slope by which it must at
+# least point down.
+_TRIED, _LEVEL = 16, 0.02
 # Places about a line at which the width of the body is looked up.
 _PLACES = 17
 
@@ -82,12 +85,51 @@ def rasters_above(
     return found
 
 
-def _lines(raster: _Raster, spread: Array, moved: Array, number: int) -> list[Line]:
-    """`number` lines in the direction `moved`, every other one backwards, next to each other in the direction `spread`."""
-    place = raster.points @ spread
+def lines_to(
+    targets: Array,
+    normals: Array,
+    points: Array,
+    length: float,
+    distances: tuple[float, float, float],
+    floor: float,
+    random: np.random.Generator,
+) -> list[Line]:
+    """Lines to places (k, 3) of a body's surface with outward normals (k, 3), as in `rasters.aimed`, for a body on a table.
+
+    The rod lies across the normal and comes down on the place along it; the other arguments are those of `rasters_above`.
+    Places to which no such line leads from above the table are left out.
+    """
+    clearance, margin, beyond = (length * part for part in distances)
+    body = hull(points)
+    found = []
+    for target, normal in zip(targets, normals, strict=True):
+        helper = np.eye(3)[np.argmin(np.abs(normal))]
+        first = np.cross(normal, helper)
+        first /= np.linalg.norm(first)
+        second = np.cross(normal, first)
+        for angle in random.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(_TRIED) / _TRIED:
+            along = np.cos(angle) * first + np.sin(angle) * second
+            if along[2] > -_LEVEL:
+                continue
+            raster = _Raster(body, points, along, length, clearance, margin, beyond, floor)
+            spread = np.cross(normal, along)
+            line = _line(raster, _base(raster), spread, normal, float(target @ spread))
+            if (target - line.start) @ along <= (1 - _LEAST) * length:
+                found.append(line)
+                break
+    return found
+
+
+def _base(raster: _Raster) -> Array:
+    """The place of a clamp whose rod points at the middle of the body, with the clearance from it."""
     middle = raster.points.mean(axis=0)
     depth = (raster.points @ raster.along).min() - raster.clearance
-    base = middle + (depth - middle @ raster.along) * raster.along
+    return np.asarray(middle + (depth - middle @ raster.along) * raster.along)
+
+
+def _lines(raster: _Raster, spread: Array, moved: Array, number: int) -> list[Line]:
+    """`number` lines in the direction `moved`, every other one backwards, next to each other in the direction `spread`."""
+    place, base = raster.points @ spread, _base(raster)
     lowest = place.min()
     if spread[2] > 0 and moved[2] == 0:
         # lower lines would have to be drawn back too far
@@ -95,21 +137,22 @@ def _lines(raster: _Raster, spread: Array, moved: Array, number: int) -> list[Li
         lowest = max(lowest, (raster.floor + _RAISED * raster.length * raster.along[2] - tip) / spread[2])
     found = []
     for k, part in enumerate((1 - np.cos(np.pi * (np.arange(number) + 0.5) / number)) / 2):
-        offset = lowest + part * (place.max() - lowest)
-        high, low = _extent(raster, spread, moved, offset)
-        x = -moved if k % 2 else moved
-        ends = (high + raster.margin, low - raster.margin - raster.beyond)
-        if k % 2:
-            ends = (low - raster.margin, high + raster.margin + raster.beyond)
-        origin = base + (offset - base @ spread) * spread
-        start, end = (origin + (value - origin @ moved) * moved for value in ends)
-        lowest_point = min(start[2], end[2]) + raster.length * raster.along[2]
-        raised = max(raster.floor - lowest_point, 0.0) / -raster.along[2]
-        axes = np.stack([x, raster.along, np.cross(x, raster.along)])
-        line = Line(start - raised * raster.along, end - raised * raster.along, axes)
+        line = _line(raster, base, spread, -moved if k % 2 else moved, lowest + part * (place.max() - lowest))
         if _reaches(raster, line):
             found.append(line)
     return found
+
+
+def _line(raster: _Raster, base: Array, spread: Array, x: Array, offset: float) -> Line:
+    """The line against the direction `x` of the clamp, at an offset along `spread`, as far back as the table demands."""
+    high, low = _extent(raster, spread, x, offset)
+    origin = base + (offset - base @ spread) * spread
+    ends = (high + raster.margin, low - raster.margin - raster.beyond)
+    start, end = (origin + (value - origin @ x) * x for value in ends)
+    lowest_point = min(start[2], end[2]) + raster.length * raster.along[2]
+    raised = max(raster.floor - lowest_point, 0.0) / -raster.along[2]
+    axes = np.stack([x, raster.along, np.cross(x, raster.along)])
+    return Line(start - raised * raster.along, end - raised * raster.along, axes)
 
 
 def _reaches(raster: _Raster, line: Line) -> bool:

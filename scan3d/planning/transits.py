@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index
-from scan3d.errors import InputError
 from scan3d.planning.envelopes import Envelope
 from scan3d.poses import Move
 
 # Cosine of the angle between two rods that are as good as opposite: no place lies behind both of their planes.
 _OPPOSITE = -0.98
+_QUARTER = Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix()
 # Sines of angles below which a rod does not turn.
 _SAME = 1e-9
 
@@ -60,10 +60,7 @@ class Path(NamedTuple):
 
 
 def joined(sweeps: list[Sweep], space: Space, first: int = 0) -> Path:
-    """All sweeps, each with its approach before it and its retract after it; numbered from `first`.
-
-    Raises InputError if two sweeps that follow each other come from opposite sides.
-    """
+    """All sweeps, each with its approach before it and its retract after it; numbered from `first`."""
     parts: list[tuple[int, Array, Array, Move]] = []
     previous: tuple[Array, Array] | None = None
     for number, (position, axes) in enumerate(sweeps, start=first):
@@ -100,9 +97,10 @@ def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) ->
     if sine < _SAME and cosine > 0:
         return [], []
     if cosine < _OPPOSITE:
-        raise InputError(
-            "two sweeps that follow each other come from opposite sides; put one from another side between them"
-        )
+        # both rods are nearly level, and no place lies behind both planes: a quarter of a turn first
+        halfway = start[0], before @ _QUARTER.T
+        parts = [_turn(start, halfway, space), _turn(halfway, end, space)]
+        return [place for places, _ in parts for place in places], [axes for _, turns in parts for axes in turns]
     points = space.envelope.points()
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     # the place lies a rod length behind both planes

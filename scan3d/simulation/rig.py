@@ -165,6 +165,8 @@ def simulate_rig(
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
     warnings = _warnings(mesh, poses, felt, (length, radius, metres))
     source = {"kind": "simulation", "seed": seed, "model": model, "rig": True, "unit": unit}
+    if "around" in poses.source:
+        source["around"] = poses.source["around"]
     if "placed" in mesh.metadata:
         source["moved"] = mesh.metadata["placed"]
     log = RawLog(*rows, wrench, nominal, model, faults, unit, source, warnings)
