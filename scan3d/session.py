@@ -38,6 +38,8 @@ SWEEPS = 24
 _SIDES = 4
 # Slices along the axis per new one, by `next_heights`: of its rule that a round grows with the number of slices.
 _PER_HEIGHT, _LEFT_PER_HEIGHT = 12, 3
+# By how much the bounding body is larger than the contacts, where none is stated.
+_AROUND = 0.1
 # Part of the bound above which what the contacts of a slice leave open is closed by sweeps from further directions.
 _WIDE = 0.5
 # Components of a slice's normal that are zero, and heights below the table in rod lengths that are rounding.
@@ -128,6 +130,10 @@ class Session:
         if not found:
             return None
         return pose_list(found, self.plan, int(self.recording.sweep.max()) + 1)
+
+    def planned(self) -> PoseList:
+        """The poses of the first batch."""
+        return plan_poses(self.plan)
 
     def tell(self, recording: Recording) -> None:
         """Add what was measured; its sweeps are numbered after those so far.
@@ -239,6 +245,22 @@ class Session:
         )[:sweeps]
         fraction = np.linspace(0, 1, self.plan.samples)[:, None]
         return [Sweep(start + fraction * (end - start), axes) for start, end, axes in lines]
+
+
+def around_contacts(recording: Recording, model: str) -> Envelope:
+    """A cylinder about the z axis that contains the contacts of a recording with a margin.
+
+    Raises InputError for contacts below z = 0, where the table is.
+    """
+    cloud = reconstruct(recording, model=model)
+    low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
+    if low < -_ROUNDING * cloud.rod_length:
+        raise InputError(
+            f"contacts lie down to z = {low:.4g} {cloud.unit}, and poses are planned for a body that stands on z = 0 about the "
+            "z axis; move the frame of the poses"
+        )
+    radius = float(np.hypot(*cloud.points[:, :2].T).max())
+    return Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
 
 
 def _merged(recordings: list[Recording]) -> Recording:

@@ -27,6 +27,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
   scan3d plan --around cylinder:80x120 --out poses.csv     poses for a robot, around a body that nobody knows yet
+  scan3d next out --out further.csv                        poses of further sweeps, where most room is left
   scan3d doctor                                            what works on this machine, and how to install the rest
 
 'scan3d COMMAND --help' describes each command.

@@ -15,12 +15,15 @@ from scan3d.rods import parse_rod
 if TYPE_CHECKING:
     from scan3d.simulation.rig import RawLog
 
+Outcome = tuple[dict[str, Any], str, tuple[str, ...]]
+"""What a command did: the data for --json, the text that is printed otherwise, and warnings."""
+
 # Settings of a simulated scan that do not concern a rig with given poses, with what to do instead.
 _SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "standoff", "tolerance", "noise", "method")
 
 
-def plan(arguments: Namespace) -> tuple[dict[str, Any], str]:
-    """Write poses for an unknown body; returns the data for --json and the text."""
+def plan(arguments: Namespace) -> Outcome:
+    """Write poses for an unknown body."""
     from scan3d.files.atomic import folder
     from scan3d.files.poses import check_poses, write_poses
     from scan3d.planning.envelopes import parse_envelope
@@ -33,14 +36,9 @@ def plan(arguments: Namespace) -> tuple[dict[str, Any], str]:
             model=arguments.model,
             slices=arguments.slices,
             sweeps=arguments.sweeps,
-            samples=arguments.samples,
             rod=parse_rod(arguments.rod),
-            clearance=arguments.clearance,
-            max_force_N=arguments.max_force,
-            floor=arguments.floor,
-            workspace=parse_envelope(arguments.workspace) if arguments.workspace else None,
-            speed=arguments.speed,
             unit=arguments.unit,
+            **_limits(arguments),
         )
     except InputError as error:
         raise UsageError(str(error)) from None
@@ -67,7 +65,76 @@ def plan(arguments: Namespace) -> tuple[dict[str, Any], str]:
         f"{1000 * rod.length_m:.4g} mm with {1000 * rod.diameter_m:.3g} mm diameter; forces stay below "
         f"{largest:.3g} N; written to {data['poses']}"
     )
-    return data, printable(text)
+    return data, printable(text), ()
+
+
+def _limits(arguments: Namespace) -> dict[str, Any]:
+    """The settings of `RigPlan` that `plan` and `next` have in common."""
+    from scan3d.planning.envelopes import parse_envelope
+
+    return {
+        "samples": arguments.samples,
+        "clearance": arguments.clearance,
+        "max_force_N": arguments.max_force,
+        "floor": arguments.floor,
+        "workspace": parse_envelope(arguments.workspace) if arguments.workspace else None,
+        "speed": arguments.speed,
+    }
+
+
+def further(arguments: Namespace) -> Outcome:
+    """Write poses where a folder's contacts leave most room."""
+    from scan3d.files.atomic import folder
+    from scan3d.files.ownership import RECORDING, read_report
+    from scan3d.files.poses import check_poses, write_header, write_poses
+    from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.planning.envelopes import parse_envelope
+    from scan3d.session import Session, around_contacts
+
+    path = Path(arguments.recording or Path(arguments.folder) / RECORDING[0])
+    if arguments.recording is None and not path.exists():
+        raise InputError(
+            f"there is no {RECORDING[0]} in {arguments.folder}; give the recording that was reconstructed with --recording"
+        )
+    check_poses(arguments.out, arguments.overwrite, {"recording": path, "TOML file of the recording": sidecar(path)})
+    if arguments.sweeps < 1:
+        raise UsageError(f"sweeps must be a whole number of at least 1, got {arguments.sweeps}")
+    report = read_report(Path(arguments.folder))
+    recording = read_recording(path)
+    model = report.get("model") or ("spatial" if recording.six_axis else "planar")
+    stated = arguments.around or recording.source.get("around") or around_contacts(recording, model)
+    try:
+        body, limits = parse_envelope(str(stated)), _limits(arguments)
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    session = Session(
+        body,
+        recording.rod,
+        model,
+        tolerance=arguments.tolerance,
+        seed=arguments.seed,
+        unit=recording.unit,
+        **limits,
+    )
+    session.tell(recording)
+    poses = session.ask(arguments.sweeps)
+    with folder(Path(arguments.out).parent):
+        if poses is None:
+            write_header(session.planned(), arguments.out)
+        else:
+            write_poses(poses, arguments.out)
+    bound = session.certificate.bound
+    data = {
+        "poses": str(arguments.out),
+        "sweeps": 0 if poses is None else len(poses.sweeps()),
+        "bound": bound,
+        "relative_bound": session.relative_bound,
+        "tolerance": arguments.tolerance,
+        "around": str(body),
+    }
+    known = f"the body is known within {bound:.4g} {recording.unit} ({session.relative_bound:.2g} of the diagonal)"
+    text = f"{known}; {data['sweeps']} further sweeps, written to {data['poses']}"
+    return data, printable(text), tuple(warning.message for warning in session.warnings)
 
 
 def check_rig_options(arguments: Namespace) -> None:
@@ -83,8 +150,8 @@ def check_rig_options(arguments: Namespace) -> None:
         raise UsageError(f"--{given[0]} is a setting of a scan, and --poses says where the clamp goes; {instead}")
 
 
-def simulate_rig(arguments: Namespace, chosen: Settings) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-    """Write the log of a rig that goes through a list of poses; returns data, text, and warnings."""
+def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
+    """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.atomic import folder
     from scan3d.files.poses import read_poses
     from scan3d.files.raw_logs import map_path

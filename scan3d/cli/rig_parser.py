@@ -20,6 +20,9 @@ EXAMPLES = {
   scan3d plan --around cylinder:80x120 --out poses.csv
   scan3d plan --around box:60x40x30 --out poses.yaml --model spatial --rod steel:0.3x70 --max-force 0.5
   scan3d plan --around sphere:50 --out poses.csv --workspace box:400x400x300 --speed 10""",
+    "next": """\
+  scan3d next out --out further.csv --around cylinder:80x120
+  scan3d next out --recording log.csv --out further.csv --tolerance 0.01""",
 }
 
 
@@ -39,31 +42,13 @@ def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOp
         metavar="N",
         help="sweeps per slice (default 4), or in the spatial model per direction (default 0.6 times the slices)",
     )
-    plan.add_argument("--samples", type=int, default=128, metavar="N", help="poses per sweep (default 128)")
     plan.add_argument(
         "--rod",
         default="auto",
         metavar="ROD",
         help="MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits (default auto)",
     )
-    plan.add_argument(
-        "--clearance",
-        type=float,
-        default=0.3,
-        metavar="X",
-        help="distance of the clamp from the bounding body, in rod lengths (default 0.3)",
-    )
-    plan.add_argument(
-        "--max-force", type=float, metavar="N", help="largest contact force in N, by which the clamp keeps farther away"
-    )
-    plan.add_argument(
-        "--floor",
-        type=float,
-        metavar="Z",
-        help="height above which clamp and straight rod stay (default 2 %% of the bounding body's height)",
-    )
-    plan.add_argument("--workspace", metavar="BODY", help="where the clamp may go, written as the bounding body")
-    plan.add_argument("--speed", type=float, default=20.0, metavar="V", help="of the clamp, per second (default 20)")
+    _add_limits(plan)
     plan.add_argument(
         "--unit",
         default="mm",
@@ -74,6 +59,55 @@ def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOp
     add_overwrite(plan)
     add_output(plan)
     plan.set_defaults(command="plan")
+
+    further = commands.add_parser("next", help="poses of further sweeps, where what was measured leaves most room")
+    further.add_argument("folder", metavar="DIR", help="folder of a scan or a reconstruction")
+    further.add_argument(
+        "--out",
+        required=True,
+        metavar="FILE",
+        help="the poses, as of plan; a header only where the tolerance is met",
+    )
+    further.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.0,
+        metavar="T",
+        help="certified bound, relative to the diagonal, at which no more sweeps are needed (default 0)",
+    )
+    further.add_argument(
+        "--recording", metavar="REC", help="the recording of a reconstruction (default recording.csv in DIR)"
+    )
+    further.add_argument("--around", metavar="BODY", help=f"{_AROUND} (default that of the plan, or of the contacts)")
+    further.add_argument("--sweeps", type=int, default=24, metavar="N", help="about how many sweeps (default 24)")
+    further.add_argument("--seed", type=int, default=0, metavar="N", help="of the directions of sweeps in space")
+    _add_limits(further)
+    add_overwrite(further)
+    add_output(further)
+    further.set_defaults(command="next")
+
+
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where the clamp may go, and how."""
+    parser.add_argument("--samples", type=int, default=128, metavar="N", help="poses per sweep (default 128)")
+    parser.add_argument(
+        "--clearance",
+        type=float,
+        default=0.3,
+        metavar="X",
+        help="distance of the clamp from the bounding body, in rod lengths (default 0.3)",
+    )
+    parser.add_argument(
+        "--max-force", type=float, metavar="N", help="largest contact force in N, by which the clamp keeps farther away"
+    )
+    parser.add_argument(
+        "--floor",
+        type=float,
+        metavar="Z",
+        help="height above which clamp and straight rod stay (default 2 %% of the bounding body's height)",
+    )
+    parser.add_argument("--workspace", metavar="BODY", help="where the clamp may go, written as the bounding body")
+    parser.add_argument("--speed", type=float, default=20.0, metavar="V", help="of the clamp, per second (default 20)")
 
 
 def add_rig_options(simulate: argparse.ArgumentParser) -> None:

@@ -66,10 +66,7 @@ def simulate(arguments: Namespace) -> int:
     if arguments.print_config:
         return _print_config(chosen)
     if arguments.poses:
-        data, text, warnings = rig.simulate_rig(arguments, chosen)
-        for warning in warnings:
-            _say(f"warning: {warning}")
-        return _print(arguments, data, text)
+        return _printed(arguments, *rig.simulate_rig(arguments, chosen))
     check_path(arguments.out)
     inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
     check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
@@ -85,11 +82,6 @@ def simulate(arguments: Namespace) -> int:
     }
     text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
     return _print(arguments, data, text)
-
-
-def plan(arguments: Namespace) -> int:
-    """Poses for a body that nobody knows yet."""
-    return _print(arguments, *rig.plan(arguments))
 
 
 def reconstruct(arguments: Namespace) -> int:
@@ -270,7 +262,8 @@ def completion(arguments: Namespace) -> int:
 VERBS: dict[str, Callable[[Namespace], int]] = {
     "scan": scan,
     "simulate": simulate,
-    "plan": plan,
+    "plan": lambda arguments: _printed(arguments, *rig.plan(arguments)),
+    "next": lambda arguments: _printed(arguments, *rig.further(arguments)),
     "reconstruct": reconstruct,
     "compare": compare,
     "show": show,
@@ -307,6 +300,13 @@ def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
     for warning in data["warnings"]:
         _say(f"warning: {warning['message']}")
     return 1 if arguments.strict and data["warnings"] else 0
+
+
+def _printed(arguments: Namespace, data: Any, text: str, warnings: Iterable[str]) -> int:
+    """Print the result of a command of another module, and its warnings."""
+    for warning in warnings:
+        _say(f"warning: {warning}")
+    return _print(arguments, data, text)
 
 
 def _print(arguments: Namespace, data: Any, text: str) -> int:
