@@ -1,7 +1,7 @@
 """A session at a rig: ask for poses, tell what was measured, and ask again, until the bound is small enough.
 
-A session knows no body.  A rig, measured or computed, goes through the poses that `Session.ask` gives, and its recording is
-told.
+A session does not know the body.  A rig, real or computed, goes through the poses that `Session.ask` gives, and its recording
+is given to `Session.tell`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _SPARE = 8
 
 @dataclass(frozen=True)
 class _Known:
-    """What follows from all that was told."""
+    """What follows from all recordings so far."""
 
     recording: Recording
     table: bool
@@ -126,10 +126,10 @@ class Session:
             return plan_poses(self.plan)
         if self.relative_bound <= self.tolerance:
             return None
-        found = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
-        if not found:
+        chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
+        if not chosen:
             return None
-        return pose_list(found, self.plan, int(self.recording.sweep.max()) + 1)
+        return pose_list(chosen, self.plan, int(self.recording.sweep.max()) + 1)
 
     def planned(self) -> PoseList:
         """The poses of the first batch."""
@@ -153,7 +153,7 @@ class Session:
 
     @property
     def recording(self) -> Recording:
-        """All that was told.  Raises InputError if nothing was."""
+        """All recordings so far as one.  Raises InputError if there are none."""
         return self._known.recording
 
     @property
@@ -184,7 +184,7 @@ class Session:
     @property
     def _known(self) -> _Known:
         if not self._recordings:
-            raise InputError("nothing was told yet: sweep the poses of ask(), and tell() their recording")
+            raise InputError("there is no recording yet: sweep the poses of ask(), and tell() their recording")
         if self._last is None:
             recording = _merged(self._recordings)
             self._last = _Known(recording, self.plan.model == "planar" and _is_level(recording))
@@ -217,17 +217,17 @@ class Session:
         if not wide.any():
             return []
         numbers = np.unique(np.abs(bounds.corners[wide, 2:] - levels).argmin(axis=1))
-        found: list[tuple[float, float]] = []
+        directions: list[tuple[float, float]] = []
         for number in numbers:
             part = bounds.stack.slices[number]
             points = part.points[part.tangential]
             width = float(np.ptp(part.points, axis=0).max())
             # from the slices' frame, whose axes are those of the world for horizontal slices
-            found += [
+            directions += [
                 (float(angle % (2 * np.pi)), float(part.height))
                 for angle in further_directions(points, part.normals, width)
             ]
-        return found[:sweeps]
+        return directions[:sweeps]
 
     def _aimed(self, sweeps: int) -> list[Sweep]:
         """Sweeps aimed at the places that the contacts in space leave open."""
@@ -301,8 +301,8 @@ def _on_table(recording: Recording) -> Recording:
 
     Raises InputError if the lowest sweep with a force lies below the table.
     """
-    felt = np.abs(recording.force_N).max(axis=1) > 0
-    lowest = recording.position_m[felt, 2].min(initial=np.inf)
+    touching = np.abs(recording.force_N).max(axis=1) > 0
+    lowest = recording.position_m[touching, 2].min(initial=np.inf)
     if lowest < -_ROUNDING * recording.rod.length_m:
         raise InputError(
             f"the rod touches the body at z = {1000 * lowest:.3g} mm, where the table is at 0; move the frame of the poses so "

@@ -468,6 +468,10 @@ def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
     (tmp_path / "other.toml").write_text(FAULTS.replace("seed = 3", "seed = 4"))
     assert main([*run, str(tmp_path / "other.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
     assert (tmp_path / "raw.csv").read_bytes() != (folder / "raw.csv").read_bytes()
+    # the command line takes precedence over the file, for the faults as well
+    other = (tmp_path / "raw.csv").read_bytes()
+    assert main([*run, str(folder / "faults.toml"), "--out", str(tmp_path / "raw.csv"), "--seed", "4"]) == 0
+    assert (tmp_path / "raw.csv").read_bytes() == other
 
 
 @pytest.mark.parametrize(
@@ -513,6 +517,13 @@ def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
     # the poses are never overwritten
     assert main(["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(folder / "poses.csv")]) == 1
     assert "is the list of poses that this run reads" in capsys.readouterr().err
+
+
+def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):
+    (tmp_path / "settings.toml").write_text('model = "spatial"\n')
+    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
+    assert main([*run, "--config", str(tmp_path / "settings.toml"), "--friction", "0"]) == 0
+    assert scan3d.read_recording(tmp_path / "raw.csv").six_axis
 
 
 def test_the_command_reports_what_it_wrote(folder, tmp_path, capsys):

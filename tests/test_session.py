@@ -18,7 +18,7 @@ from scan3d.geometry.segments import segments_meet
 from scan3d.poses import Move
 from scan3d.session import around_contacts
 from scan3d.simulation.rig import simulate_rig, standing
-from scan3d.simulation.rig_contact import way_touches
+from scan3d.simulation.rig_contact import steps_touch
 from scan3d.spatial.bodies import sphere_directions
 
 
@@ -71,7 +71,7 @@ def test_further_sweeps_keep_clear_as_the_planned_ones_do(egg, model):
     poses, space = session.ask(8), session.plan.space()
     fattened = space.envelope.points()[:, None] + 0.999 * space.margin * sphere_directions(200).T
     axes, position = poses.axes(), 1000 * poses.position_m
-    touches = way_touches(hull(fattened.reshape(-1, 3)), position, axes, space.length, 0.0)
+    touches = steps_touch(hull(fattened.reshape(-1, 3)), position, axes, space.length, 0.0)
     sweeping = (poses.move[:-1] == Move.SWEEP) & (poses.move[1:] == Move.SWEEP)
     assert not touches[~sweeping].any()
     tips = position + space.length * axes[:, 1]
@@ -116,7 +116,7 @@ def test_recordings_with_their_own_numbers_are_numbered_anew(egg):
 
 def test_what_a_session_refuses(egg):
     session = Session("cylinder:60x60", slices=3, samples=20)
-    with pytest.raises(InputError, match="nothing was told yet"):
+    with pytest.raises(InputError, match="there is no recording yet"):
         session.surface  # noqa: B018
     with pytest.raises(InputError, match=r"tell a scan3d\.Recording, got str"):
         session.tell("log.csv")

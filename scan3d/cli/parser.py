@@ -26,7 +26,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
   scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
-  scan3d plan --around cylinder:80x120 --out poses.csv     poses for a robot, around a body that nobody knows yet
+  scan3d plan --around cylinder:80x120 --out poses.csv     poses of a robot for an unknown body
   scan3d next out --out further.csv                        poses of further sweeps, where most room is left
   scan3d doctor                                            what works on this machine, and how to install the rest
 

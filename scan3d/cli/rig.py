@@ -1,4 +1,4 @@
-"""The commands for a rig: poses for a body that nobody knows yet, and the log of a rig that is computed."""
+"""The commands for a rig: poses for an unknown body, and the log of a rig that is computed."""
 
 from __future__ import annotations
 
@@ -132,7 +132,9 @@ def further(arguments: Namespace) -> Outcome:
         "tolerance": arguments.tolerance,
         "around": str(body),
     }
-    known = f"the body is known within {bound:.4g} {recording.unit} ({session.relative_bound:.2g} of the diagonal)"
+    known = "nothing bounds the body yet"
+    if bound < float("inf"):
+        known = f"the body is known within {bound:.4g} {recording.unit} ({session.relative_bound:.2g} of the diagonal)"
     text = f"{known}; {data['sweeps']} further sweeps, written to {data['poses']}"
     return data, printable(text), tuple(warning.message for warning in session.warnings)
 
@@ -155,14 +157,18 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
     from scan3d.files.atomic import folder
     from scan3d.files.poses import read_poses
     from scan3d.files.raw_logs import map_path
+    from scan3d.files.reading import read_toml
     from scan3d.simulation import rig
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.faults import read_faults
 
     plan = chosen.plan()
+    given = {*vars(arguments), *(read_toml(arguments.config) if arguments.config else ())}
     _check_files(arguments)
     poses = read_poses(arguments.poses)
     faults = read_faults(arguments.faults) if arguments.faults else None
+    if faults is not None and "seed" in vars(arguments):
+        faults = dataclasses.replace(faults, seed=plan.seed)
     body = load_mesh(arguments.mesh, hull=chosen.hull)
     body = body if arguments.as_is else rig.standing(body)
     log = rig.simulate_rig(
@@ -170,7 +176,7 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
         poses,
         faults=faults,
         rod=plan.rod,
-        model=chosen.model if "model" in vars(arguments) else None,
+        model=chosen.model if "model" in given else None,
         friction=plan.friction_range,
         accuracy=plan.accuracy,
         seed=plan.seed,

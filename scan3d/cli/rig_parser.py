@@ -29,7 +29,7 @@ EXAMPLES = {
 def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOptions) -> None:
     """Add the commands for a rig to the commands of the parser."""
     models = f"{', '.join(MODELS[:-1])} or {MODELS[-1]}"
-    plan = commands.add_parser("plan", help="poses for a body that nobody knows yet, from a body around it")
+    plan = commands.add_parser("plan", help="poses for an unknown body, from a body around it")
     plan.add_argument("--around", required=True, metavar="BODY", help=_AROUND)
     plan.add_argument(
         "--out", required=True, metavar="FILE", help="the poses, .csv, or .yaml for ROS; a .toml is written as well"

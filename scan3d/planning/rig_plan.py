@@ -1,4 +1,4 @@
-"""Sweeps for a body that nobody has touched yet, of which only a bounding body is known, and a table on which it stands."""
+"""Sweeps for an unknown body: only a bounding body is known, and the table on which it stands."""
 
 from __future__ import annotations
 

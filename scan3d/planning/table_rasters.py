@@ -70,7 +70,7 @@ def rasters_above(
     """
     clearance, margin, beyond = (length * part for part in distances)
     body = hull(points)
-    found = []
+    lines = []
     for direction in icosahedron():
         if direction[2] <= 0:
             continue
@@ -81,8 +81,8 @@ def rasters_above(
         widths = [float(np.ptp(points @ axis)) for axis in (level, slope)]
         number = max(1, round(count * widths[0] / sum(widths)))
         first = _lines(raster, level, slope, number)
-        found += first + _lines(raster, slope, level, max(1, count - len(first)))
-    return found
+        lines += first + _lines(raster, slope, level, max(1, count - len(first)))
+    return lines
 
 
 def lines_to(
@@ -101,7 +101,7 @@ def lines_to(
     """
     clearance, margin, beyond = (length * part for part in distances)
     body = hull(points)
-    found = []
+    lines = []
     for target, normal in zip(targets, normals, strict=True):
         helper = np.eye(3)[np.argmin(np.abs(normal))]
         first = np.cross(normal, helper)
@@ -115,9 +115,9 @@ def lines_to(
             spread = np.cross(normal, along)
             line = _line(raster, _base(raster), spread, normal, float(target @ spread))
             if (target - line.start) @ along <= (1 - _LEAST) * length:
-                found.append(line)
+                lines.append(line)
                 break
-    return found
+    return lines
 
 
 def _base(raster: _Raster) -> Array:
@@ -135,12 +135,12 @@ def _lines(raster: _Raster, spread: Array, moved: Array, number: int) -> list[Li
         # lower lines would have to be drawn back too far
         tip = base[2] + raster.length * raster.along[2] - (base @ spread) * spread[2]
         lowest = max(lowest, (raster.floor + _RAISED * raster.length * raster.along[2] - tip) / spread[2])
-    found = []
+    lines = []
     for k, part in enumerate((1 - np.cos(np.pi * (np.arange(number) + 0.5) / number)) / 2):
         line = _line(raster, base, spread, -moved if k % 2 else moved, lowest + part * (place.max() - lowest))
         if _reaches(raster, line):
-            found.append(line)
-    return found
+            lines.append(line)
+    return lines
 
 
 def _line(raster: _Raster, base: Array, spread: Array, x: Array, offset: float) -> Line:

@@ -67,8 +67,8 @@ def joined(sweeps: list[Sweep], space: Space, first: int = 0) -> Path:
         back = space.behind(axes[1])
         start = _drawn_back(position[0], axes, back, space)
         if previous is not None:
-            way, turns = _turn(previous, (start, axes), space)
-            parts += [(number, place, turn, Move.APPROACH) for place, turn in zip(way, turns, strict=True)]
+            places, turns = _turn(previous, (start, axes), space)
+            parts += [(number, place, turn, Move.APPROACH) for place, turn in zip(places, turns, strict=True)]
         parts.append((number, start, axes, Move.APPROACH))
         parts += [(number, place, axes, Move.SWEEP) for place in position]
         end = _drawn_back(position[-1], axes, back, space)

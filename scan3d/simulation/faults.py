@@ -111,7 +111,7 @@ def read_faults(path: str | Path) -> Faults:
     """The faults in a TOML file, all of whose keys are optional.
 
     ==================  ================================================================================================
-    ``seed``            of all random numbers, 0 by default
+    ``seed``            of all random numbers, 0 by default; the option ``--seed`` takes precedence
     ``rate_hz``         rows per second, 1000 by default
     ``speed_mm_s``      of the clamp; by default that of the plan
     ``[sensor]``        ``position_mm``, ``euler_deg`` ("xyz"): its frame in the clamp's; ``shows``: "clamp-on-rod" or

@@ -25,11 +25,11 @@ from scan3d.rods import Rod
 from scan3d.simulation.disturbances import kept, logged_positions, measured
 from scan3d.simulation.faults import Faults
 from scan3d.simulation.rig_contact import (
-    Felt,
+    Reactions,
     Track,
     planar_contact,
     spatial_contact,
-    way_touches,
+    steps_touch,
 )
 from scan3d.units import UNITS_M
 
@@ -157,13 +157,13 @@ def simulate_rig(
     tracks, members = _tracks(rows, friction, seed, metres)
     _check_begins(mesh, tracks, length, radius)
     if model == "spatial":
-        felt = spatial_contact(mesh, tracks, length, radius, accuracy or None)
+        reactions = spatial_contact(mesh, tracks, length, radius, accuracy or None)
     else:
-        felt = planar_contact(mesh, tracks, length)
+        reactions = planar_contact(mesh, tracks, length)
     wrench = np.zeros((len(rows.time), 6))
-    for part, where in zip(felt, members, strict=True):
+    for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
-    warnings = _warnings(mesh, poses, felt, (length, radius, metres))
+    warnings = _warnings(mesh, poses, reactions, (length, radius, metres))
     source = {"kind": "simulation", "seed": seed, "model": model, "rig": True, "unit": unit}
     if "around" in poses.source:
         source["around"] = poses.source["around"]
@@ -209,7 +209,7 @@ def _at_rate(poses: PoseList, faults: Faults) -> _Rows:
     if len(rows):
         step = Rotation.from_rotvec(part[rows, None] * vector[before[rows]])
         quaternion[rows] = (turns[before[rows]] * step).as_quat(canonical=True, scalar_first=True)
-    # what the clamp does on its way to the next pose: it sweeps between two poses of a sweep
+    # what the clamp does until the next pose: it sweeps between two poses of a sweep
     first, second = poses.move[:-1], poses.move[1:]
     move = np.where((first == Move.SWEEP) & (second == Move.SWEEP), Move.SWEEP, Move.APPROACH)
     move = np.where(second == Move.RETRACT, Move.RETRACT, move).astype(np.int8)[before]
@@ -251,29 +251,31 @@ def _check_begins(mesh: Any, tracks: list[Track], length: float, radius: float) 
         )
 
 
-def _warnings(mesh: Any, poses: PoseList, felt: list[Felt], sizes: tuple[float, float, float]) -> tuple[str, ...]:
+def _warnings(
+    mesh: Any, poses: PoseList, reactions: list[Reactions], sizes: tuple[float, float, float]
+) -> tuple[str, ...]:
     """Sentences on sweeps whose log is not that of a rod that is free before and after it."""
     length, radius, metres = sizes
-    touching = way_touches(mesh, poses.position_m / metres, poses.axes(), length, radius)
+    touching = steps_touch(mesh, poses.position_m / metres, poses.axes(), length, radius)
     outside = (poses.move[:-1] != Move.SWEEP) | (poses.move[1:] != Move.SWEEP)
     hit = np.unique(poses.sweep[1:][touching & outside])
-    bent = sum(bool(part.touches[-1]) for part in felt)
-    lost = sum(part.lost for part in felt)
-    found = []
+    bent = sum(bool(part.touches[-1]) for part in reactions)
+    lost = sum(part.lost for part in reactions)
+    sentences = []
     if len(hit):
-        found.append(
+        sentences.append(
             f"in {len(hit)} sweeps, first {hit[0]}, the straight rod would touch the body in approach or retract, where the "
             "log has no reactions"
         )
     if bent:
-        found.append(
+        sentences.append(
             f"{bent} sweeps end in contact, and in their retracts the log has no reactions; let them go on farther"
         )
     if lost:
-        found.append(
+        sentences.append(
             f"in {lost} sweeps the computation found no equilibrium after some place, as at a snap; none is logged"
         )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def _with_faults(log: RawLog, faults: Faults) -> RawLog:

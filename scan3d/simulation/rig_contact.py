@@ -43,7 +43,7 @@ class Track(NamedTuple):
     """(n,)"""
 
 
-class Felt(NamedTuple):
+class Reactions(NamedTuple):
     """Reactions along one sweep in the clamp's frame, in units of the rod; zero without contact."""
 
     force: Array
@@ -53,10 +53,10 @@ class Felt(NamedTuple):
     touches: Mask
     """(n,)"""
     lost: bool = False
-    """Whether the computation found no equilibrium, after which nothing is felt."""
+    """Whether the computation found no equilibrium, after which there are no reactions."""
 
 
-def planar_contact(mesh: Any, tracks: list[Track], length: float) -> list[Felt]:
+def planar_contact(mesh: Any, tracks: list[Track], length: float) -> list[Reactions]:
     """The reactions of rods that stay in the planes of their sweeps.
 
     Raises InputError for clamps that do not move along -x of their frames, and for sweeps that begin in the body.
@@ -64,7 +64,7 @@ def planar_contact(mesh: Any, tracks: list[Track], length: float) -> list[Felt]:
     for track in tracks:
         _check_planar(track, length)
     outlines = _outlines(mesh, tracks, length)
-    felt = []
+    reactions = []
     for first in range(0, len(tracks), _AT_ONCE_PLANAR):
         part = range(first, min(first + _AT_ONCE_PLANAR, len(tracks)))
         within = [k for k in part if len(outlines[k]) and outlines[k][:, 1].min() <= 1]
@@ -76,21 +76,21 @@ def planar_contact(mesh: Any, tracks: list[Track], length: float) -> list[Felt]:
         swept = planar.sweep_all(contours, [tracks[k].friction for k in within], base=base) if within else []
         results = dict(zip(within, swept, strict=True))
         for k in part:
-            felt.append(_in_plane(tracks[k], results.get(k)))
-    return felt
+            reactions.append(_in_plane(tracks[k], results.get(k)))
+    return reactions
 
 
-def _in_plane(track: Track, result: planar.Sweep | None) -> Felt:
+def _in_plane(track: Track, result: planar.Sweep | None) -> Reactions:
     n = len(track.position)
     force, moment = np.zeros((n, 3)), np.zeros((n, 3))
     if result is None:
-        return Felt(force, moment, np.zeros(n, dtype=bool))
+        return Reactions(force, moment, np.zeros(n, dtype=bool))
     touches = result.phase != planar.Phase.NONE
     if touches[0]:
         raise InputError(_begins_in_body(track.number))
     force[:, 0], force[:, 1] = np.nan_to_num(result.f0x), np.nan_to_num(result.f0y)
     moment[:, 2] = np.nan_to_num(result.m0z)
-    return Felt(force, moment, touches)
+    return Reactions(force, moment, touches)
 
 
 def _begins_in_body(number: int) -> str:
@@ -135,7 +135,7 @@ def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
 
 def spatial_contact(
     mesh: Any, tracks: list[Track], length: float, radius: float, accuracy: float | None = None
-) -> list[Felt]:
+) -> list[Reactions]:
     """The reactions of round rods in space; `radius` in the mesh's unit, as `length`.
 
     Raises InputError for sweeps that begin in the body.
@@ -147,14 +147,14 @@ def spatial_contact(
     except ValueError as error:
         raise InputError(f"this body can't be swept in space: {error}") from None
     paths = [_places((track.position - middle) / length, track) for track in tracks]
-    felt: dict[int, Felt] = {}
+    reactions: dict[int, Reactions] = {}
     order = sorted(range(len(tracks)), key=lambda k: len(paths[k][1]))
     for first in range(0, len(order), _AT_ONCE):
         rows = order[first : first + _AT_ONCE]
-        felt |= dict(
+        reactions |= dict(
             zip(rows, _swept(body, [tracks[k] for k in rows], [paths[k] for k in rows], accuracy), strict=True)
         )
-    return [felt[k] for k in range(len(tracks))]
+    return [reactions[k] for k in range(len(tracks))]
 
 
 def _places(position: Array, track: Track) -> tuple[Array, Array]:
@@ -175,7 +175,7 @@ def _places(position: Array, track: Track) -> tuple[Array, Array]:
 
 def _swept(
     body: RoundedPolyhedron, tracks: list[Track], paths: list[tuple[Array, Array]], accuracy: float | None
-) -> list[Felt]:
+) -> list[Reactions]:
     """Sweeps of similar lengths at once: shorter ones go on beyond their ends, which is cut off."""
     n = max(len(at) for at, _ in paths)
     position, friction = np.empty((len(tracks), n, 3)), np.empty((len(tracks), n))
@@ -192,7 +192,7 @@ def _swept(
         result = sweep(body, position, axes if turning else axes[:, 0], friction, accuracy=accuracy)
     except ValueError as error:
         raise InputError(f"these poses can't be swept in space: {error}; plan with a larger --around") from None
-    felt = []
+    reactions = []
     for k, (track, (at, _)) in enumerate(zip(tracks, paths, strict=True)):
         count = len(at)
         touches = np.isfinite(result.s1[k, :count])
@@ -202,8 +202,8 @@ def _swept(
             # across a snap the reactions jump
             joined = touches[:-1] & touches[1:] & ~result.snapped[k, 1:count]
             values, touches = _between(at, values, touches, joined, len(track.position))
-        felt.append(Felt(values[:, :3], values[:, 3:], touches, lost))
-    return felt
+        reactions.append(Reactions(values[:, :3], values[:, 3:], touches, lost))
+    return reactions
 
 
 def _between(at: Array, values: Array, touches: Mask, joined: Mask, rows: int) -> tuple[Array, Mask]:
@@ -225,8 +225,8 @@ def _between(at: Array, values: Array, touches: Mask, joined: Mask, rows: int) -
     return mixed, touching
 
 
-def way_touches(mesh: Any, position: Array, axes: Array, length: float, radius: float) -> Mask:
-    """(n - 1,) in which steps between poses (n) a straight rod touches the body on its way."""
+def steps_touch(mesh: Any, position: Array, axes: Array, length: float, radius: float) -> Mask:
+    """(n - 1,) in which steps between poses (n) a straight rod touches the body."""
     turns = Rotation.from_matrix(np.swapaxes(axes, 1, 2))
     vector = (turns[:-1].inv() * turns[1:]).as_rotvec()
     size = np.maximum(np.linalg.norm(np.diff(position, axis=0), axis=1), length * np.linalg.norm(vector, axis=1))
