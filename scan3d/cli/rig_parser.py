@@ -34,7 +34,13 @@ def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOp
     plan.add_argument(
         "--out", required=True, metavar="FILE", help="the poses, .csv, or .yaml for ROS; a .toml is written as well"
     )
-    plan.add_argument("--model", choices=MODELS, default=MODELS[0], metavar="MODEL", help=f"model of contact: {models}")
+    plan.add_argument(
+        "--model",
+        choices=MODELS,
+        default=MODELS[0],
+        metavar="MODEL",
+        help=f"model of contact: {models} (default {MODELS[0]})",
+    )
     plan.add_argument("--slices", type=int, default=32, metavar="N", help="number of slices (default 32)")
     plan.add_argument(
         "--sweeps",
