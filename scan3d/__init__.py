@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from scan3d.reconstruction import reconstruct
     from scan3d.recording import Recording
     from scan3d.rods import Rod
+    from scan3d.session import Session
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate
     from scan3d.surfaces.choice import surface
@@ -41,6 +42,7 @@ _HOME = {
     "Plan": "planning.plan",
     "Recording": "recording",
     "Rod": "rods",
+    "Session": "session",
     "compare": "comparison",
     "load_mesh": "simulation.bodies",
     "plot": "pictures.notebook",
@@ -58,6 +60,7 @@ __all__ = [
     "Plan",
     "Recording",
     "Rod",
+    "Session",
     "compare",
     "load_mesh",
     "plot",

@@ -11,6 +11,7 @@ from dataclasses import fields
 from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
+from scan3d.cli import rig_parser
 from scan3d.cli.settings import Settings
 from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
@@ -25,6 +26,8 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
   scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
+  scan3d plan --around cylinder:80x120 --out poses.csv     poses of a robot for an unknown body
+  scan3d next out --out further.csv                        poses of further sweeps, where most room is left
   scan3d doctor                                            what works on this machine, and how to install the rest
 
 'scan3d COMMAND --help' describes each command.
@@ -38,7 +41,8 @@ _EXAMPLES = {
   scan3d scan part.stl --out out --config settings.toml --json""",
     "simulate": """\
   scan3d simulate part.stl --out log.csv
-  scan3d simulate part.stl --out log.csv --rod steel:0.3x50 --sweeps 24""",
+  scan3d simulate part.stl --out log.csv --rod steel:0.3x50 --sweeps 24
+  scan3d simulate part.stl --poses poses.csv --out raw.csv --faults faults.toml""",
     "reconstruct": """\
   scan3d reconstruct log.csv --out out
   scan3d reconstruct log.csv --out out --truth part.stl --method hull""",
@@ -137,6 +141,7 @@ def parser() -> argparse.ArgumentParser:
         help="the recording, a .csv; a .toml of the same name is written as well",
     )
     _add_settings(simulate)
+    rig_parser.add_rig_options(simulate)
     _add_overwrite(simulate)
     simulate.set_defaults(command="simulate")
 
@@ -241,7 +246,9 @@ def parser() -> argparse.ArgumentParser:
     completion.add_argument("shell", metavar="SHELL", choices=SHELLS, help=one_of(SHELLS))
     completion.set_defaults(command="completion")
 
-    for name, text in _EXAMPLES.items():
+    rig_parser.add_rig_commands(commands, _add_overwrite, _add_output)
+
+    for name, text in (_EXAMPLES | rig_parser.EXAMPLES).items():
         commands.choices[name].epilog = f"examples:\n{text}"
         commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter
     return top

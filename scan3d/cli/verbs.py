@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from scan3d.cli import rig
 from scan3d.cli.settings import Settings, settings
 from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
 from scan3d.errors import InputError
@@ -60,9 +61,12 @@ def simulate(arguments: Namespace) -> int:
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
+    rig.check_rig_options(arguments)
     chosen = _settings(arguments)
     if arguments.print_config:
         return _print_config(chosen)
+    if arguments.poses:
+        return _printed(arguments, *rig.simulate_rig(arguments, chosen))
     check_path(arguments.out)
     inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
     check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
@@ -258,6 +262,8 @@ def completion(arguments: Namespace) -> int:
 VERBS: dict[str, Callable[[Namespace], int]] = {
     "scan": scan,
     "simulate": simulate,
+    "plan": lambda arguments: _printed(arguments, *rig.plan(arguments)),
+    "next": lambda arguments: _printed(arguments, *rig.further(arguments)),
     "reconstruct": reconstruct,
     "compare": compare,
     "show": show,
@@ -294,6 +300,13 @@ def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
     for warning in data["warnings"]:
         _say(f"warning: {warning['message']}")
     return 1 if arguments.strict and data["warnings"] else 0
+
+
+def _printed(arguments: Namespace, data: Any, text: str, warnings: Iterable[str]) -> int:
+    """Print the result of a command of another module, and its warnings."""
+    for warning in warnings:
+        _say(f"warning: {warning}")
+    return _print(arguments, data, text)
 
 
 def _print(arguments: Namespace, data: Any, text: str) -> int:

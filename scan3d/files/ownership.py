@@ -76,7 +76,7 @@ def check_result(folder: Path, names: Iterable[str], inputs: Inputs, overwrite: 
     ours = unchanged(folder)
     for name in names:
         path = folder / name
-        _check_path(path, inputs, option)
+        check_path(path, inputs, option)
         if path.exists() and name not in ours and not overwrite:
             since = " or was changed since" if name in earlier_files(folder) else ""
             raise InputError(f"{path} was not written by scan3d{since}; {_ASK} {option}")
@@ -85,7 +85,7 @@ def check_result(folder: Path, names: Iterable[str], inputs: Inputs, overwrite: 
 def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, contents: bytes | None = None) -> None:
     """Raise InputError if a single file must not be written at the path; nothing is lost if it has the `contents` already."""
     path = Path(path)
-    _check_path(path, inputs, option)
+    check_path(path, inputs, option)
     if path.name in RESULTS + RECORDING and earlier_files(path.parent):
         raise InputError(f"{path} belongs to the scan in {path.parent}; choose another place with {option}")
     if path.exists() and not overwrite and not _has_mark(path) and contents != path.read_bytes():
@@ -95,13 +95,20 @@ def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, c
 def check_recording(path: str | Path, sidecar: Path, inputs: Inputs, overwrite: bool, option: str = "--out") -> None:
     """Raise InputError if a simulated recording must not be written at the path, with its TOML file."""
     for file in (Path(path), sidecar):
-        _check_path(file, inputs, option)
+        check_path(file, inputs, option)
         if file.name in RECORDING and earlier_files(file.parent):
             raise InputError(f"{file} belongs to the scan in {file.parent}; choose another place with {option}")
     if not overwrite:
         check_sidecar(sidecar, f"; {_ASK} {option}")
         if Path(path).exists() and _kind(sidecar) != "simulation":
             raise InputError(f"{path} is not a recording that scan3d has simulated; {_ASK} {option}")
+
+
+def check_companion(path: Path, sidecar: Path, kind: str, option: str) -> None:
+    """Raise InputError if files would be replaced whose TOML file does not name `kind` as its source."""
+    for file in (sidecar, path):
+        if file.exists() and _kind(sidecar) != kind:
+            raise InputError(f"{file} can't be recognised as written by scan3d; {_ASK} {option}")
 
 
 def check_sidecar(sidecar: Path, advice: str) -> None:
@@ -124,7 +131,7 @@ def check_belongs(folder: Path, report: Mapping[str, Any], names: Iterable[str])
             )
 
 
-def _check_path(path: Path, inputs: Inputs, option: str) -> None:
+def check_path(path: Path, inputs: Inputs, option: str) -> None:
     """Raise InputError unless the path is free or a regular file, and no input."""
     if not path.exists():
         return

@@ -25,6 +25,7 @@ from scan3d.files.journal import locate
 from scan3d.files.ownership import check_sidecar
 from scan3d.files.reading import check_file, did_you_mean, read_toml, to_float
 from scan3d.files.text import to_toml
+from scan3d.poses import Move
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
@@ -32,6 +33,8 @@ from scan3d.units import UNITS_M
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm")
 SIX_AXES = {"fz_N": "force_z_N", "mx_Nm": "moment_x_Nm", "my_Nm": "moment_y_Nm"}
 """The columns of six-axis data, and the fields of the recording that hold them."""
+# The column that says what the clamp does in a row, and its values.
+_MOVE, _MOVES = "move", tuple(move.name.lower() for move in Move)
 # Numbers of sweeps are smaller, so that they fit into 32 bits, as in the columns of a cloud.
 _SWEEP_LIMIT = 2**31
 # Number of the format of the TOML file.
@@ -123,7 +126,10 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _read_table(path: Path) -> dict[str, Array]:
-    """The columns (n,) that a recording needs, by name, and those of six axes if they are there; others are ignored."""
+    """The columns (n,) that a recording needs, by name, and those of six axes if they are there; others are ignored.
+
+    Of a table with the column `move`, as a rig writes it, the rows of the move sweep are read.
+    """
     try:
         stored = locate(path)
         check_file(stored, memory_per_byte=_MEMORY_PER_BYTE)
@@ -132,7 +138,7 @@ def _read_table(path: Path) -> dict[str, Array]:
         first = next(csv.reader([re.split(b"[\r\n]", data, maxsplit=1)[0].decode(encoding="utf-8-sig")]), [])
         header = [name.strip() for name in first]
         columns = _known_columns(path, header)
-        table = _plain_numbers(data, len(header))
+        table = None if _MOVE in header else _plain_numbers(data, len(header))
         if table is not None:
             return {name: table[:, header.index(name)] for name in columns}
         text = io.StringIO(data.decode(encoding="utf-8-sig"), newline="")
@@ -145,7 +151,24 @@ def _read_table(path: Path) -> dict[str, Array]:
             raise InputError(
                 f"{path.name}: line {number} has {len(line)} values, expected {len(header)}; is it cut off?"
             )
+    if _MOVE in header:
+        body = _sweeping(path, body, header.index(_MOVE))
     return {name: _numbers(path, name, header.index(name), body) for name in columns}
+
+
+def _sweeping(path: Path, body: list[tuple[int, list[str]]], column: int) -> list[tuple[int, list[str]]]:
+    """The rows in which the clamp sweeps; in the others it approaches or retracts.  Raises InputError for other moves.
+
+    A column without any sweep is not that of a rig: all rows are read.
+    """
+    if not any(line[column].strip() == _MOVES[Move.SWEEP] for _, line in body):
+        return body
+    for number, line in body:
+        if line[column].strip() not in _MOVES:
+            raise InputError(
+                f"{path.name}: line {number} has the move {line[column]!r}, expected one of {', '.join(_MOVES)}"
+            )
+    return [(number, line) for number, line in body if line[column].strip() == _MOVES[Move.SWEEP]]
 
 
 def _plain_numbers(data: bytes, columns: int) -> Array | None:

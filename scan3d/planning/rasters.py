@@ -87,12 +87,12 @@ def aimed(contacts: Array, normals: Array, count: int, generator: np.random.Gene
     contacts, normals
         (n, 3) in rod lengths, and outward unit vectors (n, 3), NaN where they are unknown.
     """
-    target, normal = _open_places(contacts, normals, count)
+    target, normal = open_places(contacts, normals, count)
     y = _around(normal, generator.uniform(0, 2 * np.pi, len(target)))
     return Lines(target - _TOUCHED * y, np.stack([normal, y, np.cross(normal, y)], axis=1))
 
 
-def _open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Array]:
+def open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Array]:
     """Points and normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
 
     The room is the height above the middle of a facet at which the tangent planes at its three corners end it.

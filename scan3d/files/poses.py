@@ -1,0 +1,231 @@
+"""Files of poses: a CSV file with the columns `COLUMNS`, or a YAML file in the manner of ROS, and a TOML file beside it.
+
+The TOML file has the rod, the speed, and how the poses were planned.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan3d.choices import MODELS
+from scan3d.errors import InputError
+from scan3d.files.atomic import write_together
+from scan3d.files.ownership import Inputs, check_companion, check_path
+from scan3d.files.reading import check_file, did_you_mean, read_toml
+from scan3d.files.text import to_toml
+from scan3d.poses import SPEED_M_S, Move, PoseList
+from scan3d.rods import Rod
+from scan3d.units import UNITS_M
+
+COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "move")
+KIND = "plan of poses"
+"""What the TOML file beside a list of poses says of its source."""
+# Number of the format of the TOML file.
+_SCHEMA = 1
+_MOVES = {move.name.lower(): move for move in Move}
+_NAMES = ("schema", "unit", "model", "speed_m_s", "rod", "source")
+# Memory per byte of a table while it is read.
+_MEMORY_PER_BYTE = 12
+_YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
+_NANOSECONDS = 10**9
+
+
+def sidecar(path: str | Path) -> Path:
+    """Path of the TOML file that belongs to a list of poses."""
+    return Path(path).with_suffix(".toml")
+
+
+def check_poses(path: str | Path, overwrite: bool, inputs: Inputs | None = None) -> None:
+    """Raise InputError unless poses may be written at the path: its ending, and files that are something else."""
+    path = Path(path)
+    if path.suffix not in (".csv", ".yaml"):
+        raise InputError(f"poses are written as .csv, or as .yaml in the manner of ROS, got {path.name!r}")
+    check_path(path, inputs or {}, "--out")
+    check_path(sidecar(path), inputs or {}, "--out")
+    if not overwrite:
+        check_companion(path, sidecar(path), KIND, "--out")
+
+
+def write_poses(poses: PoseList, path: str | Path) -> None:
+    """Write a list of poses, as its file ending says, with its TOML file; numbers of a .csv have all digits.
+
+    Raises InputError if they can't be written.
+    """
+    path = Path(path)
+    _write(path, to_yaml(poses) if path.suffix == ".yaml" else _to_csv(poses), poses)
+
+
+def write_header(poses: PoseList, path: str | Path) -> None:
+    """Write a list without poses, where nothing is left to be swept; its TOML file is that of `poses`."""
+    path = Path(path)
+    _write(path, _YAML_HEADER + "points: []\n" if path.suffix == ".yaml" else header(), poses)
+
+
+def _write(path: Path, text: str, poses: PoseList) -> None:
+    meta: dict[str, Any] = {
+        "schema": _SCHEMA,
+        "unit": poses.unit,
+        "model": poses.model,
+        "speed_m_s": poses.speed_m_s,
+    }
+    if poses.rod is not None:
+        meta["rod"] = {
+            "length_m": poses.rod.length_m,
+            "bending_stiffness_Nm2": poses.rod.bending_stiffness_Nm2,
+            "diameter_m": poses.rod.diameter_m,
+        }
+    meta["source"] = {**poses.source, "kind": KIND}
+    write_together(path, {sidecar(path).name: to_toml(meta).encode(errors="replace"), path.name: text.encode()})
+
+
+def header() -> str:
+    """The first line of a .csv of poses."""
+    return ",".join(COLUMNS) + "\n"
+
+
+def _to_csv(poses: PoseList) -> str:
+    names = {int(move): name for name, move in _MOVES.items()}
+    numbers = np.concatenate([poses.position_m, poses.quaternion], axis=1).tolist()
+    rows = zip(poses.sweep.tolist(), numbers, poses.move.tolist(), strict=True)
+    return header() + "".join(f"{sweep},{','.join(map(repr, row))},{names[move]}\n" for sweep, row, move in rows)
+
+
+def to_yaml(poses: PoseList) -> str:
+    """The poses as points with times, named as in trajectory_msgs/JointTrajectory and geometry_msgs/PoseStamped of ROS 2."""
+    names = {int(move): name for name, move in _MOVES.items()}
+    lines = [f"{_YAML_HEADER}points:"]
+    numbers = zip(poses.position_m.tolist(), poses.quaternion.tolist(), strict=True)
+    for (position, turn), time, sweep, move in zip(
+        numbers, poses.times().tolist(), poses.sweep.tolist(), poses.move.tolist(), strict=True
+    ):
+        seconds, rest = divmod(round(time * _NANOSECONDS), _NANOSECONDS)
+        x, y, z = map(_yaml_number, position)
+        w, *vector = map(_yaml_number, turn)
+        lines += [
+            "- pose:",
+            f"    position: {{x: {x}, y: {y}, z: {z}}}",
+            f"    orientation: {{x: {vector[0]}, y: {vector[1]}, z: {vector[2]}, w: {w}}}",
+            f"  time_from_start: {{sec: {seconds}, nanosec: {rest}}}",
+            f"  sweep: {sweep}",
+            f"  move: {names[move]}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _yaml_number(value: float) -> str:
+    """A number with all digits that every YAML reader takes for one: those of YAML 1.1 want a point before the exponent."""
+    text = repr(value)
+    mantissa, exponent, power = text.partition("e")
+    return text if not exponent or "." in mantissa else f"{mantissa}.0e{power}"
+
+
+def read_poses(path: str | Path) -> PoseList:
+    """Read the .csv of a list of poses, and its TOML file if there is one.
+
+    Raises InputError with the name of the file and the error in it.
+    """
+    path = Path(path)
+    if path.suffix != ".csv":
+        raise InputError(f"poses are read from a .csv, got {path.name!r}; scan3d plan --out poses.csv writes one")
+    body = _rows(path)
+    try:
+        return PoseList(
+            sweep=np.array([_whole(path, number, row[0]) for number, row in body], dtype=np.int64),
+            position_m=np.array([[_number(path, number, k, row) for k in (1, 2, 3)] for number, row in body]),
+            quaternion=np.array([[_number(path, number, k, row) for k in (4, 5, 6, 7)] for number, row in body]),
+            move=np.array([_move(path, number, row[8]) for number, row in body], dtype=np.int8),
+            **_read_sidecar(sidecar(path)),
+        )
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if text.startswith((path.name, sidecar(path).name)) else f"{path.name}: {text}") from None
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """The rows below the header, in the order of `COLUMNS`, with the numbers of their lines."""
+    try:
+        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
+        lines = list(enumerate(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()), start=1))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"can't read the poses {path}: {getattr(error, 'strerror', None) or error}") from None
+    names = [name.strip() for name in lines[0][1]] if lines else []
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise InputError(
+            f"{path.name} is not a list of poses: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
+            "(scan3d plan writes such a table)"
+        )
+    order = [names.index(name) for name in COLUMNS]
+    body = [(number, row) for number, row in lines[1:] if row]
+    for number, row in body:
+        if len(row) != len(names):
+            raise InputError(f"{path.name}: line {number} has {len(row)} values, expected {len(names)}; is it cut off?")
+    if not body:
+        raise InputError(f"{path.name} has no poses: the bound is met, or the file is cut off")
+    return [(number, [row[k] for k in order]) for number, row in body]
+
+
+def _number(path: Path, line: int, column: int, row: list[str]) -> float:
+    try:
+        return float(row[column])
+    except ValueError:
+        raise InputError(
+            f"{path.name}: line {line} has {row[column]!r} for {COLUMNS[column]}, where a number is expected"
+        ) from None
+
+
+def _whole(path: Path, line: int, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"{path.name}: line {line} has {text!r} for sweep, where a whole number is expected") from None
+
+
+def _move(path: Path, line: int, text: str) -> int:
+    if text.strip() not in _MOVES:
+        raise InputError(f"{path.name}: line {line} has the move {text!r}, expected one of {', '.join(_MOVES)}")
+    return _MOVES[text.strip()]
+
+
+def _read_sidecar(path: Path) -> dict[str, Any]:
+    """What the TOML file of a list of poses says; empty if there is none, or if it belongs to something else."""
+    try:
+        meta = read_toml(path)
+    except FileNotFoundError:
+        return {}
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.name} can't be read: {getattr(error, 'strerror', None) or error}") from None
+    source = meta.get("source")
+    if not isinstance(source, dict) or source.get("kind") != KIND:
+        return {}
+    unknown = sorted(set(meta) - set(_NAMES))
+    if unknown:
+        raise InputError(
+            f"{path.name}: unknown names: {', '.join(unknown)}; known are {', '.join(_NAMES)}"
+            f"{did_you_mean(unknown, _NAMES)}"
+        )
+    for name, known in (("unit", tuple(UNITS_M)), ("model", MODELS)):
+        if meta.get(name, known[0]) not in known:
+            raise InputError(f"{path.name}: {name} must be one of {', '.join(known)}, got {meta[name]!r}")
+    speed = meta.get("speed_m_s", SPEED_M_S)
+    if isinstance(speed, bool) or not isinstance(speed, (int, float)) or not 0 < speed < math.inf:
+        raise InputError(f"{path.name}: speed_m_s must be a number above 0, got {speed!r}")
+    rod = meta.get("rod")
+    try:
+        made = None if rod is None else Rod(**{name: float(value) for name, value in rod.items()})
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path.name}: [rod] needs length_m, bending_stiffness_Nm2 and diameter_m: {error}") from None
+    return {
+        "rod": made,
+        "speed_m_s": float(speed),
+        "model": meta.get("model", MODELS[0]),
+        "unit": meta.get("unit", "mm"),
+        "source": source,
+    }

@@ -1,0 +1,100 @@
+"""Logs of a simulated rig: an exact one is a recording with times and moves, one with faults a table with a map for import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array
+from scan3d.errors import InputError
+from scan3d.files.atomic import write_together
+from scan3d.files.ownership import Inputs, check_path
+from scan3d.files.recordings import recording_files, sidecar
+from scan3d.files.text import to_toml
+from scan3d.poses import Move
+from scan3d.recording import Recording
+
+RAW_COLUMNS = (
+    "t_s",
+    *("x_mm", "y_mm", "z_mm"),
+    *("qw", "qx", "qy", "qz"),
+    *("Fx_N", "Fy_N", "Fz_N"),
+    *("Tx_Nmm", "Ty_Nmm", "Tz_Nmm"),
+    "sweep",
+)
+_MARK = "# The map of a log of scan3d simulate"
+# Digits of the numbers of a log: a sensor shows fewer, and a clock and a robot need about as many.
+_DIGITS = 10
+# Rows that are written at once, so that their text does not take much memory.
+_ROWS_AT_ONCE = 20000
+
+
+def map_path(path: str | Path) -> Path:
+    """Path of the map beside a raw log."""
+    path = Path(path)
+    return path.with_name(f"{path.stem}_map.toml")
+
+
+def check_log(path: str | Path, inputs: Inputs, overwrite: bool) -> None:
+    """Raise InputError if a log with faults must not be written at the path, with its map beside it."""
+    path, beside = Path(path), map_path(path)
+    for file in (path, beside):
+        check_path(file, inputs, "--out")
+    ours = beside.exists() and beside.read_bytes().startswith(_MARK.encode())
+    for file in (beside, path):
+        if file.exists() and not ours and not overwrite:
+            raise InputError(
+                f"{file} can't be recognised as written by scan3d; give --overwrite to replace it, or choose another place "
+                "with --out"
+            )
+
+
+def write_exact_log(recording: Recording, time_s: Array, move: NDArray[np.int8], path: str | Path) -> None:
+    """Write a recording with the columns `t_s` and `move`; readers take the rows of the move sweep only."""
+    path = Path(path)
+    files = recording_files(recording, path.name)
+    header, *lines = files[path.name].decode().splitlines()
+    names = {int(kind): kind.name.lower() for kind in Move}
+    rows = zip(lines, time_s.tolist(), move.tolist(), strict=True)
+    text = "".join(f"{line},{time!r},{names[kind]}\n" for line, time, kind in rows)
+    write_together(
+        path, {sidecar(path).name: files[sidecar(path).name], path.name: f"{header},t_s,move\n{text}".encode()}
+    )
+
+
+def write_log(columns: dict[str, Array], rod: dict[str, float], sensor: dict[str, Any], path: str | Path) -> None:
+    """Write a log with faults, of the columns `RAW_COLUMNS`, and its map, which says what the experimenter knows.
+
+    rod
+        the nominal one.
+    sensor
+        its nominal frame, and the wrench that it shows.
+    """
+    path = Path(path)
+    table = np.stack([columns[name] for name in RAW_COLUMNS], axis=1)
+    form = ",".join([f"%.{_DIGITS}g"] * (len(RAW_COLUMNS) - 1) + ["%d"]) + "\n"
+    parts = [",".join(RAW_COLUMNS) + "\n"]
+    for first in range(0, len(table), _ROWS_AT_ONCE):
+        part = table[first : first + _ROWS_AT_ONCE]
+        parts.append((form * len(part)) % tuple(part.ravel().tolist()))
+    note = (
+        f"{_MARK}.  The column sweep has the numbers of the planned sweeps, and -1 between them;\n"
+        "# it is not named here, because the log of a rig seldom has it.\n"
+    )
+    meta = {
+        "columns": {
+            "time": "t_s",
+            "position": ["x_mm", "y_mm", "z_mm"],
+            "orientation": {"quaternion": ["qw", "qx", "qy", "qz"]},
+            "force": ["Fx_N", "Fy_N", "Fz_N"],
+            "moment": ["Tx_Nmm", "Ty_Nmm", "Tz_Nmm"],
+        },
+        "units": {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"},
+        "sensor": sensor,
+        "tare": {"air": "auto"},
+        "rod": rod,
+    }
+    write_together(path, {map_path(path).name: (note + to_toml(meta)).encode(), path.name: "".join(parts).encode()})

@@ -1,0 +1,128 @@
+"""Lists of poses for a robot that holds the clamp: approach, sweep and retract, one sweep after the other.
+
+The pose is that of the clamp in the world, as in a recording: y along the undeformed rod, x along the line of the sweep,
+against which the clamp moves, and z normal to both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Index
+from scan3d.errors import InputError
+from scan3d.rods import Rod
+
+SPEED_M_S = 0.02
+"""Speed of the clamp where none is given: a rod of 80 mm passes a body of that size in some ten seconds."""
+# Shortest time between two poses, in seconds, which stand at the same place.
+_PAUSE = 1e-3
+# Largest error of a quaternion's length, as in recordings.
+_QUATERNION_TOLERANCE = 1e-3
+
+
+class Move(IntEnum):
+    """What the clamp does at a pose.  It comes to the first `SWEEP` pose on a straight line from the last `APPROACH` pose."""
+
+    APPROACH = 0
+    SWEEP = 1
+    RETRACT = 2
+
+
+@dataclass(frozen=True)
+class PoseList:
+    """Poses (n) of the clamp, in the order in which they are passed; straight lines and steady turns between them.
+
+    Raises InputError for columns of different lengths, numbers that aren't finite, quaternions without unit length, and sweeps
+    with fewer than two poses or with poses that are not in one piece.
+    """
+
+    sweep: NDArray[np.int64]
+    """(n,) number of the sweep to which the pose belongs."""
+    position_m: Array
+    """(n, 3)"""
+    quaternion: Array
+    """(n, 4) w first, of unit length."""
+    move: NDArray[np.int8]
+    """(n,) of `Move`."""
+    rod: Rod | None = None
+    """The rod for which the poses were planned; None where it is not known."""
+    speed_m_s: float = SPEED_M_S
+    """Of the clamp; in turns that of the rod's tip."""
+    model: str = "planar"
+    """The model of contact for which the poses were planned."""
+    unit: str = "mm"
+    """In which the body's size was given."""
+    source: Mapping[str, Any] = field(default_factory=dict)
+    """How the poses were planned."""
+
+    def __post_init__(self) -> None:
+        n = len(self.sweep)
+        if n == 0:
+            raise InputError("the list has no poses: expected at least two for each sweep")
+        for name, shape in (("sweep", (n,)), ("position_m", (n, 3)), ("quaternion", (n, 4)), ("move", (n,))):
+            value = np.asarray(getattr(self, name))
+            if value.shape != shape:
+                raise InputError(f"poses: {name} must have the shape {shape}, got {value.shape}")
+            bad = ~np.isfinite(value.astype(float)).reshape(n, -1).all(axis=1)
+            if bad.any():
+                raise InputError(f"poses: {name} is not a number in row {np.argmax(bad) + 1}")
+        length = np.linalg.norm(self.quaternion, axis=1)
+        worst = int(np.argmax(np.abs(length - 1)))
+        if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
+            raise InputError(
+                f"poses: orientations must be unit quaternions (qw, qx, qy, qz); that of row {worst + 1} has the length "
+                f"{length[worst]:.4g}"
+            )
+        if not self.speed_m_s > 0:
+            raise InputError(f"poses: the speed must be above 0 m/s, got {self.speed_m_s}")
+        self._check_sweeps()
+
+    def _check_sweeps(self) -> None:
+        """Raise InputError unless the rows of each sweep stand together: approach, sweep and retract in this order."""
+        first = np.flatnonzero(np.diff(self.sweep, prepend=self.sweep[0] - 1))
+        numbers, count = np.unique(self.sweep[first], return_counts=True)
+        if (count > 1).any():
+            raise InputError(f"poses: the rows of sweep {numbers[np.argmax(count > 1)]} do not stand together")
+        within = np.diff(self.sweep) == 0
+        back = within & (np.diff(self.move.astype(int)) < 0)
+        if back.any():
+            raise InputError(
+                f"poses: row {int(np.argmax(back)) + 2} is out of order; each sweep has approach, sweep and retract in turn"
+            )
+        samples = np.bincount(
+            np.searchsorted(first, np.flatnonzero(self.move == Move.SWEEP), side="right") - 1, minlength=len(first)
+        )
+        if (samples < 2).any():
+            raise InputError(
+                f"poses: sweep {self.sweep[first[np.argmax(samples < 2)]]} has {samples.min()} rows of the move sweep, where "
+                "at least two are needed"
+            )
+
+    def __len__(self) -> int:
+        return len(self.sweep)
+
+    def axes(self) -> Array:
+        """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
+        matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        return matrices.swapaxes(1, 2)
+
+    def sweeps(self) -> list[Index]:
+        """The rows of the move sweep of every sweep, in order."""
+        rows = np.flatnonzero(self.move == Move.SWEEP)
+        return np.split(rows, np.flatnonzero(np.diff(self.sweep[rows])) + 1)
+
+    def times(self) -> Array:
+        """(n,) seconds from the first pose, at `speed_m_s`; turns take the time that the rod's tip needs."""
+        turns = Rotation.from_quat(self.quaternion, scalar_first=True)
+        length = self.rod.length_m if self.rod is not None else 0.0
+        angle = np.zeros(max(len(self) - 1, 0)) if len(self) < 2 else (turns[:-1].inv() * turns[1:]).magnitude()
+        path = np.linalg.norm(np.diff(self.position_m, axis=0), axis=1)
+        steps = np.maximum(np.maximum(path, length * angle) / self.speed_m_s, _PAUSE)
+        return np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,0 +1,325 @@
+"""A session at a rig: ask for poses, tell what was measured, and ask again, until the bound is small enough.
+
+A session does not know the body.  A rig, real or computed, goes through the poses that `Session.ask` gives, and its recording
+is given to `Session.tell`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from scan3d.arrays import Index
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.sections import slice_frame
+from scan3d.planning.adaptive import next_heights
+from scan3d.planning.directions import further_directions
+from scan3d.planning.envelopes import Envelope, parse_envelope
+from scan3d.planning.plan import Plan
+from scan3d.planning.rasters import open_places
+from scan3d.planning.rig_plan import RigPlan, overtravel, plan_poses, pose_list, slice_sweep
+from scan3d.planning.table_rasters import lines_to
+from scan3d.planning.transits import Sweep
+from scan3d.poses import PoseList
+from scan3d.reconstruction import contradictions, reconstruct
+from scan3d.recording import Recording
+from scan3d.rods import Rod
+from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
+
+# Slices of the first batch, unless the settings say otherwise: as those with which adaptive spacing starts.
+_FIRST_SLICES = 8
+# Sweeps of a further batch.
+SWEEPS = 24
+# Sides from which a new slice is swept.
+_SIDES = 4
+# Slices along the axis per new one, by `next_heights`: of its rule that a round grows with the number of slices.
+_PER_HEIGHT, _LEFT_PER_HEIGHT = 12, 3
+# By how much the bounding body is larger than the contacts, where none is stated.
+_AROUND = 0.1
+# Part of the bound above which what the contacts of a slice leave open is closed by sweeps from further directions.
+_WIDE = 0.5
+# Components of a slice's normal that are zero, and heights below the table in rod lengths that are rounding.
+_ROUNDING = 1e-6
+# Places that sweeps in space are aimed at for each sweep that is wanted: some cannot be reached from above the table.
+_SPARE = 8
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What follows from all recordings so far."""
+
+    recording: Recording
+    table: bool
+    """Whether the table closes the slices from below."""
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        recording = _on_table(self.recording) if self.table else self.recording
+        return reconstruct(recording, model="planar" if self.table else None)
+
+    @cached_property
+    def warnings(self) -> tuple[Any, ...]:
+        return tuple(contradictions(self.recording, self.cloud))
+
+    @cached_property
+    def bounds(self) -> Enclosure:
+        return enclosure(self.cloud)
+
+    @cached_property
+    def surface(self) -> Any:
+        known = replace(self.bounds, bound=np.inf) if self.warnings else self.bounds
+        return surface(self.cloud, bounds=known)
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        if self.warnings:
+            return withdrawn(self.bounds, self.surface)[1]
+        return certificate(self.bounds, self.surface)
+
+
+class Session:
+    """Poses out, recordings in: the body that stands on z = 0 in the bounding body `around`.
+
+    around
+        the bounding body, an `Envelope` or its text, such as ``"cylinder:80x90"``.
+    rod, model, settings
+        as in `RigPlan`; by default 8 slices in the first batch.
+    tolerance
+        bound, relative to the diagonal of the contacts' bounding box, at which `ask` gives no more poses.
+    seed
+        of the directions of sweeps that are aimed in space.
+
+    Raises InputError as `RigPlan`.
+    """
+
+    def __init__(
+        self,
+        around: Envelope | str,
+        rod: Rod | None = None,
+        model: str = "planar",
+        *,
+        tolerance: float = 0.0,
+        seed: int = 0,
+        **settings: Any,
+    ) -> None:
+        body = parse_envelope(around) if isinstance(around, str) else around
+        self.plan = RigPlan(body, model, rod=rod, **{"slices": _FIRST_SLICES, **settings})
+        self.plan.resolved_clearance()
+        if not tolerance >= 0:
+            raise InputError(f"tolerance must be a number >= 0, got {tolerance}")
+        self.tolerance = tolerance
+        self._seed = seed
+        self._recordings: list[Recording] = []
+        self._last: _Known | None = None
+
+    def ask(self, sweeps: int = SWEEPS) -> PoseList | None:
+        """The poses of the next sweeps: first those of the plan, then about `sweeps` where most room is left for the body.
+
+        None if the tolerance is met, or if no further sweep would add information.  Raises InputError if the contacts so far
+        span no body.
+        """
+        if not self._recordings:
+            return plan_poses(self.plan)
+        if self.relative_bound <= self.tolerance:
+            return None
+        chosen = self._further_slices(sweeps) if self.plan.model == "planar" else self._aimed(sweeps)
+        if not chosen:
+            return None
+        return pose_list(chosen, self.plan, int(self.recording.sweep.max()) + 1)
+
+    def planned(self) -> PoseList:
+        """The poses of the first batch."""
+        return plan_poses(self.plan)
+
+    def tell(self, recording: Recording) -> None:
+        """Add what was measured; its sweeps are numbered after those so far.
+
+        Raises InputError for a recording with another rod or unit, or without the axes that the model needs.
+        """
+        if not isinstance(recording, Recording):
+            raise InputError(f"tell a scan3d.Recording, got {type(recording).__name__}")
+        if self.plan.model == "spatial":
+            recording.wrench()
+        if recording.unit != self.plan.unit:
+            raise InputError(f"the session is in {self.plan.unit}, and the recording in {recording.unit}")
+        if self._recordings and self._recordings[0].rod != recording.rod:
+            raise InputError("the recording has another rod than those before; use one rod in a session")
+        self._recordings.append(recording)
+        self._last = None
+
+    @property
+    def recording(self) -> Recording:
+        """All recordings so far as one.  Raises InputError if there are none."""
+        return self._known.recording
+
+    @property
+    def cloud(self) -> Cloud:
+        """The contacts; a table at z = 0 counts as an empty slice of horizontal ones."""
+        return self._known.cloud
+
+    @property
+    def surface(self) -> Any:
+        """The surface, a `trimesh.Trimesh`."""
+        return self._known.surface
+
+    @property
+    def certificate(self) -> Certificate:
+        """The certificate of the surface; of nothing where the recording contradicts the model (`warnings`)."""
+        return self._known.certificate
+
+    @property
+    def warnings(self) -> tuple[Any, ...]:
+        """Contradictions between the recordings and the model."""
+        return self._known.warnings
+
+    @property
+    def relative_bound(self) -> float:
+        """The certified bound, relative to the diagonal of the contacts' bounding box."""
+        return self.certificate.bound / float(np.linalg.norm(np.ptp(self.cloud.points, axis=0)))
+
+    @property
+    def _known(self) -> _Known:
+        if not self._recordings:
+            raise InputError("there is no recording yet: sweep the poses of ask(), and tell() their recording")
+        if self._last is None:
+            recording = _merged(self._recordings)
+            self._last = _Known(recording, self.plan.model == "planar" and _is_level(recording))
+        return self._last
+
+    def _further_slices(self, sweeps: int) -> list[Sweep]:
+        """Sweeps of new slices, and of slices that their contacts leave open."""
+        space, clearance = self.plan.space(), self.plan.resolved_clearance()
+        count = max(1, sweeps // _SIDES)
+        left = _LEFT_PER_HEIGHT * count
+        heights = next_heights(self.cloud, Plan(slices=left + round(_PER_HEIGHT * count)), left=left)
+        top = self.plan.around.height
+        chosen = [
+            (float(angle), float(z))
+            for z in heights
+            if space.floor <= z <= top
+            for angle in 2 * np.pi * np.arange(_SIDES) / _SIDES
+        ]
+        chosen += self._open_directions(sweeps)
+        frame = slice_frame(np.array([0.0, 0.0, 1.0]))
+        return [slice_sweep(self.plan, space, angle, z, clearance, frame) for angle, z in sorted(chosen)]
+
+    def _open_directions(self, sweeps: int) -> list[tuple[float, float]]:
+        """At most `sweeps` directions and heights that close what the contacts of slices leave open, if that is much."""
+        bounds = self._known.bounds
+        if not isinstance(bounds, SliceEnclosure):
+            return []
+        wide = (bounds.kind == Gap.CONTACTS) & (bounds.gap > _WIDE * bounds.gap.max())
+        levels = bounds.stack.heights
+        if not wide.any():
+            return []
+        numbers = np.unique(np.abs(bounds.corners[wide, 2:] - levels).argmin(axis=1))
+        directions: list[tuple[float, float]] = []
+        for number in numbers:
+            part = bounds.stack.slices[number]
+            points = part.points[part.tangential]
+            width = float(np.ptp(part.points, axis=0).max())
+            # from the slices' frame, whose axes are those of the world for horizontal slices
+            directions += [
+                (float(angle % (2 * np.pi)), float(part.height))
+                for angle in further_directions(points, part.normals, width)
+            ]
+        return directions[:sweeps]
+
+    def _aimed(self, sweeps: int) -> list[Sweep]:
+        """Sweeps aimed at the places that the contacts in space leave open."""
+        space, clearance = self.plan.space(), self.plan.resolved_clearance()
+        random = np.random.default_rng([self._seed, 7, len(self._recordings)])
+        target, normal = open_places(self.cloud.points / space.length, self.cloud.normals, _SPARE * sweeps)
+        lines = lines_to(
+            target * space.length,
+            normal,
+            space.envelope.points(),
+            space.length,
+            (clearance, space.margin / space.length, overtravel(clearance)),
+            space.floor,
+            random,
+        )[:sweeps]
+        fraction = np.linspace(0, 1, self.plan.samples)[:, None]
+        return [Sweep(start + fraction * (end - start), axes) for start, end, axes in lines]
+
+
+def around_contacts(recording: Recording, model: str) -> Envelope:
+    """A cylinder about the z axis that contains the contacts of a recording with a margin.
+
+    Raises InputError for contacts below z = 0, where the table is.
+    """
+    cloud = reconstruct(recording, model=model)
+    low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
+    if low < -_ROUNDING * cloud.rod_length:
+        raise InputError(
+            f"contacts lie down to z = {low:.4g} {cloud.unit}, and poses are planned for a body that stands on z = 0 about the "
+            "z axis; move the frame of the poses"
+        )
+    radius = float(np.hypot(*cloud.points[:, :2].T).max())
+    return Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
+
+
+def _merged(recordings: list[Recording]) -> Recording:
+    """All recordings as one, their sweeps numbered one after the other."""
+    numbers: list[Index] = []
+    first = 0
+    for recording in recordings:
+        distinct, rank = np.unique(recording.sweep, return_inverse=True)
+        # a recording that goes on from the ones before keeps its numbers
+        numbers.append(recording.sweep if distinct[0] >= first else first + rank.reshape(-1))
+        first = int(numbers[-1].max()) + 1
+    columns = ["position_m", "quaternion", "force_N", "moment_Nm"]
+    if all(recording.six_axis for recording in recordings):
+        columns += ["force_z_N", "moment_x_Nm", "moment_y_Nm"]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns
+    }
+    last = recordings[-1]
+    return Recording(
+        sweep=np.concatenate(numbers),
+        **joined,
+        rod=last.rod,
+        noise_force_N=max(recording.noise_force_N for recording in recordings),
+        noise_moment_Nm=max(recording.noise_moment_Nm for recording in recordings),
+        unit=last.unit,
+        source=last.source,
+    )
+
+
+def _is_level(recording: Recording) -> bool:
+    """Whether all slices are horizontal, with their normals up."""
+    normals = recording.axes()[:, 2]
+    return bool((normals[:, 2] > 0).all() and np.abs(normals[:, :2]).max() < _ROUNDING)
+
+
+def _on_table(recording: Recording) -> Recording:
+    """The recording with a sweep on the table, in which nothing is touched: the body stands on it.
+
+    Raises InputError if the lowest sweep with a force lies below the table.
+    """
+    touching = np.abs(recording.force_N).max(axis=1) > 0
+    lowest = recording.position_m[touching, 2].min(initial=np.inf)
+    if lowest < -_ROUNDING * recording.rod.length_m:
+        raise InputError(
+            f"the rod touches the body at z = {1000 * lowest:.3g} mm, where the table is at 0; move the frame of the poses so "
+            "that the body stands on z = 0"
+        )
+    position = np.array(
+        [recording.position_m[0], recording.position_m[0] - recording.rod.length_m * recording.axes()[0, 0]]
+    )
+    position[:, 2] = 0.0
+    added: dict[str, Any] = {
+        "sweep": np.append(recording.sweep, np.full(2, recording.sweep.max() + 1)),
+        "position_m": np.concatenate([recording.position_m, position]),
+        "quaternion": np.concatenate([recording.quaternion, recording.quaternion[[0, 0]]]),
+        "force_N": np.concatenate([recording.force_N, np.zeros((2, 2))]),
+        "moment_Nm": np.append(recording.moment_Nm, [0.0, 0.0]),
+        "force_z_N": None,
+        "moment_x_Nm": None,
+        "moment_y_Nm": None,
+    }
+    return replace(recording, **added)

@@ -1,0 +1,239 @@
+"""Contact of a rod with a body along given paths of its clamp: the reactions at every place, by either model."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import planar
+from scan3d.arrays import Array, Index, Mask
+from scan3d.errors import InputError
+from scan3d.geometry.sections import slice_polygons
+from scan3d.geometry.segments import segments_meet
+from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.results import End
+from scan3d.spatial.sweeping import sweep
+
+# Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a planar sweep.
+_STRAIGHT = 1e-6
+# Decimals of axes that are the same, of sweeps whose slices are cut at once.
+_AXIS_DECIMALS = 12
+# Sweeps that are computed at once.  More keep one another company in the rounds of the solution; fewer take less memory.
+_AT_ONCE_PLANAR, _AT_ONCE = 16, 128
+# Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The reactions in between are
+# interpolated; contacts from them are off by some 1e-5 rod lengths, and next to snaps by a step.  Larger, a sensor would
+# notice; smaller, a log at 1 kHz takes long.
+_STEP = 0.0025
+# Distance of the places, in rod lengths, at which straight rods are looked at on their paths outside of sweeps.
+_LOOKED_AT = 0.02
+
+
+class Track(NamedTuple):
+    """Places (n) of a clamp in one sweep, in the mesh's unit."""
+
+    number: int
+    position: Array
+    """(n, 3)"""
+    axes: Array
+    """(n, 3, 3) as rows."""
+    friction: Array
+    """(n,)"""
+
+
+class Reactions(NamedTuple):
+    """Reactions along one sweep in the clamp's frame, in units of the rod; zero without contact."""
+
+    force: Array
+    """(n, 3)"""
+    moment: Array
+    """(n, 3)"""
+    touches: Mask
+    """(n,)"""
+    lost: bool = False
+    """Whether the computation found no equilibrium, after which there are no reactions."""
+
+
+def planar_contact(mesh: Any, tracks: list[Track], length: float) -> list[Reactions]:
+    """The reactions of rods that stay in the planes of their sweeps.
+
+    Raises InputError for clamps that do not move along -x of their frames, and for sweeps that begin in the body.
+    """
+    for track in tracks:
+        _check_planar(track, length)
+    outlines = _outlines(mesh, tracks, length)
+    reactions = []
+    for first in range(0, len(tracks), _AT_ONCE_PLANAR):
+        part = range(first, min(first + _AT_ONCE_PLANAR, len(tracks)))
+        within = [k for k in part if len(outlines[k]) and outlines[k][:, 1].min() <= 1]
+        for k in within:
+            if outlines[k][:, 1].min() <= 0:
+                raise InputError(_begins_in_body(tracks[k].number))
+        base = [_base(tracks[k], length) for k in within]
+        contours = [planar.Polygon(outlines[k]) for k in within]
+        swept = planar.sweep_all(contours, [tracks[k].friction for k in within], base=base) if within else []
+        results = dict(zip(within, swept, strict=True))
+        for k in part:
+            reactions.append(_in_plane(tracks[k], results.get(k)))
+    return reactions
+
+
+def _in_plane(track: Track, result: planar.Sweep | None) -> Reactions:
+    n = len(track.position)
+    force, moment = np.zeros((n, 3)), np.zeros((n, 3))
+    if result is None:
+        return Reactions(force, moment, np.zeros(n, dtype=bool))
+    touches = result.phase != planar.Phase.NONE
+    if touches[0]:
+        raise InputError(_begins_in_body(track.number))
+    force[:, 0], force[:, 1] = np.nan_to_num(result.f0x), np.nan_to_num(result.f0y)
+    moment[:, 2] = np.nan_to_num(result.m0z)
+    return Reactions(force, moment, touches)
+
+
+def _begins_in_body(number: int) -> str:
+    return (
+        f"the rod touches the body before sweep {number} begins: the body is larger than what the poses were planned for, or "
+        "stands elsewhere; plan with a larger --around"
+    )
+
+
+def _base(track: Track, length: float) -> Array:
+    """(n,) base positions of a sweep from its first place, in rod lengths; falling also where rounding would lift them."""
+    return np.minimum.accumulate((track.position - track.position[0]) @ track.axes[0, 0] / length)
+
+
+def _check_planar(track: Track, length: float) -> None:
+    travel = (track.position - track.position[0]) / length
+    aside = np.abs(travel @ track.axes[0, 1:].T).max()
+    backwards = np.diff(travel @ track.axes[0, 0]).max(initial=0.0)
+    turned = np.abs(track.axes - track.axes[0]).max()
+    if max(aside, backwards, turned) > _STRAIGHT:
+        raise InputError(
+            f"in the planar model the clamp moves against the x axis of its frame and does not turn, unlike in sweep "
+            f"{track.number}; give --model spatial"
+        )
+
+
+def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
+    """The contour (m, 2) of each sweep's slice in the frame of its clamp at the first place, in rod lengths."""
+    outlines: list[Array] = [np.empty((0, 2))] * len(tracks)
+    frames = np.array([track.axes[0] for track in tracks])
+    _, first, group = np.unique(
+        np.round(frames, _AXIS_DECIMALS).reshape(len(tracks), -1), axis=0, return_index=True, return_inverse=True
+    )
+    for k, row in enumerate(first):
+        members = np.flatnonzero(group.reshape(-1) == k)
+        start = np.array([tracks[i].position[0] @ frames[row].T for i in members])
+        polygons = slice_polygons(mesh, frames[row], start[:, 2])
+        for i, polygon, place in zip(members, polygons, start, strict=True):
+            outlines[i] = (polygon - place[:2]) / length
+    return outlines
+
+
+def spatial_contact(
+    mesh: Any, tracks: list[Track], length: float, radius: float, accuracy: float | None = None
+) -> list[Reactions]:
+    """The reactions of round rods in space; `radius` in the mesh's unit, as `length`.
+
+    Raises InputError for sweeps that begin in the body.
+    """
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+    try:
+        body = RoundedPolyhedron((vertices - middle) / length, mesh.faces, radius / length)
+    except ValueError as error:
+        raise InputError(f"this body can't be swept in space: {error}") from None
+    paths = [_places((track.position - middle) / length, track) for track in tracks]
+    reactions: dict[int, Reactions] = {}
+    order = sorted(range(len(tracks)), key=lambda k: len(paths[k][1]))
+    for first in range(0, len(order), _AT_ONCE):
+        rows = order[first : first + _AT_ONCE]
+        reactions |= dict(
+            zip(rows, _swept(body, [tracks[k] for k in rows], [paths[k] for k in rows], accuracy), strict=True)
+        )
+    return [reactions[k] for k in range(len(tracks))]
+
+
+def _places(position: Array, track: Track) -> tuple[Array, Array]:
+    """Where on its path a sweep is solved: (k,) in rows, and the positions (k, 3) there.
+
+    At every row, unless the rows of a straight path are closer to each other than needed.
+    """
+    n = len(position)
+    every = np.arange(n, dtype=float)
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    count = math.ceil(path[-1] / _STEP) + 1
+    if count >= n or np.abs(track.axes - track.axes[0]).max() > _STRAIGHT:
+        return every, position
+    at = np.interp(np.linspace(0, path[-1], count), path, every)
+    columns = [np.interp(at, every, column) for column in position.T]
+    return at, np.stack(columns, axis=1)
+
+
+def _swept(
+    body: RoundedPolyhedron, tracks: list[Track], paths: list[tuple[Array, Array]], accuracy: float | None
+) -> list[Reactions]:
+    """Sweeps of similar lengths at once: shorter ones go on beyond their ends, which is cut off."""
+    n = max(len(at) for at, _ in paths)
+    position, friction = np.empty((len(tracks), n, 3)), np.empty((len(tracks), n))
+    turning = any(np.abs(track.axes - track.axes[0]).max() > _STRAIGHT for track in tracks)
+    axes = np.empty((len(tracks), n, 3, 3))
+    for k, (track, (at, places)) in enumerate(zip(tracks, paths, strict=True)):
+        count, step = len(at), places[-1] - places[-2]
+        position[k, :count] = places
+        position[k, count:] = places[-1] + np.arange(1, n - count + 1)[:, None] * step
+        rows = np.minimum(np.round(at).astype(np.intp), len(track.friction) - 1)
+        friction[k, :count], friction[k, count:] = track.friction[rows], track.friction[-1]
+        axes[k, :count], axes[k, count:] = track.axes[rows], track.axes[-1]
+    try:
+        result = sweep(body, position, axes if turning else axes[:, 0], friction, accuracy=accuracy)
+    except ValueError as error:
+        raise InputError(f"these poses can't be swept in space: {error}; plan with a larger --around") from None
+    reactions = []
+    for k, (track, (at, _)) in enumerate(zip(tracks, paths, strict=True)):
+        count = len(at)
+        touches = np.isfinite(result.s1[k, :count])
+        values = np.nan_to_num(np.concatenate([result.force[k, :count], result.moment[k, :count]], axis=1))
+        lost = bool(result.end[k] == End.LOST)
+        if count < len(track.position):
+            # across a snap the reactions jump
+            joined = touches[:-1] & touches[1:] & ~result.snapped[k, 1:count]
+            values, touches = _between(at, values, touches, joined, len(track.position))
+        reactions.append(Reactions(values[:, :3], values[:, 3:], touches, lost))
+    return reactions
+
+
+def _between(at: Array, values: Array, touches: Mask, joined: Mask, rows: int) -> tuple[Array, Mask]:
+    """Values (n, k) at the rows from those at places `at` (m,), between which they are smooth where two places are `joined`.
+
+    From the place before a touch-down to the first place that touches, and likewise at a lift-off, nothing touches; on both
+    sides of a snap the values are those of the nearest place.
+    """
+    row = np.arange(rows, dtype=float)
+    before = np.minimum(np.searchsorted(at, row, side="right") - 1, len(at) - 2)
+    part = (row - at[before]) / (at[before + 1] - at[before])
+    part = np.where(joined[before], part, np.round(part))
+    part[-1] = 1.0
+    mixed = (1 - part[:, None]) * values[before] + part[:, None] * values[before + 1]
+    exact = np.isin(row, at)
+    touching = np.where(exact & (part == 0), touches[before], touches[before] & touches[before + 1])
+    touching[-1] = touches[-1]
+    mixed[~touching] = 0.0
+    return mixed, touching
+
+
+def steps_touch(mesh: Any, position: Array, axes: Array, length: float, radius: float) -> Mask:
+    """(n - 1,) in which steps between poses (n) a straight rod touches the body."""
+    turns = Rotation.from_matrix(np.swapaxes(axes, 1, 2))
+    vector = (turns[:-1].inv() * turns[1:]).as_rotvec()
+    size = np.maximum(np.linalg.norm(np.diff(position, axis=0), axis=1), length * np.linalg.norm(vector, axis=1))
+    count: Index = np.ceil(size / (_LOOKED_AT * length)).astype(np.intp) + 1
+    step = np.repeat(np.arange(len(count)), count)
+    part = (np.arange(len(step)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[step]
+    place = position[step] + part[:, None] * (position[step + 1] - position[step])
+    along = (turns[step] * Rotation.from_rotvec(part[:, None] * vector[step])).as_matrix()[:, :, 1]
+    touches = segments_meet(mesh, place, along, length, radius)
+    return np.asarray(np.bincount(step, touches, minlength=len(count)) > 0)

@@ -1,0 +1,339 @@
+"""Poses for an unknown body: free of the bounding body and the table outside of sweeps, and forces in bounds."""
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+import planar
+from scan3d import InputError, Rod
+from scan3d.cli import main
+from scan3d.files.poses import COLUMNS, read_poses, to_yaml, write_poses
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.segments import segments_meet
+from scan3d.planning.envelopes import Envelope, parse_envelope
+from scan3d.planning.rig_plan import FARTHEST, FORCE_FACTOR, RigPlan, overtravel, plan_poses
+from scan3d.poses import Move, PoseList
+from scan3d.simulation.rig import simulate_rig
+from scan3d.simulation.rig_contact import steps_touch
+from scan3d.spatial.bodies import sphere_directions
+
+BODIES = ("cylinder:80x90", "sphere:60", "box:40x60x30", "cylinder:10x100", "box:90x20x10")
+FEW = dict(slices=6, samples=9)
+
+
+def planned(around, **settings):
+    return plan_poses(RigPlan(parse_envelope(around), **{**FEW, **settings}))
+
+
+@pytest.mark.parametrize("text", BODIES)
+def test_bounding_bodies_lie_in_their_polyhedra(text):
+    around = parse_envelope(text)
+    assert str(around) == text
+    points = around.points()
+    assert points[:, 2].min() == 0
+    assert points[:, 2].max() == pytest.approx(around.height, rel=0.02)
+    random = np.random.default_rng(1)
+    inside = random.uniform([-60, -60, 0], [60, 60, 110], (20000, 3))
+    inside = inside[around.contains(inside)]
+    assert len(inside) > 20
+    body = hull(points)
+    heights = inside @ body.face_normals.T - (body.triangles_center * body.face_normals).sum(axis=1)
+    assert heights.max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "text", ["", "egg", "cylinder:80", "sphere:1x2", "box:1x2", "box:1x2x3x4", "ball:3", "sphere:a"]
+)
+def test_other_bounding_bodies_are_refused(text):
+    with pytest.raises(InputError, match=r"a bounding body is cylinder:DIAMETERxHEIGHT, .* got"):
+        parse_envelope(text)
+
+
+@pytest.mark.parametrize("text", ["sphere:0", "sphere:-3", "cylinder:80x1e999"])
+def test_sizes_are_positive(text):
+    with pytest.raises(InputError, match="must be above 0"):
+        parse_envelope(text)
+
+
+@pytest.mark.parametrize(("around", "model"), list(itertools.product(BODIES, ("planar", "spatial"))))
+def test_paths_between_sweeps_keep_clear_of_the_bounding_body_and_the_table(around, model):
+    plan = RigPlan(parse_envelope(around), model=model, slices=6, samples=33)
+    poses, space = plan_poses(plan), plan.space()
+    # the bounding body fattened by the margin that is promised; in the steps within a sweep the rod may touch
+    fattened = plan.around.points()[:, None] + 0.999 * space.margin * sphere_directions(200).T
+    body = hull(fattened.reshape(-1, 3))
+    axes, position = poses.axes(), 1000 * poses.position_m
+    touches = steps_touch(body, position, axes, space.length, 0.0)
+    sweeping = (poses.move[:-1] == Move.SWEEP) & (poses.move[1:] == Move.SWEEP)
+    assert not touches[~sweeping].any()
+    assert touches[sweeping].any()
+    # most sweeps may touch: of the planar ones not those above the body
+    reach = segments_meet(hull(plan.around.points()), position, axes[:, 1], space.length, 0.0)
+    assert np.mean([reach[rows].any() for rows in poses.sweeps()]) > 0.8
+    # the table is an obstacle for clamp and rod, on the way from pose to pose as well
+    part = np.linspace(0, 1, 11)[:, None, None]
+    between = (1 - part) * position[:-1] + part * position[1:]
+    rods = (1 - part) * axes[:-1, 1] + part * axes[1:, 1]
+    lowest = np.minimum(between[..., 2], (between + space.length * rods)[..., 2])
+    assert lowest.min() > space.floor - 1e-9
+    # the clamp moves against its x axis, on a straight line
+    for rows in poses.sweeps():
+        steps = np.diff(position[rows], axis=0) @ axes[rows[0]].T
+        assert (steps[:, 0] < 0).all()
+        assert np.abs(steps[:, 1:]).max() < 1e-9
+
+
+def test_sweeps_pass_the_bounding_body_even_with_a_bent_rod():
+    # the body fills what is known of it, and the rod is bent until the last sample that touches
+    body = hull(Envelope("cylinder", (60.0, 40.0)).points())
+    for model in ("planar", "spatial"):
+        log = simulate_rig(body, planned("cylinder:61x41", model=model, samples=40), friction=(0.6, 0.6))
+        assert not [text for text in log.warnings if "end in contact" in text or "would touch" in text]
+        # the forces are not larger than promised, in space as in the plane
+        force = np.linalg.norm(log.wrench[:, :3], axis=1).max() / log.rod.force_unit_N
+        assert 0.1 < force < FORCE_FACTOR / 0.3**2
+
+
+def test_planar_plan_has_four_sides_and_closes_the_top():
+    poses = planned("cylinder:80x90")
+    assert len(poses.sweeps()) == 4 * (6 + 1)
+    first = np.array([rows[0] for rows in poses.sweeps()])
+    heights = 1000 * poses.position_m[first, 2]
+    assert heights.max() > 90
+    assert heights.min() > 1.8
+    directions = np.unique(np.round(poses.axes()[first, 1], 6) + 0.0, axis=0)
+    assert len(directions) == 4
+    assert np.abs(directions[:, 2]).max() == 0
+
+
+def test_force_factor_bounds_sweeps_past_circles():
+    # thin and thick bodies, near to the clamp and far from it
+    largest = 0.0
+    for radius, distance, friction in itertools.product((0.003, 0.1, 0.5), (0.2, 0.3, 0.5, 0.75), (0.0, 0.3, 1.0)):
+        circle = planar.Circle(radius=radius, center=(0.0, distance + radius))
+        swept = planar.sweep(circle, friction=friction, samples=200)
+        force = np.nanmax(np.hypot(swept.f0x, swept.f0y))
+        largest = max(largest, force * distance**2 / FORCE_FACTOR)
+        # even a bent rod has come off the body where the sweep ends
+        touching = swept.x0[swept.phase != planar.Phase.NONE]
+        assert touching.min() > -radius - overtravel(distance)
+    assert 0.1 < largest < 1
+
+
+def test_forces_without_friction_follow_the_integral():
+    circle = planar.Circle(radius=0.1, center=(0.0, 0.5))
+    swept = planar.sweep(circle, samples=200)
+    rows = np.flatnonzero(swept.phase == planar.Phase.TANGENTIAL)[1::20]
+    for row in rows:
+        turned = np.pi / 2 - swept.slope[row]
+        u = np.linspace(0, math.sqrt(turned), 20001)
+        integrand = np.ones_like(u) * math.sqrt(2)
+        integrand[1:] = 2 * u[1:] / np.sqrt(2 * np.sin(u[1:] ** 2))
+        root = np.trapezoid(integrand, u)
+        force = math.hypot(swept.f0x[row], swept.f0y[row])
+        assert force * swept.s1[row] ** 2 == pytest.approx(root**2, rel=1e-6)
+
+
+def test_a_force_limit_keeps_the_clamp_farther_away():
+    rod = Rod.wire(0.08, 0.0003, 210e9)
+    free, limited = (RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=f) for f in (None, 0.3))
+    clearance = limited.resolved_clearance()
+    assert free.resolved_clearance() == 0.3 < clearance < FARTHEST
+    assert FORCE_FACTOR * rod.force_unit_N / clearance**2 == pytest.approx(0.3)
+    log = simulate_rig(hull(limited.around.points() * 0.99 + [0, 0, 0.2]), plan_poses(limited), friction=(0.0, 0.0))
+    assert 0.02 < np.linalg.norm(log.wrench[:, :3], axis=1).max() < 0.3
+    with pytest.raises(InputError, match=r"may push with up to .* the limit is 0.01 N; choose a rod of 0.* times the"):
+        plan_poses(RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=0.01))
+
+
+def test_the_thinner_rod_of_the_message_is_thin_enough():
+    around, rod = parse_envelope("cylinder:40x40"), Rod.wire(0.08, 0.0006, 210e9)
+    with pytest.raises(InputError, match="choose a rod of") as caught:
+        RigPlan(around, rod=rod, max_force_N=0.1).resolved_clearance()
+    times = float(str(caught.value).partition("choose a rod of ")[2].partition(" ")[0])
+    RigPlan(around, rod=Rod.wire(0.08, 0.0006 * times * 0.99, 210e9), max_force_N=0.1).resolved_clearance()
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"rod": Rod.wire(0.05, 0.0003, 210e9)}, r"a rod of 50 mm doesn't reach the axis .* at least 57.2 mm"),
+        (
+            {"workspace": parse_envelope("box:200x300x300")},
+            r"the clamp would leave the workspace box:200x300x300: \d+ of",
+        ),
+        ({"clearance": 0.9}, "clearance must be above 0 and at most 0.8 rod lengths"),
+        ({"clearance": math.nan}, "clearance must be above 0"),
+        ({"slices": 0}, "slices must be a whole number of at least 1, got 0"),
+        ({"samples": 1}, "samples must be a whole number of at least 2"),
+        ({"sweeps": 2.5}, "sweeps must be a whole number"),
+        ({"speed": 0.0}, "speed must be a number above 0"),
+        ({"max_force_N": -1.0}, "max-force must be a number above 0, got -1.0"),
+        ({"floor": 90.0}, "floor must be a height from 0 to less than that of the bounding body, 90 mm, got 90"),
+        ({"model": "magic"}, "model must be one of planar, spatial, got 'magic'"),
+        ({"unit": "parsec"}, "unit must be one of"),
+    ],
+)
+def test_plans_that_cannot_be_made_say_why(settings, sentence):
+    with pytest.raises(InputError, match=sentence):
+        planned("cylinder:80x90", **settings)
+
+
+def test_a_workspace_that_is_large_enough_changes_nothing():
+    free, limited = planned("cylinder:80x90"), planned("cylinder:80x90", workspace=parse_envelope("box:600x600x300"))
+    assert (free.position_m == limited.position_m).all()
+
+
+def test_units_and_floor():
+    inches = planned("cylinder:2x3", unit="in", floor=0.5)
+    millimetres = planned("cylinder:50.8x76.2", floor=12.7, speed=20 * 25.4)
+    np.testing.assert_allclose(inches.position_m, millimetres.position_m, atol=1e-15)
+    np.testing.assert_allclose(inches.times(), millimetres.times())
+    assert inches.position_m[:, 2].min() > 0.0127
+
+
+def test_times_are_those_of_the_speed():
+    slow, fast = planned("cylinder:80x90", speed=10.0), planned("cylinder:80x90", speed=40.0)
+    np.testing.assert_allclose(slow.times(), 4 * fast.times(), atol=0.02)  # turns on the spot take a moment at least
+    assert (np.diff(slow.times()) > 0).all()
+    rows = slow.sweeps()[0]
+    path = np.linalg.norm(slow.position_m[rows[-1]] - slow.position_m[rows[0]])
+    assert slow.times()[rows[-1]] - slow.times()[rows[0]] == pytest.approx(path / 0.01)
+
+
+def test_poses_are_read_back_bit_for_bit(tmp_path):
+    poses = planned("cylinder:80x90", model="spatial", rod=Rod.wire(0.1, 0.0005, 75e9), max_force_N=2.0)
+    write_poses(poses, tmp_path / "poses.csv")
+    again = read_poses(tmp_path / "poses.csv")
+    for name in ("sweep", "position_m", "quaternion", "move"):
+        assert (getattr(again, name) == getattr(poses, name)).all()
+    assert (again.rod, again.speed_m_s, again.model, again.unit) == (poses.rod, poses.speed_m_s, "spatial", "mm")
+    assert (tmp_path / "poses.csv").read_text().partition("\n")[0] == ",".join(COLUMNS)
+    # without the TOML file nothing is known of the rod
+    (tmp_path / "poses.toml").unlink()
+    assert read_poses(tmp_path / "poses.csv").rod is None
+
+
+def test_yaml_is_a_list_of_points_as_ros_names_them():
+    poses = planned("sphere:60", model="spatial")
+    data = yaml.safe_load(to_yaml(poses))
+    assert data["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
+    assert len(data["points"]) == len(poses)
+    times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in data["points"]]
+    np.testing.assert_allclose(times, poses.times(), atol=1e-9)
+    position = [[p["pose"]["position"][k] for k in "xyz"] for p in data["points"]]
+    orientation = [[p["pose"]["orientation"][k] for k in "wxyz"] for p in data["points"]]
+    assert (np.array(position, dtype=float) == poses.position_m).all()
+    assert (np.array(orientation, dtype=float) == poses.quaternion).all()
+    assert [p["move"] for p in data["points"]] == [Move(m).name.lower() for m in poses.move]
+    assert [p["sweep"] for p in data["points"]] == poses.sweep.tolist()
+
+
+def test_small_numbers_are_numbers_in_yaml():
+    poses = PoseList(
+        np.zeros(2, dtype=int), np.array([[1e-17, 0, 0], [1, 2, 3]]), np.eye(4)[[0, 0]], np.full(2, int(Move.SWEEP))
+    )
+    assert yaml.safe_load(to_yaml(poses))["points"][0]["pose"]["position"]["x"] == 1e-17
+
+
+GOOD = "0,0,0,0,1,0,0,0,sweep\n0,-1,0,0,1,0,0,0,sweep\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "its header lacks sweep, x_m, y_m, z_m, qw, qx, qy, qz, move; expected sweep,x_m"),
+        ("HEAD", "p.csv has no poses"),
+        ("HEAD" + GOOD + "0,1,2\n", "p.csv: line 4 has 3 values, expected 9; is it cut off"),
+        ("HEAD" + GOOD.replace("-1", "here"), "p.csv: line 3 has 'here' for x_m, where a number is expected"),
+        ("HEAD" + GOOD.replace("0,-1", "a,-1"), "p.csv: line 3 has 'a' for sweep, where a whole number"),
+        ("HEAD" + GOOD.replace("-1", "nan"), "p.csv: poses: position_m is not a number in row 2"),
+        ("HEAD" + GOOD.replace("1,0,0,0,sweep", "2,0,0,0,sweep"), "unit quaternions .* that of row 1 has the length 2"),
+        (
+            "HEAD" + GOOD.replace("sweep\n", "fly\n", 1),
+            "line 2 has the move 'fly', expected one of approach, sweep, retract",
+        ),
+        ("HEAD" + GOOD + "1,0,0,0,1,0,0,0,sweep\n", "sweep 1 has 1 rows of the move sweep"),
+        ("HEAD" + GOOD + GOOD.replace("0,", "1,", 1) + "0,0,0,0,1,0,0,0,retract\n", "do not stand together|has 1 rows"),
+        ("HEAD" + GOOD + "0,0,0,0,1,0,0,0,approach\n", "row 3 is out of order"),
+    ],
+)
+def test_lists_of_poses_with_errors_say_where(tmp_path, text, sentence):
+    path = tmp_path / "p.csv"
+    path.write_text(text.replace("HEAD", ",".join(COLUMNS) + "\n"))
+    with pytest.raises(InputError, match=sentence) as caught:
+        read_poses(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("speed_m_s = 0.02", "speed_m_s = -1"), "p.toml: speed_m_s must be a number above 0, got -1"),
+        (("speed_m_s", "sped_m_s"), "p.toml: unknown names: sped_m_s; .* did you mean speed_m_s"),
+        (('model = "planar"', 'model = "flat"'), "p.toml: model must be one of planar, spatial, got 'flat'"),
+        (("length_m", "len"), r"p.toml: \[rod\] needs length_m"),
+        (("[rod]", "[rod"), "p.toml can't be read"),
+    ],
+)
+def test_toml_files_of_poses_with_errors_say_where(tmp_path, change, sentence):
+    write_poses(planned("sphere:30"), tmp_path / "p.csv")
+    beside = tmp_path / "p.toml"
+    beside.write_text(beside.read_text().replace(*change))
+    with pytest.raises(InputError, match=sentence):
+        read_poses(tmp_path / "p.csv")
+
+
+def test_poses_are_read_from_csv_only(tmp_path):
+    with pytest.raises(InputError, match=r"poses are read from a \.csv, got 'p.yaml'"):
+        read_poses(tmp_path / "p.yaml")
+    with pytest.raises(InputError, match="can't read the poses"):
+        read_poses(tmp_path / "none.csv")
+
+
+def test_the_command_writes_poses_without_a_mesh(tmp_path, capsys):
+    out = tmp_path / "new" / "poses.csv"
+    assert main(["plan", "--around", "cylinder:80x90", "--out", str(out), "--slices", "3", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    poses = read_poses(out)
+    assert data["sweeps"] == len(poses.sweeps()) == 16
+    assert data["rows"] == len(poses)
+    assert data["largest_force_N"] == pytest.approx(6 * poses.rod.force_unit_N / 0.3**2)
+    assert main(["plan", "--around", "cylinder:80x90", "--out", str(out.with_suffix(".yaml")), "--slices", "3"]) == 0
+    assert "16 sweeps" in capsys.readouterr().out
+    # its own files are replaced
+    assert main(["plan", "--around", "sphere:50", "--out", str(out), "--slices", "3", "--quiet"]) == 0
+    assert read_poses(out).source["around"] == "sphere:50"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "sentence"),
+    [
+        (["--around", "egg:3"], 2, "a bounding body is cylinder"),
+        (["--around", "cylinder:80x90", "--samples", "1"], 2, "samples must be"),
+        (["--around", "cylinder:80x90", "--rod", "steel:0.3x50"], 1, "doesn't reach the axis"),
+        (["--around", "cylinder:80x90", "--workspace", "sphere:10"], 1, "would leave the workspace sphere:10"),
+    ],
+)
+def test_the_command_says_what_is_wrong(tmp_path, capsys, arguments, code, sentence):
+    assert main(["plan", *arguments, "--out", str(tmp_path / "p.csv")]) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_keeps_files_of_others(tmp_path, capsys):
+    arguments = ["plan", "--around", "sphere:50", "--slices", "2", "--quiet", "--out"]
+    (tmp_path / "p.csv").write_text("mine")
+    assert main([*arguments, str(tmp_path / "p.csv")]) == 1
+    assert (tmp_path / "p.csv").read_text() == "mine"
+    assert "can't be recognised as written by scan3d; give --overwrite" in capsys.readouterr().err
+    assert main([*arguments, str(tmp_path / "p.csv"), "--overwrite"]) == 0
+    assert main([*arguments, str(tmp_path / "p.txt")]) == 1
+    assert "poses are written as .csv, or as .yaml" in capsys.readouterr().err

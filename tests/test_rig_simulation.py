@@ -1,0 +1,538 @@
+"""The rig that is computed: exact without faults, and each fault with the size that its file says."""
+
+import json
+import re
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_scans import CUBE, EGG
+
+import scan3d
+from scan3d import InputError, Rod
+from scan3d.cli import main
+from scan3d.files.poses import read_poses
+from scan3d.geometry.distance import distances
+from scan3d.geometry.hulls import hull
+from scan3d.planning.envelopes import parse_envelope
+from scan3d.planning.rig_plan import RigPlan, plan_poses
+from scan3d.poses import Move, PoseList
+from scan3d.simulation.disturbances import kept, lagged, logged_positions, measured, pink_noise
+from scan3d.simulation.faults import Faults, Frame, Size, faults_of, read_faults
+from scan3d.simulation.rig import BETWEEN, simulate_rig, standing
+
+ROWS = 20000
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return standing(scan3d.load_mesh(EGG))
+
+
+def planned(model, **settings):
+    return plan_poses(
+        RigPlan(parse_envelope("cylinder:50x60"), model=model, **{**dict(slices=5, samples=48), **settings})
+    )
+
+
+@pytest.fixture(scope="module")
+def planar_log(egg):
+    return simulate_rig(egg, planned("planar"), friction=(0.0, 0.4))
+
+
+def faulty(**faults):
+    """A log of forces and moments of unit size in x and z, as a sensor with these faults shows it."""
+    force, moment = np.zeros((ROWS, 3)), np.zeros((ROWS, 3))
+    force[:, 0], moment[:, 2] = 2.0, 0.5
+    return measured(force, moment, Faults(**faults)) - np.concatenate([force, moment], axis=1)
+
+
+def test_a_body_stands_on_the_table(egg):
+    low, high = egg.bounds
+    assert low[2] == 0
+    np.testing.assert_allclose(low[:2], -high[:2], atol=1e-12)
+    assert scan3d.load_mesh(EGG).bounds[0, 2] == -28
+    assert egg.metadata["placed"][2] == 28
+
+
+def test_planar_contacts_lie_on_the_body(egg, planar_log):
+    assert planar_log.warnings == ()
+    recording = planar_log.recording()
+    assert not recording.six_axis
+    cloud = scan3d.reconstruct(recording)
+    assert len(cloud) > 100
+    length = 1000 * recording.rod.length_m
+    assert distances(cloud.points, egg).max() < 1e-9 * length
+    assert np.ptp(cloud.friction[np.isfinite(cloud.friction)]) > 0.2
+    # approach and retract are in the air
+    assert (planar_log.wrench[planar_log.move != Move.SWEEP] == 0).all()
+
+
+@pytest.mark.parametrize("path", [EGG, CUBE], ids=["egg", "cube"])
+def test_contacts_in_space_lie_on_the_fattened_body(path):
+    mesh = standing(scan3d.load_mesh(path))
+    poses = plan_poses(RigPlan(parse_envelope("cylinder:60x60"), model="spatial", sweeps=5, samples=40))
+    log = simulate_rig(mesh, poses, friction=(0.2, 0.2))
+    cloud = scan3d.reconstruct(log.recording())
+    assert len(cloud) > 50
+    length, radius = 1000 * log.rod.length_m, 500 * log.rod.diameter_m
+    assert np.abs(distances(cloud.centre_points, mesh) - radius).max() < 1e-9 * length
+
+
+def test_the_planar_rig_is_the_planar_scan(egg):
+    """The same sweeps as in a simulated scan give the same reactions."""
+    plan = scan3d.Plan(slices=3, sweeps=4, samples=20, friction=0.3)
+    scan = scan3d.simulate(egg, plan)
+    touching = np.array([np.abs(scan.force_N[scan.sweep == k]).max() > 0 for k in np.unique(scan.sweep)])
+    rows = np.flatnonzero(touching[scan.sweep])
+    # each sweep begins a little before its touch-down
+    x = scan.axes()[:, 0]
+    position = scan.position_m.copy()
+    first = rows[np.flatnonzero(np.diff(scan.sweep[rows], prepend=-1))]
+    position[first] += 1e-6 * x[first]
+    poses = PoseList(
+        scan.sweep[rows], position[rows], scan.quaternion[rows], np.full(len(rows), int(Move.SWEEP)), rod=scan.rod
+    )
+    log = simulate_rig(egg, poses, friction=(0.3, 0.3))
+    other = ~np.isin(rows, first)
+    scale = np.abs(scan.force_N).max()
+    # at the last sample of a sweep rounding decides whether the rod has snapped off
+    last = np.append(np.diff(scan.sweep[rows]) > 0, True)
+    np.testing.assert_allclose(log.wrench[other & ~last, :2], scan.force_N[rows[other & ~last]], atol=1e-9 * scale)
+    np.testing.assert_allclose(log.wrench[other & ~last, 5], scan.moment_Nm[rows[other & ~last]], atol=1e-9 * scale)
+
+
+def test_dense_logs_in_space_are_interpolated_with_small_errors(egg):
+    poses = planned("spatial", sweeps=1, samples=2)
+    dense = simulate_rig(egg, poses, faults=Faults(rate_hz=500.0), friction=(0.0, 0.0))
+    # the contacts that they give lie on the body fattened by the rod's radius
+    cloud = scan3d.reconstruct(replace(dense, faults=None).recording())
+    away = np.abs(distances(cloud.centre_points, egg) - 500 * dense.rod.diameter_m) / (1000 * dense.rod.length_m)
+    assert np.percentile(away, 97) < 1e-4
+    assert away.max() < 5e-3  # next to snaps
+
+
+def test_a_rod_that_is_in_the_way_is_reported(egg):
+    poses = planned("planar")
+    with pytest.raises(InputError, match=r"the rod lies in the body where \d+ of 24 sweeps begin, first sweep \d+: "):
+        simulate_rig(hull(2.5 * egg.vertices), poses)
+    # sweeps that end while the rod is bent
+    kept_rows = (poses.move != Move.SWEEP) | (np.arange(len(poses)) % 50 < 22)
+    short = replace(poses, **{k: getattr(poses, k)[kept_rows] for k in ("sweep", "position_m", "quaternion", "move")})
+    log = simulate_rig(egg, short)
+    assert any("sweeps end in contact" in text for text in log.warnings)
+    assert any("in approach or retract" in text for text in log.warnings)
+
+
+def test_paths_that_are_not_planar_need_the_spatial_model(egg):
+    poses = planned("planar")
+    position = poses.position_m.copy()
+    position[poses.sweeps()[2][10:], 2] += 0.003
+    with pytest.raises(InputError, match="unlike in sweep 2; give --model spatial"):
+        simulate_rig(egg, replace(poses, position_m=position))
+    assert np.abs(simulate_rig(egg, replace(poses, position_m=position), model="spatial").wrench).max() > 0
+
+
+def test_a_rig_needs_a_rod(egg):
+    with pytest.raises(InputError, match="don't say for which rod they were planned"):
+        simulate_rig(egg, replace(planned("planar"), rod=None))
+
+
+def test_logs_have_the_rate_and_the_poses_of_the_plan(egg):
+    poses = planned("planar", slices=2)
+    log = simulate_rig(egg, poses, faults=Faults(rate_hz=100.0, speed_mm_s=50.0))
+    np.testing.assert_allclose(np.diff(log.time_s), 0.01)
+    times = replace(poses, speed_m_s=0.05).times()
+    assert log.time_s[-1] == pytest.approx(times[-1], abs=0.01)
+    for k in range(3):
+        np.testing.assert_allclose(
+            log.position_m[:, k], np.interp(log.time_s, times, poses.position_m[:, k]), atol=1e-12
+        )
+    assert np.linalg.norm(log.quaternion, axis=1) == pytest.approx(1)
+    assert set(log.sweep) == {BETWEEN, *poses.sweep}
+    steps = np.linalg.norm(np.diff(log.position_m, axis=0), axis=1)
+    assert steps.max() <= 0.05 * 0.01 * (1 + 1e-9)
+    # turns are steady, with the rod's tip at the speed of the clamp
+    turns = Rotation.from_quat(log.quaternion, scalar_first=True)
+    assert (turns[:-1].inv() * turns[1:]).magnitude().max() * poses.rod.length_m <= 0.05 * 0.01 * (1 + 1e-9)
+    with pytest.raises(InputError, match="a log with faults is no recording"):
+        log.recording()
+
+
+def test_the_true_rod_differs_from_the_nominal_one(egg):
+    poses = planned("planar", slices=2)
+    true, wrong = (
+        simulate_rig(egg, poses, faults=Faults(rate_hz=50.0, **errors))
+        for errors in ({}, {"stiffness_error": 0.1, "length_error": 0.0})
+    )
+    assert wrong.rod == true.rod == poses.rod
+    np.testing.assert_allclose(wrong.wrench, 1.1 * true.wrench, rtol=1e-9, atol=1e-15)
+    longer = simulate_rig(egg, poses, faults=Faults(rate_hz=50.0, length_error=0.05))
+    assert (longer.wrench != 0).any(axis=1).sum() > (true.wrench != 0).any(axis=1).sum()
+
+
+def test_a_sensor_shows_the_wrench_in_its_frame():
+    random = np.random.default_rng(0)
+    force, moment = random.standard_normal((2, 5, 3))
+    frame = Frame(position_mm=(5.0, -20.0, 3.0), euler_deg=(10.0, 30.0, -50.0))
+    shown = measured(force, moment, Faults(sensor=frame))
+    # back to the clamp: the turn, and the moment of the force about the clamp
+    turn = Rotation.from_euler("xyz", [10, 30, -50], degrees=True)
+    at_clamp = turn.apply(shown[:, :3])
+    np.testing.assert_allclose(at_clamp, force, atol=1e-14)
+    arm = np.array([0.005, -0.02, 0.003])
+    np.testing.assert_allclose(turn.apply(shown[:, 3:]) + np.cross(arm, at_clamp), moment, atol=1e-14)
+    assert (measured(force, moment, Faults(sensor=frame, shows="rod-on-clamp")) == -shown).all()
+
+
+def test_bias_has_its_size():
+    bias = faulty(bias=Size(fraction=0.05), seed=4)
+    assert np.ptp(bias, axis=0).max() < 1e-12
+    assert np.linalg.norm(bias[0, :3]) == pytest.approx(0.05 * 2)
+    assert np.linalg.norm(bias[0, 3:]) == pytest.approx(0.05 * 0.5)
+    given = faulty(bias_force_N=(1.0, 2.0, 3.0), bias_moment_Nm=(0.1, 0.2, 0.3))
+    np.testing.assert_allclose(given[7], [1, 2, 3, 0.1, 0.2, 0.3])
+
+
+def test_linear_drift_has_its_size_at_the_end():
+    drift = faulty(drift=Size(force_N=0.3, moment_Nm=0.02))
+    assert (drift[0] == 0).all()
+    assert np.linalg.norm(drift[-1, :3]) == pytest.approx(0.3)
+    assert np.linalg.norm(drift[-1, 3:]) == pytest.approx(0.02)
+    np.testing.assert_allclose(drift[ROWS // 2], drift[-1] / 2, rtol=1e-3)
+
+
+def test_a_random_walk_has_its_size_in_the_mean_over_logs():
+    ends = np.array(
+        [
+            measured(
+                np.ones((200, 3)), np.ones((200, 3)), Faults(drift=Size(force_N=0.3), drift_kind="random-walk", seed=k)
+            )[-1]
+            for k in range(400)
+        ]
+    )
+    # the square of the size is known to 1/√(3 · 200) of it
+    assert np.mean(((ends[:, :3] - 1) ** 2).sum(axis=1)) == pytest.approx(0.09, rel=0.2)
+    walk = faulty(drift=Size(force_N=0.3), drift_kind="random-walk")
+    steps = np.diff(walk[:, 0])
+    assert abs(np.corrcoef(steps[:-1], steps[1:])[0, 1]) < 0.03
+
+
+def test_white_noise_has_its_standard_deviation():
+    noise = faulty(noise=Size(fraction=0.01))
+    assert noise[:, :3].std(axis=0) == pytest.approx(0.02, rel=0.03)
+    assert noise[:, 3:].std(axis=0) == pytest.approx(0.005, rel=0.03)
+    assert abs(noise.mean(axis=0)).max() < 4 * 0.02 / np.sqrt(ROWS)
+    assert np.abs(np.corrcoef(noise.T) - np.eye(6)).max() < 0.04
+    assert faulty(noise=Size(force_N=0.1))[:, :3].std() == pytest.approx(0.1, rel=0.03)
+
+
+def test_pink_noise_falls_with_the_frequency():
+    logs = [pink_noise(4096, np.random.default_rng(k)) for k in range(200)]
+    power = np.mean([np.abs(np.fft.rfft(log)) ** 2 for log in logs], axis=0)
+    frequency = np.arange(1, 2048)
+    slope = np.polyfit(np.log(frequency[3:]), np.log(power[4:2048]), 1)[0]
+    assert slope == pytest.approx(-1, abs=0.03)
+    assert np.mean([log.var() for log in logs]) == pytest.approx(1, rel=0.05)
+    assert faulty(pink=Size(force_N=0.1))[:, :3].std() == pytest.approx(0.1, rel=0.3)
+
+
+def test_values_are_whole_steps():
+    values = faulty(noise=Size(fraction=0.01), quantum=Size(force_N=0.004)) + np.array([2, 0, 0, 0, 0, 0.5])
+    np.testing.assert_allclose(values[:, :3] / 0.004, np.round(values[:, :3] / 0.004), atol=1e-9)
+    assert len(np.unique(values[:, 0])) < 60
+    assert len(np.unique(values[:, 5])) == ROWS
+
+
+def test_a_lag_is_seen_by_cross_correlation():
+    rate, lag, clock = 1000.0, 8.0, 30.0
+    signal = np.cumsum(np.random.default_rng(2).standard_normal(ROWS))
+    signal = (signal - np.convolve(signal, np.ones(500) / 500, "same"))[:, None]
+    step = np.zeros((ROWS, 1))
+    step[1000:] = 1.0
+    settled = lagged(step, Faults(rate_hz=rate, lag_ms=lag))[:, 0]
+    # after one time constant a low-pass of the first order has come to 1 - 1/e
+    assert np.argmax(settled > 1 - np.exp(-1)) - 1000 == pytest.approx(lag, abs=1)
+    for faults, expected in ((Faults(clock_ms=clock), clock), (Faults(lag_ms=lag, clock_ms=clock), lag + clock)):
+        late = lagged(signal, faults)[:, 0]
+        match = [np.corrcoef(signal[: ROWS - 100, 0], late[k : ROWS - 100 + k])[0, 1] for k in range(80)]
+        assert int(np.argmax(match)) == pytest.approx(expected, abs=3)
+
+
+def test_poses_jitter():
+    place = np.tile([0.1, 0.2, 0.3], (ROWS, 1))
+    jitter = logged_positions(place, Faults(jitter_um=20.0)) - place
+    assert jitter.std(axis=0) == pytest.approx(20e-6, rel=0.03)
+    steps = logged_positions(place, Faults(jitter_um=20.0, quantum_um=5.0)) / 5e-6
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.0, 10.0])
+def test_rows_are_lost(gap):
+    lost = ~kept(ROWS, Faults(missing=0.05, gap_ms=gap))
+    assert lost.mean() == pytest.approx(0.05, rel=0.3)
+    runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], lost, [0]]))))[::2]
+    assert np.median(runs) == max(gap, 1)
+    assert not lost[[0, -1]].any()
+
+
+def test_one_fault_does_not_change_the_random_numbers_of_another():
+    noise = faulty(noise=Size(force_N=0.1), seed=3)
+    both = faulty(noise=Size(force_N=0.1), bias=Size(fraction=0.1), seed=3)
+    np.testing.assert_allclose(np.diff(both, axis=0), np.diff(noise, axis=0), atol=1e-12)
+    assert (faulty(noise=Size(force_N=0.1), seed=4) != noise).any()
+
+
+def test_without_faults_nothing_is_done():
+    assert (faulty() == 0).all()
+
+
+FAULTS = """\
+seed = 3
+rate_hz = 40
+[sensor]
+position_mm = [0, -20, 0]
+euler_deg = [0, 30, 0]
+shows = "rod-on-clamp"
+nominal = {position_mm = [0, -19, 0]}
+[bias]
+fraction = 0.05
+[drift]
+kind = "random-walk"
+fraction = 0.01
+[noise]
+fraction = 0.002
+pink_force_N = 0.001
+[quantisation]
+force_N = 1e-4
+position_um = 1
+[lag]
+ms = 5
+[pose]
+jitter_um = 20
+clock_ms = -2
+[rod]
+length_error = 0.001
+stiffness_error = -0.02
+[missing]
+fraction = 0.001
+gap_ms = 50
+"""
+
+
+def test_files_of_faults_are_read(tmp_path):
+    (tmp_path / "f.toml").write_text(FAULTS)
+    faults = read_faults(tmp_path / "f.toml")
+    assert faults == Faults(
+        seed=3,
+        rate_hz=40.0,
+        sensor=Frame((0.0, -20.0, 0.0), (0.0, 30.0, 0.0)),
+        nominal=Frame((0.0, -19.0, 0.0)),
+        shows="rod-on-clamp",
+        bias=Size(fraction=0.05),
+        drift=Size(fraction=0.01),
+        drift_kind="random-walk",
+        noise=Size(fraction=0.002),
+        pink=Size(force_N=0.001),
+        quantum=Size(force_N=1e-4),
+        quantum_um=1.0,
+        lag_ms=5.0,
+        jitter_um=20.0,
+        clock_ms=-2.0,
+        length_error=0.001,
+        stiffness_error=-0.02,
+        missing=0.001,
+        gap_ms=50.0,
+    )
+    assert faults_of({}) == Faults()
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[nois]\nfraction = 1", r"f.toml: unknown names: nois; known are seed, .*; did you mean noise\?"),
+        ("[noise]\nfractoin = 1", r"f.toml: \[noise\] has unknown names: fractoin; .* did you mean fraction"),
+        ("noise = 0.1", r"noise must be a section \[noise\], got 0.1"),
+        ("seed = -1", "seed must be a whole number of at least 0, got -1"),
+        ("rate_hz = 0", "rate_hz must be a number above 0, got 0"),
+        ('rate_hz = "fast"', "rate_hz must be a number, got 'fast'"),
+        ("[noise]\nfraction = -1", r"\[noise\] fraction must be a number >= 0, got -1"),
+        ("[noise]\nfraction = true", r"\[noise\] fraction must be a number, got True"),
+        ("[lag]\nms = nan", r"\[lag\] ms must be a number, got nan"),
+        ("[bias]\nforce_N = 1", r"\[bias\] force_N must be a list of three numbers, got 1"),
+        ("[bias]\nforce_N = [1, 2]", r"\[bias\] force_N must be a list of three numbers"),
+        (
+            '[sensor]\nshows = "clamp-on-rot"',
+            r'\[sensor\] shows must be "clamp-on-rod" or "rod-on-clamp", .* did you mean',
+        ),
+        ("[sensor]\nnominal = 3", r"\[sensor\] nominal must be a table \{position_mm"),
+        ("[sensor]\nnominal = {euler = [0, 0, 0]}", r"\[sensor\] nominal has unknown names: euler; .* did you mean"),
+        ('[drift]\nkind = "wild"', r'\[drift\] kind must be "linear" or "random-walk", got \'wild\''),
+        ("[rod]\nlength_error = 3", r"\[rod\] length_error must be a relative difference between -1 and 1"),
+        ("[missing]\nfraction = 1", r"\[missing\] fraction must lie from 0 to less than 1"),
+        ("seed = ", "f.toml is not a TOML file of faults"),
+    ],
+)
+def test_files_of_faults_with_errors_say_where(tmp_path, text, sentence):
+    (tmp_path / "f.toml").write_text(text)
+    with pytest.raises(InputError, match=sentence) as caught:
+        read_faults(tmp_path / "f.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_faults_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match="can't read the faults"):
+        read_faults(tmp_path / "f.toml")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with planned poses, faults, an exact log and one with faults."""
+    place = tmp_path_factory.mktemp("rig")
+    (place / "faults.toml").write_text(FAULTS)
+    plan = ["plan", "--around", "cylinder:50x60", "--slices", "3", "--samples", "40", "--quiet"]
+    assert main([*plan, "--out", str(place / "poses.csv")]) == 0
+    run = ["simulate", str(EGG), "--poses", str(place / "poses.csv"), "--quiet"]
+    assert main([*run, "--out", str(place / "exact.csv"), "--placed", str(place / "placed.ply")]) == 0
+    assert main([*run, "--out", str(place / "raw.csv"), "--faults", str(place / "faults.toml")]) == 0
+    return place
+
+
+def test_an_exact_log_is_a_recording(folder, egg):
+    recording = scan3d.read_recording(folder / "exact.csv")
+    poses = read_poses(folder / "poses.csv")
+    rows = np.concatenate(poses.sweeps())
+    assert (recording.position_m == poses.position_m[rows]).all()
+    assert (recording.sweep == poses.sweep[rows]).all()
+    assert recording.rod == replace(poses.rod, diameter_m=0.0)
+    assert recording.source["moved"] == [0, 0, 28]
+    header, *lines = (folder / "exact.csv").read_text().splitlines()
+    assert header == "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm,t_s,move"
+    assert len(lines) == len(poses)
+    placed = scan3d.load_mesh(folder / "placed.ply")
+    np.testing.assert_allclose(placed.bounds, egg.bounds, atol=1e-12)
+    assert distances(scan3d.reconstruct(recording).points, placed).max() < 1e-9 * 1000 * recording.rod.length_m
+
+
+def test_a_recording_with_another_move_says_where(folder, tmp_path):
+    for name in ("exact.csv", "exact.toml"):
+        (tmp_path / name).write_text((folder / name).read_text().replace(",approach", ",fly", 1))
+    with pytest.raises(
+        InputError, match=r"exact\.csv: line 2 has the move 'fly', expected one of approach, sweep, retract"
+    ):
+        scan3d.read_recording(tmp_path / "exact.csv")
+
+
+def test_a_column_with_other_moves_is_none_of_a_rig(folder, tmp_path):
+    # recordings may have further columns, whatever they mean
+    text = (folder / "exact.csv").read_text()
+    for name in ("approach", "sweep", "retract"):
+        text = text.replace(f",{name}\n", ",7\n")
+    (tmp_path / "exact.csv").write_text(text)
+    (tmp_path / "exact.toml").write_text((folder / "exact.toml").read_text())
+    assert len(scan3d.read_recording(tmp_path / "exact.csv")) == text.count("\n") - 1
+
+
+def test_a_log_with_faults_has_a_map_of_what_is_known(folder):
+    mapped = tomllib.loads((folder / "raw_map.toml").read_text())
+    header = (folder / "raw.csv").read_text().partition("\n")[0].split(",")
+    columns = mapped["columns"]
+    named = [
+        columns["time"],
+        *columns["position"],
+        *columns["orientation"]["quaternion"],
+        *columns["force"],
+        *columns["moment"],
+    ]
+    assert [*named, "sweep"] == header
+    assert mapped["units"] == {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"}
+    # the nominal frame and rod, and nothing of the faults
+    assert mapped["sensor"] == {"position_mm": [0, -19, 0], "euler_deg": [0, 0, 0], "shows": "rod-on-clamp"}
+    assert mapped["rod"]["length_m"] == 0.05
+    assert not {"bias", "noise", "lag", "drift", "missing"} & set(mapped)
+    table = np.loadtxt(folder / "raw.csv", delimiter=",", skiprows=1)
+    steps = np.round(np.diff(table[:, 0]) * 40)
+    # rows are lost in gaps of two
+    assert set(steps) <= {1, 3, 5}
+    turn = Rotation.from_quat(table[:, 4:8], scalar_first=True)
+    assert len(turn) == len(table)
+
+
+def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
+    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--quiet", "--faults"]
+    assert main([*run, str(folder / "faults.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
+    for name in ("raw.csv", "raw_map.toml"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+    (tmp_path / "other.toml").write_text(FAULTS.replace("seed = 3", "seed = 4"))
+    assert main([*run, str(tmp_path / "other.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
+    assert (tmp_path / "raw.csv").read_bytes() != (folder / "raw.csv").read_bytes()
+    # the command line takes precedence over the file, for the faults as well
+    other = (tmp_path / "raw.csv").read_bytes()
+    assert main([*run, str(folder / "faults.toml"), "--out", str(tmp_path / "raw.csv"), "--seed", "4"]) == 0
+    assert (tmp_path / "raw.csv").read_bytes() == other
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "sentence"),
+    [
+        (
+            ["--slices", "3"],
+            2,
+            "--slices is a setting of a scan, and --poses says where the clamp goes; give it to",
+        ),
+        (["--noise", "0.1"], 2, "--noise is a setting of a scan, .* noise belongs into --faults"),
+        (["--faults", "none.toml"], 1, "can't read the faults none.toml"),
+        (["--placed", "placed.stl"], 1, "the placed mesh is written as .ply, got 'placed.stl'"),
+        (["--as-is"], 0, ""),
+    ],
+)
+def test_the_command_says_what_is_wrong(folder, tmp_path, capsys, arguments, code, sentence):
+    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), *arguments]
+    assert main(run) == code
+    captured = capsys.readouterr()
+    if code:
+        assert captured.err.count("\n") == 1
+        assert list(tmp_path.iterdir()) == []
+    assert re.search(sentence, captured.err)
+
+
+def test_options_of_a_rig_need_poses(tmp_path, capsys):
+    for option in (["--faults", "f.toml"], ["--placed", "p.ply"], ["--as-is"]):
+        assert main(["simulate", str(EGG), "--out", str(tmp_path / "raw.csv"), *option]) == 2
+        assert f"{option[0]} is for a rig: give --poses FILE as well" in capsys.readouterr().err
+
+
+def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
+    (tmp_path / "raw.csv").write_text("mine")
+    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
+    faults = ["--faults", str(folder / "faults.toml")]
+    for extra in ([], faults):
+        assert main([*run, *extra]) == 1
+        assert "give --overwrite" in capsys.readouterr().err
+        assert (tmp_path / "raw.csv").read_text() == "mine"
+    assert main([*run, *faults, "--overwrite"]) == 0
+    assert main([*run, *faults]) == 0
+    # the poses are never overwritten
+    assert main(["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(folder / "poses.csv")]) == 1
+    assert "is the list of poses that this run reads" in capsys.readouterr().err
+
+
+def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):
+    (tmp_path / "settings.toml").write_text('model = "spatial"\n')
+    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
+    assert main([*run, "--config", str(tmp_path / "settings.toml"), "--friction", "0"]) == 0
+    assert scan3d.read_recording(tmp_path / "raw.csv").six_axis
+
+
+def test_the_command_reports_what_it_wrote(folder, tmp_path, capsys):
+    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--json"]
+    assert main([*run, "--model", "spatial", "--friction", "0.0:0.2", "--rod", "steel:0.3x50"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["rows"] == len(read_poses(folder / "poses.csv"))
+    assert data["moved"] == [0, 0, 28]
+    recording = scan3d.read_recording(tmp_path / "raw.csv")
+    assert recording.six_axis
+    assert recording.rod == Rod.wire(0.05, 0.0003, 210e9)
+    assert recording.source["model"] == "spatial"

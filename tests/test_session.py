@@ -1,0 +1,203 @@
+"""Sessions and `scan3d next`: further sweeps where what was measured leaves most room, until the bound is small enough."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_scans import EGG
+
+import scan3d
+from scan3d import InputError, Rod, Session
+from scan3d.cli import main
+from scan3d.files.poses import COLUMNS, read_poses
+from scan3d.geometry.distance import distances
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.segments import segments_meet
+from scan3d.poses import Move
+from scan3d.session import around_contacts
+from scan3d.simulation.rig import simulate_rig, standing
+from scan3d.simulation.rig_contact import steps_touch
+from scan3d.spatial.bodies import sphere_directions
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return standing(scan3d.load_mesh(EGG))
+
+
+def recorded(mesh, poses):
+    return simulate_rig(mesh, poses, friction=(0.3, 0.3)).recording()
+
+
+@pytest.fixture(scope="module")
+def batches(egg):
+    """A planar session after three batches, with its bounds after each."""
+    session, bounds = Session("cylinder:60x60", slices=5, samples=48), []
+    for _ in range(3):
+        session.tell(recorded(egg, session.ask(16)))
+        bounds.append(session.relative_bound)
+    return session, bounds
+
+
+def test_the_bound_shrinks_and_holds(batches, egg):
+    session, bounds = batches
+    assert bounds[1] < 0.75 * bounds[0]
+    assert bounds[2] < bounds[0]
+    assert session.warnings == ()
+    assert scan3d.compare(session.surface, egg).hausdorff < session.certificate.bound
+    assert distances(session.cloud.points, egg).max() < 1e-9 * 60
+    assert session.surface.is_watertight
+
+
+def test_further_sweeps_lie_where_none_were(batches):
+    session, _ = batches
+    heights = np.unique(np.round(1000 * session.recording.position_m[:, 2], 6))
+    poses = session.ask(8)
+    rows = np.concatenate(poses.sweeps())
+    new = np.unique(np.round(1000 * poses.position_m[rows, 2], 6))
+    assert len(set(new) - set(heights)) >= 1
+    assert poses.sweep.min() == session.recording.sweep.max() + 1
+    assert len(poses.sweeps()) <= 16
+    # asking changes nothing
+    assert (session.ask(8).position_m == poses.position_m).all()
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_further_sweeps_keep_clear_as_the_planned_ones_do(egg, model):
+    session = Session("cylinder:60x60", model=model, slices=6, samples=33)
+    session.tell(recorded(egg, session.ask()))
+    poses, space = session.ask(8), session.plan.space()
+    fattened = space.envelope.points()[:, None] + 0.999 * space.margin * sphere_directions(200).T
+    axes, position = poses.axes(), 1000 * poses.position_m
+    touches = steps_touch(hull(fattened.reshape(-1, 3)), position, axes, space.length, 0.0)
+    sweeping = (poses.move[:-1] == Move.SWEEP) & (poses.move[1:] == Move.SWEEP)
+    assert not touches[~sweeping].any()
+    tips = position + space.length * axes[:, 1]
+    assert min(position[:, 2].min(), tips[:, 2].min()) > space.floor - 1e-9
+    assert segments_meet(hull(space.envelope.points()), position, axes[:, 1], space.length).any()
+
+
+@pytest.mark.slow
+def test_a_session_in_space(egg):
+    session = Session("cylinder:60x60", model="spatial", slices=10, samples=48, seed=3)
+    session.tell(recorded(egg, session.ask()))
+    before = session.relative_bound
+    for _ in range(2):
+        session.tell(recorded(egg, session.ask(16)))
+    assert session.relative_bound < before
+    assert session.cloud.model == "spatial"
+    assert scan3d.compare(session.surface, egg).hausdorff < session.certificate.bound
+
+
+def test_a_session_ends_where_the_tolerance_is_met(egg):
+    session = Session("cylinder:60x60", slices=5, samples=48, tolerance=1e6)
+    session.tell(recorded(egg, session.ask()))
+    assert session.ask() is None
+
+
+def test_the_table_closes_the_slices(batches):
+    session, _ = batches
+    assert np.isfinite(session.certificate.bound)
+    alone = scan3d.reconstruct(session.recording)
+    assert not np.isfinite(scan3d.surfaces.enclosure(alone).bound)
+
+
+def test_recordings_with_their_own_numbers_are_numbered_anew(egg):
+    session = Session("cylinder:60x60", slices=3, samples=20)
+    first = recorded(egg, session.ask())
+    session.tell(first)
+    session.tell(first)
+    count = len(np.unique(first.sweep))
+    assert len(np.unique(session.recording.sweep)) == 2 * count
+    assert (session.recording.sweep[len(first) :] == first.sweep + count).all()
+
+
+def test_what_a_session_refuses(egg):
+    session = Session("cylinder:60x60", slices=3, samples=20)
+    with pytest.raises(InputError, match="there is no recording yet"):
+        session.surface  # noqa: B018
+    with pytest.raises(InputError, match=r"tell a scan3d\.Recording, got str"):
+        session.tell("log.csv")
+    recording = recorded(egg, session.ask())
+    with pytest.raises(InputError, match="the session is in mm, and the recording in m"):
+        session.tell(replace(recording, unit="m"))
+    session.tell(recording)
+    with pytest.raises(InputError, match="another rod than those before"):
+        session.tell(replace(recording, rod=Rod(0.06, 1e-4)))
+    with pytest.raises(InputError, match="the spatial model needs six-axis data"):
+        Session("cylinder:60x60", model="spatial").tell(recording)
+    with pytest.raises(InputError, match="tolerance must be a number >= 0"):
+        Session("cylinder:60x60", tolerance=-1.0)
+    with pytest.raises(InputError, match="a bounding body is"):
+        Session("egg")
+    low = Session("cylinder:60x60")
+    low.tell(replace(recording, position_m=recording.position_m - [0, 0, 0.01]))
+    with pytest.raises(InputError, match="where the table is at 0; move the frame"):
+        low.ask()
+
+
+def test_a_bounding_body_of_contacts(egg, batches):
+    session, _ = batches
+    body = around_contacts(session.recording, "planar")
+    assert body.contains(session.cloud.points).all()
+    assert body.sizes[0] == pytest.approx(1.1 * 42.3, rel=0.03)
+    with pytest.raises(InputError, match=r"contacts lie down to z = .* stands on z = 0"):
+        around_contacts(scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4)), "planar")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder of a reconstruction, with the recording of a rig beside it."""
+    place = tmp_path_factory.mktemp("next")
+    plan = ["plan", "--around", "cylinder:60x60", "--slices", "4", "--samples", "40", "--quiet"]
+    assert main([*plan, "--out", str(place / "poses.csv")]) == 0
+    run = ["simulate", str(EGG), "--poses", str(place / "poses.csv"), "--quiet", "--out", str(place / "log.csv")]
+    assert main(run) == 0
+    assert main(["reconstruct", str(place / "log.csv"), "--out", str(place / "out"), "--quiet"]) == 0
+    return place
+
+
+def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
+    run = ["next", str(folder / "out"), "--recording", str(folder / "log.csv"), "--out", str(tmp_path / "p.csv")]
+    assert main([*run, "--json", "--samples", "40"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    poses = read_poses(tmp_path / "p.csv")
+    assert data["sweeps"] == len(poses.sweeps()) > 0
+    # the bounding body is that of the plan
+    assert data["around"] == "cylinder:60x60"
+    assert poses.sweep.min() == 20
+    # the rows of the next log go on the earlier one
+    log = tmp_path / "log.csv"
+    assert main(["simulate", str(EGG), "--poses", str(tmp_path / "p.csv"), "--out", str(log), "--quiet"]) == 0
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text((folder / "log.csv").read_text() + "".join(lines[1:]))
+    assert main(["reconstruct", str(log), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    again = ["next", str(tmp_path / "out"), "--recording", str(log), "--out", str(tmp_path / "p2.csv")]
+    assert main([*again, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bound"] < data["bound"]
+    assert main([*again, "--tolerance", "0.5"]) == 0
+    assert (tmp_path / "p2.csv").read_text() == ",".join(COLUMNS) + "\n"
+    assert "0 further sweeps" in capsys.readouterr().out
+    assert main([*again[:-1], str(tmp_path / "p2.yaml"), "--tolerance", "0.5", "--quiet"]) == 0
+    assert (tmp_path / "p2.yaml").read_text().endswith("points: []\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "sentence"),
+    [
+        (["out"], 1, "there is no recording.csv in"),
+        (["out", "--recording", "log.csv", "--sweeps", "0"], 2, "sweeps must be a whole number of at least 1"),
+        (["out", "--recording", "log.csv", "--around", "egg"], 2, "a bounding body is"),
+        (["out", "--recording", "log.csv", "--around", "cylinder:90x90"], 1, "doesn't reach the axis"),
+        (["out", "--recording", "none.csv"], 1, "can't read the recording"),
+    ],
+)
+def test_next_says_what_is_wrong(folder, tmp_path, capsys, monkeypatch, arguments, code, sentence):
+    monkeypatch.chdir(folder)
+    assert main(["next", *arguments, "--out", str(tmp_path / "p.csv")]) == code
+    captured = capsys.readouterr()
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+    assert list(Path(tmp_path).iterdir()) == []
