@@ -20,6 +20,7 @@ from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[1] / "meshes"
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]
+NOISES = [1e-5, 1e-5, 1e-3, 1e-3]
 
 
 def scanned(name, noise, seed=1, slices=16, **plan):
@@ -209,9 +210,14 @@ def test_the_adaptive_certificates_that_were_false(seed):
     assert analysis.comparison.hausdorff <= analysis.certificate.bound
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", [1e-5, 1e-3])
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize(
+    ("name", "noise"),
+    [
+        # every body once and every noise twice; the other combinations are for `make trust`
+        *(pytest.param(name, noise, marks=pytest.mark.slow) for name, noise in zip(BODIES, NOISES, strict=True)),
+        *(pytest.param(name, noise, marks=pytest.mark.trust) for name, noise in zip(BODIES, NOISES[::-1], strict=True)),
+    ],
+)
 def test_inner_body_outer_body_volume_and_certificate_hold(name, noise):
     mesh, recording, cloud = scanned(name, noise)
     bounds = enclosure(cloud)

@@ -48,16 +48,22 @@ def test_a_wrong_recording_is_remarked_on(egg, fault):
     assert remarks(FAULTS[fault](egg))
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("names", "slices", "samples", "most"),
+    [
+        pytest.param(["cube.stl", "pebble.obj"], 8, 40, 7, marks=pytest.mark.slow, id="two bodies"),
+        pytest.param(BODIES, 16, 60, 14, marks=pytest.mark.trust, id="four bodies"),
+    ],
+)
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
-def test_wrong_recordings_are_remarked_on(noise):
-    """184 of them for each noise: 46 faults and four bodies."""
+def test_wrong_recordings_are_remarked_on(noise, names, slices, samples, most):
+    """46 faults for each noise and body; no more than `most` are missed, 8 % of them."""
     missed = []
-    for name in BODIES:
-        right = recorded(name, slices=16, samples=60, noise=noise)
+    for name in names:
+        right = recorded(name, slices=slices, samples=samples, noise=noise)
         missed += [(name, fault) for fault, wrong in FAULTS.items() if not remarks(wrong(right))]
-    assert len(FAULTS) * len(BODIES) == 184
-    assert len(missed) <= 14, missed
+    assert len(FAULTS) == 46
+    assert len(missed) <= most, missed
 
 
 @pytest.mark.parametrize(
@@ -161,9 +167,15 @@ def test_a_right_recording_is_not_remarked_on(seed):
     assert remarks(right_recording(seed)) == []
 
 
-@pytest.mark.slow
-def test_200_right_recordings_are_not_remarked_on():
-    assert [seed for seed in range(100, 300) if remarks(right_recording(seed))] == []
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        pytest.param(range(100, 130), marks=pytest.mark.slow, id="30"),
+        pytest.param(range(130, 300), marks=pytest.mark.trust, id="170 more"),
+    ],
+)
+def test_200_right_recordings_are_not_remarked_on(seeds):
+    assert [seed for seed in seeds if remarks(right_recording(seed))] == []
 
 
 def test_digits_of_the_poses_do_not_turn_short_sweeps(egg):
