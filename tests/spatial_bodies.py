@@ -180,13 +180,13 @@ def cloud_of(points, normals, tangents, phase, radius=0.0, rod_length=1.0, sweep
 
 @functools.cache
 def directions_about(count, seed, cells=400):
-    """Unit vectors spread at random: [(middle (3,), directions (m, 3))] in cells of neighbours."""
-    rng = np.random.default_rng(seed)
-    middles, u = unit(np.random.default_rng(0).normal(size=(cells, 3))), unit(rng.normal(size=(count, 3)))
+    """Unit vectors spread at random, in cells of neighbours."""
+    middles, u = (unit(np.random.default_rng(seed).normal(size=(k, 3))) for k in (cells, count))
     return _in_cells(middles, u)
 
 
 def _in_cells(middles, u):
+    """Unit vectors (m, 3) by the nearest of some middles (k, 3): a list of (middle (3,), unit vectors about it)."""
     cell = cKDTree(middles).query(u)[1]
     order = np.argsort(cell, kind="stable")
     parts = np.split(u[order], np.cumsum(np.bincount(cell, minlength=len(middles)))[:-1])

@@ -52,7 +52,7 @@ def test_a_wrong_recording_is_remarked_on(egg, fault):
     ("noise", "names", "slices", "samples", "most"),
     [
         *(
-            pytest.param(noise, [name], 8, 40, 3, marks=pytest.mark.slow, id=f"{noise}-{name}")
+            pytest.param(noise, [name], 6, 30, 3, marks=pytest.mark.slow, id=f"{noise}-{name}")
             for noise, name in [(0.0, "cube.stl"), (1e-4, "pebble.obj"), (1e-3, "needle.ply")]
         ),
         *(

@@ -41,6 +41,7 @@ def test_a_smooth_body_is_the_fitted_one():
     assert surface(cloud, "support").metadata["reason"].endswith("as requested")
 
 
+@pytest.mark.slow
 def test_without_a_fit_a_smooth_body_is_curved_between_its_contacts():
     cloud = spatial_cloud(SMOOTH, 3000, 3, 0.01)
     mesh = surface(cloud)
@@ -49,6 +50,7 @@ def test_without_a_fit_a_smooth_body_is_curved_between_its_contacts():
     assert largest_difference(mesh, SMOOTH) < 0.5 * largest_difference(surface(cloud, "hull"), SMOOTH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.0, 0.005])
 def test_a_polyhedron_has_its_vertices_though_no_contact_lies_there(radius):
     for seed in (1, 4, 6):
@@ -61,6 +63,7 @@ def test_a_polyhedron_has_its_vertices_though_no_contact_lies_there(radius):
         assert largest_difference(surface(cloud, "hull"), body) > 1e-4
 
 
+@pytest.mark.slow
 def test_a_cylinder_keeps_its_rims():
     body = Cylinder(0.4, 1.0)
     cloud = spatial_cloud(body, 4000, 5, 0.005)
@@ -95,6 +98,7 @@ def test_support_without_a_fit_is_refused():
         surface(spatial_cloud(SMOOTH, 200, 9), "support")
 
 
+@pytest.mark.slow
 def test_the_local_bound_contains_the_surface():
     cloud = spatial_cloud(SMOOTH, 3000, 10, 0.01)
     bounds = enclosure(cloud)
