@@ -112,8 +112,10 @@ def test_under_noise_a_smooth_body_is_still_fitted():
 
 
 @pytest.mark.open3d
-@pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
+)
 def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
     mesh, cloud = ball
     bounds = enclosure(cloud)
@@ -144,9 +146,16 @@ def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "seed"), [("cube.stl", 1), ("gem.glb", 4), ("cylinder.off", 4), ("rounded_box.glb", 2), ("capsule.stl", 2)]
+    ("name", "seed"),
+    [
+        pytest.param("cube.stl", 1, marks=pytest.mark.slow),
+        pytest.param("cylinder.off", 4, marks=pytest.mark.slow),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.trust)
+            for name, seed in [("gem.glb", 4), ("rounded_box.glb", 2), ("capsule.stl", 2)]
+        ),
+    ],
 )
-@pytest.mark.slow
 def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     mesh = rotated(scan3d.load_mesh(MESHES / name), seed)
     cloud = scanned(mesh, slices=64, spacing="adaptive")

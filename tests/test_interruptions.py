@@ -180,13 +180,24 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.rendering
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "sentence"),
     [
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the renderer crashed (SIGSEGV)"),
-        ("raise MemoryError('no room')", "the process that draws has failed (MemoryError: no room)"),
-        ("import sys; sys.exit(3)", "the process that draws has failed (exit code 3)"),
+        pytest.param(
+            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+            "the renderer crashed (SIGSEGV)",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "raise MemoryError('no room')",
+            "the process that draws has failed (MemoryError: no room)",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "import sys; sys.exit(3)",
+            "the process that draws has failed (exit code 3)",
+            marks=pytest.mark.trust,
+        ),
     ],
 )
 def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, code, sentence):

@@ -76,10 +76,10 @@ def check_readers(surface, folder, endings=(".ply", ".stl", ".obj", ".glb", ".vt
         (cone, "bracket", {}),
         pytest.param(drop, "bracket", {}, marks=pytest.mark.slow),
         pytest.param(oblique_cone, "bracket", {}, marks=pytest.mark.slow),
-        pytest.param(oblique_cone, "hull", {"axis": (1, 2, 3)}, marks=pytest.mark.slow),
+        pytest.param(oblique_cone, "hull", {"axis": (1, 2, 3)}, marks=pytest.mark.trust),
         pytest.param(oblique_cylinder, "bracket", {}, marks=pytest.mark.slow),
         pytest.param(lambda: scan3d.load_mesh("meshes/egg.stl"), "bracket", {}, marks=pytest.mark.slow),
-        pytest.param(lambda: scan3d.load_mesh("meshes/lens.off"), "auto", {}, marks=pytest.mark.slow),
+        pytest.param(lambda: scan3d.load_mesh("meshes/lens.off"), "auto", {}, marks=pytest.mark.trust),
     ],
 )
 def test_surfaces_are_read_back_closed(body, method, plan, tmp_path):

@@ -62,9 +62,9 @@ def test_the_bound_is_never_below_the_true_distance(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 112))
+@pytest.mark.parametrize("seed", range(100, 106))
 def test_the_bound_is_never_below_the_true_distance_for_few_contacts_and_many(seed):
-    """Every kind of body with every rod; as many contacts as the 104 bodies have, but for the largest number."""
+    """As many contacts as the 104 bodies have, but for the largest number."""
     check(seed, (400, 2000, 3000)[seed % 3])
 
 

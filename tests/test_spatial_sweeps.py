@@ -159,7 +159,7 @@ def test_the_base_does_the_work_of_bending_and_of_friction(friction):
     [
         pytest.param((0.9, 0.675, 0.45), marks=pytest.mark.slow),
         pytest.param((0.6, 0.6, 0.6), marks=pytest.mark.trust),
-        pytest.param((0.7, 0.4, 0.63), marks=pytest.mark.slow),
+        pytest.param((0.7, 0.4, 0.63), marks=pytest.mark.trust),
     ],
     ids=str,
 )
