@@ -192,7 +192,7 @@ def test_exact_contacts_need_no_confidence():
     assert enclosure(cloud).bound == enclosure(cloud, margin=0.0).bound
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.trust)])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2))])
 def test_the_certificates_that_were_false(seed):
     """One standard deviation for all contacts certified 0.056 mm; the truth was 0.074 to 0.10 mm."""
     mesh, recording, _ = scanned("cube.stl", 1e-4, seed=seed, slices=24)
@@ -201,7 +201,7 @@ def test_the_certificates_that_were_false(seed):
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 2 else pytest.mark.trust) for seed in range(4)]
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 1 else pytest.mark.trust) for seed in range(4)]
 )
 def test_the_adaptive_certificates_that_were_false(seed):
     mesh = trimesh.creation.box((20, 30, 40))

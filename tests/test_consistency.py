@@ -53,7 +53,7 @@ def test_a_wrong_recording_is_remarked_on(egg, fault):
     [
         *(
             pytest.param(noise, [name], 6, 30, 3, marks=pytest.mark.slow, id=f"{noise}-{name}")
-            for noise, name in [(0.0, "cube.stl"), (1e-4, "pebble.obj"), (1e-3, "needle.ply")]
+            for noise, name in [(0.0, "cube.stl"), (1e-3, "needle.ply")]
         ),
         *(
             pytest.param(noise, BODIES, 16, 60, 14, marks=pytest.mark.trust, id=f"{noise}-all")
@@ -175,8 +175,8 @@ def test_a_right_recording_is_not_remarked_on(seed):
 @pytest.mark.parametrize(
     "seeds",
     [
-        pytest.param(range(100, 130), marks=pytest.mark.slow, id="30"),
-        pytest.param(range(130, 300), marks=pytest.mark.trust, id="170 more"),
+        pytest.param(range(100, 115), marks=pytest.mark.slow, id="15"),
+        pytest.param(range(115, 300), marks=pytest.mark.trust, id="185 more"),
     ],
 )
 def test_200_right_recordings_are_not_remarked_on(seeds):

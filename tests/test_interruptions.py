@@ -191,7 +191,7 @@ sys.exit(main(sys.argv[1:]))
         pytest.param(
             "raise MemoryError('no room')",
             "the process that draws has failed (MemoryError: no room)",
-            marks=pytest.mark.slow,
+            marks=pytest.mark.trust,
         ),
         pytest.param(
             "import sys; sys.exit(3)",

@@ -92,7 +92,7 @@ def test_surfaces_are_read_back_closed(body, method, plan, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 4 else pytest.mark.trust) for seed in range(12)]
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 2 else pytest.mark.trust) for seed in range(12)]
 )
 def test_surfaces_of_random_bodies_are_read_back_closed(seed, tmp_path):
     random = np.random.default_rng(seed)

@@ -75,10 +75,14 @@ def test_the_bound_is_never_below_the_true_distance_on_104_bodies(block):
         check(seed, (400, 2000, 6000)[seed % 3])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("semi_axes", "count", "ratio"),
-    [((1, 1, 1), 10_000, 6), ((1, 0.6, 0.3), 10_000, 6), ((1, 0.3, 0.3), 20_000, 7), ((1, 1, 0.4), 3_000, 7)],
+    [
+        pytest.param((1, 1, 1), 10_000, 6, marks=pytest.mark.trust),
+        pytest.param((1, 0.6, 0.3), 10_000, 6, marks=pytest.mark.slow),
+        pytest.param((1, 0.3, 0.3), 20_000, 7, marks=pytest.mark.trust),
+        pytest.param((1, 1, 0.4), 3_000, 7, marks=pytest.mark.slow),
+    ],
 )
 def test_the_bound_of_smooth_bodies_is_a_few_times_the_true_distance(semi_axes, count, ratio):
     body = Ellipsoid(np.array(semi_axes, dtype=float))

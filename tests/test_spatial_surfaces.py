@@ -124,7 +124,7 @@ def test_the_local_bound_contains_the_surface():
         box([0.4, 0.3, 0.25], corners=0.01),
         box([1, 0.7, 0.5], 0.1, corners=0.3),
         pytest.param(Cylinder(0.5, 1.0), marks=pytest.mark.trust),
-        SMOOTH,
+        pytest.param(SMOOTH, marks=pytest.mark.trust),
     ],
 )
 def test_many_contacts_give_close_surfaces_and_small_bounds(body, count, largest_bound):
