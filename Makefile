@@ -21,11 +21,11 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/installed ## run all tests (6 minutes on two cores)
+test: .venv/installed ## run all tests but the long ones of make trust (9 minutes on two cores)
 	$(PYTEST) $(ARGS)
 
-fast: .venv/installed ## run the tests that are not marked slow (90 seconds on two cores)
-	$(PYTEST) -m "not slow" $(ARGS)
+fast: .venv/installed ## run the tests that are not marked slow (3 minutes on two cores)
+	$(PYTEST) -m "not slow and not trust" $(ARGS)
 
 lint: .venv/dev ## check style, format, types and imports
 	.venv/bin/ruff check .
@@ -40,6 +40,7 @@ format: .venv/dev ## put the code into the project's format
 check: lint fast ## lint and fast: what to run before a commit
 
 trust: .venv/installed ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
+	$(PYTEST) -m trust $(ARGS)
 	$(PYTEST) tests/test_robustness.py tests/test_merging.py tests/test_misuse.py tests/test_crashes.py \
 		tests/test_confidence.py tests/test_consistency.py tests/test_bound_properties.py $(ARGS)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)

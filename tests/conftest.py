@@ -1,7 +1,8 @@
 """What several tests share: the option --no-skip, the marks of the tests, and a reader of PLY files.
 
 A test marked `rendering`, `browser` or `open3d` needs an off-screen renderer, Chromium or open3d; where that is missing the
-test is skipped, with the command that installs it.  Tests marked `slow` are left out of the fast lane (``make fast``).
+test is skipped, with the command that installs it.  Tests marked `slow` are left out of the fast lane (``make fast``),
+tests marked `trust` of ``make test`` too: they are the long versions of others, for ``make trust``.
 """
 
 import functools
@@ -33,6 +34,7 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")
     config.addinivalue_line("markers", "slow: left out of the fast lane")
+    config.addinivalue_line("markers", "trust: many seeds or many bodies, for `make trust` only")
 
 
 def chromium():

@@ -70,8 +70,9 @@ def test_a_proven_hull_is_taken_without_an_estimate():
     assert "proven" in proven.metadata["reason"]
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 3 else pytest.mark.trust) for seed in range(8)]
+)
 def test_the_estimate_lies_between_the_bounds(seed):
     """Whatever the body: no point lies outside the outer body, and the certificate holds."""
     rng = np.random.default_rng(seed)
@@ -112,8 +113,10 @@ def test_under_noise_a_smooth_body_is_still_fitted():
 
 
 @pytest.mark.open3d
-@pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
+)
 def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
     mesh, cloud = ball
     bounds = enclosure(cloud)
@@ -126,8 +129,13 @@ def test_the_certificate_holds_for_surfaces_that_are_not_convex(ball, method):
     assert (at_vertices >= bounds.bound).all()
 
 
-@pytest.mark.parametrize("name", ["cylinder.off", "hexagonal_prism.obj"])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("cylinder.off", marks=pytest.mark.slow),
+        pytest.param("hexagonal_prism.obj", marks=pytest.mark.trust),
+    ],
+)
 def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
     """Slices across the flat ends lie in them: three times the slices along the axis can only enclose them."""
     mesh = scan3d.load_mesh(MESHES / name)
@@ -144,9 +152,15 @@ def test_three_axes_close_flat_ends_that_one_axis_never_touches(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "seed"), [("cube.stl", 1), ("gem.glb", 4), ("cylinder.off", 4), ("rounded_box.glb", 2), ("capsule.stl", 2)]
+    ("name", "seed"),
+    [
+        pytest.param("cube.stl", 1, marks=pytest.mark.slow),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.trust)
+            for name, seed in [("gem.glb", 4), ("cylinder.off", 4), ("rounded_box.glb", 2), ("capsule.stl", 2)]
+        ),
+    ],
 )
-@pytest.mark.slow
 def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     mesh = rotated(scan3d.load_mesh(MESHES / name), seed)
     cloud = scanned(mesh, slices=64, spacing="adaptive")

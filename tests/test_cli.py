@@ -684,8 +684,10 @@ def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
 
 
 @pytest.mark.open3d
-@pytest.mark.parametrize("method", ["poisson", "ball-pivoting"])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
+)
 def test_open3ds_methods_can_be_chosen(call, tmp_path, no_pictures, method):
     code, stdout, _ = call(
         "scan", EGG, "--out", tmp_path, "--slices", "12", "--samples", "24", "--method", method, "--json"

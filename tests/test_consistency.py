@@ -48,16 +48,27 @@ def test_a_wrong_recording_is_remarked_on(egg, fault):
     assert remarks(FAULTS[fault](egg))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
-def test_wrong_recordings_are_remarked_on(noise):
-    """184 of them for each noise: 46 faults and four bodies."""
+@pytest.mark.parametrize(
+    ("noise", "names", "slices", "samples", "most"),
+    [
+        *(
+            pytest.param(noise, [name], 6, 30, 3, marks=pytest.mark.slow, id=f"{noise}-{name}")
+            for noise, name in [(0.0, "cube.stl"), (1e-3, "needle.ply")]
+        ),
+        *(
+            pytest.param(noise, BODIES, 16, 60, 14, marks=pytest.mark.trust, id=f"{noise}-all")
+            for noise in (0.0, 1e-4, 1e-3)
+        ),
+    ],
+)
+def test_wrong_recordings_are_remarked_on(noise, names, slices, samples, most):
+    """46 faults for each noise and body, of which no more than `most` are missed: of one body 7 %, of all 8 %."""
     missed = []
-    for name in BODIES:
-        right = recorded(name, slices=16, samples=60, noise=noise)
+    for name in names:
+        right = recorded(name, slices=slices, samples=samples, noise=noise)
         missed += [(name, fault) for fault, wrong in FAULTS.items() if not remarks(wrong(right))]
-    assert len(FAULTS) * len(BODIES) == 184
-    assert len(missed) <= 14, missed
+    assert len(FAULTS) == 46
+    assert len(missed) <= most, missed
 
 
 @pytest.mark.parametrize(
@@ -161,9 +172,15 @@ def test_a_right_recording_is_not_remarked_on(seed):
     assert remarks(right_recording(seed)) == []
 
 
-@pytest.mark.slow
-def test_200_right_recordings_are_not_remarked_on():
-    assert [seed for seed in range(100, 300) if remarks(right_recording(seed))] == []
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        pytest.param(range(100, 115), marks=pytest.mark.slow, id="15"),
+        pytest.param(range(115, 300), marks=pytest.mark.trust, id="185 more"),
+    ],
+)
+def test_200_right_recordings_are_not_remarked_on(seeds):
+    assert [seed for seed in seeds if remarks(right_recording(seed))] == []
 
 
 def test_digits_of_the_poses_do_not_turn_short_sweeps(egg):

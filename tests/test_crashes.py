@@ -270,8 +270,9 @@ def test_the_results_of_an_earlier_version_are_replaced(place):
     assert contents(folder) == {**NEW, **FOREIGN}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("how", HOW)
+@pytest.mark.parametrize(
+    "how", [pytest.param(how, marks=pytest.mark.slow if how == "kill" else pytest.mark.trust) for how in HOW]
+)
 def test_the_commands_read_one_result_wherever_a_scan_was_stopped(tmp_path, monkeypatch, how):
     """The same with real results, as `show`, `export` and `reconstruct` read them."""
     import dataclasses

@@ -5,6 +5,7 @@ are checked against the arrays that are drawn, and the transitions against the r
 and integrated numerically.
 """
 
+import functools
 import importlib
 import re
 import runpy
@@ -12,6 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -161,12 +163,18 @@ def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
     assert named["support"] == "–"
 
 
+@functools.cache
+def errors_by_slices() -> dict[str, Any]:
+    """What `error_by_slices.py --quick` measures: coarse, for what is compared are slices, not facets."""
+    script = example("error_by_slices")
+    return script.measure(script.QUICK_SLICES, script.QUICK_SUBDIVISIONS)
+
+
 @pytest.mark.open3d
 @pytest.mark.slow
 def test_error_by_slices(tmp_path: Path) -> None:
     script = example("error_by_slices")
-    # coarse: what is compared are slices, not facets
-    errors = script.measure((8, 16), 24)
+    errors = errors_by_slices()
     for curves in errors.values():
         assert (curves.bound > curves.hausdorff["hull"]).all()
         for method in ("hull", "poisson", "ball-pivoting"):
@@ -188,8 +196,8 @@ def test_error_by_slices(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_error_by_slices_saves_its_picture_at_the_given_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("error_by_slices")
-    monkeypatch.setattr(script, "QUICK_SLICES", (8, 12))
-    monkeypatch.setattr(script, "QUICK_SUBDIVISIONS", 8)
+    measured = {(script.QUICK_SLICES, script.QUICK_SUBDIVISIONS): errors_by_slices()}
+    monkeypatch.setattr(script, "measure", lambda *setting: measured[setting])
     script.main(["--quick", "--out", str(tmp_path / "errors.png")])
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 

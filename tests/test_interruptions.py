@@ -31,8 +31,13 @@ def start(*arguments, **options):
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize(
+    "moment",
+    [
+        pytest.param(moment, marks=pytest.mark.trust if number % 2 else pytest.mark.slow)
+        for number, moment in enumerate(MOMENTS)
+    ],
+)
 def test_ctrl_c_at_any_moment(tmp_path, moment):
     """An exception while VTK is imported would end in a crash, and trimesh would swallow it."""
     child = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "300", "--quiet")
@@ -175,13 +180,24 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.rendering
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "sentence"),
     [
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the renderer crashed (SIGSEGV)"),
-        ("raise MemoryError('no room')", "the process that draws has failed (MemoryError: no room)"),
-        ("import sys; sys.exit(3)", "the process that draws has failed (exit code 3)"),
+        pytest.param(
+            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+            "the renderer crashed (SIGSEGV)",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "raise MemoryError('no room')",
+            "the process that draws has failed (MemoryError: no room)",
+            marks=pytest.mark.trust,
+        ),
+        pytest.param(
+            "import sys; sys.exit(3)",
+            "the process that draws has failed (exit code 3)",
+            marks=pytest.mark.trust,
+        ),
     ],
 )
 def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, code, sentence):
@@ -212,25 +228,31 @@ def test_drawing_that_takes_too_long(monkeypatch):
         drawing.draw(scanned(CUBE), [(".png", {})])
 
 
-@pytest.mark.slow
-def test_files_of_the_current_folder_are_not_executed(tmp_path):
+@pytest.mark.parametrize(
+    "runs",
+    [
+        pytest.param([("scan3d", "scan"), ("-m", "doctor")], marks=pytest.mark.slow, id="each once"),
+        pytest.param([("scan3d", "doctor"), ("-m", "scan")], marks=pytest.mark.trust, id="the other way round"),
+    ],
+)
+def test_files_of_the_current_folder_are_not_executed(tmp_path, runs):
     """Neither by the command, nor by `python -m`, nor by their child processes."""
     for name in ("numpy", "scipy", "trimesh", "pyvista", "vtkmodules", "matplotlib", "pickle", "planar"):
         (tmp_path / f"{name}.py").write_text(f"open('executed-{name}', 'w'); raise SystemExit('executed')")
     home = str(Path(__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([home, *filter(None, [os.environ.get("PYTHONPATH")])])}
-    command = Path(sys.executable).with_name("scan3d")
-    for program in ([command], [sys.executable, "-m", "scan3d"]):
-        for arguments in (["scan", CUBE, "--out", "out", *FEW], ["doctor", "--quiet"]):
-            done = subprocess.run(
-                [*program, *map(str, arguments)],
-                cwd=tmp_path,
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            assert done.returncode == 0, done.stderr
+    programs = {"scan3d": [Path(sys.executable).with_name("scan3d")], "-m": [sys.executable, "-m", "scan3d"]}
+    commands = {"scan": ["scan", CUBE, "--out", "out", *FEW], "doctor": ["doctor", "--quiet"]}
+    for program, command in runs:
+        done = subprocess.run(
+            [*programs[program], *map(str, commands[command])],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
     assert not list(tmp_path.glob("executed*"))
 
 

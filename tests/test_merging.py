@@ -76,10 +76,10 @@ def check_readers(surface, folder, endings=(".ply", ".stl", ".obj", ".glb", ".vt
         (cone, "bracket", {}),
         pytest.param(drop, "bracket", {}, marks=pytest.mark.slow),
         pytest.param(oblique_cone, "bracket", {}, marks=pytest.mark.slow),
-        pytest.param(oblique_cone, "hull", {"axis": (1, 2, 3)}, marks=pytest.mark.slow),
+        pytest.param(oblique_cone, "hull", {"axis": (1, 2, 3)}, marks=pytest.mark.trust),
         pytest.param(oblique_cylinder, "bracket", {}, marks=pytest.mark.slow),
         pytest.param(lambda: scan3d.load_mesh("meshes/egg.stl"), "bracket", {}, marks=pytest.mark.slow),
-        pytest.param(lambda: scan3d.load_mesh("meshes/lens.off"), "auto", {}, marks=pytest.mark.slow),
+        pytest.param(lambda: scan3d.load_mesh("meshes/lens.off"), "auto", {}, marks=pytest.mark.trust),
     ],
 )
 def test_surfaces_are_read_back_closed(body, method, plan, tmp_path):
@@ -91,8 +91,9 @@ def test_surfaces_are_read_back_closed(body, method, plan, tmp_path):
     check_readers(surface, tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 2 else pytest.mark.trust) for seed in range(12)]
+)
 def test_surfaces_of_random_bodies_are_read_back_closed(seed, tmp_path):
     random = np.random.default_rng(seed)
     points = random.standard_normal((random.integers(5, 60), 3)) * random.uniform(3, 30, 3) + random.uniform(-50, 50, 3)

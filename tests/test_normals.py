@@ -18,7 +18,9 @@ def degrees_between(a, b):
     return np.degrees(np.arccos(np.clip((a * b).sum(axis=1), -1, 1)))
 
 
-@pytest.fixture(scope="module", params=["ellipsoid", "egg", "pebble"])
+@pytest.fixture(
+    scope="module", params=["ellipsoid", *(pytest.param(name, marks=pytest.mark.trust) for name in ("egg", "pebble"))]
+)
 def smooth(request):
     # the pebble is most curved where its facets are largest
     mesh = formulas.make(request.param, subdivisions=200 if request.param == "pebble" else 100)

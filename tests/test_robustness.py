@@ -7,8 +7,8 @@ import pytest
 
 from tests.robustness import corpus, fuzz, runner
 
-# Every so many cases run in the fast lane.
-_FAST_STEP = 60
+# Every so many cases run in the fast lane, and in all tests; `make trust` runs every case.
+_FAST_STEP, _STEP = 60, 12
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +39,21 @@ def test_some_odd_files_and_options(cases):
 
 
 @pytest.mark.slow
+def test_more_odd_files_and_options(cases):
+    """The cases are in groups of their subject, so that every group of twelve has one here."""
+    folder, made = cases
+    assert [text for case in made[::_STEP] if (text := wrong(case, folder))] == []
+
+
+@pytest.mark.trust
 def test_all_odd_files_and_options(cases):
     folder, made = cases
     assert [text for case in made if (text := wrong(case, folder))] == []
 
 
-@pytest.mark.parametrize("count", [5, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [5, pytest.param(50, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.trust)]
+)
 def test_random_changes_of_files_and_options(tmp_path, count):
     source = tmp_path / "source"
     source.mkdir()

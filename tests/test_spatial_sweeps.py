@@ -117,6 +117,7 @@ def test_friction_is_against_the_slip(swept):
     assert amiss[long_enough].max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_the_base_does_the_work_of_bending_and_of_friction(friction):
     """Trapezoids of work over the steps: the balance is of second order in them, as is theirs."""
@@ -153,7 +154,15 @@ def test_the_base_does_the_work_of_bending_and_of_friction(friction):
     assert (order > 0.9).all(), missing
 
 
-@pytest.mark.parametrize("semi_axes", [(0.9, 0.675, 0.45), (0.6, 0.6, 0.6), (0.7, 0.4, 0.63)], ids=str)
+@pytest.mark.parametrize(
+    "semi_axes",
+    [
+        pytest.param((0.9, 0.675, 0.45), marks=pytest.mark.slow),
+        pytest.param((0.6, 0.6, 0.6), marks=pytest.mark.trust),
+        pytest.param((0.7, 0.4, 0.63), marks=pytest.mark.trust),
+    ],
+    ids=str,
+)
 def test_stability_in_a_mirror_plane_changes_where_it_should(semi_axes):
     """(S23): the rod beside the plane is pushed out of it without bound where x1 - x0 = (C/A)² (x1 - x_c)."""
     a, b, c = semi_axes

@@ -23,6 +23,7 @@ def exact(scene):
     return sweep(body, position, axes, 0.3, substeps=128)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-3])
 def test_what_is_left_is_within_the_accuracy(scene, exact, accuracy):
     body, position, axes = scene
@@ -36,6 +37,7 @@ def test_what_is_left_is_within_the_accuracy(scene, exact, accuracy):
     assert np.nanmax(relative) > 0.02 * accuracy
 
 
+@pytest.mark.slow
 def test_an_accuracy_that_is_out_of_reach_is_reported(scene):
     body, position, axes = scene
     swept = sweep(body, position[:1], axes[:1], 0.3, accuracy=1e-9)

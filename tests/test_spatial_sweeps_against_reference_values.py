@@ -5,6 +5,7 @@ Columns: x0; contact; s1; support reaction; moment's x and z.  With friction the
 """
 
 import numpy as np
+import pytest
 
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.sweeping import sweep
@@ -60,6 +61,7 @@ def test_without_friction_steps_do_not_matter():
     assert np.nanmax(np.abs(once[::4] - jump)) < 1e-10
 
 
+@pytest.mark.slow
 def test_with_friction_extrapolated_to_step_zero():
     """Steps of 1/150 to 1/1200 as the prototype's; two extrapolations, because the error is h and then h²."""
     expected, base = table(FRICTION_03), np.linspace(0.92, -0.10, 154)

@@ -80,7 +80,9 @@ def test_forces_lie_in_the_cone_and_against_the_slip(swept):
     assert np.abs(amiss[length[:, 0] > 1e-4]).max() < 1e-8
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize(
+    "friction", [pytest.param(0.0, marks=pytest.mark.trust), pytest.param(0.3, marks=pytest.mark.slow)]
+)
 def test_a_fine_mesh_of_a_sphere_is_the_sphere(friction):
     """Forces differ by the angles between the facets, by which their normals jump; four times the facets halve that."""
     ball = Ellipsoid((0.5, 0.5, 0.5), radius=0.01)
@@ -109,6 +111,7 @@ def test_open_surfaces_are_refused():
         RoundedPolyhedron(mesh.vertices, mesh.faces, -0.01)
 
 
+@pytest.mark.slow
 def test_contacts_end_only_where_the_straight_rod_is_clear():
     """A thin rod past a cube, with friction: rods that have just touched are nearly straight, too, but do not lift off."""
     mesh = trimesh.creation.box(np.full(3, 1 / np.sqrt(3)))

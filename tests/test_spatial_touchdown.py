@@ -88,7 +88,9 @@ def test_ellipsoids(seed):
     check(body, depth_of_ellipsoid(semi_axes, axes), np.random.default_rng(seed), 1e-9)
 
 
-@pytest.mark.parametrize("radius", [0.003, 0.05])
+@pytest.mark.parametrize(
+    "radius", [pytest.param(0.003, marks=pytest.mark.slow), pytest.param(0.05, marks=pytest.mark.trust)]
+)
 def test_cuboids(radius):
     rng = np.random.default_rng(3)
     turn = turned(rng)
