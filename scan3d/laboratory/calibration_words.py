@@ -1,0 +1,70 @@
+"""What touches determine, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+MORE_SWEEPS = "sweep it in more directions of the rod, with the clamp turned about the rod's axis, and bend the rod more"
+# What a group of quantities is called, and which touches determine it, by the beginning of their names.
+_GROUPS = {
+    "bending_stiffness": ("the bending stiffness", "sweeps that bend the rod more, past the middle of the sphere"),
+    "length": (
+        "the free length",
+        "tip contacts: sweeps whose clamp is farther from the sphere, so that the rod leaves it over its tip",
+    ),
+    "clamp_turn": (
+        "the clamp's turn",
+        "sweeps that touch the sphere near the clamp and near the tip, with the clamp turned about the rod's axis",
+    ),
+    "clamp_y": ("the clamp's offset along the rod", "sweeps with the rod in other directions, such as from the opposite side"),
+    "clamp": ("the clamp's offset across the rod", "sweeps with the clamp turned about the rod's axis by 90 degrees and more"),
+    "sensor_turn": ("the sensor's turn", "sweeps that bend the rod more, and to several sides of the clamp"),
+    "sensor": ("the sensor's place", "sweeps that bend the rod more, and to several sides of the clamp"),
+    "sphere": ("the sphere's place", "sweeps with the rod in more directions"),
+    "tare": ("the tare", "more rows in the air, before and after each touch"),
+    "drift": ("the drift", "more rows in the air at the beginning and the end of the recording"),
+}
+
+
+def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str]) -> tuple[str, ...]:
+    """One sentence for each group of quantities that are poorly determined, with their uncertainties, or not determined."""
+    result = []
+    fixed_groups: dict[str, list[str]] = {}
+    poor_groups: dict[str, list[str]] = {}
+    for name in fixed:
+        fixed_groups.setdefault(_group(name), []).append(name)
+    for name, uncertainty in poor:
+        poor_groups.setdefault(_group(name), []).append(f"{name} to {uncertainty}")
+    for group, names in fixed_groups.items():
+        title, touches = _GROUPS[group]
+        stays = "stays at its nominal value" if len(names) == 1 else "stay at their nominal values"
+        result.append(f"These touches do not determine {title}: {', '.join(names)} {stays}. It needs {touches}.")
+    for group, names in poor_groups.items():
+        title, touches = _GROUPS[group]
+        result.append(f"These touches determine {title} poorly ({', '.join(names)}). It needs {touches}.")
+    return tuple(result)
+
+
+def _group(name: str) -> str:
+    return max((group for group in _GROUPS if name.startswith(group)), key=len)
+
+
+def premises(ratio: float, limit: float, air: float, air_limit: float, consistency: float, consistency_limit: float) -> tuple[str, ...]:
+    """One sentence for each test of the premises that fails: values are mean squares in variances, limits their largest."""
+    result = []
+    if air > air_limit:
+        result.append(
+            f"In the air the reactions scatter by {air**0.5:.2f} times the stated noise: the sensor drifts otherwise than the "
+            "tare assumes, or the noise is larger than stated; the uncertainties are too small."
+        )
+    if consistency > consistency_limit:
+        result.append(
+            f"In contact the moments about the rod and along the force scatter by {consistency**0.5:.2f} times what the noise "
+            "explains: a second contact, friction across a thick rod, a sensor whose channels mix, or noise larger than stated."
+        )
+    if ratio > limit:
+        result.append(
+            f"The contacts deviate from the sphere by {ratio**0.5:.2f} times what the noise explains: check the diameters of "
+            "sphere and rod, the noise of the poses, and that the sphere did not move."
+        )
+    return tuple(result)
