@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from scan3d.arrays import Array, Mask
+from scan3d.choices import TARES
 from scan3d.errors import InputError
 from scan3d.laboratory import calibration_words as words
-from scan3d.laboratory.calibration_air import TARES, Unloaded, unloaded
+from scan3d.laboratory.calibration_air import Unloaded, unloaded
 from scan3d.laboratory.calibration_fit import Adjusted, Air, Noise, Problem, adjusted, information, started
 from scan3d.laboratory.calibration_model import (
     CENTRE,
@@ -33,26 +34,30 @@ from scan3d.laboratory.calibration_model import (
     bent,
     clamp_wrench,
 )
-from scan3d.laboratory.calibration_result import Calibration, of_fit
+from scan3d.laboratory.calibration_result import Calibration, Fitted, of_fit
 from scan3d.laboratory.calibration_start import first_rig, kinds, likelier_kinds
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 
 # Forces in standard deviations of their noise from which a row is used for the first estimate.
 _FELT = 20.0
-# Standard deviation of a contact's place along the rod, over the sphere's radius, up to which a row is used.  Larger, the sphere
-# curves within the errors of a row, and the linearised equations bias the result; smaller, rows are lost.
+# Standard deviation of a contact's place along the rod, over the sphere's radius, up to which a row is used.  Larger, the
+# sphere curves within the errors of a row, and the linearised equations bias the result; smaller, rows are lost.
 _ALONG = 0.12
 # Rows in contact that a calibration needs.
 _FEWEST = 30
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
 # Of the stiffness's logarithm, lengths in rod lengths, angles in radians, and the tare in EI/L² and EI/L.
 _WIDTHS = {STIFFNESS: 0.5, CLAMP: 0.1, TILT: 0.3, TURN: 0.5, SENSOR: 0.3, CENTRE: 1.0, LENGTH: 0.1, TARE: 1.0}
-# Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.  The
-# sphere's place and the tare have no nominal value.
+# Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.
+# The sphere's place and the tare have no nominal value.
 _FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, CENTRE: 0.0, LENGTH: 1.0, TARE: 0.0}
+# Spread of the planes of planar sweeps, over the sphere's radius, up to which they count as one plane through the centre.
+_PLANE = 0.1
 # Smallest eigenvalue of the normal matrix over its largest that is not rounding, and the least part of a parameter in it.
 _ROUNDING, _PART = 1e-12, 1e-3
+# Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
+_USABLE, _STIFFEST = 0.3, 2.5
 # Rounds in which the kinds of contacts come to rest, and in which the noise of the poses is estimated.
 _ROUNDS, _NOISE_ROUNDS = 6, 3
 # Relative error of the estimated noise of the poses.
@@ -93,8 +98,8 @@ class _Measured(NamedTuple):
     """(n,) of the rows in contact."""
     unloaded: Unloaded
     nominal: Rig
-    force_noise: float
-    moment_noise: float
+    world: Array
+    """(3, 3) from the world to the frame of the equations."""
 
 
 def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
@@ -118,10 +123,12 @@ def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
             f"the recording has {len(rows)} rows in contact that stand out from the noise, and a calibration needs {_FEWEST}: "
             "touch the sphere in more sweeps, and bend the rod more"
         )
+    # sweeps in a plane do not determine how far the sphere's centre is from it: the plane's normal is one of the axes
+    world = np.eye(3) if recording.six_axis else recording.axes()[rows[0]]
     touches = Touches(
         wrench[rows],
-        recording.position_m[rows] / rod.length_m,
-        recording.axes()[rows].swapaxes(1, 2),
+        recording.position_m[rows] / rod.length_m @ world.T,
+        world @ recording.axes()[rows].swapaxes(1, 2),
         found.basis[rows],
         np.full(len(rows), Kind.EITHER, dtype=np.int8),
     )
@@ -130,34 +137,41 @@ def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
     if not recording.six_axis:
         free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
         free[TARE:] = np.repeat(channels, k)
+        free[CENTRE + 2] = np.ptp(touches.position[:, 2]) > _PLANE * sphere / 2 / rod.length_m
     problem = Problem(
         touches,
         Air(wrench[found.air], found.basis[found.air]),
         (sphere + rod.diameter_m) / 2 / rod.length_m,
         channels,
         free,
+        _by_parameter(_WIDTHS, len(free)),
     )
     nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), touches.position.mean(axis=0), 1.0, found.tare)
-    return _Measured(problem, recording.sweep[rows], found, nominal, found.force_noise, found.moment_noise)
+    return _Measured(problem, recording.sweep[rows], found, nominal, world)
 
 
 def _fitted(measured: _Measured, place: float | None, recording: Recording, sphere: float) -> Calibration:
     """The calibration; `place` is the noise of the poses in rod lengths, None to estimate it."""
     nominal, sweep = measured.nominal, measured.sweep
-    noise = Noise(measured.force_noise, measured.moment_noise, max(_PLACE if place is None else place, _PLACE_BOUNDS[0]))
+    noise = Noise(
+        measured.unloaded.force_noise,
+        measured.unloaded.moment_noise,
+        max(_PLACE if place is None else place, _PLACE_BOUNDS[0]),
+    )
     first = first_rig(measured.problem, nominal, noise)
     strong = _strong(measured.problem, first, noise)
     if strong.sum() < _FEWEST:
-        raise InputError(
-            f"{strong.sum()} rows place the contact to a tenth of the sphere's radius, and a calibration needs {_FEWEST}: bend "
-            "the rod more, or take a larger sphere"
+        raise _no_sphere(
+            sphere,
+            f", or touch it too lightly: {strong.sum()} rows place the contact to a tenth of the sphere's radius, and a "
+            f"calibration needs {_FEWEST}",
         )
     problem = replace(measured.problem, touches=measured.problem.touches.rows(strong))
     sweep = sweep[strong]
     kind, length = kinds(problem, sweep, first, noise)
     problem = _with_kinds(problem, kind, length, measured.problem.free)
     first = first if length is None else replace(first, length=length)
-    free = _determined(information(problem, first, noise), problem.free)
+    free = _determined(problem, information(problem, first, noise))
     if (free != problem.free).any():
         problem = replace(problem, free=free)
         first = started(problem, _at_nominal(first, nominal, free), noise)[0]
@@ -171,8 +185,8 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
     for _ in range(_NOISE_ROUNDS if place is None else 0):
         noise = noise._replace(place=_place_noise(fit, problem, noise))
         fit = adjusted(problem, fit.rig, noise)
-    _check(fit, noise, sphere, recording)
-    return of_fit(fit, problem, noise, measured.unloaded, recording, sphere, place is None)
+    _check(fit, problem, noise, sphere, recording)
+    return of_fit(Fitted(fit, problem, noise, measured.unloaded, measured.world, place is None), recording, sphere)
 
 
 def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, free: Mask) -> Problem:
@@ -197,10 +211,10 @@ def _by_parameter(table: dict[int, float], count: int) -> Array:
     return np.array([table[first[first <= number][-1]] for number in range(count)])
 
 
-def _determined(normal: Array, free: Mask) -> Mask:
+def _determined(problem: Problem, normal: Array) -> Mask:
     """The parameters (p,) that a normal matrix determines; of those it determines only together, some are left out."""
-    widths, order = _by_parameter(_WIDTHS, len(free)), _by_parameter(_FIXED_FIRST, len(free))
-    free = free.copy()
+    free = problem.free.copy()
+    widths, order = problem.widths, _by_parameter(_FIXED_FIRST, len(free))
     while True:
         rows = np.flatnonzero(free)
         size, vectors = np.linalg.eigh((normal * widths[:, None] * widths)[np.ix_(rows, rows)])
@@ -221,6 +235,7 @@ def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
         tilt=np.where(free[TILT:TURN], rig.tilt, nominal.tilt),
         turn=rig.turn if free[TURN:SENSOR].any() else nominal.turn,
         sensor=np.where(free[SENSOR:CENTRE], rig.sensor, nominal.sensor),
+        centre=np.where(free[CENTRE:LENGTH], rig.centre, nominal.centre),
         length=rig.length if free[LENGTH] else nominal.length,
     )
 
@@ -234,7 +249,7 @@ def _place_noise(fit: Adjusted, problem: Problem, noise: Noise) -> float:
         covariance = (fit.by_row * variances) @ fit.by_row.swapaxes(1, 2)
         covariance[:, range(4), range(4)] += ~fit.used
         solved = np.linalg.solve(covariance, fit.misclosure[:, :, None])[:, :, 0]
-        return float((fit.misclosure * solved).sum()) - freedom
+        return float((fit.misclosure * solved).sum()) - float(freedom)
 
     low, high = _PLACE_BOUNDS
     if excess(low) <= 0:
@@ -242,14 +257,22 @@ def _place_noise(fit: Adjusted, problem: Problem, noise: Noise) -> float:
     if excess(high) >= 0:
         return high
     root = brentq(lambda logarithm: excess(math.exp(logarithm)), math.log(low), math.log(high), xtol=_PLACE_STEP)
-    return math.exp(root)
+    return math.exp(float(root))
 
 
-def _check(fit: Adjusted, noise: Noise, sphere: float, recording: Recording) -> None:
+def _check(fit: Adjusted, problem: Problem, noise: Noise, sphere: float, recording: Recording) -> None:
     """Raise InputError for a fit that is none."""
-    if noise.place > _NO_SPHERE or not fit.at_rest or not np.isfinite(fit.normal).all():
-        misfit = f", from which they deviate by {1000 * noise.place * recording.rod.length_m:.2g} mm" if noise.place > _NO_SPHERE else ""
-        raise InputError(
-            f"the touches do not fit a sphere of {1000 * sphere:g} mm{misfit}: check the diameter and its unit, the units and "
-            "signs of forces and moments, and that the sphere did not move"
-        )
+    if noise.place > _NO_SPHERE:
+        deviation = 1000 * noise.place * recording.rod.length_m
+        raise _no_sphere(sphere, f", from which they deviate by {deviation:.2g} mm")
+    usable = fit.used[:, 2].sum() >= max(_FEWEST, _USABLE * len(fit.used))
+    known = np.isfinite(fit.normal).all() and (np.diag(fit.normal)[problem.free] > 0).all()
+    if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
+        raise _no_sphere(sphere, "")
+
+
+def _no_sphere(sphere: float, detail: str) -> InputError:
+    return InputError(
+        f"the touches do not fit a sphere of {1000 * sphere:g} mm{detail}: check the diameter and its unit, the rod, the units "
+        "and signs of forces and moments, that each sweep begins and ends in the air, and that the sphere did not move"
+    )

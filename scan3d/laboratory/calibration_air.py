@@ -15,7 +15,6 @@ from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory.calibration_fit import Air
 
-TARES = ("auto", "constant", "linear", "sweep")
 # Rows at an end of a sweep that give its level.  More, and a touch soon after the start counts as air; fewer, and the level is
 # as noisy as a row.
 _LEVEL = 5
@@ -23,8 +22,8 @@ _LEVEL = 5
 # it counts as contact for certain.  The force of a touch grows steadily, so that the rows between the two are as many as
 # those before the first, in which the noise hides the touch.
 _AIR, _CONTACT = 4.0, 12.0
-# Drift within a sweep, as a part of the largest reaction, that counts as noise while the air is sought.  Larger, the margin before
-# a touch is wider; smaller, sensors with little noise seem to touch when they drift.
+# Drift within a sweep, as a part of the largest reaction, that counts as noise while the air is sought.  Larger, the margin
+# before a touch is wider; smaller, sensors with little noise seem to touch when they drift.
 _DRIFT = 5e-4
 # Levels of ends of sweeps that deviate by more than this part of the largest reaction are those of rods in contact.  Sensors
 # drift by less between sweeps.
@@ -54,27 +53,35 @@ class Unloaded(NamedTuple):
     contact: Mask
     """(n,) rows in which the rod is loaded for certain."""
     force_noise: float
+    """The stated noise, or that of the rows in the air if it is not stated or they contradict it."""
     moment_noise: float
     basis: Array
     """(n, k) of the tare over the rows."""
     tare: Array
     """(6, k)"""
     model: str
-    """One of `TARES`, but not ``auto``."""
+    """One of `scan3d.choices.TARES`, but not ``auto``."""
     misfit: float
     """Mean square deviation of the rows in the air from the tare, over the variance of the noise."""
 
 
-def unloaded(sweep: NDArray[np.int64], wrench: Array, channels: Mask, noise: tuple[float, float], model: str) -> Unloaded:
+def unloaded(
+    sweep: NDArray[np.int64], wrench: Array, channels: Mask, noise: tuple[float, float], model: str
+) -> Unloaded:
     """The air of sweeps: `sweep` (n,) numbers them, `wrench` (n, 6) is what the sensor shows, `noise` 0 where unknown.
 
     Raises InputError for too few rows in the air.
     """
     runs = [np.flatnonzero(sweep == number) for number in np.unique(sweep)]
     largest = np.repeat([np.abs(wrench[:, part]).max() for part in _PARTS], 3)
-    rough = np.repeat([given or _noise(wrench[:, part][:, channels[part]], runs) for part, given in zip(_PARTS, noise)], 3)
+    rough = np.repeat(
+        [given or _noise(wrench[:, part][:, channels[part]], runs) for part, given in zip(_PARTS, noise, strict=True)],
+        3,
+    )
     # a sensor may drift by more than its noise within a sweep
-    air, contact = _separated(np.where(channels, wrench / np.maximum(np.maximum(rough, _DRIFT * largest), _TINY), 0.0), runs)
+    air, contact = _separated(
+        np.where(channels, wrench / np.maximum(np.maximum(rough, _DRIFT * largest), _TINY), 0.0), runs
+    )
     if air.sum() < _FEWEST:
         raise InputError(
             f"the recording has {air.sum()} rows in the air, and a calibration needs {_FEWEST}: let each sweep begin and end "
@@ -85,15 +92,19 @@ def unloaded(sweep: NDArray[np.int64], wrench: Array, channels: Mask, noise: tup
     quick = np.maximum(np.where(known > 0, known, _quick_noise(wrench, air, sweep, channels)), least)
     for name in (model,) if model != "auto" else ("linear", "sweep"):
         basis = _basis(name, sweep)
-        tare: Array = np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T
+        tare: Array = np.asarray(np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T, dtype=float)
         freedom = max(int(air.sum()) - basis.shape[1], 1)
-        square = ((wrench[air] - basis[air] @ tare.T) ** 2).sum(axis=0) / freedom
+        square: Array = ((wrench[air] - basis[air] @ tare.T) ** 2).sum(axis=0) / freedom
         misfit = float((square / quick**2)[channels].mean())
-        if misfit < 1 + _SIGMAS * np.sqrt(2 / freedom / channels.sum()) + _UNSURE * (0 in noise):
+        allowed = 1 + _SIGMAS * float(np.sqrt(2 / freedom / channels.sum())) + _UNSURE * (0 in noise)
+        if misfit < allowed:
             break
     own = np.sqrt([square[part][channels[part]].mean() for part in _PARTS])
     # where the noise is not given, the deviations from the tare tell it better than the differences of rows
-    deviation = np.maximum(np.where(known > 0, known, np.repeat(own, 3)), least)
+    deviation: Array = np.where(known > 0, known, np.repeat(own, 3))
+    if misfit > allowed:
+        deviation = np.asarray(np.maximum(deviation, np.repeat(own, 3)))
+    deviation = np.maximum(deviation, least)
     return Unloaded(air, contact, float(deviation[0]), float(deviation[3]), basis, tare, name, misfit)
 
 
@@ -104,7 +115,9 @@ def rows_in_air(found: Unloaded, wrench: Array) -> Air:
 
 def _noise(values: Array, runs: list[NDArray[np.intp]]) -> float:
     """The noise (n, c) by the second differences of the first and last rows of the sweeps, most of which are in the air."""
-    ends = [values[rows[part]] for rows in runs for part in (slice(0, _LEVEL), slice(-_LEVEL, None)) if len(rows) > _LEVEL]
+    ends = [
+        values[rows[part]] for rows in runs for part in (slice(0, _LEVEL), slice(-_LEVEL, None)) if len(rows) > _LEVEL
+    ]
     return float(np.median(np.abs(np.diff(np.stack(ends), n=2, axis=1)))) / _MEDIAN / 6**0.5 if ends else 0.0
 
 
@@ -143,7 +156,9 @@ def _quiet(away: Array) -> int:
 
 def _levels(scaled: Array, runs: list[NDArray[np.intp]]) -> list[tuple[Array | None, Array | None]]:
     """The level (6,) of both ends of each sweep, None for an end in contact."""
-    ends = np.array([[np.median(scaled[rows[:_LEVEL]], axis=0), np.median(scaled[rows[-_LEVEL:]], axis=0)] for rows in runs])
+    ends = np.array(
+        [[np.median(scaled[rows[:_LEVEL]], axis=0), np.median(scaled[rows[-_LEVEL:]], axis=0)] for rows in runs]
+    )
     middle = np.median(ends[:, 0], axis=0)
     allowed = max(_DRIFTED * float(np.abs(scaled - middle).max()), _AIR)
     near = np.abs(ends - middle).max(axis=2) <= allowed

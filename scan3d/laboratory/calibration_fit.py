@@ -59,6 +59,8 @@ class Problem:
     """(6,) which components of force and moment were measured."""
     free: Mask
     """(p,) which parameters are sought."""
+    widths: Array
+    """(p,) within which the parameters are known without any touch."""
 
     @property
     def applies(self) -> Mask:
@@ -146,20 +148,26 @@ class _State(NamedTuple):
 def _linearised(problem: Problem, rig: Rig, noise: Noise, correction: Array | None) -> _State:
     touches = problem.touches
     if correction is not None:
-        touches = touches._replace(wrench=touches.wrench + correction[:, :6], position=touches.position + correction[:, 6:])
+        touches = touches._replace(
+            wrench=touches.wrench + correction[:, :6], position=touches.position + correction[:, 6:]
+        )
     found = equations(rig, touches, problem.radius)
-    good = np.isfinite(found.value).all(axis=1) & np.isfinite(found.by_row).all(axis=(1, 2))
+    good = _finite(found)
     if correction is not None and not good.all():  # there the adjusted values are left for the measured ones
         correction[~good] = 0
         touches = problem.touches._replace(
             wrench=problem.touches.wrench + correction[:, :6], position=problem.touches.position + correction[:, 6:]
         )
         found = equations(rig, touches, problem.radius)
-        good = np.isfinite(found.value).all(axis=1) & np.isfinite(found.by_row).all(axis=(1, 2))
+        good = _finite(found)
     used = good[:, None] & problem.applies & (found.by_row != 0).any(axis=2)
     value, by_rig, by_row = (np.where(used.reshape(*used.shape, *[1] * (part.ndim - 2)), part, 0) for part in found)
     misclosure = value if correction is None else value - np.einsum("nij,nj->ni", by_row, correction)
     return _whitened(problem, rig, noise, Equations(misclosure, by_rig, by_row), used, int((~good).sum()))
+
+
+def _finite(found: Equations) -> Mask:
+    return np.asarray(np.isfinite(found.value).all(axis=1) & np.isfinite(found.by_row).all(axis=(1, 2)))
 
 
 def _whitened(problem: Problem, rig: Rig, noise: Noise, found: Equations, used: Mask, lost: int) -> _State:
@@ -202,10 +210,11 @@ def _normal(problem: Problem, state: _State) -> tuple[Array, Array]:
 def _solved(problem: Problem, normal: Array, gradient: Array, damping: float) -> Array:
     """The step (p,), zero for parameters that are not sought."""
     free = np.flatnonzero(problem.free)
-    matrix = normal[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    # parameters that nothing depends on do not move
+    matrix = normal[np.ix_(free, free)] + np.diag(problem.widths[free] ** -2.0)
+    scale = 1 / np.sqrt(np.diag(matrix))
     matrix = matrix * scale[:, None] * scale
-    matrix[range(len(free)), range(len(free))] += damping + 1e-15
+    matrix[range(len(free)), range(len(free))] += damping
     step = np.zeros(len(normal))
     step[free] = -scale * np.linalg.solve(matrix, scale * gradient[free])
     return step

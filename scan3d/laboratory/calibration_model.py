@@ -8,7 +8,8 @@ values of a row in contact:
 3. ``|r1 - c| = D/2 + a``: the rod's centre line touches the sphere fattened by the rod's radius a,
 4. ``t1·(r1 - c) = 0`` in tangential contact, and ``s1 = L`` where the tip touches.
 
-None of them refers to friction.  Lengths are in nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal rod.
+None of them refers to friction.  Lengths are in nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal
+rod.
 """
 
 from __future__ import annotations
@@ -80,8 +81,14 @@ class Rig:
     def clamp_axes(self) -> tuple[Array, Array, Array]:
         """(3, 3) from the clamp's frame to the pose's, and its derivatives by the two angles of the tilt."""
         (cx, cz), (sx, sz) = np.cos(self.tilt), np.sin(self.tilt)
-        about_x, about_z = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]), np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1.0]])
-        by_x, by_z = np.array([[0, 0, 0], [0, -sx, -cx], [0, cx, -sx]]), np.array([[-sz, -cz, 0], [cz, -sz, 0], [0, 0, 0.0]])
+        about_x, about_z = (
+            np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]),
+            np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1.0]]),
+        )
+        by_x, by_z = (
+            np.array([[0, 0, 0], [0, -sx, -cx], [0, cx, -sx]]),
+            np.array([[-sz, -cz, 0], [cz, -sz, 0], [0, 0, 0.0]]),
+        )
         return about_z @ about_x, about_z @ by_x, by_z @ about_x
 
 
@@ -100,7 +107,8 @@ class Touches(NamedTuple):
     """(n,) of `Kind`."""
 
     def rows(self, selected: NDArray[np.bool_] | NDArray[np.intp]) -> Touches:
-        return Touches(*(column[selected] for column in self))
+        wrench, position, frame, basis, kind = self
+        return Touches(wrench[selected], position[selected], frame[selected], basis[selected], kind[selected])
 
 
 class Equations(NamedTuple):
@@ -154,7 +162,9 @@ def bent(force: Array, moment: Array) -> Bent:
         point = e[:, :, None] * x[:, None] + normal[:, :, None] * (x1[:, None] * omega)[:, None]
         point[:, 1] += y
         phi = alpha - beta
-        tangent = -(rise[:, None] * e)[:, :, None] * phi[:, None] + normal[:, :, None] * (slope[:, None] * omega)[:, None]
+        tangent = (
+            -(rise[:, None] * e)[:, :, None] * phi[:, None] + normal[:, :, None] * (slope[:, None] * omega)[:, None]
+        )
         tangent[:, 1] += slope[:, None] * phi
     return Bent(found.point, found.tangent, found.s1, point, tangent, s1)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Mask
-from scan3d.laboratory.calibration_fit import Noise, Problem, misfits, started
+from scan3d.laboratory.calibration_fit import Air, Noise, Problem, misfits, started
 from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench, equations
 from scan3d.spatial.inverse import reconstruct
 
@@ -39,32 +39,47 @@ _LIKELIER = 12.0
 # Standard deviation of s1, in rod lengths, from which a contact shows how long the rod is, and the windows of the averages in
 # half a sweep.
 _SURE, _WINDOWS = 0.02, 10
+# Contacts are far from the tip within this part of the quantile of s1 that serves as the largest, for a first estimate.
+_FAR, _FARTHEST = 0.85, 0.98
 # Tip contacts that are needed for the free length.
 _FEWEST_TIPS = 8
 
 
 def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
-    """A rig whose contacts lie near a sphere, without the use of what kinds of contacts they are."""
-    touches = _thinned(problem.touches, _STARTED)
-    touches = touches._replace(kind=np.full(len(touches.kind), Kind.EITHER, dtype=np.int8))
+    """A rig whose contacts lie near a sphere and, where they are far from the tip, are tangential."""
     free = problem.free.copy()
-    free[LENGTH:] = False
-    coarse = replace(problem, touches=touches, air=problem.air._replace(wrench=problem.air.wrench[:0], basis=problem.air.basis[:0]), free=free)
-    frames = [nominal.turn]
-    place = nominal.sensor
+    free[LENGTH:] = False  # the tare is that of the rows in the air
+    no_air = Air(problem.air.wrench[:0], problem.air.basis[:0])
+    coarse = replace(problem, touches=_thinned(problem.touches, _STARTED), air=no_air, free=free)
+    turns = _TURNS
     if problem.channels.all():
-        frames, offsets = _by_consistency(nominal, touches, noise)
+        frames, offsets = _by_consistency(nominal, coarse.touches, noise)
     else:
         frames = [Rotation.from_euler("z", angle).as_matrix() for angle in _PLANAR_TURNS]
-        offsets = [place] * len(frames)
-    turns = _TURNS if problem.channels.all() else np.zeros(1)
-    grid = [rig for frame, offset in zip(frames, offsets, strict=True)
-            for rig in _on_grid(replace(nominal, turn=frame, sensor=offset), _thinned(touches, _SEARCHED), turns, problem.radius)]
+        offsets, turns = [nominal.sensor] * len(frames), np.zeros(1)
+    searched = _thinned(coarse.touches, _SEARCHED)
+    grid = [
+        scored
+        for frame, offset in zip(frames, offsets, strict=True)
+        for scored in _on_grid(replace(nominal, turn=frame, sensor=offset), searched, turns, problem.radius)
+    ]
     grid.sort(key=lambda scored: scored[0])
-    rigs = [rig for _, rig in grid[:_TRIED]] + [replace(nominal, centre=grid[0][1].centre)]
-    tried = [started(coarse, rig, noise, _SHORT) for rig in rigs]
+    rigs = [rig for _, rig in grid[:_TRIED]] + [replace(nominal, centre=rig.centre) for _, rig in grid[:1]]
+    if not rigs:
+        return nominal
+    tried = [started(_far_from_tip(coarse, rig), rig, noise, _SHORT) for rig in rigs]
     best = min(tried, key=lambda pair: pair[1])[0]
-    return started(coarse, best, noise)[0]
+    return started(_far_from_tip(coarse, best), best, noise)[0]
+
+
+def _far_from_tip(problem: Problem, rig: Rig) -> Problem:
+    """The problem in which contacts that are certainly not at the tip are tangential."""
+    scale = np.exp(-rig.stiffness)
+    force, moment = clamp_wrench(rig, problem.touches)
+    s1 = reconstruct(scale * force, scale * moment, tolerance=PAST_TIP).s1
+    far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
+    kind = np.where(far, Kind.TANGENTIAL, Kind.EITHER).astype(np.int8)
+    return replace(problem, touches=problem.touches._replace(kind=kind))
 
 
 def _by_consistency(nominal: Rig, touches: Touches, noise: Noise) -> tuple[list[Array], list[Array]]:
@@ -94,19 +109,27 @@ def _on_grid(rig: Rig, touches: Touches, turns: Array, radius: float) -> list[tu
     """Rigs of the grid about a rig, with the median distance of their contacts from the sphere."""
     scored = []
     for along in _ALONG:
-        moved = replace(rig, sensor=rig.sensor + [0.0, along, 0.0])
+        moved = replace(rig, sensor=rig.sensor + np.array([0.0, along, 0.0]))
         force, moment = clamp_wrench(moved, touches)
         for stiffness in _STIFFNESS:
             point = reconstruct(force * np.exp(-stiffness), moment * np.exp(-stiffness), tolerance=PAST_TIP).point
-            known = np.isfinite(point).all(axis=1)
+            known: Mask = np.asarray(np.isfinite(point).all(axis=1))
             if known.sum() < max(len(known) / 2, 8):
                 continue
             turned = Rotation.from_rotvec(np.column_stack([0 * turns, turns, 0 * turns])).as_matrix()
             world = np.einsum("nij,tjk,nk->tni", touches.frame[known], turned, point[known]) + touches.position[known]
             centre = _sphere(world)
-            misfit = np.median(np.abs(np.linalg.norm(world - centre[:, None], axis=2) - radius), axis=1) + (~known).mean()
+            misfit = (
+                np.median(np.abs(np.linalg.norm(world - centre[:, None], axis=2) - radius), axis=1) + (~known).mean()
+            )
             best = int(np.argmin(misfit))
-            found = replace(moved, stiffness=float(stiffness), turn=turned[best] @ rig.turn, sensor=turned[best] @ moved.sensor, centre=centre[best])
+            found = replace(
+                moved,
+                stiffness=float(stiffness),
+                turn=turned[best] @ rig.turn,
+                sensor=turned[best] @ moved.sensor,
+                centre=centre[best],
+            )
             scored.append((float(misfit[best]), found))
     return scored
 
@@ -157,7 +180,7 @@ def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) ->
 
 
 def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
-    """The kind of each contact (n,) of sweeps (n,) by the likelihood of its neighbours, for a rig whose free length is known."""
+    """The kind of each contact (n,) of sweeps (n,) by the likelihood of its neighbours, for a rig whose length is known."""
     result = np.full(len(sweep), Kind.UNSURE, dtype=np.int8)
     difference = misfits(problem, rig, noise, Kind.TANGENTIAL) - misfits(problem, rig, noise, Kind.TIP)
     together = _summed(difference, sweep)

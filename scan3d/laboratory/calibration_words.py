@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-MORE_SWEEPS = "sweep it in more directions of the rod, with the clamp turned about the rod's axis, and bend the rod more"
+MORE_SWEEPS = (
+    "sweep it in more directions of the rod, with the clamp turned about the rod's axis, and bend the rod more"
+)
+PLANE = (
+    "The sweeps lie in one plane, which is taken to pass through the sphere's centre; sweep planes at several heights."
+)
 # What a group of quantities is called, and which touches determine it, by the beginning of their names.
 _GROUPS = {
     "bending_stiffness": ("the bending stiffness", "sweeps that bend the rod more, past the middle of the sphere"),
@@ -16,8 +21,14 @@ _GROUPS = {
         "the clamp's turn",
         "sweeps that touch the sphere near the clamp and near the tip, with the clamp turned about the rod's axis",
     ),
-    "clamp_y": ("the clamp's offset along the rod", "sweeps with the rod in other directions, such as from the opposite side"),
-    "clamp": ("the clamp's offset across the rod", "sweeps with the clamp turned about the rod's axis by 90 degrees and more"),
+    "clamp_y": (
+        "the clamp's offset along the rod",
+        "sweeps with the rod in other directions, such as from the opposite side",
+    ),
+    "clamp": (
+        "the clamp's offset across the rod",
+        "sweeps with the clamp turned about the rod's axis by 90 degrees and more",
+    ),
     "sensor_turn": ("the sensor's turn", "sweeps that bend the rod more, and to several sides of the clamp"),
     "sensor": ("the sensor's place", "sweeps that bend the rod more, and to several sides of the clamp"),
     "sphere": ("the sphere's place", "sweeps with the rod in more directions"),
@@ -49,22 +60,25 @@ def _group(name: str) -> str:
     return max((group for group in _GROUPS if name.startswith(group)), key=len)
 
 
-def premises(ratio: float, limit: float, air: float, air_limit: float, consistency: float, consistency_limit: float) -> tuple[str, ...]:
-    """One sentence for each test of the premises that fails: values are mean squares in variances, limits their largest."""
+def premises(
+    contacts: tuple[float, float], air: tuple[float, float], consistency: tuple[float, float]
+) -> tuple[str, ...]:
+    """One sentence for each test of the premises that fails: mean squares in variances, each with its largest value."""
     result = []
-    if air > air_limit:
+    if air[0] > air[1]:
         result.append(
-            f"In the air the reactions scatter by {air**0.5:.2f} times the stated noise: the sensor drifts otherwise than the "
-            "tare assumes, or the noise is larger than stated; the uncertainties are too small."
+            f"In the air the reactions scatter by {air[0] ** 0.5:.2f} times the stated noise: the sensor drifts otherwise than "
+            "the tare assumes, or the noise is larger than stated; what is found in the air was used instead."
         )
-    if consistency > consistency_limit:
+    if consistency[0] > consistency[1]:
         result.append(
-            f"In contact the moments about the rod and along the force scatter by {consistency**0.5:.2f} times what the noise "
-            "explains: a second contact, friction across a thick rod, a sensor whose channels mix, or noise larger than stated."
+            f"In contact the moments about the rod and along the force scatter by {consistency[0] ** 0.5:.2f} times what the "
+            "noise explains: a second contact, friction across a thick rod, a sensor whose channels mix, or noise larger "
+            "than stated."
         )
-    if ratio > limit:
+    if contacts[0] > contacts[1]:
         result.append(
-            f"The contacts deviate from the sphere by {ratio**0.5:.2f} times what the noise explains: check the diameters of "
-            "sphere and rod, the noise of the poses, and that the sphere did not move."
+            f"The contacts deviate from the sphere by {contacts[0] ** 0.5:.2f} times what the noise explains: check the "
+            "diameters of sphere and rod, the noise of the poses, and that the sphere did not move."
         )
     return tuple(result)
