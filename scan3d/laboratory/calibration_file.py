@@ -127,7 +127,7 @@ def _calibration(parts: Mapping[str, Mapping[str, Any]]) -> Calibration:
     listed = parts["covariance"].get("quantities", [])
     if listed:
         rows = [names.index(name) if name in names else -1 for name in listed]
-        matrix = np.array(parts["covariance"].get("matrix", []), dtype=float)
+        matrix = _matrix(parts["covariance"].get("matrix", []))
         goods = parts["covariance"].get("well", [])
         if min(rows) < 0 or matrix.shape != (len(rows), len(rows)) or len(goods) != len(rows):
             raise InputError("[covariance] must have quantities of [quantities], and a row, a column and well for each")
@@ -165,6 +165,14 @@ def _calibration(parts: Mapping[str, Mapping[str, Any]]) -> Calibration:
         diameter_m=_number("sphere", parts["sphere"], "diameter_mm", math.nan) / 1000,
         details=details,
     )
+
+
+def _matrix(rows: Any) -> Array:
+    """The rows of a matrix; an empty one for what is no matrix of numbers."""
+    try:
+        return np.array(rows, dtype=float)
+    except (ValueError, TypeError):
+        return np.empty((0, 0))
 
 
 def _numbers(values: Array) -> list[float]:

@@ -21,8 +21,9 @@ _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
 _ROW_STEPS = 3
 # Damping of the first step and by how much it falls or rises, relative to the normal matrix's diagonal (Marquardt).
 _DAMPING, _EASED, _RAISED, _MOST = 1e-2, 0.2, 5.0, 1e8
-# What a row without a rod adds to the sum of squares while the start is sought: it counts as far off.
-_NO_ROD = 100.0
+# What a row without a rod adds to the sum of squares while the start is sought: more than rows that are far off, because rigs for
+# which no row has a rod would fit best otherwise.
+_NO_ROD = 1e4
 
 
 class Noise(NamedTuple):

@@ -50,7 +50,10 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     free = problem.free.copy()
     free[LENGTH:] = False  # the tare is that of the rows in the air
     no_air = Air(problem.air.wrench[:0], problem.air.basis[:0])
-    coarse = replace(problem, touches=_thinned(problem.touches, _STARTED), air=no_air, free=free)
+    # contacts of light touches are far from linear in the noise
+    force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
+    heavy = problem.touches.rows(force >= np.median(force))
+    coarse = replace(problem, touches=_thinned(heavy, _STARTED), air=no_air, free=free)
     turns = _TURNS
     if problem.channels.all():
         frames, offsets = _by_consistency(nominal, coarse.touches, noise)
