@@ -107,6 +107,27 @@ def test_a_tare_that_jumps_between_sweeps_is_found_for_each():
     assert constant.sentences == ()
 
 
+def test_the_weight_of_the_clamp_turns_with_it():
+    recording = rigs.recorded()
+    force, moment = recording.wrench()
+    # three times the largest force of the rod, 5 mm from the sensor
+    weight = recording.axes() @ np.array([0, 0, -3.0]) * np.linalg.norm(force, axis=1).max()
+    lever = np.cross([0.001, 0.004, -0.003], weight)
+    heavy = dataclasses.replace(
+        recording,
+        force_N=force[:, :2] + weight[:, :2],
+        force_z_N=force[:, 2] + weight[:, 2],
+        moment_x_Nm=moment[:, 0] + lever[:, 0],
+        moment_y_Nm=moment[:, 1] + lever[:, 1],
+        moment_Nm=moment[:, 2] + lever[:, 2],
+    )
+    found = scan3d.calibrate(heavy, rigs.DIAMETER)
+    assert found.details["tare"] == "sweep"
+    rig = ~np.char.startswith(found.names, "tare")
+    deviations = (found.values - rigs.truth_of(found, rigs.Truth(), recording)) / found.standard_deviations
+    assert np.abs(deviations[rig]).max() < 4
+
+
 def test_one_direction_of_the_rod_leaves_the_offset_along_it_at_its_nominal_value():
     raster = dict(directions=1, rolls=30)
     truth = dataclasses.replace(rigs.EXACT, clamp=(0.0006, 0.0, 0.0008), drift=(0.0,) * 6)
@@ -228,10 +249,30 @@ def test_wrong_arguments_have_a_sentence(arguments, sentence):
 def test_recordings_without_air_or_contacts_have_a_sentence():
     recording = rigs.recorded()
     touching = np.isfinite(rigs.swept()[4].s1).ravel()
-    with pytest.raises(InputError, match="begins and ends in the air"):
+    with pytest.raises(InputError, match="has 0 rows in the air, and a calibration needs"):
         scan3d.calibrate(part(recording, touching), rigs.DIAMETER)
     with pytest.raises(InputError, match="rows in contact that stand out from the noise"):
         scan3d.calibrate(part(recording, ~touching), rigs.DIAMETER)
+
+
+def test_a_tare_for_each_sweep_needs_air_in_each():
+    recording = rigs.recorded()
+    touching = np.isfinite(rigs.swept()[4].s1).ravel()
+    begun_late = part(recording, (recording.sweep != 7) | touching)
+    assert scan3d.calibrate(begun_late, rigs.DIAMETER).details["tare"] == "linear"
+    with pytest.raises(InputError, match="sweep 7 has no rows in the air"):
+        scan3d.calibrate(begun_late, rigs.DIAMETER, tare="sweep")
+
+
+def test_forces_that_are_all_zero_have_a_sentence():
+    recording = rigs.recorded()
+    zeros = {
+        name: 0 * getattr(recording, name)
+        for name in ("force_N", "force_z_N", "moment_Nm", "moment_x_Nm", "moment_y_Nm")
+    }
+    zeros |= {"noise_force_N": 0.0, "noise_moment_Nm": 0.0}
+    with pytest.raises(InputError, match="has 0 rows in contact"):
+        scan3d.calibrate(dataclasses.replace(recording, **zeros), rigs.DIAMETER)
 
 
 def test_forces_of_the_wrong_sign_have_a_sentence():

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
-from scan3d.laboratory.calibration_fit import Air
 
 # Rows at an end of a sweep that give its level.  More, and a touch soon after the start counts as air; fewer, and the level is
 # as noisy as a row.
@@ -25,6 +24,8 @@ _AIR, _CONTACT = 4.0, 12.0
 # Drift within a sweep, as a part of the largest reaction, that counts as noise while the air is sought.  Larger, the margin
 # before a touch is wider; smaller, sensors with little noise seem to touch when they drift.
 _DRIFT = 5e-4
+# Range of the rows of an end in the air, and difference of the levels of both ends, at most, in the same units.
+_CALM = 6.0
 # Levels of ends of sweeps that deviate by more than this part of the largest reaction are those of rods in contact.  Sensors
 # drift by less between sweeps.
 _DRIFTED = 0.1
@@ -35,7 +36,7 @@ _EXACT = 1e-6
 # Median of the absolute values of normally distributed numbers, in standard deviations.
 _MEDIAN = 0.6745
 # Smallest noise, so that recordings of zeros have weights.
-_TINY = 1e-300
+_TINY = 1e-100
 # Parts of the two components of a wrench.
 _PARTS = (slice(0, 3), slice(3, 6))
 # What the misfit may exceed one by where the noise is estimated from the same rows.
@@ -74,10 +75,9 @@ def unloaded(
     """
     runs = [np.flatnonzero(sweep == number) for number in np.unique(sweep)]
     largest = np.repeat([np.abs(wrench[:, part]).max() for part in _PARTS], 3)
-    rough = np.repeat(
-        [given or _noise(wrench[:, part][:, channels[part]], runs) for part, given in zip(_PARTS, noise, strict=True)],
-        3,
-    )
+    # stated noise may be understated
+    rough = np.repeat([_noise(wrench[:, part][:, channels[part]], runs) for part in _PARTS], 3)
+    rough = np.maximum(rough, np.repeat(noise, 3))
     # a sensor may drift by more than its noise within a sweep
     air, contact = _separated(
         np.where(channels, wrench / np.maximum(np.maximum(rough, _DRIFT * largest), _TINY), 0.0), runs
@@ -90,7 +90,7 @@ def unloaded(
     known = np.repeat(noise, 3)
     least = np.maximum(_EXACT * largest, _TINY)
     quick = np.maximum(np.where(known > 0, known, _quick_noise(wrench, air, sweep, channels)), least)
-    for name in (model,) if model != "auto" else ("linear", "sweep"):
+    for name in _models(model, sweep, air):
         basis = _basis(name, sweep)
         tare: Array = np.asarray(np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T, dtype=float)
         freedom = max(int(air.sum()) - basis.shape[1], 1)
@@ -108,9 +108,14 @@ def unloaded(
     return Unloaded(air, contact, float(deviation[0]), float(deviation[3]), basis, tare, name, misfit)
 
 
-def rows_in_air(found: Unloaded, wrench: Array) -> Air:
-    """The rows in the air as the adjustment needs them."""
-    return Air(wrench[found.air], found.basis[found.air])
+def _models(model: str, sweep: NDArray[np.int64], air: Mask) -> tuple[str, ...]:
+    """The models of the tare that are tried one after the other; a tare for each sweep needs rows in the air of each."""
+    without = np.setdiff1d(sweep, sweep[air])
+    if model == "sweep" and len(without):
+        raise InputError(
+            f"sweep {without[0]} has no rows in the air, which a tare for each sweep needs; let it begin earlier"
+        )
+    return (model,) if model != "auto" else ("linear",) if len(without) else ("linear", "sweep")
 
 
 def _noise(values: Array, runs: list[NDArray[np.intp]]) -> float:
@@ -155,16 +160,20 @@ def _quiet(away: Array) -> int:
 
 
 def _levels(scaled: Array, runs: list[NDArray[np.intp]]) -> list[tuple[Array | None, Array | None]]:
-    """The level (6,) of both ends of each sweep, None for an end in contact."""
-    ends = np.array(
-        [[np.median(scaled[rows[:_LEVEL]], axis=0), np.median(scaled[rows[-_LEVEL:]], axis=0)] for rows in runs]
-    )
+    """The level (6,) of both ends of each sweep, None for an end in contact.
+
+    In the air the rows of an end are alike, and its level is that of the sweep's other end or near that of the other sweeps.
+    """
+    parts = [(scaled[rows[:_LEVEL]], scaled[rows[-_LEVEL:]]) for rows in runs]
+    ends = np.array([[np.median(part, axis=0) for part in pair] for pair in parts])
+    calm = np.array([[np.ptp(part, axis=0).max() <= _CALM for part in pair] for pair in parts])
     middle = np.median(ends[:, 0], axis=0)
-    allowed = max(_DRIFTED * float(np.abs(scaled - middle).max()), _AIR)
-    near = np.abs(ends - middle).max(axis=2) <= allowed
+    near = np.abs(ends - middle).max(axis=2) <= max(_DRIFTED * float(np.abs(scaled - middle).max()), _AIR)
+    alike = np.abs(ends[:, 0] - ends[:, 1]).max(axis=1) <= _CALM
+    free = calm & (near | alike[:, None])
     return [
-        (first if starts else None, last if ends_free else None)
-        for (first, last), (starts, ends_free) in zip(ends, near, strict=True)
+        (first if starts else None, last if ended else None)
+        for (first, last), (starts, ended) in zip(ends, free, strict=True)
     ]
 
 

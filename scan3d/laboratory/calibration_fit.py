@@ -21,8 +21,10 @@ _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
 _ROW_STEPS = 3
 # Damping of the first step and by how much it falls or rises, relative to the normal matrix's diagonal (Marquardt).
 _DAMPING, _EASED, _RAISED, _MOST = 1e-2, 0.2, 5.0, 1e8
-# What a row without a rod adds to the sum of squares while the start is sought: more than rows that are far off, because rigs for
-# which no row has a rod would fit best otherwise.
+# Longest step of a parameter in its widths.
+_LONGEST = 2.0
+# What a row without a rod adds to the sum of squares while the start is sought: more than rows that are far off, because rigs
+# for which no row has a rod would fit best otherwise.
 _NO_ROD = 1e4
 
 
@@ -218,7 +220,7 @@ def _solved(problem: Problem, normal: Array, gradient: Array, damping: float) ->
     matrix[range(len(free)), range(len(free))] += damping
     step = np.zeros(len(normal))
     step[free] = -scale * np.linalg.solve(matrix, scale * gradient[free])
-    return step
+    return step / max(1.0, float((np.abs(step) / problem.widths).max()) / _LONGEST)
 
 
 def _correction(problem: Problem, state: _State, step: Array, noise: Noise) -> Array:
