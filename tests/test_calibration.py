@@ -80,6 +80,11 @@ def test_a_given_pose_noise_is_tested(noisy):
     assert any("The contacts deviate from the sphere" in sentence for sentence in wrong.sentences)
 
 
+def test_a_diameter_that_is_wrong_by_a_thirtieth_is_noticed():
+    found = scan3d.calibrate(rigs.recorded(), 0.031)
+    assert any("as if the poses scattered by 0.1" in sentence for sentence in found.sentences)
+
+
 def test_noise_that_is_understated_is_noticed():
     recording = rigs.recorded()
     recording = dataclasses.replace(

@@ -35,7 +35,7 @@ from scan3d.laboratory.calibration_model import (
     clamp_wrench,
 )
 from scan3d.laboratory.calibration_result import Calibration, Fitted, of_fit
-from scan3d.laboratory.calibration_start import first_rig, kinds, likelier_kinds
+from scan3d.laboratory.calibration_start import far_kinds, first_rig, kinds, likelier_kinds
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 
@@ -64,7 +64,7 @@ _ROUNDS, _NOISE_ROUNDS = 6, 3
 _PLACE_STEP = 1e-3
 # Noise of the poses in rod lengths: the first estimate, the bounds of the estimate, and the misfit beyond which the touches are
 # not those of this sphere.
-_PLACE, _PLACE_BOUNDS, _NO_SPHERE = 3e-4, (1e-9, 0.3), 0.02
+_PLACE, _PLACE_BOUNDS, _NO_SPHERE = 3e-4, (1e-9, 0.3), 0.01
 
 
 def calibrate(
@@ -168,6 +168,7 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
         )
     problem = replace(measured.problem, touches=measured.problem.touches.rows(strong))
     sweep = sweep[strong]
+    first = _refined(problem, sweep, first, noise)
     kind, length = kinds(problem, sweep, first, noise)
     problem = _with_kinds(problem, kind, length, measured.problem.free)
     first = first if length is None else replace(first, length=length)
@@ -187,6 +188,15 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
         fit = adjusted(problem, fit.rig, noise)
     _check(fit, problem, noise, sphere, recording)
     return of_fit(Fitted(fit, problem, noise, measured.unloaded, measured.world, place is None), recording, sphere)
+
+
+def _refined(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> Rig:
+    """The rig by the contacts that are certainly not at the tip, if there are many; it tells the kinds of the others."""
+    kind = far_kinds(problem, sweep, rig, noise)
+    if (kind == Kind.TANGENTIAL).sum() < max(_FEWEST, _USABLE * len(kind)):
+        return rig
+    fit = adjusted(_with_kinds(problem, kind, None, problem.free), rig, noise)
+    return fit.rig if fit.at_rest and abs(fit.rig.stiffness) < _STIFFEST else rig
 
 
 def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, free: Mask) -> Problem:

@@ -20,6 +20,8 @@ from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
+# Estimated noise of the poses, in rod lengths, that is larger than that of robots.
+_ROUGH = 1e-3
 # How many standard deviations of a mean square the tests of the premises allow.
 _SIGMAS = 4.0
 
@@ -220,10 +222,13 @@ def _sentences(
     fixed = [name for name, is_known in zip(names, known, strict=True) if not is_known]
     plane = () if fitted.problem.free[CENTRE + 2] else (words.PLANE,)
     contacts, wrench = int(fit.used.sum()), int(fit.used[:, :2].sum())
+    place_mm = 1000 * fitted.noise.place * recording.rod.length_m
+    rough = fitted.estimated and fitted.noise.place > _ROUGH
     stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
     return (
         words.sentences(poor, fixed)
         + plane
+        + ((words.rough_poses(place_mm),) if rough else ())
         + words.premises(
             (chi2, np.inf if fitted.estimated else _largest(contacts)),
             # the noise is not stated where it is that of the same rows

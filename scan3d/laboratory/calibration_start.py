@@ -172,14 +172,31 @@ def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) ->
         if not sure.any():
             return result, None
         away = s1 - s1[sure].max()
-        tip: Mask = (away > -_SIGMAS * s1_sd - _SURE) & (cosine < -_SIGMAS * cosine_sd - _COSINE)
-        if tip.sum() < _FEWEST_TIPS:
+        farthest: Mask = away > -_SIGMAS * s1_sd - _SURE
+        tip: Mask = farthest & (cosine < -_SIGMAS * cosine_sd - _COSINE)
+        if tip.sum() < _FEWEST_TIPS:  # then the farthest may be at the tip all the same
+            result[farthest] = Kind.UNSURE
             return result, None
         length = float(np.average(s1[tip], weights=1 / s1_sd[tip] ** 2))
         near: Mask = s1 > length - _SIGMAS * s1_sd - _COSINE
     result[near] = Kind.UNSURE
     result[near & tip] = Kind.TIP
     return result, length
+
+
+def _all(touches: Touches, kind: Kind) -> Touches:
+    """The rows, all of one kind."""
+    return touches._replace(kind=np.full(len(touches.kind), kind, dtype=np.int8))
+
+
+def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
+    """Contacts (n,) that are certainly not at the tip are tangential; for a rig that is too rough for more."""
+    as_tip = equations(rig, _all(problem.touches, Kind.TIP), problem.radius)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = (as_tip.by_row[:, 3] ** 2) @ noise.variances(problem.channels)
+        s1, _ = _averaged(as_tip.value[:, 3] + rig.length, variance, sweep)
+    far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
+    return np.where(far, Kind.TANGENTIAL, Kind.UNSURE).astype(np.int8)
 
 
 def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:

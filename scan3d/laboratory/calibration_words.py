@@ -60,6 +60,14 @@ def _group(name: str) -> str:
     return max((group for group in _GROUPS if name.startswith(group)), key=len)
 
 
+def rough_poses(deviation_mm: float) -> str:
+    """The sentence for an estimated noise of the poses that is larger than that of robots."""
+    return (
+        f"The contacts deviate from the sphere as if the poses scattered by {deviation_mm:.2g} mm, which is more than "
+        "those of a robot do: check the diameters of sphere and rod, and that the sphere did not move."
+    )
+
+
 def premises(
     contacts: tuple[float, float], air: tuple[float, float], consistency: tuple[float, float]
 ) -> tuple[str, ...]:
