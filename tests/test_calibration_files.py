@@ -117,6 +117,7 @@ def test_a_rig_is_read_back_as_it_was(tmp_path, calibration):
             assert one == other, field.name
 
 
+@pytest.mark.slow
 def test_reconstruct_takes_a_rig(call, touches, tmp_path, monkeypatch, calibration):
     monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
     scan3d.write_rig(calibration, tmp_path / "rig.toml")
