@@ -173,11 +173,23 @@ def test_without_tip_contacts_the_free_length_stays_at_its_nominal_value():
     assert max(remaining.values()) < 1e-6
 
 
+def test_without_friction_the_turn_about_the_rod_is_not_determined():
+    recording = rigs.recorded(friction=0.0)
+    found = scan3d.calibrate(recording, rigs.DIAMETER)
+    assert any("do not determine the sensor's turn about the rod" in sentence for sentence in found.sentences)
+    unknown = {name for name, sd in zip(found.names, found.standard_deviations, strict=True) if np.isinf(sd)}
+    assert unknown == {f"sensor_{name}" for name in ("x_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")}
+    deviations = (
+        found.values - rigs.truth_of(found, rigs.Truth(), recording, friction=0.0)
+    ) / found.standard_deviations
+    assert np.abs(deviations).max() < 4
+
+
 def test_few_light_touches_determine_poorly():
     recording = rigs.recorded()
     found = scan3d.calibrate(part(recording, recording.sweep < 8), rigs.DIAMETER)
     poor = [sentence for sentence in found.sentences if "poorly" in sentence]
-    assert any("the sensor's turn poorly" in sentence and "bend the rod more" in sentence for sentence in poor)
+    assert any("the sensor's turn poorly" in sentence and "more friction" in sentence for sentence in poor)
 
 
 def test_the_corrected_recording_is_that_of_the_clamp():

@@ -54,6 +54,9 @@ _WIDTHS = {STIFFNESS: 0.5, CLAMP: 0.1, TILT: 0.3, TURN: 0.5, SENSOR: 0.3, CENTRE
 _FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, CENTRE: 0.0, LENGTH: 1.0, TARE: 0.0}
 # Spread of the planes of planar sweeps, over the sphere's radius, up to which they count as one plane through the centre.
 _PLANE = 0.1
+# Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
+# contacts' distance from the sphere depends on it to the second order only, and linear uncertainties do not hold.
+_ABOUT_ROD = 0.01
 # Smallest eigenvalue of the normal matrix over its largest that is not rounding, and the least part of a parameter in it.
 _ROUNDING, _PART = 1e-12, 1e-3
 # Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
@@ -227,13 +230,19 @@ def _determined(problem: Problem, normal: Array) -> Mask:
     widths, order = problem.widths, _by_parameter(_FIXED_FIRST, len(free))
     while True:
         rows = np.flatnonzero(free)
-        size, vectors = np.linalg.eigh((normal * widths[:, None] * widths)[np.ix_(rows, rows)])
+        scaled = (normal * widths[:, None] * widths)[np.ix_(rows, rows)]
+        size, vectors = np.linalg.eigh(scaled)
         if size[0] > max(1.0, _ROUNDING * size[-1]):
-            return free
+            break
         part = np.abs(vectors[:, 0]) * order[rows]
         if part.max() < _PART:
             raise InputError(f"the touches do not determine the sphere's place: {words.MORE_SWEEPS}")
         free[rows[np.argmax(part)]] = False
+    about_rod = rows == TURN + 1
+    if about_rod.any():
+        variance = float(((vectors[about_rod] * widths[TURN + 1]) ** 2 / size).sum())
+        free[TURN + 1] = variance < _ABOUT_ROD**2
+    return free
 
 
 def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:

@@ -14,7 +14,7 @@ from scan3d.arrays import Array, Mask
 from scan3d.laboratory import calibration_words as words
 from scan3d.laboratory.calibration_air import Unloaded, unloaded
 from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem
-from scan3d.laboratory.calibration_model import CENTRE, TARE, Kind
+from scan3d.laboratory.calibration_model import CENTRE, TARE, TURN, Kind
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, EULER, euler, limit, measured, quantities
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
@@ -197,6 +197,8 @@ def _estimates(fitted: Fitted, nominal: Rod, centre: Array) -> tuple[tuple[str, 
         jacobian[number, list(slopes)] = list(slopes.values())
         # a sphere whose distance from the plane is not determined is known in the plane
         known[number] = all(problem.free[k] or (k == CENTRE + 2 and name.startswith("sphere")) for k in slopes)
+    if problem.channels.all() and not problem.free[TURN + 1]:  # the sensor's place across the rod turns with it
+        known &= [name not in ("sensor_x_mm", "sensor_z_mm") for name, _, _ in rows]
     result = jacobian @ covariance @ jacobian.T
     result[~known] = result[:, ~known] = 0
     return tuple(row[0] for row in rows), np.array([row[1] for row in rows]), known, result

@@ -29,7 +29,7 @@ _GROUPS = {
         "the clamp's offset across the rod",
         "sweeps with the clamp turned about the rod's axis by 90 degrees and more",
     ),
-    "sensor_turn": ("the sensor's turn", "sweeps that bend the rod more, and to several sides of the clamp"),
+    "sensor_turn": ("the sensor's turn", "sweeps that bend the rod more, and a sphere with more friction"),
     "sensor": ("the sensor's place", "sweeps that bend the rod more, and to several sides of the clamp"),
     "sphere": ("the sphere's place", "sweeps with the rod in more directions"),
     "tare": ("the tare", "more rows in the air, before and after each touch"),
@@ -46,6 +46,13 @@ def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str]) -> tuple[st
         fixed_groups.setdefault(_group(name), []).append(name)
     for name, uncertainty in poor:
         poor_groups.setdefault(_group(name), []).append(f"{name} to {uncertainty}")
+    if "sensor_turn" in fixed_groups:
+        names = fixed_groups.pop("sensor_turn") + fixed_groups.pop("sensor", [])
+        result.append(
+            f"These touches do not determine the sensor's turn about the rod: {', '.join(names)} are a first estimate, which "
+            "may be wrong by some degrees. It needs a sphere with more friction, because without friction contacts stay on the "
+            "sphere when they turn about the rod; and sweeps that bend the rod more."
+        )
     for group, names in fixed_groups.items():
         title, touches = _GROUPS[group]
         stays = "stays at its nominal value" if len(names) == 1 else "stay at their nominal values"
