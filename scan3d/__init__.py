@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from scan3d.comparison import Comparison, compare
     from scan3d.errors import InputError
     from scan3d.files.recordings import read_recording, write_recording
+    from scan3d.laboratory.calibration import calibrate
+    from scan3d.laboratory.calibration_file import read_rig, write_rig
+    from scan3d.laboratory.calibration_result import Calibration
     from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
     from scan3d.reconstruction import reconstruct
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
+    "Calibration": "laboratory.calibration_result",
     "Cloud": "cloud",
     "Comparison": "comparison",
     "InputError": "errors",
@@ -43,17 +47,21 @@ _HOME = {
     "Recording": "recording",
     "Rod": "rods",
     "Session": "session",
+    "calibrate": "laboratory.calibration",
     "compare": "comparison",
     "load_mesh": "simulation.bodies",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
+    "read_rig": "laboratory.calibration_file",
     "reconstruct": "reconstruction.models",
     "simulate": "simulation.scan",
     "surface": "surfaces.choice",
     "write_recording": "files.recordings",
+    "write_rig": "laboratory.calibration_file",
 }
 
 __all__ = [
+    "Calibration",
     "Cloud",
     "Comparison",
     "InputError",
@@ -61,14 +69,17 @@ __all__ = [
     "Recording",
     "Rod",
     "Session",
+    "calibrate",
     "compare",
     "load_mesh",
     "plot",
     "read_recording",
+    "read_rig",
     "reconstruct",
     "simulate",
     "surface",
     "write_recording",
+    "write_rig",
 ]
 
 

@@ -19,5 +19,7 @@ MOVIES = ("sweep", "growth")
 """What a movie can show; the first is the default."""
 EXPORTS = ("surface", "cloud")
 """What can be exported of a scan; the first is the default where a file can contain either."""
+TARES = ("auto", "constant", "linear", "sweep")
+"""Models of what a sensor shows in the air; the first is the default."""
 SHELLS = ("bash", "zsh", "fish")
 """Shells for which there is a completion script."""

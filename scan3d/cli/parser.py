@@ -11,7 +11,7 @@ from dataclasses import fields
 from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import rig_parser
+from scan3d.cli import calibration, rig_parser
 from scan3d.cli.settings import Settings
 from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
@@ -23,6 +23,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d scan part.stl --out out --friction 0.0:0.4        the friction is drawn separately for every sample
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
   scan3d reconstruct log.csv --out out --truth part.stl    only the reconstruction, compared with the true body
+  scan3d calibrate touches.csv --sphere 30 --out rig.toml  rod, clamp and sensor, from touches of a reference sphere
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
   scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
@@ -46,6 +47,7 @@ _EXAMPLES = {
     "reconstruct": """\
   scan3d reconstruct log.csv --out out
   scan3d reconstruct log.csv --out out --truth part.stl --method hull""",
+    "calibrate": calibration.EXAMPLES,
     "compare": """\
   scan3d compare out/surface.ply part.stl
   scan3d compare a.stl b.stl --unit in --json""",
@@ -164,11 +166,14 @@ def parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         help=f"model of contact: {one_of(MODELS)} (default spatial for a recording with six axes, else planar)",
     )
+    calibration.add_rig(reconstruct)
     _add_mesh_path(reconstruct)
     _add_overwrite(reconstruct)
     _add_output(reconstruct)
     _add_strict(reconstruct)
     reconstruct.set_defaults(command="reconstruct")
+
+    calibration.add(commands, _add_overwrite, _add_output)
 
     compare = commands.add_parser("compare", help="Hausdorff distance and other measures of two meshes")
     compare.add_argument("first", metavar="A", help="a mesh, such as a reconstructed surface")

@@ -28,8 +28,14 @@ EXAMPLES = {
 
 def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOptions) -> None:
     """Add the commands for a rig to the commands of the parser."""
+    for command in (_add_plan(commands), _add_next(commands)):
+        add_overwrite(command)
+        add_output(command)
+
+
+def _add_plan(commands: Any) -> argparse.ArgumentParser:
     models = f"{', '.join(MODELS[:-1])} or {MODELS[-1]}"
-    plan = commands.add_parser("plan", help="poses for an unknown body, from a body around it")
+    plan: argparse.ArgumentParser = commands.add_parser("plan", help="poses for an unknown body, from a body around it")
     plan.add_argument("--around", required=True, metavar="BODY", help=_AROUND)
     plan.add_argument(
         "--out", required=True, metavar="FILE", help="the poses, .csv, or .yaml for ROS; a .toml is written as well"
@@ -62,11 +68,14 @@ def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOp
         metavar="UNIT",
         help="unit of the bounding body, of floor, workspace and speed (default mm)",
     )
-    add_overwrite(plan)
-    add_output(plan)
     plan.set_defaults(command="plan")
+    return plan
 
-    further = commands.add_parser("next", help="poses of further sweeps, where what was measured leaves most room")
+
+def _add_next(commands: Any) -> argparse.ArgumentParser:
+    further: argparse.ArgumentParser = commands.add_parser(
+        "next", help="poses of further sweeps, where what was measured leaves most room"
+    )
     further.add_argument("folder", metavar="DIR", help="folder of a scan or a reconstruction")
     further.add_argument(
         "--out",
@@ -88,9 +97,8 @@ def add_rig_commands(commands: Any, add_overwrite: AddOptions, add_output: AddOp
     further.add_argument("--sweeps", type=int, default=24, metavar="N", help="about how many sweeps (default 24)")
     further.add_argument("--seed", type=int, default=0, metavar="N", help="of the directions of sweeps in space")
     _add_limits(further)
-    add_overwrite(further)
-    add_output(further)
     further.set_defaults(command="next")
+    return further
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:

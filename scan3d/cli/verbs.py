@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from scan3d.cli import rig
+from scan3d.cli.calibration import calibrate, rigged
 from scan3d.cli.settings import Settings, settings
 from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
 from scan3d.errors import InputError
@@ -93,7 +94,7 @@ def reconstruct(arguments: Namespace) -> int:
 
     chosen = settings({"hull": arguments.hull, "method": arguments.method})
     start = time.perf_counter()
-    recording = read_recording(arguments.recording)
+    recording = rigged(read_recording(arguments.recording), arguments.rig)
     body = load_mesh(arguments.truth, hull=chosen.hull) if arguments.truth else None
     seconds = {"load": time.perf_counter() - start}
     # the remaining settings concern the simulation
@@ -102,6 +103,7 @@ def reconstruct(arguments: Namespace) -> int:
         "recording": arguments.recording,
         "TOML file of the recording": sidecar(arguments.recording),
         "true body": arguments.truth,
+        "rig": arguments.rig,
     }
     with opened(arguments.out, with_recording=False, inputs=inputs, overwrite=arguments.overwrite) as result:
         analysis = workflow.analyse(recording, body, chosen.method, arguments.model)
@@ -265,6 +267,7 @@ VERBS: dict[str, Callable[[Namespace], int]] = {
     "plan": lambda arguments: _printed(arguments, *rig.plan(arguments)),
     "next": lambda arguments: _printed(arguments, *rig.further(arguments)),
     "reconstruct": reconstruct,
+    "calibrate": calibrate,
     "compare": compare,
     "show": show,
     "export": export,

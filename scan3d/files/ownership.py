@@ -39,6 +39,7 @@ _MARKS = {
     ".csv": rf"\Ax_({_UNIT}),y_({_UNIT}),z_({_UNIT}),nx,ny,nz\b".encode(),
     ".png": rb"\A\x89PNG(?s:.*)Software\0scan3d",
     ".pdf": rb"/Creator \(scan3d\)",
+    ".toml": rb"\A# rig calibrated by scan3d\n",
     ".gif": rb"\AGIF8(?s:.*)scan3d",
     ".mp4": rb"scan3d",
 }

@@ -1,0 +1,251 @@
+"""The equations between a touched sphere and the rod, the clamp and the sensor that touch it, with their derivatives.
+
+A row measures nine values: force and moment in the sensor's frame, and the place of the pose.  Four equations hold for the true
+values of a row in contact:
+
+1. ``m0·t0 = 0`` and
+2. ``m0·f0 = 0`` (S4), the internal consistency of the six reactions,
+3. ``|r1 - c| = D/2 + a``: the rod's centre line touches the sphere fattened by the rod's radius a,
+4. ``t1·(r1 - c) = 0`` in tangential contact, and ``s1 = L`` where the tip touches.
+
+None of them refers to friction.  Lengths are in nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal
+rod.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import planar
+from scan3d.arrays import Array
+from scan3d.spatial.inverse import reconstruct
+
+# Contacts that the noise puts past the tip by nearly any part of the rod are still used: their places do not depend on the tip.
+PAST_TIP = 0.999
+# Where the parameters stand in their vector; the tare follows them.
+STIFFNESS, CLAMP, TILT, TURN, SENSOR, CENTRE, LENGTH, TARE = 0, 1, 4, 6, 9, 12, 15, 16
+
+
+class Kind(IntEnum):
+    """What is known about a row in contact, and so which equations it has."""
+
+    TANGENTIAL = 0
+    TIP = 1
+    EITHER = 2
+    """Without equation 4, for a first estimate: errors along the rod move tangential contacts off the sphere, never into it."""
+    UNSURE = 3
+    """Near the transition: without equations 3 and 4."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rod, its clamp and its sensor, dimensionless, with the sphere that they touch."""
+
+    stiffness: float
+    """Logarithm of the bending stiffness over the nominal one."""
+    clamp: Array
+    """(3,) place of the clamp in the frame of the pose."""
+    tilt: Array
+    """(2,) turn of the clamp about the x and then the z axis of the pose, in radians; a turn about the rod is the sensor's."""
+    turn: Array
+    """(3, 3) from the sensor's frame to the clamp's: its columns are the sensor's axes."""
+    sensor: Array
+    """(3,) place of the sensor's frame in the clamp's."""
+    centre: Array
+    """(3,) centre of the sphere in the world."""
+    length: float
+    """Free length of the rod."""
+    tare: Array
+    """(6, k) force and moment that the sensor shows in the air, as coefficients of the basis of the tare."""
+
+    def moved(self, step: Array) -> Rig:
+        """The rig after a step (p,) of its parameters; that of the sensor's turn is a rotation vector in the clamp's frame."""
+        return replace(
+            self,
+            stiffness=float(self.stiffness + step[STIFFNESS]),
+            clamp=self.clamp + step[CLAMP:TILT],
+            tilt=self.tilt + step[TILT:TURN],
+            turn=Rotation.from_rotvec(step[TURN:SENSOR]).as_matrix() @ self.turn,
+            sensor=self.sensor + step[SENSOR:CENTRE],
+            centre=self.centre + step[CENTRE:LENGTH],
+            length=float(self.length + step[LENGTH]),
+            tare=self.tare + step[TARE:].reshape(self.tare.shape),
+        )
+
+    def clamp_axes(self) -> tuple[Array, Array, Array]:
+        """(3, 3) from the clamp's frame to the pose's, and its derivatives by the two angles of the tilt."""
+        (cx, cz), (sx, sz) = np.cos(self.tilt), np.sin(self.tilt)
+        about_x, about_z = (
+            np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]),
+            np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1.0]]),
+        )
+        by_x, by_z = (
+            np.array([[0, 0, 0], [0, -sx, -cx], [0, cx, -sx]]),
+            np.array([[-sz, -cz, 0], [cz, -sz, 0], [0, 0, 0.0]]),
+        )
+        return about_z @ about_x, about_z @ by_x, by_z @ about_x
+
+
+class Touches(NamedTuple):
+    """Rows in contact (n,), as measured or adjusted, dimensionless."""
+
+    wrench: Array
+    """(n, 6) force and moment in the sensor's frame."""
+    position: Array
+    """(n, 3) place of the pose in the world."""
+    frame: Array
+    """(n, 3, 3) from the frame of the pose to the world."""
+    basis: Array
+    """(n, k) basis of the tare."""
+    kind: NDArray[np.int8]
+    """(n,) of `Kind`."""
+
+    def rows(self, selected: NDArray[np.bool_] | NDArray[np.intp]) -> Touches:
+        wrench, position, frame, basis, kind = self
+        return Touches(wrench[selected], position[selected], frame[selected], basis[selected], kind[selected])
+
+
+class Equations(NamedTuple):
+    """Values of the four equations at rows (n,), with derivatives."""
+
+    value: Array
+    """(n, 4)"""
+    by_rig: Array
+    """(n, 4, p) by the parameters."""
+    by_row: Array
+    """(n, 4, 9) by the measured values: force, moment and place."""
+
+
+class Bent(NamedTuple):
+    """The contact of each row (n,) in the clamp's frame, with derivatives by the wrench at the clamp over the stiffness."""
+
+    point: Array
+    tangent: Array
+    s1: Array
+    by_point: Array
+    """(n, 3, 6)"""
+    by_tangent: Array
+    by_s1: Array
+    """(n, 6)"""
+
+
+def clamp_wrench(rig: Rig, touches: Touches) -> tuple[Array, Array]:
+    """(n, 3) support reaction and clamping moment in the clamp's frame."""
+    tared = touches.wrench - touches.basis @ rig.tare.T
+    force = tared[:, :3] @ rig.turn.T
+    return force, tared[:, 3:] @ rig.turn.T + np.cross(rig.sensor, force)
+
+
+def bent(force: Array, moment: Array) -> Bent:
+    """The rods that reactions (n, 3) bend, over a stiffness of 1; NaN where there is no rod."""
+    found = reconstruct(force, moment, tolerance=PAST_TIP)
+    e = found.bending
+    zero = np.zeros(len(e))
+    normal = np.column_stack([-e[:, 2], zero, e[:, 0]])
+    m, across = moment[:, 2] * e[:, 0] - moment[:, 0] * e[:, 2], (force * e).sum(axis=1)
+    with np.errstate(all="ignore"):
+        slopes = planar.jacobian(across, force[:, 1], m)
+        omega = np.column_stack([zero, zero, zero, -e[:, 0] / m, zero, -e[:, 2] / m])
+        reduced = np.zeros((len(e), 3, 6))
+        reduced[:, 0, :3] = e
+        reduced[:, 0] += (force * normal).sum(axis=1)[:, None] * omega
+        reduced[:, 1, 1] = 1
+        reduced[:, 2, 3], reduced[:, 2, 5] = -e[:, 2], e[:, 0]
+        x, y, s1, alpha, beta = (slopes @ reduced).swapaxes(0, 1)
+        x1, slope, rise = (found.point * e).sum(axis=1), (found.tangent * e).sum(axis=1), found.tangent[:, 1]
+        point = e[:, :, None] * x[:, None] + normal[:, :, None] * (x1[:, None] * omega)[:, None]
+        point[:, 1] += y
+        phi = alpha - beta
+        tangent = (
+            -(rise[:, None] * e)[:, :, None] * phi[:, None] + normal[:, :, None] * (slope[:, None] * omega)[:, None]
+        )
+        tangent[:, 1] += slope[:, None] * phi
+    return Bent(found.point, found.tangent, found.s1, point, tangent, s1)
+
+
+def equations(rig: Rig, touches: Touches, radius: float) -> Equations:
+    """The four equations at each row for a sphere whose radius with that of the rod is `radius`.
+
+    Rows without a rod have NaN; equations that do not apply to the kind of a row are 0 with derivatives 0.
+    """
+    force, moment = clamp_wrench(rig, touches)
+    scale = np.exp(-rig.stiffness)
+    rod = bent(scale * force, scale * moment)
+    n = len(force)
+    clamp, by_x, by_z = rig.clamp_axes()
+    frame = touches.frame @ clamp
+    outward = touches.position + np.einsum("nij,nj->ni", touches.frame, rig.clamp + rod.point @ clamp.T) - rig.centre
+    distance = np.linalg.norm(outward, axis=1)
+    normal = outward / distance[:, None]
+    tangent = np.einsum("nij,nj->ni", frame, rod.tangent)
+    cosine = (tangent * normal).sum(axis=1)
+    across = (tangent - cosine[:, None] * normal) / distance[:, None]  # derivative of equation 4 by r1
+    tangential, tip = touches.kind == Kind.TANGENTIAL, touches.kind == Kind.TIP
+    across[~tangential] = 0
+
+    value = np.zeros((n, 4))
+    value[:, 0], value[:, 1] = moment[:, 1], (moment * force).sum(axis=1)
+    value[:, 2] = distance - radius
+    value[touches.kind == Kind.UNSURE, 2] = 0
+    value[tangential, 3] = cosine[tangential]
+    value[tip, 3] = rod.s1[tip] - rig.length
+
+    # by force and moment at the clamp, (n, 4, 6)
+    by_wrench = np.zeros((n, 4, 6))
+    by_wrench[:, 0, 4] = 1
+    by_wrench[:, 1, :3], by_wrench[:, 1, 3:] = moment, force
+    local = [np.einsum("nij,ni->nj", frame, vector) for vector in (normal, across)]
+    by_wrench[:, 2] = scale * np.einsum("ni,nij->nj", local[0], rod.by_point)
+    by_wrench[touches.kind == Kind.UNSURE, 2] = 0
+    turned = np.einsum("ni,nij->nj", local[0], rod.by_tangent)
+    fourth = scale * (np.einsum("ni,nij->nj", local[1], rod.by_point) + turned)
+    by_wrench[tangential, 3] = fourth[tangential]
+    by_wrench[tip, 3] = scale * rod.by_s1[tip]
+
+    by_rig = np.zeros((n, 4, TARE + rig.tare.size))
+    both = np.column_stack([force, moment])
+    by_rig[:, 2:, STIFFNESS] = -np.einsum("nkj,nj->nk", by_wrench[:, 2:], both)
+    outwards = np.where((touches.kind == Kind.UNSURE)[:, None], 0.0, normal)
+    for row, by_point in ((2, outwards), (3, across)):
+        in_pose = np.einsum("nij,ni->nj", touches.frame, by_point)
+        by_rig[:, row, CLAMP:TILT] = in_pose
+        by_rig[:, row, CENTRE:LENGTH] = -by_point
+        for column, turn in enumerate((by_x, by_z)):
+            by_rig[:, row, TILT + column] = (in_pose * (rod.point @ turn.T)).sum(axis=1)
+    in_pose = np.einsum("nij,ni->nj", touches.frame[tangential], normal[tangential])
+    for column, turn in enumerate((by_x, by_z)):
+        by_rig[tangential, 3, TILT + column] += (in_pose * (rod.tangent[tangential] @ turn.T)).sum(axis=1)
+    by_rig[tip, 3, LENGTH] = -1
+    _add_sensor(by_rig, by_wrench, rig, touches, force, moment)
+
+    by_row = np.empty((n, 4, 9))
+    by_row[:, :, :6] = by_wrench @ _to_clamp(rig)
+    by_row[:, :, 6:] = by_rig[:, :, CENTRE:LENGTH] * -1
+    return Equations(value, by_rig, by_row)
+
+
+def _add_sensor(by_rig: Array, by_wrench: Array, rig: Rig, touches: Touches, force: Array, moment: Array) -> None:
+    """Fill in the derivatives by the sensor's turn, its place and the tare."""
+    by_force, by_moment = by_wrench[:, :, :3], by_wrench[:, :, 3:]
+    own = moment - np.cross(rig.sensor, force)
+    # f -> f + δ × f, m -> m + δ × own + sensor × (δ × f)
+    turning = by_force + np.cross(by_moment, rig.sensor)
+    by_rig[:, :, TURN:SENSOR] = np.cross(force[:, None], turning) + np.cross(own[:, None], by_moment)
+    by_rig[:, :, SENSOR:CENTRE] = np.cross(force[:, None], by_moment)
+    by_channel = -(by_wrench @ _to_clamp(rig))
+    by_rig[:, :, TARE:] = (by_channel[:, :, :, None] * touches.basis[:, None, None]).reshape(*by_rig.shape[:2], -1)
+
+
+def _to_clamp(rig: Rig) -> Array:
+    """(6, 6) from the tared wrench in the sensor's frame to that at the clamp."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = rig.turn
+    x, y, z = rig.sensor
+    matrix[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rig.turn
+    return matrix

@@ -1,0 +1,263 @@
+"""The result of a calibration: quantities with their uncertainties, and recordings corrected by them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Mask
+from scan3d.laboratory import calibration_words as words
+from scan3d.laboratory.calibration_air import Unloaded, unloaded
+from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem
+from scan3d.laboratory.calibration_model import CENTRE, TARE, TURN, Kind
+from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, EULER, euler, limit, measured, quantities
+from scan3d.reconstruction.resolution import noise_of
+from scan3d.recording import Recording
+from scan3d.rods import Rod
+
+# Estimated noise of the poses, in rod lengths, that is larger than that of robots.
+_ROUGH = 1e-3
+# How many standard deviations of a mean square the tests of the premises allow.
+_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A rig with its uncertainties, from `scan3d.calibrate` or from a file."""
+
+    rod: Rod
+    """With the free length and the bending stiffness that were found."""
+    sensor_position_m: Array
+    """(3,) origin of the sensor's frame in the clamp's."""
+    sensor_euler_deg: Array
+    """(3,) its turn."""
+    clamp_position_m: Array
+    """(3,) the clamp in the frame of the recorded poses."""
+    clamp_euler_deg: Array
+    """(3,) its turn; that about the rod's axis is zero, because the sensor's turn contains it."""
+    tare: Array
+    """(6,) what the sensor shows in the air, in the middle of the recording; N and N·m."""
+    drift: Array
+    """(6,) its change over the recording."""
+    sphere_m: Array
+    """(3,) centre of the sphere in the world."""
+    names: tuple[str, ...]
+    """The quantities, with their units."""
+    values: Array
+    """(k,)"""
+    standard_deviations: Array
+    """(k,) infinite for quantities that were not determined and stay at their nominal values."""
+    covariance: Array
+    """(k, k) zero for those."""
+    well: tuple[bool, ...]
+    """(k,) whether a quantity is well determined."""
+    sentences: tuple[str, ...]
+    """What is poorly determined, and which touches would determine it; and premises that the data contradict."""
+    chi2: float
+    """Sum of squares of the misclosures in contact over their variances per degree of freedom, 1 on average; with an estimated
+    noise of the poses it is 1 by construction."""
+    consistency: float
+    """The same of the two equations that only the wrench is in."""
+    freedom: int
+    pose_noise_m: float
+    noise_force_N: float
+    noise_moment_Nm: float
+    diameter_m: float
+    """Of the reference sphere."""
+    details: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers of rows, and how the tare was modelled."""
+
+    @property
+    def expanded(self) -> Array:
+        """(k,) expanded uncertainties, with the coverage factor 2."""
+        return COVERAGE_FACTOR * self.standard_deviations
+
+    def applied(self, recording: Recording, tare: str = "auto") -> Recording:
+        """A recording of this rig, as `calibrate` takes it, with poses and reactions of the true clamp, and the true rod.
+
+        The tare is found in its own rows in the air; `tare` as in `calibrate`, or ``calibration`` for that of the calibration.
+        Raises InputError if there are too few rows in the air.
+        """
+        six = recording.six_axis
+        channels = np.array([True, True, six, six, six, True])
+        zero = np.zeros(len(recording))
+        columns = (
+            np.hstack(recording.wrench())
+            if six
+            else np.column_stack([recording.force_N, zero, zero, zero, recording.moment_Nm])
+        )
+        known = noise_of(recording)
+        if tare == "calibration":
+            columns = columns - self.tare
+            force_noise, moment_noise = known.force_N, known.moment_Nm
+        else:
+            found = unloaded(recording.sweep, columns, channels, (known.force_N, known.moment_Nm), tare)
+            columns = columns - found.basis @ found.tare.T
+            force_noise, moment_noise = found.force_noise, found.moment_noise
+        turn = Rotation.from_euler(EULER, self.sensor_euler_deg, degrees=True).as_matrix()
+        force = columns[:, :3] @ turn.T
+        moment = columns[:, 3:] @ turn.T + np.cross(self.sensor_position_m, force)
+        pose = Rotation.from_quat(recording.quaternion, scalar_first=True)
+        clamp = Rotation.from_euler(EULER, self.clamp_euler_deg, degrees=True)
+        # the mean over the components of the variance that the lever adds
+        lever = float(self.sensor_position_m @ self.sensor_position_m) * 2 / 3
+        return dataclasses.replace(
+            recording,
+            position_m=recording.position_m + pose.apply(self.clamp_position_m),
+            quaternion=(pose * clamp).as_quat(scalar_first=True),
+            force_N=force[:, :2],
+            moment_Nm=moment[:, 2],
+            force_z_N=force[:, 2] if six else None,
+            moment_x_Nm=moment[:, 0] if six else None,
+            moment_y_Nm=moment[:, 1] if six else None,
+            rod=self.rod,
+            noise_force_N=force_noise,
+            noise_moment_Nm=float(np.sqrt(moment_noise**2 + lever * force_noise**2)),
+            source={**recording.source, "calibrated": True},
+        )
+
+
+class Fitted(NamedTuple):
+    """What a calibration is made from."""
+
+    fit: Adjusted
+    problem: Problem
+    noise: Noise
+    air: Unloaded
+    world: Array
+    """(3, 3) from the world to the frame of the equations."""
+    estimated: bool
+    """Whether the noise of the poses is an estimate."""
+
+
+def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
+    """The calibration of a fitted rig."""
+    fit, problem, noise, air = fitted.fit, fitted.problem, fitted.noise, fitted.air
+    nominal, rig = recording.rod, fit.rig
+    length = nominal.length_m * rig.length
+    centre = fitted.world.T @ rig.centre
+    names, values, known, covariance = _estimates(fitted, nominal, centre)
+    deviations = np.where(known, np.sqrt(np.maximum(np.diag(covariance), 0)), np.inf)
+    limits = np.array([limit(name, nominal, noise) for name in names])
+    relative = np.where([name.startswith("bending") for name in names], np.abs(values), 1.0)
+    well = COVERAGE_FACTOR * deviations <= limits * relative
+    chi2, consistency, freedom = _squares(fitted)
+    tare = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
+    return Calibration(
+        rod=Rod(length, nominal.bending_stiffness_Nm2 * float(np.exp(rig.stiffness)), nominal.diameter_m),
+        sensor_position_m=nominal.length_m * rig.sensor,
+        sensor_euler_deg=euler(rig.turn),
+        clamp_position_m=nominal.length_m * rig.clamp,
+        clamp_euler_deg=np.degrees([rig.tilt[0], 0.0, rig.tilt[1]]),
+        tare=tare.mean(axis=1) if air.model == "sweep" else tare[:, 0],
+        drift=tare[:, 1] if air.model == "linear" else np.ptp(tare, axis=1),
+        sphere_m=nominal.length_m * centre,
+        names=names,
+        values=values,
+        standard_deviations=deviations,
+        covariance=covariance,
+        well=tuple(map(bool, well)),
+        sentences=_sentences(fitted, recording, names, deviations, well, chi2, consistency),
+        chi2=chi2,
+        consistency=consistency,
+        freedom=freedom,
+        pose_noise_m=nominal.length_m * noise.place,
+        noise_force_N=nominal.force_unit_N * noise.force,
+        noise_moment_Nm=nominal.moment_unit_Nm * noise.moment,
+        diameter_m=sphere,
+        details={
+            "contacts": len(problem.touches.kind),
+            "tip_contacts": int((problem.touches.kind == Kind.TIP).sum()),
+            "air": len(fit.air_residual),
+            "tare": air.model,
+            "pose_noise": "estimated" if fitted.estimated else "given",
+        },
+    )
+
+
+def _estimates(fitted: Fitted, nominal: Rod, centre: Array) -> tuple[tuple[str, ...], Array, Mask, Array]:
+    """Names, values (k,), which of them were determined, and their covariance (k, k)."""
+    fit, problem = fitted.fit, fitted.problem
+    free = np.flatnonzero(problem.free)
+    covariance = np.zeros_like(fit.normal)
+    scale = 1 / np.sqrt(np.diag(fit.normal)[free])
+    inner = np.linalg.inv(fit.normal[np.ix_(free, free)] * scale[:, None] * scale)
+    covariance[np.ix_(free, free)] = inner * scale[:, None] * scale
+    rows = [
+        row for row in quantities(fit.rig, nominal, fitted.air.model, centre, fitted.world) if measured(row[0], problem)
+    ]
+    jacobian = np.zeros((len(rows), len(covariance)))
+    known = np.zeros(len(rows), dtype=bool)
+    for number, (name, _, slopes) in enumerate(rows):
+        jacobian[number, list(slopes)] = list(slopes.values())
+        # a sphere whose distance from the plane is not determined is known in the plane
+        known[number] = all(problem.free[k] or (k == CENTRE + 2 and name.startswith("sphere")) for k in slopes)
+    if problem.channels.all() and not problem.free[TURN + 1]:  # the sensor's place across the rod turns with it
+        known &= [name not in ("sensor_x_mm", "sensor_z_mm") for name, _, _ in rows]
+    result = jacobian @ covariance @ jacobian.T
+    result[~known] = result[:, ~known] = 0
+    return tuple(row[0] for row in rows), np.array([row[1] for row in rows]), known, result
+
+
+def _sentences(
+    fitted: Fitted,
+    recording: Recording,
+    names: tuple[str, ...],
+    deviations: Array,
+    well: Mask,
+    chi2: float,
+    consistency: float,
+) -> tuple[str, ...]:
+    """What is poorly determined, and which premises the data contradict."""
+    fit = fitted.fit
+    known = np.isfinite(deviations)
+    poor = [
+        (name, f"{COVERAGE_FACTOR * deviation:.2g}")
+        for name, deviation, good, is_known in zip(names, deviations, well, known, strict=True)
+        if is_known and not good
+    ]
+    fixed = [name for name, is_known in zip(names, known, strict=True) if not is_known]
+    plane = () if fitted.problem.free[CENTRE + 2] else (words.PLANE,)
+    contacts, wrench = int(fit.used.sum()), int(fit.used[:, :2].sum())
+    place_mm = 1000 * fitted.noise.place * recording.rod.length_m
+    rough = fitted.estimated and fitted.noise.place > _ROUGH
+    stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
+    return (
+        words.sentences(poor, fixed)
+        + plane
+        + ((words.rough_poses(place_mm),) if rough else ())
+        + words.premises(
+            (chi2, np.inf if fitted.estimated else _largest(contacts)),
+            # the noise is not stated where it is that of the same rows
+            (fitted.air.misfit, _largest(fit.air_residual.size) if stated else np.inf),
+            (consistency, _largest(wrench)),
+        )
+    )
+
+
+def _squares(fitted: Fitted) -> tuple[float, float, int]:
+    """Mean squares of the misclosures in contact, and of those of the wrench alone, in variances, and the degrees of freedom.
+
+    The parameters that the rows in contact determine are counted with these, the tare with the rows in the air.
+    """
+    fit, problem = fitted.fit, fitted.problem
+    covariance = (fit.by_row * fitted.noise.variances(problem.channels)) @ fit.by_row.swapaxes(1, 2)
+    covariance[:, range(4), range(4)] += ~fit.used
+    solved = np.linalg.solve(covariance, fit.misclosure[:, :, None])[:, :, 0]
+    freedom = max(int(fit.used.sum()) - int(problem.free[:TARE].sum()), 1)
+    total = float((fit.misclosure * solved).sum()) / freedom
+    used = fit.used[:, :2].all(axis=1)
+    if not used.any():
+        return total, 1.0, freedom
+    solved = np.linalg.solve(covariance[used, :2, :2], fit.misclosure[used, :2, None])[:, :, 0]
+    return total, float((fit.misclosure[used, :2] * solved).sum()) / (2 * int(used.sum())), freedom
+
+
+def _largest(count: int) -> float:
+    """The largest mean square of `count` normal numbers that is no contradiction."""
+    return 1 + _SIGMAS * float(np.sqrt(2 / max(count, 1)))

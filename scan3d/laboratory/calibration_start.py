@@ -1,0 +1,228 @@
+"""First estimates of a rig, from which least squares converges, and what kind of contact each row is.
+
+The condition ``m0·t0 = 0`` in the sensor's frame is linear in the rod's direction u and in ``u × a``, with a the place of the
+sensor: it gives both without a body.  The turn about the rod, the distance along it and the stiffness are then searched on a
+grid: with the right ones the contacts lie on a sphere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Mask
+from scan3d.laboratory.calibration_fit import Air, Noise, Problem, misfits, started
+from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench, equations
+from scan3d.spatial.inverse import reconstruct
+
+# Rows that the search uses.  More take longer; fewer may miss a part of the sphere.
+_SEARCHED, _STARTED = 150, 400
+# The grid: turns about the rod, distances along it in rod lengths, and logarithms of the stiffness.  The first is fine enough
+# for damped least squares to converge from its nearest point, with the others up to twice as coarse.
+_TURNS = np.radians(np.arange(0, 360, 15))
+_ALONG = np.linspace(-1.0, 1.0, 21)
+_STIFFNESS = np.log([0.5, 0.7, 1.0, 1.4, 2.0])
+# Starts from the grid that are tried, and those that are fitted to the end.
+_TRIED, _SHORT = 4, 12
+# The second smallest singular value must exceed the smallest by this factor for the rod's direction to follow from the wrench.
+_DISTINCT = 3.0
+# Turns of a planar sensor about the normal of its plane, in radians.
+_PLANAR_TURNS = np.radians(np.arange(-60, 61, 15))
+# Standard deviations beyond which a row is taken for a tip contact or a tangential one, and the cosine between tangent and
+# normal from which it is a tip contact, whatever the noise.
+_SIGMAS, _COSINE = 4.0, 0.01
+# Difference of the sums of squares of both kinds over a window from which the kind of its middle is certain.
+_LIKELIER = 12.0
+# Standard deviation of s1, in rod lengths, from which a contact shows how long the rod is, and the windows of the averages in
+# half a sweep.
+_SURE, _WINDOWS = 0.02, 10
+# Contacts are far from the tip within this part of the quantile of s1 that serves as the largest, for a first estimate.
+_FAR, _FARTHEST = 0.85, 0.98
+# Tip contacts that are needed for the free length.
+_FEWEST_TIPS = 8
+
+
+def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
+    """A rig whose contacts lie near a sphere and, where they are far from the tip, are tangential."""
+    free = problem.free.copy()
+    free[LENGTH:] = False  # the tare is that of the rows in the air
+    no_air = Air(problem.air.wrench[:0], problem.air.basis[:0])
+    # contacts of light touches are far from linear in the noise
+    force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
+    heavy = problem.touches.rows(force >= np.median(force))
+    coarse = replace(problem, touches=_thinned(heavy, _STARTED), air=no_air, free=free)
+    turns = _TURNS
+    if problem.channels.all():
+        frames, offsets = _by_consistency(nominal, coarse.touches, noise)
+    else:
+        frames = [Rotation.from_euler("z", angle).as_matrix() for angle in _PLANAR_TURNS]
+        offsets, turns = [nominal.sensor] * len(frames), np.zeros(1)
+    searched = _thinned(coarse.touches, _SEARCHED)
+    grid = [
+        scored
+        for frame, offset in zip(frames, offsets, strict=True)
+        for scored in _on_grid(replace(nominal, turn=frame, sensor=offset), searched, turns, problem.radius)
+    ]
+    grid.sort(key=lambda scored: scored[0])
+    rigs = [rig for _, rig in grid[:_TRIED]] + [replace(nominal, centre=rig.centre) for _, rig in grid[:1]]
+    if not rigs:
+        return nominal
+    tried = [started(_far_from_tip(coarse, rig), rig, noise, _SHORT) for rig in rigs]
+    best = min(tried, key=lambda pair: pair[1])[0]
+    return started(_far_from_tip(coarse, best), best, noise)[0]
+
+
+def _far_from_tip(problem: Problem, rig: Rig) -> Problem:
+    """The problem in which contacts that are certainly not at the tip are tangential."""
+    scale = np.exp(-rig.stiffness)
+    force, moment = clamp_wrench(rig, problem.touches)
+    s1 = reconstruct(scale * force, scale * moment, tolerance=PAST_TIP).s1
+    far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
+    kind = np.where(far, Kind.TANGENTIAL, Kind.EITHER).astype(np.int8)
+    return replace(problem, touches=problem.touches._replace(kind=kind))
+
+
+def _by_consistency(nominal: Rig, touches: Touches, noise: Noise) -> tuple[list[Array], list[Array]]:
+    """Turns of the sensor, up to one about the rod, and its places, up to one along the rod."""
+    tared = touches.wrench - touches.basis @ nominal.tare.T
+    deviation = np.repeat([noise.moment, noise.force], 3)
+    _, size, rows = np.linalg.svd(np.roll(tared, 3, axis=1) / deviation)
+    along, offset = nominal.turn.T[:, 1], np.zeros(3)
+    if size[-2] > _DISTINCT * size[-1]:
+        solution = rows[-1] / deviation
+        along, cross = solution[:3] / np.linalg.norm(solution[:3]), solution[3:] / np.linalg.norm(solution[:3])
+        offset = np.cross(cross, along)
+    frames, offsets = [], []
+    for axis in (along, -along):
+        frame = _turning(axis, np.array([0.0, 1.0, 0.0]))
+        frames.append(frame)
+        offsets.append(frame @ offset)
+    return frames, offsets
+
+
+def _turning(one: Array, other: Array) -> Array:
+    """The smallest rotation (3, 3) from one unit vector to another."""
+    return np.asarray(Rotation.align_vectors(other[None], one[None])[0].as_matrix())
+
+
+def _on_grid(rig: Rig, touches: Touches, turns: Array, radius: float) -> list[tuple[float, Rig]]:
+    """Rigs of the grid about a rig, with the median distance of their contacts from the sphere."""
+    scored = []
+    for along in _ALONG:
+        moved = replace(rig, sensor=rig.sensor + np.array([0.0, along, 0.0]))
+        force, moment = clamp_wrench(moved, touches)
+        for stiffness in _STIFFNESS:
+            point = reconstruct(force * np.exp(-stiffness), moment * np.exp(-stiffness), tolerance=PAST_TIP).point
+            known: Mask = np.asarray(np.isfinite(point).all(axis=1))
+            if known.sum() < max(len(known) / 2, 8):
+                continue
+            turned = Rotation.from_rotvec(np.column_stack([0 * turns, turns, 0 * turns])).as_matrix()
+            world = np.einsum("nij,tjk,nk->tni", touches.frame[known], turned, point[known]) + touches.position[known]
+            centre = _sphere(world)
+            misfit = (
+                np.median(np.abs(np.linalg.norm(world - centre[:, None], axis=2) - radius), axis=1) + (~known).mean()
+            )
+            best = int(np.argmin(misfit))
+            found = replace(
+                moved,
+                stiffness=float(stiffness),
+                turn=turned[best] @ rig.turn,
+                sensor=turned[best] @ moved.sensor,
+                centre=centre[best],
+            )
+            scored.append((float(misfit[best]), found))
+    return scored
+
+
+def _sphere(points: Array) -> Array:
+    """Centres (t, 3) of the spheres of any radius nearest to sets of points (t, n, 3), by linear least squares."""
+    middle = points.mean(axis=1, keepdims=True)
+    relative = points - middle
+    square = (relative**2).sum(axis=2, keepdims=True)
+    matrix = np.concatenate([2 * relative, np.ones_like(square)], axis=2)
+    transposed = matrix.swapaxes(1, 2)
+    ridge = 1e-9 * np.eye(4)
+    solved = np.linalg.solve(transposed @ matrix + ridge, transposed @ square)[:, :3, 0]
+    return np.asarray(middle[:, 0] + solved)
+
+
+def _thinned(touches: Touches, count: int) -> Touches:
+    n = len(touches.kind)
+    return touches.rows(np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.intp)))
+
+
+def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> tuple[NDArray[np.int8], float | None]:
+    """The kind of each contact (n,) of sweeps (n,), and the free length, None without tip contacts.
+
+    No contact lies past the tip, so that tip contacts are those with the largest s1 whose rod is not tangential.  Tangent and
+    s1 are averaged along each sweep, so that the noise of a row does not decide its kind.
+    """
+    touches, variances = problem.touches, noise.variances(problem.channels)
+    n = len(touches.kind)
+    as_tangential = equations(rig, touches._replace(kind=np.full(n, Kind.TANGENTIAL, dtype=np.int8)), problem.radius)
+    as_tip = equations(rig, touches._replace(kind=np.full(n, Kind.TIP, dtype=np.int8)), problem.radius)
+    result = np.full(n, Kind.TANGENTIAL, dtype=np.int8)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine, cosine_sd = _averaged(as_tangential.value[:, 3], (as_tangential.by_row[:, 3] ** 2) @ variances, sweep)
+        s1, s1_sd = _averaged(as_tip.value[:, 3] + rig.length, (as_tip.by_row[:, 3] ** 2) @ variances, sweep)
+        sure = s1_sd < _SURE
+        if not sure.any():
+            return result, None
+        away = s1 - s1[sure].max()
+        farthest: Mask = away > -_SIGMAS * s1_sd - _SURE
+        tip: Mask = farthest & (cosine < -_SIGMAS * cosine_sd - _COSINE)
+        if tip.sum() < _FEWEST_TIPS:  # then the farthest may be at the tip all the same
+            result[farthest] = Kind.UNSURE
+            return result, None
+        length = float(np.average(s1[tip], weights=1 / s1_sd[tip] ** 2))
+        near: Mask = s1 > length - _SIGMAS * s1_sd - _COSINE
+    result[near] = Kind.UNSURE
+    result[near & tip] = Kind.TIP
+    return result, length
+
+
+def _all(touches: Touches, kind: Kind) -> Touches:
+    """The rows, all of one kind."""
+    return touches._replace(kind=np.full(len(touches.kind), kind, dtype=np.int8))
+
+
+def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
+    """Contacts (n,) that are certainly not at the tip are tangential; for a rig that is too rough for more."""
+    as_tip = equations(rig, _all(problem.touches, Kind.TIP), problem.radius)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = (as_tip.by_row[:, 3] ** 2) @ noise.variances(problem.channels)
+        s1, _ = _averaged(as_tip.value[:, 3] + rig.length, variance, sweep)
+    far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
+    return np.where(far, Kind.TANGENTIAL, Kind.UNSURE).astype(np.int8)
+
+
+def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
+    """The kind of each contact (n,) of sweeps (n,) by the likelihood of its neighbours, for a rig whose length is known."""
+    result = np.full(len(sweep), Kind.UNSURE, dtype=np.int8)
+    difference = misfits(problem, rig, noise, Kind.TANGENTIAL) - misfits(problem, rig, noise, Kind.TIP)
+    together = _summed(difference, sweep)
+    result[together < -_LIKELIER] = Kind.TANGENTIAL
+    result[together > _LIKELIER] = Kind.TIP
+    return result
+
+
+def _summed(values: Array, sweep: NDArray[np.int64]) -> Array:
+    """Sums (n,) over neighbours in the same sweep."""
+    result = np.zeros(len(values))
+    for number in np.unique(sweep):
+        rows = np.flatnonzero(sweep == number)
+        half = len(rows) // _WINDOWS
+        running = np.concatenate([[0.0], np.cumsum(values[rows])])
+        middle = np.arange(len(rows))
+        result[rows] = running[np.minimum(middle + half + 1, len(rows))] - running[np.maximum(middle - half, 0)]
+    return result
+
+
+def _averaged(values: Array, variance: Array, sweep: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Weighted means (n,) over neighbours in the same sweep, and their standard deviations."""
+    weight = np.where(np.isfinite(values) & np.isfinite(variance) & (variance > 0), 1 / variance, 0.0)
+    total, product = _summed(weight, sweep), _summed(weight * np.nan_to_num(values), sweep)
+    return product / total, 1 / np.sqrt(total)

@@ -1,0 +1,99 @@
+"""What touches determine, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+MORE_SWEEPS = (
+    "sweep it in more directions of the rod, with the clamp turned about the rod's axis, and bend the rod more"
+)
+PLANE = (
+    "The sweeps lie in one plane, which is taken to pass through the sphere's centre; sweep planes at several heights."
+)
+# What a group of quantities is called, and which touches determine it, by the beginning of their names.
+_GROUPS = {
+    "bending_stiffness": ("the bending stiffness", "sweeps that bend the rod more, past the middle of the sphere"),
+    "length": (
+        "the free length",
+        "tip contacts: sweeps whose clamp is farther from the sphere, so that the rod leaves it over its tip",
+    ),
+    "clamp_turn": (
+        "the clamp's turn",
+        "sweeps that touch the sphere near the clamp and near the tip, with the clamp turned about the rod's axis",
+    ),
+    "clamp_y": (
+        "the clamp's offset along the rod",
+        "sweeps with the rod in other directions, such as from the opposite side",
+    ),
+    "clamp": (
+        "the clamp's offset across the rod",
+        "sweeps with the clamp turned about the rod's axis by 90 degrees and more",
+    ),
+    "sensor_turn": ("the sensor's turn", "sweeps that bend the rod more, and a sphere with more friction"),
+    "sensor": ("the sensor's place", "sweeps that bend the rod more, and to several sides of the clamp"),
+    "sphere": ("the sphere's place", "sweeps with the rod in more directions"),
+    "tare": ("the tare", "more rows in the air, before and after each touch"),
+    "drift": ("the drift", "more rows in the air at the beginning and the end of the recording"),
+}
+
+
+def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str]) -> tuple[str, ...]:
+    """One sentence for each group of quantities that are poorly determined, with their uncertainties, or not determined."""
+    result = []
+    fixed_groups: dict[str, list[str]] = {}
+    poor_groups: dict[str, list[str]] = {}
+    for name in fixed:
+        fixed_groups.setdefault(_group(name), []).append(name)
+    for name, uncertainty in poor:
+        poor_groups.setdefault(_group(name), []).append(f"{name} to {uncertainty}")
+    if "sensor_turn" in fixed_groups:
+        names = fixed_groups.pop("sensor_turn") + fixed_groups.pop("sensor", [])
+        result.append(
+            f"These touches do not determine the sensor's turn about the rod: {', '.join(names)} are a first estimate, which "
+            "may be wrong by some degrees. It needs a sphere with more friction, because without friction contacts stay on the "
+            "sphere when they turn about the rod; and sweeps that bend the rod more."
+        )
+    for group, names in fixed_groups.items():
+        title, touches = _GROUPS[group]
+        stays = "stays at its nominal value" if len(names) == 1 else "stay at their nominal values"
+        result.append(f"These touches do not determine {title}: {', '.join(names)} {stays}. It needs {touches}.")
+    for group, names in poor_groups.items():
+        title, touches = _GROUPS[group]
+        result.append(f"These touches determine {title} poorly ({', '.join(names)}). It needs {touches}.")
+    return tuple(result)
+
+
+def _group(name: str) -> str:
+    return max((group for group in _GROUPS if name.startswith(group)), key=len)
+
+
+def rough_poses(deviation_mm: float) -> str:
+    """The sentence for an estimated noise of the poses that is larger than that of robots."""
+    return (
+        f"The contacts deviate from the sphere as if the poses scattered by {deviation_mm:.2g} mm, which is more than "
+        "those of a robot do: check the diameters of sphere and rod, and that the sphere did not move."
+    )
+
+
+def premises(
+    contacts: tuple[float, float], air: tuple[float, float], consistency: tuple[float, float]
+) -> tuple[str, ...]:
+    """One sentence for each test of the premises that fails: mean squares in variances, each with its largest value."""
+    result = []
+    if air[0] > air[1]:
+        result.append(
+            f"In the air the reactions scatter by {air[0] ** 0.5:.2f} times the stated noise: the sensor drifts otherwise than "
+            "the tare assumes, or the noise is larger than stated; what is found in the air was used instead."
+        )
+    if consistency[0] > consistency[1]:
+        result.append(
+            f"In contact the moments about the rod and along the force scatter by {consistency[0] ** 0.5:.2f} times what the "
+            "noise explains: a second contact, friction across a thick rod, a sensor whose channels mix, or noise larger "
+            "than stated."
+        )
+    if contacts[0] > contacts[1]:
+        result.append(
+            f"The contacts deviate from the sphere by {contacts[0] ** 0.5:.2f} times what the noise explains: check the "
+            "diameters of sphere and rod, the noise of the poses, and that the sphere did not move."
+        )
+    return tuple(result)

@@ -1,0 +1,187 @@
+"""Recordings of a laboratory's rig that touches a reference sphere, with the faults of a good rig.
+
+The sweeps are computed once, by `scan3d.spatial.sweeping`; each seed adds faults to them: a sensor that is turned, displaced
+and biased and that drifts, a clamp that is not where the pose says, white noise, and poses that jitter.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import planar
+import scan3d
+from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.sweeping import sweep
+
+ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
+DIAMETER = 0.030
+CENTRE = np.array([0.41, -0.12, 0.23])
+# Distances from the clamp to the sphere's centre along the rod, in rod lengths; the last two give tip contacts.
+REACH = (0.7, 0.8, 0.9, 1.0, 1.08)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The rig as it is; lengths in m, angles in degrees, tare and drift in fractions of the largest force and moment."""
+
+    stiffness: float = 1.9e-4 * 1.04
+    length: float = 0.06
+    clamp: tuple = (0.0006, -0.0011, 0.0008)
+    clamp_turn: tuple = (0.9, 0.0, -0.6)
+    sensor: tuple = (0.004, -0.019, 0.005)
+    sensor_turn: tuple = (12.0, 25.0, -10.0)
+    centre: tuple = tuple(CENTRE)
+    bias: tuple = (0.05, -0.04, 0.03, -0.05, 0.02, 0.04)
+    drift: tuple = (0.01, 0.01, -0.01, -0.005, 0.01, -0.01)
+    noise: float = 0.002
+    jitter: float = 20e-6
+
+
+EXACT = Truth(noise=0.0, jitter=0.0)
+
+
+@cache
+def orientations(sweeps=30, directions=6, rolls=5):
+    """Axes (m, 3, 3) of clamps, as rows: the rod in several directions, and turned about its axis."""
+    found = []
+    for k in range(sweeps):
+        azimuth, roll = 2 * np.pi * (k % directions) / directions, 2 * np.pi * (k // directions) / rolls + 0.4 * k
+        tilt = np.radians([-75, -20, -50])[k % 3]
+        turn = Rotation.from_euler("z", azimuth) * Rotation.from_euler("x", tilt) * Rotation.from_euler("y", roll)
+        found.append(turn.as_matrix().T)
+    return np.array(found)
+
+
+@cache
+def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REACH, length=ROD.length_m):
+    """Exact sweeps of a rod about a sphere in the origin, dimensionless: positions (m, n, 3), axes (m, 3, 3), reactions."""
+    axes = orientations(sweeps, directions, rolls)
+    radius = DIAMETER / 2 / length
+    numbers = np.arange(sweeps)
+    away = np.array(reach)[(numbers + numbers // directions) % len(reach)]
+    height = radius * np.array([0.0, 0.2, -0.3, 0.1, -0.2])[numbers % 5] + 0.02
+    start = (radius + 0.12) * axes[:, 0] - away[:, None] * axes[:, 1] + height[:, None] * axes[:, 2]
+    travel = (2 * radius + 0.5) * np.linspace(0, 1, samples)
+    position = start[:, None] - travel[:, None] * axes[:, :1]
+    body = Ellipsoid([radius] * 3, radius=ROD.diameter_m / 2 / length)
+    result = sweep(body, position, axes, friction, substeps=2)
+    touching = np.isfinite(result.s1)[..., None]
+    return position, axes, np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
+
+
+def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, **raster):
+    """The recording of a rig, as it logs without knowing of its faults."""
+    truth = Truth() if truth is None else truth
+    rng = np.random.default_rng(seed)
+    position, axes, force, moment, _ = swept(length=truth.length, **raster)
+    m, n, _ = position.shape
+    position = position.reshape(-1, 3) * truth.length + truth.centre
+    axes = np.repeat(axes, n, axis=0)
+    force = force.reshape(-1, 3) * truth.stiffness / truth.length**2
+    moment = moment.reshape(-1, 3) * truth.stiffness / truth.length
+    # clamp -> sensor: its axes are the columns of a matrix in the clamp's frame
+    turn = Rotation.from_euler("xyz", truth.sensor_turn, degrees=True).as_matrix()
+    moment = (moment - np.cross(truth.sensor, force)) @ turn
+    force = force @ turn
+    largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
+    wrench = np.hstack([force, moment])
+    time = np.linspace(-0.5, 0.5, m * n)[:, None]
+    wrench = wrench + largest * (
+        np.array(truth.bias) + time * truth.drift + truth.noise * rng.normal(size=wrench.shape)
+    )
+    # clamp -> pose
+    clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True).as_matrix()
+    pose = np.einsum("nji,kj->nik", axes, clamp)  # columns: axes of the pose's frame in the world
+    position = position - pose @ truth.clamp + truth.jitter * rng.normal(size=position.shape)
+    return scan3d.Recording(
+        sweep=np.repeat(np.arange(m), n),
+        position_m=position,
+        quaternion=Rotation.from_matrix(pose).as_quat(scalar_first=True),
+        force_N=wrench[:, :2],
+        moment_Nm=wrench[:, 5],
+        force_z_N=wrench[:, 2],
+        moment_x_Nm=wrench[:, 3],
+        moment_y_Nm=wrench[:, 4],
+        rod=nominal,
+        noise_force_N=stated * truth.noise * largest[0],
+        noise_moment_Nm=stated * truth.noise * largest[3],
+    )
+
+
+def truth_of(calibration, truth, recording, *, length=ROD.length_m, **raster):
+    """The true values of the quantities of a calibration, by its names."""
+    _, _, force, moment, _ = swept(length=truth.length, **raster)
+    force = force.reshape(-1, 3) * truth.stiffness / truth.length**2
+    moment = moment.reshape(-1, 3) * truth.stiffness / truth.length - np.cross(truth.sensor, force)
+    largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
+    values = {"bending_stiffness_Nm2": truth.stiffness, "length_m": truth.length}
+    for title, place in (("clamp", truth.clamp), ("sensor", truth.sensor), ("sphere", truth.centre)):
+        values |= {f"{title}_{axis}_mm": 1000 * x for axis, x in zip("xyz", place, strict=True)}
+    for title, turn in (("clamp", truth.clamp_turn), ("sensor", truth.sensor_turn)):
+        values |= {f"{title}_turn_{axis}_deg": x for axis, x in zip("xyz", turn, strict=True)}
+    channels = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+    values |= {f"tare_{name}": part * size for name, part, size in zip(channels, truth.bias, largest, strict=True)}
+    values |= {f"drift_{name}": part * size for name, part, size in zip(channels, truth.drift, largest, strict=True)}
+    return np.array([values[name] for name in calibration.names])
+
+
+def planar_recorded(seed=0, *, noise=0.0, stiffness=1.05, sweeps=24, samples=80, tip=True):
+    """Three channels of a rod in a plane through the centre of a sphere: the recording, and the true values by name."""
+    rng = np.random.default_rng(seed)
+    rod, radius = scan3d.Rod(0.06, 1.9e-4), DIAMETER / 2 / ROD.length_m
+    clamp, sensor, turn, sensor_turn = np.array([0.0007, -0.0009]), np.array([0.003, -0.02]), 0.8, 20.0
+    columns = {name: [] for name in ("sweep", "position", "frame", "wrench", "touching")}
+    for number in range(sweeps):
+        reach = (0.7, 0.85, 0.95, 1.1)[number % 4] if tip else (0.6, 0.7, 0.8, 0.85)[number % 4]
+        base = np.linspace(0.55, -0.15, samples)
+        state = planar.sweep(planar.Circle(radius, (0.0, reach)), 0.2, base=base)
+        force = np.column_stack([state.f0x, state.f0y, 0 * base])
+        moment = np.column_stack([0 * base, 0 * base, state.m0z])
+        # every other clamp is turned by half a turn about the rod, which leaves the plane where it is
+        pose = Rotation.from_euler("z", 2 * np.pi * number / sweeps) * Rotation.from_euler("y", np.pi * (number % 2))
+        columns["sweep"].append(np.full(samples, number))
+        columns["position"].append(
+            CENTRE / ROD.length_m + pose.apply(np.column_stack([base, 0 * base - reach, 0 * base]))
+        )
+        columns["frame"].append(np.repeat(pose.as_matrix()[None], samples, axis=0))
+        columns["wrench"].append(np.nan_to_num(np.hstack([force, moment])))
+        columns["touching"].append(np.isfinite(state.s1))
+    sweep_number, position, frame, wrench, _ = (np.concatenate(column) for column in columns.values())
+    actual = scan3d.Rod(0.06, 1.9e-4 * stiffness)
+    force, moment = wrench[:, :3] * actual.force_unit_N, wrench[:, 3:] * actual.moment_unit_Nm
+    lever = np.append(sensor, 0.0)
+    about_z = Rotation.from_euler("z", sensor_turn, degrees=True).as_matrix()
+    moment = (moment - np.cross(lever, force)) @ about_z
+    force = force @ about_z
+    sizes = np.linalg.norm(force, axis=1).max(), np.abs(moment).max()
+    force, moment = (
+        column + size * (bias + noise * rng.normal(size=column.shape))
+        for column, size, bias in zip((force, moment), sizes, (0.03, -0.04), strict=True)
+    )
+    frame = frame @ Rotation.from_euler("z", turn, degrees=True).as_matrix().T
+    recording = scan3d.Recording(
+        sweep=sweep_number,
+        position_m=position * ROD.length_m - frame @ np.append(clamp, 0.0),
+        quaternion=Rotation.from_matrix(frame).as_quat(scalar_first=True),
+        force_N=force[:, :2],
+        moment_Nm=moment[:, 2],
+        rod=rod,
+        noise_force_N=noise * sizes[0],
+        noise_moment_Nm=noise * sizes[1],
+    )
+    truth = {
+        "bending_stiffness_Nm2": actual.bending_stiffness_Nm2,
+        "length_m": 0.06,
+        "clamp_x_mm": 0.7,
+        "clamp_y_mm": -0.9,
+        "clamp_turn_z_deg": turn,
+        "sensor_x_mm": 3.0,
+        "sensor_y_mm": -20.0,
+        "sensor_turn_z_deg": sensor_turn,
+        "tare_fx_N": 0.03 * sizes[0],
+        "tare_fy_N": 0.03 * sizes[0],
+        "tare_mz_Nm": -0.04 * sizes[1],
+    }
+    return recording, truth
