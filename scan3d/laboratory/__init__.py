@@ -1,0 +1,1 @@
+"""Tables from a rig become recordings.  Nothing here knows the true body or a simulation."""

@@ -1,0 +1,289 @@
+"""From a laboratory's table and a map to a recording, with a summary of what was done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array, Mask
+from scan3d.errors import InputError
+from scan3d.laboratory import filtering, segments, taring
+from scan3d.laboratory.bags import is_bag, read_bag
+from scan3d.laboratory.columns import CHANNELS, Log, read_log
+from scan3d.laboratory.directions import check_directions
+from scan3d.laboratory.maps import Map, read_map
+from scan3d.laboratory.plausibility import check_sizes, felt
+from scan3d.laboratory.tables import RawTable, read_table
+from scan3d.laboratory.transforms import clamp_pose, clamp_wrench, turned_back, wrench_matrix
+from scan3d.recording import Recording
+
+KIND = "import"
+"""What the source of an imported recording is."""
+# Noise that is this many times as large as that of a white one would be after the filter is stated as it is found.
+_COLOURED = 1.3
+# Rounding of a wrench from which its zero was taken off, relative to the largest one.
+_ROUNDING = 1e-13
+# Part of the force out of the plane, of a sensor with four or five channels, from which a note says so.
+_OUT_OF_PLANE = 0.05
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What was done to a table."""
+
+    table: str
+    rows: int
+    """Of the table."""
+    seconds: float | None
+    rate_hz: float | None
+    samples: int
+    """Of the recording."""
+    sweeps: int
+    sweeps_with_contact: int
+    six_axis: bool
+    left_out: Mapping[str, int]
+    """Rows of the table that are not in the recording, by reason."""
+    air: tuple[tuple[float, float], ...]
+    """Stretches in the air, in seconds, or in rows if there is no time."""
+    air_fraction: float
+    zero: tuple[float, ...]
+    """(6,) mean zero that was taken off, in N and N m, in the sensor's frame."""
+    drift: tuple[float, ...]
+    """(6,) by how much it changed."""
+    noise_force_N: float
+    noise_moment_Nm: float
+    noise_factor: float
+    """Noise that the filter leaves."""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A recording with what it was made of."""
+
+    recording: Recording
+    summary: Summary
+    log: Log
+    clock: Array
+    """(n,) time of each row of the log in seconds, or its number."""
+    zero: Array
+    """(n, 6) of the sensor, as it was taken off."""
+    air: Mask
+    """(n,) rows in the air."""
+    wrench: Array
+    """(n, 6) support reactions in the clamp's frame."""
+    position_m: Array
+    """(n, 3) of the clamp."""
+    sweep: NDArray[np.int64]
+    """(n,) number of the sweep, -1 outside."""
+    kept: NDArray[np.int64]
+    """(m,) rows of the log that became the recording's."""
+
+
+def import_table(path: str | Path, map: str | Path | Mapping[str, Any] | Map) -> Recording:
+    """The recording of a laboratory's table: text with any delimiter, Parquet, or a ROS bag.
+
+    map
+        says what the columns mean: the path of a TOML file, or its contents.
+
+    Raises InputError with the file, the line and the column of what can't be used, and what to do.
+    """
+    chosen = read_map(map)
+    return convert(load(path, chosen), chosen).recording
+
+
+def load(path: str | Path, map: Map) -> RawTable:
+    """The table of a file or a ROS bag."""
+    return read_bag(path, map.topics) if is_bag(path) else read_table(path, map.layout)
+
+
+def convert(table: RawTable, map: Map) -> Imported:
+    """The recording of a table that is read already, with what it was made of.  Raises InputError as `import_table`."""
+    log = read_log(table, map)
+    clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
+    zero, air_rows, noise, stretches = _tared(log, clock, map, table.name)
+    tared = log.wrench - zero if zero.any() else log.wrench
+    rate = filtering.sampling_rate(clock, table.name) if map.lowpass_hz or map.rate_hz else None
+    if rate is not None and log.time_s is None:
+        raise InputError(f"{table.name}: [filter] needs the time of the rows; name its column as time under [columns]")
+    factor, notes = 1.0, []
+    if map.lowpass_hz and rate:
+        tared = filtering.low_pass(tared, clock, map.lowpass_hz, rate, table.name)
+        factor = filtering.noise_factor(map.lowpass_hz, rate)
+        found = taring.robust_sd(tared[air_rows]) if air_rows.any() else noise * factor
+        if (found > _COLOURED * factor * noise).any():
+            notes.append(
+                "the filter leaves more noise than it would of white noise; the noise that is found after it is stated"
+            )
+        noise = np.maximum(factor * noise, np.where(noise > 0, found, 0.0))
+    wrench, known = clamp_wrench(_without_rounding(tared, log.wrench), log.present, map.sensor, table.name)
+    position, quaternion = clamp_pose(log.position_m, log.quaternion, map.clamp)
+    sweep, backwards = _sweeps(log, position, quaternion, map)
+    check_directions(table, map, sweep, position, quaternion)
+    kept = np.flatnonzero(sweep >= 0)
+    between = len(log) - len(kept)
+    if backwards.any():
+        rows = backwards
+        quaternion, wrench = quaternion.copy(), wrench.copy()
+        quaternion[rows], wrench[rows] = turned_back(quaternion[rows], wrench[rows])
+    every = max(1, round(rate / map.rate_hz)) if map.rate_hz and rate else 1
+    notes += _filter_notes(map, rate, every)
+    thinned = kept[filtering.thinned(sweep[kept], every)] if every > 1 else kept
+    noise_force, noise_moment = _clamp_noise(noise, map, known)
+    six = bool(known.all())
+    recording = _recording(table, map, thinned, sweep, position, quaternion, wrench, six, (noise_force, noise_moment))
+    check_sizes(recording, map, table.name)
+    notes += _contact_notes(recording, wrench[thinned], known, map)
+    touched = felt(recording)
+    left_out = {
+        "without numbers": len(table) - len(log), "between sweeps": between, "thinned": len(kept) - len(thinned),
+    }  # fmt: skip
+    summary = Summary(
+        table=table.name,
+        rows=len(table),
+        seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
+        rate_hz=_rate(log.time_s),
+        samples=len(recording),
+        sweeps=len(np.unique(recording.sweep)),
+        sweeps_with_contact=len(np.unique(recording.sweep[touched])),
+        six_axis=six,
+        left_out=left_out,
+        air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in stretches),
+        air_fraction=float(air_rows.mean()),
+        zero=tuple(zero.mean(axis=0).tolist()),
+        drift=tuple(np.ptp(zero, axis=0).tolist()),
+        noise_force_N=noise_force,
+        noise_moment_Nm=noise_moment,
+        noise_factor=factor,
+        notes=tuple(notes),
+    )
+    return Imported(recording, summary, log, clock, zero, air_rows, wrench, position, sweep, thinned)
+
+
+def _rate(time: Array | None) -> float | None:
+    if time is None or len(time) < 2 or time[-1] == time[0]:
+        return None
+    return float((len(time) - 1) / (time[-1] - time[0]))
+
+
+def _tared(log: Log, clock: Array, map: Map, where: str) -> tuple[Array, Mask, Array, list[tuple[int, int]]]:
+    """The sensor's zero (n, 6), the rows in the air (n,), the noise (6,) there, and the stretches."""
+    if map.air == "none":
+        return np.zeros((1, 6)), np.zeros(len(log), dtype=bool), np.zeros(6), []
+    if isinstance(map.air, str):
+        stretches = taring.find_air(log.wrench, clock, where)
+    elif log.time_s is None:
+        raise InputError(f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]")
+    else:
+        stretches = taring.given_air(clock, map.air, where)
+    air = taring.tare(log.wrench, clock, stretches)
+    return air.zero, air.rows, air.noise, stretches
+
+
+def _without_rounding(tared: Array, before: Array) -> Array:
+    """The tared wrench (n, 6), zero in rows in which all channels are no more than rounding: those would count as forces."""
+    largest = np.repeat([np.abs(before[:, :3]).max(), np.abs(before[:, 3:]).max()], 3)
+    nothing = (np.abs(tared) <= _ROUNDING * largest).all(axis=1)
+    return np.where(nothing[:, None], 0.0, tared) if nothing.any() else tared
+
+
+def _sweeps(log: Log, position: Array, quaternion: Array, map: Map) -> tuple[NDArray[np.int64], Mask]:
+    """Number of the sweep (n,) of each row, -1 outside, and rows (n,) of strokes along +x that count as sweeps."""
+    none = np.zeros(len(log), dtype=bool)
+    if log.sweep is not None or log.sweeping is not None:
+        if log.sweep is None:
+            assert log.sweeping is not None
+            sweep = segments.runs_of(log.sweeping)
+        else:
+            sweep = log.sweep if log.sweeping is None else segments.numbered(log.sweep, log.sweeping)
+        if map.directions == "both":
+            numbers = np.unique(sweep[sweep >= 0])
+            back = numbers[segments.travel_angles(sweep, position, quaternion) > np.pi / 2]
+            none = np.isin(sweep, back)
+        return sweep, none
+    found = segments.strokes(position, quaternion, map.rod.length_m)
+    if map.directions == "both":
+        return found.sweep, (found.sweep >= 0) & np.append(found.backwards, False)[found.sweep]
+    number = np.append(np.where(found.backwards, -1, np.cumsum(~found.backwards) - 1), -1)
+    return number[found.sweep], none
+
+
+def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
+    """Standard deviations of force and moment in the clamp's frame: the largest of their channels."""
+    variance = wrench_matrix(map.sensor) ** 2 @ noise**2
+    deviation = np.sqrt(np.where(known, variance, 0.0))
+    force = float(deviation[:3].max()) if map.noise_force_N is None else map.noise_force_N
+    moment = float(deviation[3:].max()) if map.noise_moment_Nm is None else map.noise_moment_Nm
+    return force, moment
+
+
+def _recording(
+    table: RawTable,
+    map: Map,
+    rows: NDArray[np.int64],
+    sweep: NDArray[np.int64],
+    position: Array,
+    quaternion: Array,
+    wrench: Array,
+    six_axis: bool,
+    noise: tuple[float, float],
+) -> Recording:
+    """The recording of the chosen rows of the log."""
+    chosen = np.ascontiguousarray(wrench[rows])
+    source: dict[str, Any] = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
+    recording = Recording(
+        sweep=sweep[rows],
+        position_m=position[rows],
+        quaternion=quaternion[rows],
+        force_N=chosen[:, :2],
+        moment_Nm=chosen[:, 5],
+        rod=map.rod,
+        noise_force_N=noise[0],
+        noise_moment_Nm=noise[1],
+        unit=map.unit,
+        source=source,
+    )
+    if not six_axis:
+        return recording
+    return replace(recording, force_z_N=chosen[:, 2], moment_x_Nm=chosen[:, 3], moment_y_Nm=chosen[:, 4])
+
+
+def _filter_notes(map: Map, rate: float | None, every: int) -> list[str]:
+    if rate is None:
+        return []
+    left = rate / every
+    if map.lowpass_hz and left > 4 * map.lowpass_hz:
+        return [
+            f"rows that follow one another at {left:.4g} Hz have nearly the same noise after a low-pass of {map.lowpass_hz:g} Hz; "
+            f"rate_hz = {2 * map.lowpass_hz:g} under [filter] keeps rows with independent noise"
+        ]
+    if map.lowpass_hz and left < 2 * map.lowpass_hz:
+        return [
+            f"at {left:.4g} Hz what is faster than {left / 2:.4g} Hz appears as slower; lowpass_hz lets up to {map.lowpass_hz:g} Hz "
+            "pass"
+        ]
+    return []
+
+
+def _contact_notes(recording: Recording, wrench: Array, known: Mask, map: Map) -> list[str]:
+    notes = []
+    touched = felt(recording)
+    if not touched.any():
+        notes.append("no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent")
+    further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
+    if not known.all() and further:
+        text = f"{', '.join(further)} are not part of a planar recording, which has fx, fy and mz; all six are needed for the model in space"
+        if known[2] and touched.any():
+            part = np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)
+            worst = float(np.median(part))
+            if worst > _OUT_OF_PLANE:
+                text += f"; fz is {100 * worst:.2g} % of the force in contact, and the planar model takes it for zero"
+        notes.append(text)
+    if map.air == "none" and map.noise_force_N is None:
+        notes.append("nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under [tare]")
+    return notes

@@ -1,0 +1,172 @@
+"""One continuous log cut into sweeps: strokes of the clamp along the x axis of its frame.
+
+Approaches and retracts move along or across the rod in other directions and are left out, and so are rows in which the clamp
+turns.  A stroke without contact is a sweep as well, because it shows that nothing is there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Mask
+from scan3d.reconstruction.resolution import rounding_sd
+
+# The clamp moves along an axis if the direction deviates from it by less than this, in radians.  Larger, oblique approaches
+# count as sweeps; smaller, the jitter of poses interrupts sweeps.
+_ALONG = 0.2
+# Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
+# Larger, slow strokes are lost; smaller, the errors turn the direction.
+_OVER_JITTER = 20.0
+# Motion this many times slower than the usual one is still recognised.  Larger, the clamp counts as moving before it does;
+# smaller, slow sweeps beside fast transfers are lost.
+_SLOWER = 4
+# The usual motion is that of at least this fraction of the rows.
+_USUAL = 0.25
+# Errors of positions below this fraction of the rod's length do not count.
+_EXACT = 1e-9
+# Rows from which the rounding of positions is estimated.
+_ROWS = 20_000
+# A stroke is a sweep if it is at least this fraction of the rod's length, and has so many rows.  Larger, short sweeps past the
+# ends of a body are lost; smaller, turning points count as sweeps.
+_SHORTEST, _FEWEST = 2e-3, 3
+# Strokes are one sweep if the clamp has moved by less than this fraction of the first one between them, or by the jitter.
+_PAUSED = 1e-3
+# The clamp turns if its axes change by more than this many radians over a displacement, and more than by jitter.
+_TURNING = 0.02
+
+
+class Strokes(NamedTuple):
+    """Which stroke each row belongs to."""
+
+    sweep: NDArray[np.int64]
+    """(n,) number of the stroke, -1 outside strokes."""
+    backwards: Mask
+    """(s,) whether the stroke is along +x of the clamp's frame."""
+
+
+def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
+    """The strokes of the clamp along the x axis of its frame, in both directions.
+
+    position, quaternion
+        (n, 3) and (n, 4) poses of the clamp in the world.
+    length
+        of the rod.
+    """
+    n = len(position)
+    jitter = _jitter(position, length)
+    axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, :, 0]
+    lag, moved = _displacements(position, jitter)
+    size = np.linalg.norm(moved, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = (moved * axes).sum(axis=1) / size
+    later = np.minimum(np.arange(n) + lag, n - 1)
+    turned = np.linalg.norm(axes[later] - axes, axis=1)
+    straight = (lag > 0) & (turned < _TURNING + 4 * _second_difference_sd(axes))
+    direction = np.zeros(n, dtype=np.int8)
+    direction[straight & (along < -np.cos(_ALONG))] = -1
+    direction[straight & (along > np.cos(_ALONG))] = 1
+    runs = _joined(_runs(direction, lag), position, jitter)
+    travel = np.array([np.linalg.norm(position[b - 1] - position[a]) for a, b, _ in runs])
+    shortest = max(_SHORTEST * length, _OVER_JITTER * jitter)
+    kept = [run for run, way in zip(runs, travel, strict=True) if way >= shortest and run[1] - run[0] >= _FEWEST]
+    sweep = np.full(n, -1, dtype=np.int64)
+    for number, (start, stop, _) in enumerate(kept):
+        sweep[start:stop] = number
+    return Strokes(sweep, np.array([sign > 0 for *_, sign in kept], dtype=bool))
+
+
+def _second_difference_sd(values: Array) -> float:
+    """Standard deviation of the errors of successive values (n, k), from their second differences."""
+    if len(values) < 3:
+        return 0.0
+    second = np.abs(np.diff(values, n=2, axis=0))
+    # of three independent errors with the weights 1, -2, 1
+    return float(np.median(second, axis=0).max()) * 1.4826 / float(np.sqrt(6))
+
+
+def _jitter(position: Array, length: float) -> float:
+    """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if they count as exact."""
+    some = position[: _ROWS]
+    rounding = max(rounding_sd(column) for column in some.T)
+    error = float(np.hypot(_second_difference_sd(position), rounding))
+    return error if error > _EXACT * length else 0.0
+
+
+def _displacements(position: Array, jitter: float) -> tuple[NDArray[np.intp], Array]:
+    """Rows (n,) after which the clamp has moved by many times the jitter, 0 where it stands, and the displacements (n, 3)."""
+    n = len(position)
+    lag, moved = np.zeros(n, dtype=np.intp), np.zeros((n, 3))
+    window, largest = 1, 1 if jitter == 0 else n // 8
+    while window <= largest and window < n:
+        step = position[window:] - position[:-window]
+        far = np.linalg.norm(step, axis=1) > _OVER_JITTER * jitter
+        new = np.flatnonzero(far & (lag[:-window] == 0))
+        lag[new], moved[new] = window, step[new]
+        if far.mean() >= _USUAL:
+            largest = min(largest, _SLOWER * window)
+        window *= 2
+    return lag, moved
+
+
+def _runs(direction: NDArray[np.int8], lag: NDArray[np.intp]) -> list[tuple[int, int, int]]:
+    """Runs of rows that begin or end a displacement in one direction: first row, the one after the last, and the sign."""
+    edges = np.flatnonzero(np.diff(direction)) + 1
+    bounds = [0, *edges.tolist(), len(direction)]
+    found: list[tuple[int, int, int]] = []
+    for start, stop in zip(bounds[:-1], bounds[1:]):
+        if direction[start]:
+            found.append((start, stop + int(lag[stop - 1]), int(direction[start])))
+    # a row at a turning point ends one stroke and begins another one, which gets it
+    for k in range(len(found) - 1):
+        start, stop, sign = found[k]
+        if found[k + 1][2] != sign:
+            found[k] = start, min(stop, found[k + 1][0]), sign
+    return found
+
+
+def _joined(runs: list[tuple[int, int, int]], position: Array, jitter: float) -> list[tuple[int, int, int]]:
+    """The runs, those of one direction joined between which the clamp only paused."""
+    joined: list[tuple[int, int, int]] = []
+    for start, stop, sign in runs:
+        if joined and joined[-1][2] == sign:
+            first, last, _ = joined[-1]
+            travel = float(np.linalg.norm(position[last - 1] - position[first]))
+            between = position[min(last, start) - 1 : max(last, start) + 1]
+            away = float(np.ptp(between, axis=0).max()) if len(between) else 0.0
+            step = float(np.linalg.norm(position[min(start + 1, len(position) - 1)] - position[start]))
+            if start <= last or away <= max(_PAUSED * travel, 6 * jitter, 2 * step):
+                joined[-1] = first, max(stop, last), sign
+                continue
+        joined.append((start, stop, sign))
+    return joined
+
+
+def numbered(sweep: NDArray[np.int64], sweeping: Mask) -> NDArray[np.int64]:
+    """Numbers (n,) of the sweeps of a log with given moves: -1 outside of them."""
+    return np.where(sweeping, sweep, -1)
+
+
+def runs_of(sweeping: Mask) -> NDArray[np.int64]:
+    """Number (n,) of each run of rows in which the robot sweeps, -1 between runs."""
+    starts = np.diff(np.concatenate([[False], sweeping]).astype(np.int8)) == 1
+    return np.where(sweeping, np.cumsum(starts) - 1, -1)
+
+
+def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> Array:
+    """Angle (s,) in radians of each sweep's travel to the -x axis of the clamp; NaN for one without travel."""
+    if not (sweep >= 0).any():
+        return np.empty(0)
+    rows = np.flatnonzero(sweep >= 0)
+    _, first = np.unique(sweep[rows], return_index=True)
+    _, last = np.unique(sweep[rows][::-1], return_index=True)
+    first, last = rows[first], rows[::-1][last]
+    travel = position[last] - position[first]
+    axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix()[:, :, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = -(travel * axes).sum(axis=1) / np.linalg.norm(travel, axis=1)
+    angle: Array = np.arccos(np.clip(cosine, -1, 1))
+    return angle

@@ -1,0 +1,322 @@
+"""Stretches in the air, in which the rod touches nothing: the zero of the sensor, its drift, and its noise.
+
+In the air a wrench is the sensor's zero plus noise.  The zero drifts slowly; between the stretches it is interpolated linearly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from scan3d.arrays import Array, Mask
+from scan3d.errors import InputError
+
+# Standard deviation over the median of the absolute deviations of a normal distribution.
+_SD_OVER_MAD = 1.4826
+# The zero is looked for within this fraction of the range of the forces, and of that of the moments.  Larger, light contacts
+# count as air at first; smaller, a zero that drifts is lost.
+_NEAR = 0.02
+# Standard deviations of the noise that a row in the air may deviate.  Larger, the beginnings of contacts count as air; smaller,
+# the noise is understated.
+_SIGMAS = 4.0
+# Rows among which the most frequent wrench is looked for, evenly spread.  More take longer; fewer may miss short stretches.
+_SAMPLED = 1500
+# Windows in which the zero is followed.  More follow faster drift; fewer find more air in each.
+_WINDOWS = 60
+# Rows of a stretch at least, and rows of single disturbances within one.
+_FEWEST, _DISTURBED = 5, 2
+# Fraction of a stretch that is left out at each of its ends, where contact may begin below the noise.
+_MARGIN = 0.05
+# A stretch is no air if its zero deviates from that between its neighbours by more than this many times the usual deviation.
+# Larger, grazing contact of constant force counts as air; smaller, a zero that jumps is not followed.
+_OUTLYING = 6.0
+# A slope counts within a stretch if it exceeds this many standard errors.
+_SLOPING = 4.0
+# Rows over which light contact is distinguished from noise by its mean.
+_AVERAGED = 15
+# Fraction of the rows in the air that the second pass must find again.
+_MOST = 0.8
+# Rounding, relative to the range of a channel.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Air:
+    """The sensor's zero over a log."""
+
+    stretches: tuple[tuple[int, int], ...]
+    """First row of each stretch, and the one after its last."""
+    zero: Array
+    """(n, c) of each row."""
+    noise: Array
+    """(c,) standard deviation in the air; 0 where it is no more than rounding."""
+    rows: Mask
+    """(n,) rows in the air."""
+
+    @property
+    def drift(self) -> Array:
+        """(c,) largest difference of the zero."""
+        return np.ptp(self.zero, axis=0) if len(self.zero) else np.zeros(self.zero.shape[1])
+
+
+def tare(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -> Air:
+    """The zero of a wrench (n, c) at times (n,) by its stretches in the air, which follow one another."""
+    scale = np.ptp(wrench, axis=0) + np.abs(wrench).max(axis=0) * _ROUNDING
+    knots, levels, residuals, rows = [], [], [], np.zeros(len(wrench), dtype=bool)
+    for start, stop in stretches:
+        time, values, kept = _line(clock[start:stop], wrench[start:stop], scale)
+        knots += time
+        levels += values
+        residuals.append(kept - np.median(kept, axis=0))
+        rows[start:stop] = True
+    noise = robust_sd(np.concatenate(residuals))
+    zero = _interpolated(clock, np.array(knots), np.array(levels))
+    return Air(tuple(stretches), zero, np.where(noise > _ROUNDING * scale, noise, 0.0), rows)
+
+
+def _interpolated(clock: Array, at: Array, level: Array) -> Array:
+    """Levels (k, c) at times (k,) interpolated at the times of a log; beyond them continued, as far as they reach at most."""
+    first, last = at[0], at[-1]
+    if len(at) > 1 and last > first:
+        reach = last - first
+        # through the level a quarter of the log away: that of a neighbour may be too close to give a slope
+        for end, near, inner in ((clock[0], first, first + reach / 4), (clock[-1], last, last - reach / 4)):
+            away = float(end - near)
+            if 0 < abs(away) <= reach / 4:
+                known = np.array([np.interp([near, inner], at, column) for column in level.T])
+                beyond = known[:, 0] + (known[:, 0] - known[:, 1]) * abs(away) / (reach / 4)
+                at, level = (
+                    (np.insert(at, 0, end), np.vstack([beyond, level])) if away < 0 else (np.append(at, end), np.vstack([level, beyond]))
+                )
+    return np.stack([np.interp(clock, at, column) for column in level.T], axis=1)
+
+
+def _line(time: Array, values: Array, scale: Array) -> tuple[list[float], list[Array], Array]:
+    """The knots of the zero within a stretch, their values, and the residuals (m, c) of its rows.
+
+    There is one knot in the middle, or two at the ends if the zero drifts within the stretch.
+    """
+    middle = float(time.mean())
+    centred = time - middle
+    spread = float((centred**2).sum())
+    level = values.mean(axis=0)
+    if spread == 0 or len(time) < _FEWEST:
+        return [middle], [level], values - level
+    slope = (centred[:, None] * values).sum(axis=0) / spread
+    residual = values - level - slope * centred[:, None]
+    error = np.sqrt((residual**2).sum(axis=0) / (len(time) - 2) / spread)
+    counts = (np.abs(slope) > _SLOPING * error) & (np.abs(slope) * np.ptp(time) > _ROUNDING * scale)
+    if not counts.any():
+        return [middle], [level], values - level
+    slope = np.where(counts, slope, 0.0)
+    ends = [float(time[0]), float(time[-1])]
+    return ends, [level + slope * (end - middle) for end in ends], values - level - slope * centred[:, None]
+
+
+def robust_sd(residuals: Array) -> Array:
+    """Standard deviations (c,) of residuals (m, c), most of which are noise; also of noise that few steps resolve."""
+    absolute = np.abs(residuals)
+    mad = _SD_OVER_MAD * np.median(absolute, axis=0)
+    # steps of a converter make more than half of the residuals equal
+    limit = 3 * np.maximum(mad, _SD_OVER_MAD * np.percentile(absolute, 90, axis=0))
+    inside = absolute <= limit
+    count = np.maximum(inside.sum(axis=0), 1)
+    rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / count)
+    coarse = np.array([len(np.unique(column[:2000])) < 8 for column in residuals.T])
+    return np.where((mad == 0) | coarse, rms, mad)
+
+
+def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: str) -> list[tuple[int, int]]:
+    """The rows of stretches that are given in seconds.  Raises InputError for a stretch without rows."""
+    found = []
+    for start, end in sorted(intervals):
+        first, last = (int(np.searchsorted(clock, time, side)) for time, side in ((start, "left"), (end, "right")))
+        if last <= first:
+            raise InputError(
+                f"{where} has no row from {start:g} s to {end:g} s, which [tare] air of the map names; the table covers "
+                f"{clock[0]:g} s to {clock[-1]:g} s"
+            )
+        found.append((first, last))
+    for (_, stop), (begin, _) in zip(found, found[1:]):
+        if begin < stop:
+            raise InputError(f"{where}: the stretches of [tare] air overlap at {clock[begin]:g} s; join or shorten them")
+    return found
+
+
+def find_air(wrench: Array, clock: Array, where: str) -> list[tuple[int, int]]:
+    """The stretches of a wrench (n, c), forces first, in the air: where it keeps the value that it has most often.
+
+    Raises InputError if there is no such stretch.
+    """
+    channels = np.ptp(wrench, axis=0) > 0
+    near_rows = np.ones(len(wrench), dtype=bool)
+    if channels.any():
+        values = wrench[:, channels]
+        scale = _scales(wrench)[channels]
+        zero = _followed(values / scale, clock)
+        near_rows = (np.abs(values / scale - zero) <= 1).all(axis=1)
+    stretches = _consistent(wrench, clock, _refined(wrench, clock, _runs(near_rows)))
+    again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
+    # the second pass finds more, unless the zero drifts in a way that it does not follow
+    if sum(b - a for a, b in again) >= _MOST * sum(b - a for a, b in stretches):
+        stretches = again
+    if not stretches:
+        raise InputError(
+            f"{where}: no stretch is found in which the rod is in the air, so that force and moment can't be tared; state such "
+            'stretches as [tare] air = [[from_s, to_s]] in the map, or air = "none" if they are tared already'
+        )
+    return stretches
+
+
+def _scales(wrench: Array) -> Array:
+    """(c,) deviations within which a channel counts as near its zero: a fraction of the range, or the noise."""
+    steps = np.abs(np.diff(wrench, axis=0)) if len(wrench) > 1 else np.zeros((1, wrench.shape[1]))
+    # the quartile of |x| is 0.3186 standard deviations, and those of differences are √2 times as large
+    noise = np.percentile(steps, 25, axis=0) / (0.3186 * np.sqrt(2))
+    reach = np.ptp(wrench, axis=0)
+    half = wrench.shape[1] // 2
+    group = np.concatenate([np.full(half, reach[:half].max()), np.full(len(reach) - half, reach[half:].max())])
+    scale: Array = np.maximum(_NEAR * group, _SIGMAS * noise)
+    return scale
+
+
+def _followed(scaled: Array, clock: Array) -> Array:
+    """The zero (n, c) of a wrench in units of its scales, roughly: most frequent value, followed from window to window."""
+    some = scaled[np.linspace(0, len(scaled) - 1, min(len(scaled), _SAMPLED)).astype(np.intp)]
+    count = np.zeros(len(some), dtype=np.intp)
+    for k, row in enumerate(some):
+        count[k] = (np.abs(some - row) <= 1).all(axis=1).sum()
+    start = np.median(some[(np.abs(some - some[np.argmax(count)]) <= 1).all(axis=1)], axis=0)
+    edges = np.linspace(0, len(scaled), min(_WINDOWS, len(scaled)) + 1).astype(np.intp)
+    windows = list(zip(edges[:-1], edges[1:]))
+    near = [int((np.abs(scaled[a:b] - start) <= 1).all(axis=1).sum()) for a, b in windows]
+    levels = np.empty((len(windows), scaled.shape[1]))
+    best = int(np.argmax(near))
+    for order in (range(best, len(windows)), range(best, -1, -1)):
+        level = start
+        for k in order:
+            a, b = windows[k]
+            inside = scaled[a:b][(np.abs(scaled[a:b] - level) <= 1).all(axis=1)]
+            level = np.median(inside, axis=0) if len(inside) >= _FEWEST else level
+            levels[k] = level
+    middle = [float(clock[(a + b - 1) // 2]) for a, b in windows]
+    return np.stack([np.interp(clock, middle, column) for column in levels.T], axis=1)
+
+
+def _runs(near: Mask) -> list[tuple[int, int]]:
+    """The runs of rows near the zero, single disturbed rows within them included."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(np.int8)))
+    runs: list[tuple[int, int]] = []
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if runs and start - runs[-1][1] <= _DISTURBED:
+            runs[-1] = runs[-1][0], stop
+        else:
+            runs.append((start, stop))
+    return [(start, stop) for start, stop in runs if stop - start >= _FEWEST]
+
+
+def _refined(wrench: Array, clock: Array, runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The runs without the rows at their ends that deviate from a line by more than the noise of all runs."""
+    if not runs:
+        return []
+    lines = [_robust_line(clock[a:b], wrench[a:b]) for a, b in runs]
+    noise = np.median([_SD_OVER_MAD * np.median(np.abs(line), axis=0) for line in lines], axis=0)
+    step = np.array([_step(np.concatenate([wrench[a:b, k] for a, b in runs])) for k in range(wrench.shape[1])])
+    limit = _SIGMAS * noise + step + _ROUNDING * np.abs(wrench).max(axis=0)
+    found = []
+    for (start, _), line in zip(runs, lines, strict=True):
+        inside = (np.abs(line) <= limit).all(axis=1)
+        parts = _runs(inside)
+        if not parts:
+            continue
+        first, last = max(parts, key=lambda part: part[1] - part[0])
+        found.append(_trimmed(start + first, start + last))
+    return found
+
+
+def _within_noise(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The stretches whose rows, and whose means over some rows, differ from the zero of first stretches by noise only."""
+    first = tare(wrench, clock, stretches)
+    deviation = np.abs(wrench - first.zero)
+    level = np.array([np.median(wrench[a:b] - first.zero[a:b], axis=0) for a, b in stretches])
+    slack = _OUTLYING * _SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
+    step = np.array([_step(wrench[first.rows, k]) for k in range(wrench.shape[1])])
+    single = (deviation <= _SIGMAS * first.noise + step + slack).all(axis=1)
+    if len(wrench) <= _AVERAGED:
+        return [_trimmed(a, b) for a, b in _runs(single)]
+    mean = uniform_filter1d(wrench - first.zero, _AVERAGED, axis=0, mode="nearest")
+    # where some of the rows are in contact, the mean says nothing about the others
+    light = (np.abs(mean) > _SIGMAS * first.noise / np.sqrt(_AVERAGED) + step + slack).any(axis=1)
+    crowded = uniform_filter1d(single.astype(np.float64), _AVERAGED, mode="nearest") > 1 - 0.5 / _AVERAGED
+    return [_trimmed(a, b) for a, b in _runs(single & ~(light & crowded))]
+
+
+def _trimmed(start: int, stop: int) -> tuple[int, int]:
+    """A stretch without its margins."""
+    margin = round(_MARGIN * (stop - start)) if stop - start > 2 * _FEWEST else 0
+    return start + margin, stop - margin
+
+
+def _robust_line(time: Array, values: Array) -> Array:
+    """The residuals (m, c) from a line through the medians of both halves, fitted again to the rows close to it."""
+    half = len(time) // 2
+    early, late = np.median(values[:half], axis=0), np.median(values[-half:], axis=0)
+    span = float(np.median(time[-half:]) - np.median(time[:half]))
+    slope = (late - early) / span if span > 0 else np.zeros(values.shape[1])
+    residual = values - slope * time[:, None]
+    residual -= np.median(residual, axis=0)
+    for _ in range(3):
+        mad = _SD_OVER_MAD * np.median(np.abs(residual), axis=0)
+        kept = (np.abs(residual) <= _SIGMAS * mad).all(axis=1)
+        centred = time - time[kept].mean() if kept.any() else time
+        spread = float((centred[kept] ** 2).sum()) if kept.any() else 0.0
+        if kept.sum() < _FEWEST or spread == 0:
+            break
+        slope = (centred[kept, None] * residual[kept]).sum(axis=0) / spread
+        residual = residual - residual[kept].mean(axis=0) - slope * centred[:, None]
+    return residual
+
+
+def _step(values: Array) -> float:
+    """The step of a converter that a channel shows: the smallest difference of its values where there are few of them."""
+    distinct = np.unique(values[:: max(1, len(values) // 4000)])
+    return float(np.diff(distinct).min()) if 1 < len(distinct) < 200 else 0.0
+
+
+def _consistent(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The stretches whose zero agrees with that between their neighbours."""
+    if len(stretches) < 4:
+        return stretches
+    level = np.array([np.median(wrench[a:b], axis=0) for a, b in stretches])
+    time = np.array([clock[a:b].mean() for a, b in stretches])
+    count: NDArray[np.int64] = np.array([b - a for a, b in stretches])
+    reach = np.ptp(wrench, axis=0) * _ROUNDING
+    kept = np.arange(len(stretches))
+    for _ in range(len(stretches)):
+        if len(kept) < 4:
+            break
+        deviation = _from_neighbours(time[kept], level[kept])
+        usual = _SD_OVER_MAD * np.median(np.abs(deviation), axis=0)
+        # shorter stretches have less certain zeros
+        weight = np.sqrt(np.maximum(np.median(count[kept]) / count[kept], 1.0))[:, None]
+        excess = (np.abs(deviation) / (_OUTLYING * usual * weight + reach + np.finfo(float).tiny)).max(axis=1)
+        if excess.max() <= 1:
+            break
+        kept = np.delete(kept, int(np.argmax(excess)))
+    return [stretches[k] for k in kept]
+
+
+def _from_neighbours(time: Array, level: Array) -> Array:
+    """Deviations (k, c) of levels from lines through their neighbours on both sides; at the ends from the next two."""
+    index = np.arange(len(time))
+    before = np.clip(index - 1, 0, None)
+    before[0] = 1
+    after = np.clip(index + 1, None, len(time) - 1)
+    after[0], before[-1], after[-1] = 2, len(time) - 2, len(time) - 3
+    span = time[after] - time[before]
+    part = ((time - time[before]) / np.where(span == 0, 1.0, span))[:, None]
+    deviation: Array = level - level[before] - part * (level[after] - level[before])
+    return deviation
