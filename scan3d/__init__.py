@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from scan3d.comparison import Comparison, compare
     from scan3d.errors import InputError
     from scan3d.files.recordings import read_recording, write_recording
+    from scan3d.laboratory.importing import import_table
     from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
     from scan3d.reconstruction import reconstruct
@@ -42,6 +43,7 @@ _HOME = {
     "Recording": "recording",
     "Rod": "rods",
     "compare": "comparison",
+    "import_table": "laboratory.importing",
     "load_mesh": "simulation.bodies",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
@@ -59,6 +61,7 @@ __all__ = [
     "Recording",
     "Rod",
     "compare",
+    "import_table",
     "load_mesh",
     "plot",
     "read_recording",

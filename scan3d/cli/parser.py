@@ -11,6 +11,7 @@ from dataclasses import fields
 from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
+from scan3d.cli import laboratory_parser
 from scan3d.cli.settings import Settings
 from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
@@ -22,6 +23,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d scan part.stl --out out --friction 0.0:0.4        the friction is drawn separately for every sample
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
   scan3d reconstruct log.csv --out out --truth part.stl    only the reconstruction, compared with the true body
+  scan3d import raw.csv --map rig.toml --out log.csv       a laboratory's table becomes a recording
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
   scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
@@ -142,7 +144,7 @@ def parser() -> argparse.ArgumentParser:
 
     reconstruct = commands.add_parser("reconstruct", help="step 2 only, from a simulated or measured recording")
     reconstruct.add_argument(
-        "recording", metavar="REC", help="the .csv of a recording; its .toml is in the same folder"
+        "recording", metavar="REC", help="the .csv or .parquet of a recording; its .toml is in the same folder"
     )
     reconstruct.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     reconstruct.add_argument("--truth", metavar="MESH", help="mesh of the true body, to compare the surface with")
@@ -164,6 +166,10 @@ def parser() -> argparse.ArgumentParser:
     _add_output(reconstruct)
     _add_strict(reconstruct)
     reconstruct.set_defaults(command="reconstruct")
+
+    imported = laboratory_parser.add_import(commands)
+    _add_overwrite(imported)
+    _add_output(imported)
 
     compare = commands.add_parser("compare", help="Hausdorff distance and other measures of two meshes")
     compare.add_argument("first", metavar="A", help="a mesh, such as a reconstructed surface")
@@ -241,7 +247,7 @@ def parser() -> argparse.ArgumentParser:
     completion.add_argument("shell", metavar="SHELL", choices=SHELLS, help=one_of(SHELLS))
     completion.set_defaults(command="completion")
 
-    for name, text in _EXAMPLES.items():
+    for name, text in (_EXAMPLES | laboratory_parser.EXAMPLES).items():
         commands.choices[name].epilog = f"examples:\n{text}"
         commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter
     return top

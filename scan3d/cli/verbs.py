@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from scan3d.cli.laboratory import import_
 from scan3d.cli.settings import Settings, settings
 from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
 from scan3d.errors import InputError
@@ -195,7 +196,7 @@ def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
         scene, report = stored.read_folder(path, unit)
         truth = truth or stored.find_truth(path, report)
         hull = hull or bool((report.get("settings") or {}).get("hull"))
-    elif path.suffix.lower() == ".csv":
+    elif path.suffix.lower() in (".csv", ".parquet"):
         scene = _recording_scene(path)
     else:
         stored_scene = stored.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
@@ -259,6 +260,7 @@ VERBS: dict[str, Callable[[Namespace], int]] = {
     "scan": scan,
     "simulate": simulate,
     "reconstruct": reconstruct,
+    "import": import_,
     "compare": compare,
     "show": show,
     "export": export,
