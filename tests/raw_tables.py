@@ -125,6 +125,10 @@ def map_of(rod, rig, euler="xyz", **sections):
         },
         "units": {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"},
         "sensor": {"position_mm": list(rig.position_mm), "euler_deg": list(rig.turn_deg), "shows": rig.shows},
-        "rod": {"length_m": rod.length_m, "bending_stiffness_Nm2": rod.bending_stiffness_Nm2, "diameter_m": rod.diameter_m},
+        "rod": {
+            "length_m": rod.length_m,
+            "bending_stiffness_Nm2": rod.bending_stiffness_Nm2,
+            "diameter_m": rod.diameter_m,
+        },
     }
     return data | sections

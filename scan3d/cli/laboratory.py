@@ -76,7 +76,12 @@ def _guess(arguments: Namespace) -> int:
 
 
 def _print_import(
-    arguments: Namespace, data: dict[str, Any], facts: list[tuple[str, str]], header: list[str], rows: list[list[str]], page: str
+    arguments: Namespace,
+    data: dict[str, Any],
+    facts: list[tuple[str, str]],
+    header: list[str],
+    rows: list[list[str]],
+    page: str,
 ) -> None:
     written = [("written to", path) for path in (data["recording"], page) if path]
     text = table(f"{data['table']}, imported", [*facts, *written], sys.stdout)
@@ -88,7 +93,8 @@ def _print_import(
 def _aligned(header: list[str], rows: list[list[str]]) -> str:
     widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
     return "\n".join(
-        printable("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))) for row in [header, *rows]
+        printable("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
+        for row in [header, *rows]
     )
 
 
@@ -105,7 +111,14 @@ def _first_rows(raw: RawTable, imported: Imported) -> tuple[list[str], list[list
         made = [*recording.force_N[k], recording.moment_Nm[k]]
         line = str(int(log.row[source]) + (raw.first or 1))
         rows.append(
-            [line, *shown, "→", str(recording.sweep[k]), *(f"{value:.4f}" for value in pose), *(f"{value:.4g}" for value in made)]
+            [
+                line,
+                *shown,
+                "→",
+                str(recording.sweep[k]),
+                *(f"{value:.4f}" for value in pose),
+                *(f"{value:.4g}" for value in made),
+            ]
         )
     return header, rows
 
@@ -117,13 +130,18 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     left_out = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items() if count) or "none"
     rows = [
         ("table", f"{done.rows} rows{rate}"),
-        ("recording", f"{done.samples} samples in {done.sweeps} sweeps, {done.sweeps_with_contact} of them with contact"),
+        (
+            "recording",
+            f"{done.samples} samples in {done.sweeps} sweeps, {done.sweeps_with_contact} of them with contact",
+        ),
         ("left out", left_out),
         ("axes", "six, for the model in space" if done.six_axis else "three, for the planar model"),
     ]
     if done.air:
         unit = "s" if done.rate_hz is not None else "rows"
-        some = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in done.air[:_LISTED]) + (", ..." if len(done.air) > _LISTED else "")
+        some = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in done.air[:_LISTED]) + (
+            ", ..." if len(done.air) > _LISTED else ""
+        )
         force, moment = (max(abs(x) for x in part) for part in (done.zero[:3], done.zero[3:]))
         change = tuple(max(part) for part in (done.drift[:3], done.drift[3:]))
         rows += [

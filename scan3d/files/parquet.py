@@ -17,7 +17,7 @@ _MISSING = "Parquet files need pyarrow: pip install 'scan3d[parquet]', or take a
 
 
 def read_columns(path: Path) -> dict[str, NDArray[Any]]:
-    """The columns (n,) of a Parquet file by name: numbers as float64 (NaN where there is none), times in seconds, others as text.
+    """The columns (n,) of a Parquet file by name: numbers as float64 (NaN where there is none), times in seconds, or text.
 
     Raises InputError if pyarrow is missing or can't read the file, and OSError.
     """

@@ -95,8 +95,14 @@ def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     """The columns (n,) of the table of a recording by name."""
-    values = [recording.sweep, *recording.position_m.T, *recording.quaternion.T, *recording.force_N.T, recording.moment_Nm]
-    names = COLUMNS
+    values = [
+        recording.sweep,
+        *recording.position_m.T,
+        *recording.quaternion.T,
+        *recording.force_N.T,
+        recording.moment_Nm,
+    ]
+    names: tuple[str, ...] = COLUMNS
     if recording.six_axis:
         values += [getattr(recording, field) for field in SIX_AXES.values()]
         names = (*COLUMNS, *SIX_AXES)
@@ -186,7 +192,9 @@ def _parquet_table(path: Path, stored: Path) -> dict[str, Array]:
     columns = _known_columns(path, list(table))
     for name in columns:
         if table[name].dtype.kind != "f":
-            raise InputError(f"{path.name}: the column {name} holds text such as {table[name][0]!r}, where numbers are expected")
+            raise InputError(
+                f"{path.name}: the column {name} holds text such as {table[name][0]!r}, where numbers are expected"
+            )
     return {name: table[name] for name in columns}
 
 

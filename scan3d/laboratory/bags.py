@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from scan3d.arrays import Array
@@ -26,7 +27,7 @@ NAMES = ("t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty
 class _Poses(NamedTuple):
     """Poses at times in ns (k,): positions (k, 3) and orientations (k, 4), w first."""
 
-    time: Array
+    time: NDArray[np.int64]
     position: Array
     quaternion: Array
 
@@ -56,9 +57,13 @@ def read_bag(path: str | Path, topics: Topics) -> RawTable:
                 poses = _stamped(reader, _topic(path.name, reader, _POSE, topics.pose, "pose"))
     except (AnyReaderError, OSError) as error:
         raise InputError(f"can't read the bag {path}: {error}") from None
-    covered = (stamps >= poses.time[0]) & (stamps <= poses.time[-1]) if len(poses.time) > 1 else np.ones(len(stamps), bool)
+    covered = (
+        (stamps >= poses.time[0]) & (stamps <= poses.time[-1]) if len(poses.time) > 1 else np.ones(len(stamps), bool)
+    )
     if not covered.any():
-        raise InputError(f"{path.name}: the poses and the wrenches have no time in common; check the clocks, and [ros] of the map")
+        raise InputError(
+            f"{path.name}: the poses and the wrenches have no time in common; check the clocks, and [ros] of the map"
+        )
     stamps, values = stamps[covered], values[covered]
     position, quaternion = _at(poses, stamps)
     seconds = (stamps - stamps[0]) * 1e-9
@@ -80,7 +85,7 @@ def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
         which = f"has several topics of {kind}: {', '.join(found)}" if found else f"has no topic of {kind}"
         further = ", or the frames of tf as tf = ['world', 'clamp']" if entry == "pose" else ""
         raise InputError(f"{name} {which}; name one as {entry} under [ros] of the map{further}")
-    return found[0]
+    return str(found[0])
 
 
 def _messages(reader: Any, topic: str) -> Any:
@@ -95,7 +100,7 @@ def _stamp(message: Any, received: int) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec) or received
 
 
-def _wrenches(reader: Any, topic: str) -> tuple[Array, Array]:
+def _wrenches(reader: Any, topic: str) -> tuple[NDArray[np.int64], Array]:
     stamps, values = [], []
     for received, message in _messages(reader, topic):
         force, torque = message.wrench.force, message.wrench.torque
@@ -105,7 +110,8 @@ def _wrenches(reader: Any, topic: str) -> tuple[Array, Array]:
 
 
 def _stamped(reader: Any, topic: str) -> _Poses:
-    stamps, values = [], []
+    stamps: list[int] = []
+    values: list[tuple[float, ...]] = []
     for received, message in _messages(reader, topic):
         position, turn = message.pose.position, message.pose.orientation
         stamps.append(_stamp(message, received))
@@ -131,7 +137,7 @@ def _by_tf(name: str, reader: Any, world: str, clamp: str) -> _Poses:
                 edge = edges.setdefault(child, (parent, [], []))
                 edge[1].append(_stamp(one, received))
                 edge[2].append((shift.x, shift.y, shift.z, turn.w, turn.x, turn.y, turn.z))
-    chain = []
+    chain: list[_Poses] = []
     frame = clamp.lstrip("/")
     while frame != world.lstrip("/") and frame in edges and len(chain) <= len(edges):
         chain.append(_poses(*edges[frame][1:]))
@@ -156,7 +162,7 @@ def _by_tf(name: str, reader: Any, world: str, clamp: str) -> _Poses:
     return _Poses(time, position, turn.as_quat(scalar_first=True))
 
 
-def _at(poses: _Poses, time: Array) -> tuple[Array, Array]:
+def _at(poses: _Poses, time: NDArray[np.int64]) -> tuple[Array, Array]:
     """Positions (n, 3) and orientations (n, 4) at times (n,) in ns; a single pose holds for all times."""
     if len(poses.time) == 1:
         return np.repeat(poses.position, len(time), axis=0), np.repeat(poses.quaternion, len(time), axis=0)

@@ -104,13 +104,14 @@ class _Finder:
         if isinstance(reference, int):
             if reference > count:
                 raise InputError(
-                    f"{self.table.name} has {count} columns, and {self._entry(entry)} names column {reference}; correct the map"
+                    f"{self.table.name} has {count} columns, and {self._entry(entry)} names column {reference}; correct "
+                    "the map"
                 )
             return reference - 1, 1.0
         if not names:
             raise InputError(
-                f"{self.table.name} has no line with names, and {self._entry(entry)} names {reference!r}; give the number of the "
-                "column, from 1, or the line of the names as header under [table]"
+                f"{self.table.name} has no line with names, and {self._entry(entry)} names {reference!r}; give the number of "
+                "the column, from 1, or the line of the names as header under [table]"
             )
         found = [k for k, name in enumerate(names) if name == reference]
         if not found and any(sign in reference for sign in "*?"):
@@ -131,8 +132,8 @@ class _Finder:
         if found:
             numbers = ", ".join(str(k + 1) for k in found)
             return (
-                f"{where} has {len(found)} columns {reference!r} (numbers {numbers}), where {self._entry(entry)} means one; give "
-                "its number"
+                f"{where} has {len(found)} columns {reference!r} (numbers {numbers}), where {self._entry(entry)} means one; "
+                "give its number"
             )
         names = self.table.names
         listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
@@ -182,9 +183,11 @@ class _Finder:
         if orientation.kind == "euler":
             # scipy takes single angles without their axis
             angles = values if len(orientation.convention) > 1 else values[:, 0]
-            return Rotation.from_euler(orientation.convention, angles).as_quat(scalar_first=True)
+            turned: Array = Rotation.from_euler(orientation.convention, angles).as_quat(scalar_first=True)
+            return turned
         if orientation.kind == "rotvec":
-            return Rotation.from_rotvec(values).as_quat(scalar_first=True)
+            by_vector: Array = Rotation.from_rotvec(values).as_quat(scalar_first=True)
+            return by_vector
         length = np.linalg.norm(values, axis=1)
         worst = int(np.argmax(np.abs(length - 1)))
         if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
@@ -205,7 +208,8 @@ class _Finder:
         if values.dtype.kind != "f" and len(values) and "-" in str(values[0])[1:]:
             try:
                 stamps = values.astype(str).astype("datetime64[ns]")
-                return (stamps - stamps[0]).astype(np.int64) * 1e-9
+                seconds: Array = (stamps - stamps[0]).astype(np.int64) * 1e-9
+                return seconds
             except ValueError:
                 pass
         return self.numbers(reference, "time", "time", gaps)
@@ -226,8 +230,8 @@ class _Finder:
         if bad.any():
             row = int(np.argmax(bad))
             raise InputError(
-                f"{self.table.place(row)} has {values[row]:g} in {self.table.title(found[0])}, where the whole number of a sweep "
-                "is expected"
+                f"{self.table.place(row)} has {values[row]:g} in {self.table.title(found[0])}, where the whole number of a "
+                "sweep is expected"
             )
         return np.maximum(whole, -1.0).astype(np.int64)
 
@@ -260,8 +264,8 @@ class _Finder:
                 unit = next(unit for unit, value in FACTORS[quantity].items() if value == factor)
                 where = f": line {line}" if line else ""
                 raise InputError(
-                    f"{self.table.name}{where} says that {self.table.title(column)} is in {stated[1]}, and [units] {quantity} of "
-                    f"{self.map.name} says {unit}; correct the one that is wrong"
+                    f"{self.table.name}{where} says that {self.table.title(column)} is in {stated[1]}, and [units] {quantity} "
+                    f"of {self.map.name} says {unit}; correct the one that is wrong"
                 )
 
 
@@ -273,22 +277,27 @@ def _check_time(log: Log, table: RawTable) -> None:
     if (steps < 0).any():
         k = int(np.argmax(steps < 0))
         raise InputError(
-            f"{table.place(int(log.row[k + 1]))} has a time {-steps[k]:.6g} s before that of the row above, in {int((steps < 0).sum())} "
-            f"of {len(log)} rows time runs backwards; check the column of the time, and sort or separate the rows"
+            f"{table.place(int(log.row[k + 1]))} has a time {-steps[k]:.6g} s before that of the row above, and time runs "
+            f"backwards in {int((steps < 0).sum())} of {len(log)} rows; check the column of the time, and sort or separate the rows"
         )
     if not steps.any():
-        raise InputError(f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map")
+        raise InputError(
+            f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
+        )
 
 
 def _check_wrench(log: Log, table: RawTable, finder: _Finder) -> None:
     """Raise InputError if all forces, or all moments, are zero."""
     columns = finder.map.columns
-    for name, references, part in (("force", columns.force, log.wrench[:, :3]), ("moment", columns.moment, log.wrench[:, 3:])):
+    for name, references, part in (
+        ("force", columns.force, log.wrench[:, :3]),
+        ("moment", columns.moment, log.wrench[:, 3:]),
+    ):
         if part.any():
             continue
         found = [finder.find(one, name) for one in finder.expanded(references, 3, name)]
         titles = ", ".join(table.title(one[0]) for one in found if one)
         raise InputError(
-            f"{table.place(int(log.row[0]))} and all {len(log) - 1} rows below have zero in {titles}: nothing was measured; check "
-            f"[columns] {name} of {finder.map.name}, and the sensor"
+            f"{table.place(int(log.row[0]))} and all {len(log) - 1} rows below have zero in {titles}: nothing was measured; "
+            f"check [columns] {name} of {finder.map.name}, and the sensor"
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +29,7 @@ _FEW, _MOST = 0.5, 0.9
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
-def check_directions(
-    table: RawTable, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array
-) -> None:
+def check_directions(table: RawTable, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array) -> None:
     """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame."""
     angle = segments.travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
@@ -81,7 +80,7 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
     """Other ways to read the orientation, with the words for them."""
     orientation = map.columns.orientation
 
-    def changed(**fields: str) -> Map:
+    def changed(**fields: Any) -> Map:
         return replace(map, columns=replace(map.columns, orientation=replace(orientation, **fields)))
 
     if orientation.kind == "quaternion":
@@ -96,8 +95,9 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
                 yield f'the convention is "{other}"', changed(convention=other)
     for unit, factor in (("deg", np.pi / 180), ("rad", 1.0)):
         if map.factors["angle"] != factor:
-            yield f'the angles are in {unit}, angle = "{unit}" under [units]', replace(
-                map, factors={**map.factors, "angle": factor}
+            yield (
+                f'the angles are in {unit}, angle = "{unit}" under [units]',
+                replace(map, factors={**map.factors, "angle": factor}),
             )
 
 

@@ -41,8 +41,8 @@ def low_pass(values: Array, clock: Array, limit_hz: float, rate: float, where: s
     """The values (n, c) without what is faster than `limit_hz`; parts that long pauses separate are filtered separately."""
     if limit_hz >= rate / 2:
         raise InputError(
-            f"{where}: [filter] lowpass_hz = {limit_hz:g} must be below half of the table's rate of {rate:.6g} Hz; lower it, or "
-            "leave it out"
+            f"{where}: [filter] lowpass_hz = {limit_hz:g} must be below half of the table's rate of {rate:.6g} Hz; lower it, "
+            "or leave it out"
         )
     filter_ = _filter(limit_hz, rate)
     filtered = values.copy()
@@ -70,7 +70,7 @@ def parts(clock: Array, rate: float) -> list[tuple[int, int]]:
     """The parts of a log that have no pause within them: first row, and the one after the last."""
     breaks = np.flatnonzero(np.diff(clock) > _GAP / rate) + 1
     edges = [0, *breaks.tolist(), len(clock)]
-    return list(zip(edges[:-1], edges[1:]))
+    return list(zip(edges[:-1], edges[1:], strict=True))
 
 
 def thinned(sweep: NDArray[np.int64], every: int) -> NDArray[np.int64]:

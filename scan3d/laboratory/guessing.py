@@ -84,7 +84,7 @@ class _Guesser:
         lines = [_HEAD, *self._layout(), "[columns]", *self._columns(), "", "[units]", *self._units(), ""]
         if not self.table.names:
             self.open.append("columns")
-        return Guess("\n".join(lines) + _rest("as the sensor's manual says"), tuple([*self.open, "sensor", "rod"]))
+        return Guess("\n".join(lines) + _rest("as the sensor's manual says"), (*self.open, "sensor", "rod"))
 
     def _layout(self) -> list[str]:
         layout, lines = self.layout, []
@@ -94,7 +94,9 @@ class _Guesser:
         if layout.units_row:
             lines.append("units_row = true              # the line below the names states the units")
         if layout.header is not None and layout.header != 1:
-            lines.append(f"header = {layout.header}                    # line with the names of the columns; 0: there is none")
+            lines.append(
+                f"header = {layout.header}                    # line with the names of the columns; 0: there is none"
+            )
         return ["[table]", *lines, ""] if lines else []
 
     def _columns(self) -> list[str]:
@@ -119,7 +121,9 @@ class _Guesser:
         return lines
 
     def _first(self, pattern: str) -> str | None:
-        return next((name for name, key in zip(self.table.names, self.bare) if re.fullmatch(pattern, key)), None)
+        return next(
+            (name for name, key in zip(self.table.names, self.bare, strict=True) if re.fullmatch(pattern, key)), None
+        )
 
     def _one(self, entry: str, axis: str) -> str | None:
         return self._first(_PREFIX[entry] + axis)
@@ -137,14 +141,17 @@ class _Guesser:
                 if names[0] == "rx" and self._largest(found) <= _LARGEST_RAD:
                     return found, f"{{rotvec = {_toml(found)}}}              # or euler, with a convention"
                 self.open.append("convention")
-                return found, f'{{euler = {_toml(found)}, convention = "{convention}"}}  # a guess: check the convention'
+                return (
+                    found,
+                    f'{{euler = {_toml(found)}, convention = "{convention}"}}  # a guess: check the convention',
+                )
         self.open.append("orientation")
         return [], '{quaternion = ["(qw)", "(qx)", "(qy)", "(qz)"]}'
 
     def _listed(self, entry: str, found: Sequence[str | None], axes: str) -> str:
         if None in found:
             self.open.append(entry)
-        return _toml([f"({entry} {axis})" if name is None else name for name, axis in zip(found, axes)])
+        return _toml([f"({entry} {axis})" if name is None else name for name, axis in zip(found, axes, strict=False)])
 
     def _units(self) -> list[str]:
         columns = {

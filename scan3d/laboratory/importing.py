@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,67 +102,108 @@ def load(path: str | Path, map: Map) -> RawTable:
     return read_bag(path, map.topics) if is_bag(path) else read_table(path, map.layout)
 
 
+class _Sensed(NamedTuple):
+    """What the sensor measured, tared and filtered, in its own frame."""
+
+    wrench: Array
+    """(n, 6)"""
+    zero: Array
+    """(n, 6), or (1, 6) if nothing was taken off."""
+    air: Mask
+    """(n,)"""
+    stretches: list[tuple[int, int]]
+    noise: Array
+    """(6,) standard deviations that are left."""
+    factor: float
+    """Noise that the filter leaves, over that before it."""
+    rate: float | None
+    """Rows per second, if there is a filter."""
+    notes: list[str]
+
+
 def convert(table: RawTable, map: Map) -> Imported:
     """The recording of a table that is read already, with what it was made of.  Raises InputError as `import_table`."""
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
-    zero, air_rows, noise, stretches = _tared(log, clock, map, table.name)
-    tared = log.wrench - zero if zero.any() else log.wrench
-    rate = filtering.sampling_rate(clock, table.name) if map.lowpass_hz or map.rate_hz else None
-    if rate is not None and log.time_s is None:
-        raise InputError(f"{table.name}: [filter] needs the time of the rows; name its column as time under [columns]")
-    factor, notes = 1.0, []
-    if map.lowpass_hz and rate:
-        tared = filtering.low_pass(tared, clock, map.lowpass_hz, rate, table.name)
-        factor = filtering.noise_factor(map.lowpass_hz, rate)
-        found = taring.robust_sd(tared[air_rows]) if air_rows.any() else noise * factor
-        if (found > _COLOURED * factor * noise).any():
-            notes.append(
-                "the filter leaves more noise than it would of white noise; the noise that is found after it is stated"
-            )
-        noise = np.maximum(factor * noise, np.where(noise > 0, found, 0.0))
-    wrench, known = clamp_wrench(_without_rounding(tared, log.wrench), log.present, map.sensor, table.name)
+    sensed = _sensed(log, clock, map, table.name)
+    wrench, known = clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
     position, quaternion = clamp_pose(log.position_m, log.quaternion, map.clamp)
     sweep, backwards = _sweeps(log, position, quaternion, map)
     check_directions(table, map, sweep, position, quaternion)
-    kept = np.flatnonzero(sweep >= 0)
-    between = len(log) - len(kept)
     if backwards.any():
-        rows = backwards
         quaternion, wrench = quaternion.copy(), wrench.copy()
-        quaternion[rows], wrench[rows] = turned_back(quaternion[rows], wrench[rows])
-    every = max(1, round(rate / map.rate_hz)) if map.rate_hz and rate else 1
-    notes += _filter_notes(map, rate, every)
-    thinned = kept[filtering.thinned(sweep[kept], every)] if every > 1 else kept
-    noise_force, noise_moment = _clamp_noise(noise, map, known)
-    six = bool(known.all())
-    recording = _recording(table, map, thinned, sweep, position, quaternion, wrench, six, (noise_force, noise_moment))
+        quaternion[backwards], wrench[backwards] = turned_back(quaternion[backwards], wrench[backwards])
+    within = np.flatnonzero(sweep >= 0)
+    every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
+    kept = within[filtering.thinned(sweep[within], every)] if every > 1 else within
+    noise = _clamp_noise(sensed.noise, map, known)
+    rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
+    recording = _recording(table, map, rows, bool(known.all()), noise)
     check_sizes(recording, map, table.name)
-    notes += _contact_notes(recording, wrench[thinned], known, map)
-    touched = felt(recording)
+    notes = [
+        *sensed.notes, *_filter_notes(map, sensed.rate, every), *_contact_notes(recording, wrench[kept], known, map),
+    ]  # fmt: skip
     left_out = {
-        "without numbers": len(table) - len(log), "between sweeps": between, "thinned": len(kept) - len(thinned),
+        "without numbers": len(table) - len(log), "between sweeps": len(log) - len(within),
+        "thinned": len(within) - len(kept),
     }  # fmt: skip
-    summary = Summary(
+    summary = _summary(table, log, clock, sensed, recording, left_out, notes)
+    return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
+
+
+def _summary(
+    table: RawTable,
+    log: Log,
+    clock: Array,
+    sensed: _Sensed,
+    recording: Recording,
+    left_out: Mapping[str, int],
+    notes: list[str],
+) -> Summary:
+    return Summary(
         table=table.name,
         rows=len(table),
         seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
         rate_hz=_rate(log.time_s),
         samples=len(recording),
         sweeps=len(np.unique(recording.sweep)),
-        sweeps_with_contact=len(np.unique(recording.sweep[touched])),
-        six_axis=six,
+        sweeps_with_contact=len(np.unique(recording.sweep[felt(recording)])),
+        six_axis=recording.six_axis,
         left_out=left_out,
-        air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in stretches),
-        air_fraction=float(air_rows.mean()),
-        zero=tuple(zero.mean(axis=0).tolist()),
-        drift=tuple(np.ptp(zero, axis=0).tolist()),
-        noise_force_N=noise_force,
-        noise_moment_Nm=noise_moment,
-        noise_factor=factor,
+        air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in sensed.stretches),
+        air_fraction=float(sensed.air.mean()),
+        zero=tuple(sensed.zero.mean(axis=0).tolist()),
+        drift=tuple(np.ptp(sensed.zero, axis=0).tolist()),
+        noise_force_N=recording.noise_force_N,
+        noise_moment_Nm=recording.noise_moment_Nm,
+        noise_factor=sensed.factor,
         notes=tuple(notes),
     )
-    return Imported(recording, summary, log, clock, zero, air_rows, wrench, position, sweep, thinned)
+
+
+def _sensed(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
+    """The wrench of a log without the sensor's zero, and filtered if the map says so."""
+    zero, air, noise, stretches = _tared(log, clock, map, where)
+    wrench = _without_rounding(log.wrench - zero, log.wrench) if zero.any() else log.wrench
+    if not (map.lowpass_hz or map.rate_hz):
+        return _Sensed(wrench, zero, air, stretches, noise, 1.0, None, [])
+    if log.time_s is None:
+        raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
+    rate = filtering.sampling_rate(clock, where)
+    if not map.lowpass_hz:
+        return _Sensed(wrench, zero, air, stretches, noise, 1.0, rate, [])
+    wrench = filtering.low_pass(wrench, clock, map.lowpass_hz, rate, where)
+    factor = filtering.noise_factor(map.lowpass_hz, rate)
+    notes = []
+    left = factor * noise
+    if air.any():
+        found = np.where(noise > 0, taring.robust_sd(wrench[air]), 0.0)
+        if (found > _COLOURED * left).any():
+            notes.append(
+                "the filter leaves more noise than it would of white noise; the noise found after it is stated"
+            )
+        left = np.maximum(left, found)
+    return _Sensed(wrench, zero, air, stretches, left, factor, rate, notes)
 
 
 def _rate(time: Array | None) -> float | None:
@@ -178,7 +219,9 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> tuple[Array, Mask, A
     if isinstance(map.air, str):
         stretches = taring.find_air(log.wrench, clock, where)
     elif log.time_s is None:
-        raise InputError(f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]")
+        raise InputError(
+            f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]"
+        )
     else:
         stretches = taring.given_air(clock, map.air, where)
     air = taring.tare(log.wrench, clock, stretches)
@@ -188,7 +231,7 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> tuple[Array, Mask, A
 def _without_rounding(tared: Array, before: Array) -> Array:
     """The tared wrench (n, 6), zero in rows in which all channels are no more than rounding: those would count as forces."""
     largest = np.repeat([np.abs(before[:, :3]).max(), np.abs(before[:, 3:]).max()], 3)
-    nothing = (np.abs(tared) <= _ROUNDING * largest).all(axis=1)
+    nothing: Mask = np.asarray((np.abs(tared) <= _ROUNDING * largest).all(axis=1))
     return np.where(nothing[:, None], 0.0, tared) if nothing.any() else tared
 
 
@@ -222,35 +265,33 @@ def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
     return force, moment
 
 
-def _recording(
-    table: RawTable,
-    map: Map,
-    rows: NDArray[np.int64],
-    sweep: NDArray[np.int64],
-    position: Array,
-    quaternion: Array,
-    wrench: Array,
-    six_axis: bool,
-    noise: tuple[float, float],
-) -> Recording:
-    """The recording of the chosen rows of the log."""
-    chosen = np.ascontiguousarray(wrench[rows])
-    source: dict[str, Any] = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
+class _Rows(NamedTuple):
+    """The rows of a recording."""
+
+    sweep: NDArray[np.int64]
+    position: Array
+    quaternion: Array
+    wrench: Array
+    """(n, 6) in the clamp's frame."""
+
+
+def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tuple[float, float]) -> Recording:
+    force, moment = rows.wrench[:, :3], rows.wrench[:, 3:]
     recording = Recording(
-        sweep=sweep[rows],
-        position_m=position[rows],
-        quaternion=quaternion[rows],
-        force_N=chosen[:, :2],
-        moment_Nm=chosen[:, 5],
+        sweep=rows.sweep,
+        position_m=rows.position,
+        quaternion=rows.quaternion,
+        force_N=force[:, :2],
+        moment_Nm=moment[:, 2],
         rod=map.rod,
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         unit=map.unit,
-        source=source,
+        source={"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)},
     )
     if not six_axis:
         return recording
-    return replace(recording, force_z_N=chosen[:, 2], moment_x_Nm=chosen[:, 3], moment_y_Nm=chosen[:, 4])
+    return replace(recording, force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
 
 
 def _filter_notes(map: Map, rate: float | None, every: int) -> list[str]:
@@ -259,13 +300,13 @@ def _filter_notes(map: Map, rate: float | None, every: int) -> list[str]:
     left = rate / every
     if map.lowpass_hz and left > 4 * map.lowpass_hz:
         return [
-            f"rows that follow one another at {left:.4g} Hz have nearly the same noise after a low-pass of {map.lowpass_hz:g} Hz; "
-            f"rate_hz = {2 * map.lowpass_hz:g} under [filter] keeps rows with independent noise"
+            f"rows that follow one another at {left:.4g} Hz have nearly the same noise after a low-pass of {map.lowpass_hz:g} "
+            f"Hz; rate_hz = {2 * map.lowpass_hz:g} under [filter] keeps rows with independent noise"
         ]
     if map.lowpass_hz and left < 2 * map.lowpass_hz:
         return [
-            f"at {left:.4g} Hz what is faster than {left / 2:.4g} Hz appears as slower; lowpass_hz lets up to {map.lowpass_hz:g} Hz "
-            "pass"
+            f"at {left:.4g} Hz what is faster than {left / 2:.4g} Hz appears as slower; lowpass_hz lets up to "
+            f"{map.lowpass_hz:g} Hz pass"
         ]
     return []
 
@@ -274,10 +315,15 @@ def _contact_notes(recording: Recording, wrench: Array, known: Mask, map: Map) -
     notes = []
     touched = felt(recording)
     if not touched.any():
-        notes.append("no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent")
+        notes.append(
+            "no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent"
+        )
     further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
     if not known.all() and further:
-        text = f"{', '.join(further)} are not part of a planar recording, which has fx, fy and mz; all six are needed for the model in space"
+        text = (
+            f"{', '.join(further)} are left out, because a planar recording has fx, fy and mz, and all six are needed for the "
+            "model in space"
+        )
         if known[2] and touched.any():
             part = np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)
             worst = float(np.median(part))
@@ -285,5 +331,7 @@ def _contact_notes(recording: Recording, wrench: Array, known: Mask, map: Map) -
                 text += f"; fz is {100 * worst:.2g} % of the force in contact, and the planar model takes it for zero"
         notes.append(text)
     if map.air == "none" and map.noise_force_N is None:
-        notes.append("nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under [tare]")
+        notes.append(
+            "nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under [tare]"
+        )
     return notes

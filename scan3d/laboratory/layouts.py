@@ -40,14 +40,16 @@ def split(line: str, delimiter: str) -> list[str]:
 
 def is_number(cell: str, decimal: str = ".") -> bool:
     if decimal == ",":
-        return DECIMAL_COMMA.fullmatch(cell) is not None or _NUMBER.fullmatch(cell) is not None and "." not in cell
+        return DECIMAL_COMMA.fullmatch(cell) is not None or (_NUMBER.fullmatch(cell) is not None and "." not in cell)
     return _NUMBER.fullmatch(cell) is not None
 
 
 def sniffed(lines: list[str], layout: Layout) -> Head:
     """The head of a table as its lines suggest, with the whole layout filled in; what `layout` states is kept."""
     rows = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
-    data = [(number, line) for number, line in rows if not (layout.comment and line.lstrip().startswith(layout.comment))]
+    data = [
+        (number, line) for number, line in rows if not (layout.comment and line.lstrip().startswith(layout.comment))
+    ]
     best = replace(layout, delimiter=layout.delimiter or ","), 0, 0.0
     for delimiter in (layout.delimiter,) if layout.delimiter else _DELIMITERS:
         for decimal in (layout.decimal,) if layout.decimal == "," or delimiter == "," else (".", ","):
@@ -124,7 +126,9 @@ def head(name: str, lines: list[str], layout: Layout) -> Head:
             f"{name}: line {number} has {len(names)} cells and the data have {len(found.names)} columns, whose names stand in "
             f"line {found.layout.header}; write header = {found.layout.header} under [table] in the map"
         )
-    below = next((n for n, line in enumerate(lines, 1) if n > number and line.strip() and not _is_comment(line, layout)), 0)
+    below = next(
+        (n for n, line in enumerate(lines, 1) if n > number and line.strip() and not _is_comment(line, layout)), 0
+    )
     units: tuple[str, ...] = ()
     first = below or len(lines) + 1
     if layout.units_row and below:

@@ -22,8 +22,8 @@ from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 Reference = str | int
-"""A column: its name, a pattern with ``*`` or ``?``, or its number from 1; with ``-`` before a name its sign is reversed, and an
-empty text stands for a column that does not exist."""
+"""A column: its name, a pattern with ``*`` or ``?``, or its number from 1; with ``-`` before a name its sign is reversed, and
+an empty text stands for a column that does not exist."""
 
 SECTIONS = (
     "table", "ros", "columns", "units", "clamp", "sensor", "tare", "filter", "sweeps", "rod", "noise", "unit",

@@ -90,7 +90,7 @@ def _second_difference_sd(values: Array) -> float:
 
 def _jitter(position: Array, length: float) -> float:
     """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if they count as exact."""
-    some = position[: _ROWS]
+    some = position[:_ROWS]
     rounding = max(rounding_sd(column) for column in some.T)
     error = float(np.hypot(_second_difference_sd(position), rounding))
     return error if error > _EXACT * length else 0.0
@@ -117,7 +117,7 @@ def _runs(direction: NDArray[np.int8], lag: NDArray[np.intp]) -> list[tuple[int,
     edges = np.flatnonzero(np.diff(direction)) + 1
     bounds = [0, *edges.tolist(), len(direction)]
     found: list[tuple[int, int, int]] = []
-    for start, stop in zip(bounds[:-1], bounds[1:]):
+    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
         if direction[start]:
             found.append((start, stop + int(lag[stop - 1]), int(direction[start])))
     # a row at a turning point ends one stroke and begins another one, which gets it

@@ -1,7 +1,7 @@
 """Tables as laboratories write them: text with any delimiter, and Parquet; columns of numbers or of text.
 
-Text is read by pyarrow where it is installed and can read it, else by numpy; a table that neither can read is read line by line,
-which finds the line and the column of an error.
+Text is read by pyarrow where it is installed and can read it, else by numpy; a table that neither can read is read line by
+line, which finds the line and the column of an error.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class RawTable:
             what = "no value" if np.isnan(values[row]) else f"{values[row]}"
             raise InputError(
                 f"{self.place(row)} has {what} in {self.title(column)}, where a finite number is expected, and so have "
-                f"{int(bad.sum())} of {len(values)} rows; complete the table, or write missing = \"drop\" under [table] in the "
+                f'{int(bad.sum())} of {len(values)} rows; complete the table, or write missing = "drop" under [table] in the '
                 "map to leave such rows out"
             )
         return np.asarray(values, dtype=np.float64)
@@ -114,8 +114,8 @@ def read_table(path: str | Path, layout: Layout | None = None) -> RawTable:
     try:
         check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
         if path.suffix.lower() in _ENDINGS:
-            columns = read_columns(path)
-            return RawTable(path.name, tuple(columns), tuple(columns.values()), path=path, sha256=_digest(path))
+            by_name = read_columns(path)
+            return RawTable(path.name, tuple(by_name), tuple(by_name.values()), path=path, sha256=_digest(path))
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"can't read the table {path}: {error.strerror or error}") from None

@@ -89,7 +89,9 @@ def _interpolated(clock: Array, at: Array, level: Array) -> Array:
                 known = np.array([np.interp([near, inner], at, column) for column in level.T])
                 beyond = known[:, 0] + (known[:, 0] - known[:, 1]) * abs(away) / (reach / 4)
                 at, level = (
-                    (np.insert(at, 0, end), np.vstack([beyond, level])) if away < 0 else (np.append(at, end), np.vstack([level, beyond]))
+                    (np.insert(at, 0, end), np.vstack([beyond, level]))
+                    if away < 0
+                    else (np.append(at, end), np.vstack([level, beyond]))
                 )
     return np.stack([np.interp(clock, at, column) for column in level.T], axis=1)
 
@@ -133,16 +135,18 @@ def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: s
     """The rows of stretches that are given in seconds.  Raises InputError for a stretch without rows."""
     found = []
     for start, end in sorted(intervals):
-        first, last = (int(np.searchsorted(clock, time, side)) for time, side in ((start, "left"), (end, "right")))
+        first, last = int(np.searchsorted(clock, start)), int(np.searchsorted(clock, end, side="right"))
         if last <= first:
             raise InputError(
                 f"{where} has no row from {start:g} s to {end:g} s, which [tare] air of the map names; the table covers "
                 f"{clock[0]:g} s to {clock[-1]:g} s"
             )
         found.append((first, last))
-    for (_, stop), (begin, _) in zip(found, found[1:]):
+    for (_, stop), (begin, _) in zip(found[:-1], found[1:], strict=True):
         if begin < stop:
-            raise InputError(f"{where}: the stretches of [tare] air overlap at {clock[begin]:g} s; join or shorten them")
+            raise InputError(
+                f"{where}: the stretches of [tare] air overlap at {clock[begin]:g} s; join or shorten them"
+            )
     return found
 
 
@@ -191,7 +195,7 @@ def _followed(scaled: Array, clock: Array) -> Array:
         count[k] = (np.abs(some - row) <= 1).all(axis=1).sum()
     start = np.median(some[(np.abs(some - some[np.argmax(count)]) <= 1).all(axis=1)], axis=0)
     edges = np.linspace(0, len(scaled), min(_WINDOWS, len(scaled)) + 1).astype(np.intp)
-    windows = list(zip(edges[:-1], edges[1:]))
+    windows = list(zip(edges[:-1], edges[1:], strict=True))
     near = [int((np.abs(scaled[a:b] - start) <= 1).all(axis=1).sum()) for a, b in windows]
     levels = np.empty((len(windows), scaled.shape[1]))
     best = int(np.argmax(near))

@@ -41,8 +41,8 @@ def clamp_wrench(wrench: Array, present: Mask, sensor: Frame, where: str) -> tup
         if not known[channel]:
             absent = ", ".join(CHANNELS[k] for k in np.flatnonzero(needed[channel] & ~present))
             raise InputError(
-                f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] turns or moves "
-                "it; add the column, or give the wrench in the clamp's frame"
+                f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] turns or "
+                "moves it; add the column, or give the wrench in the clamp's frame"
             )
     if sensor.trivial:
         return wrench, known

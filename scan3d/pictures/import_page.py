@@ -130,7 +130,7 @@ def _curves(view: ImportView, values: Array, zero: Array | None, what: str) -> A
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0.01)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="upper right", fontsize=FONT - 3, frameon=False, ncols=3)
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), fontsize=FONT - 3, frameon=False, ncols=3)
     panels[0].set_title(what, loc="left", fontsize=FONT - 1)
     panels[-1].set_xlabel(view.clock_label, fontsize=FONT - 2)
     return figure
@@ -166,7 +166,7 @@ def _path(view: ImportView) -> Any:
         axes.plot(view.position_mm[::step, a], view.position_mm[::step, b], color="0.8", lw=0.6, zorder=1)
         for start, stop in spans:
             inner = np.flatnonzero(np.diff(view.sweep[start:stop])) + start + 1
-            for first, last in zip([start, *inner], [*inner, stop]):
+            for first, last in zip([start, *inner], [*inner, stop], strict=True):
                 ends = np.unique(np.linspace(first, last - 1, min(last - first, 30)).astype(np.intp))
                 color = colors[int(np.searchsorted(numbers, view.sweep[first]))]
                 axes.plot(view.position_mm[ends, a], view.position_mm[ends, b], color=color, lw=1.0, zorder=2)
