@@ -150,7 +150,7 @@ class _Finder:
         if len(names) != count:
             found = f"finds {', '.join(names)}" if names else "finds no column"
             raise InputError(
-                f"{self.table.name}: the pattern {first!r} in {self._entry(entry)} {found}, where {count} are expected; name them"
+                f"{self.table.name}: the pattern {first!r} in {self._entry(entry)} {found}, where {count} are expected"
             )
         return tuple(sign + name for name in names)
 
@@ -181,9 +181,7 @@ class _Finder:
     def quaternions(self, orientation: Orientation, values: Array, row: NDArray[np.int64]) -> Array:
         """Unit quaternions (n, 4), w first, of the orientation's columns (n, k) in rows (n,) of the table."""
         if orientation.kind == "euler":
-            # scipy takes single angles without their axis
-            angles = values if len(orientation.convention) > 1 else values[:, 0]
-            turned: Array = Rotation.from_euler(orientation.convention, angles).as_quat(scalar_first=True)
+            turned: Array = Rotation.from_euler(orientation.convention, values).as_quat(scalar_first=True)
             return turned
         if orientation.kind == "rotvec":
             by_vector: Array = Rotation.from_rotvec(values).as_quat(scalar_first=True)
@@ -278,7 +276,8 @@ def _check_time(log: Log, table: RawTable) -> None:
         k = int(np.argmax(steps < 0))
         raise InputError(
             f"{table.place(int(log.row[k + 1]))} has a time {-steps[k]:.6g} s before that of the row above, and time runs "
-            f"backwards in {int((steps < 0).sum())} of {len(log)} rows; check the column of the time, and sort or separate the rows"
+            f"backwards in {int((steps < 0).sum())} of {len(log)} rows; check the column of the time, and sort or separate "
+            "the rows"
         )
     if not steps.any():
         raise InputError(

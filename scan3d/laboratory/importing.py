@@ -17,7 +17,7 @@ from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.columns import CHANNELS, Log, read_log
 from scan3d.laboratory.directions import check_directions
 from scan3d.laboratory.maps import Map, read_map
-from scan3d.laboratory.plausibility import check_sizes, felt
+from scan3d.laboratory.plausibility import check_sizes, felt, touches
 from scan3d.laboratory.tables import RawTable, read_table
 from scan3d.laboratory.transforms import clamp_pose, clamp_wrench, turned_back, wrench_matrix
 from scan3d.recording import Recording
@@ -129,6 +129,8 @@ def convert(table: RawTable, map: Map) -> Imported:
     wrench, known = clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
     position, quaternion = clamp_pose(log.position_m, log.quaternion, map.clamp)
     sweep, backwards = _sweeps(log, position, quaternion, map)
+    noise = _clamp_noise(sensed.noise, map, known)
+    sweep, transfers = _without_transfers(sweep, log, wrench, position, quaternion, map, noise[0])
     check_directions(table, map, sweep, position, quaternion)
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
@@ -136,12 +138,11 @@ def convert(table: RawTable, map: Map) -> Imported:
     within = np.flatnonzero(sweep >= 0)
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[filtering.thinned(sweep[within], every)] if every > 1 else within
-    noise = _clamp_noise(sensed.noise, map, known)
     rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
     recording = _recording(table, map, rows, bool(known.all()), noise)
     check_sizes(recording, map, table.name)
     notes = [
-        *sensed.notes, *_filter_notes(map, sensed.rate, every), *_contact_notes(recording, wrench[kept], known, map),
+        *sensed.notes, *transfers, *_filter_notes(map, sensed.rate, every), *_contact_notes(recording, wrench[kept], known, map),
     ]  # fmt: skip
     left_out = {
         "without numbers": len(table) - len(log), "between sweeps": len(log) - len(within),
@@ -254,6 +255,25 @@ def _sweeps(log: Log, position: Array, quaternion: Array, map: Map) -> tuple[NDA
         return found.sweep, (found.sweep >= 0) & np.append(found.backwards, False)[found.sweep]
     number = np.append(np.where(found.backwards, -1, np.cumsum(~found.backwards) - 1), -1)
     return number[found.sweep], none
+
+
+def _without_transfers(
+    sweep: NDArray[np.int64], log: Log, wrench: Array, position: Array, quaternion: Array, map: Map, noise: float
+) -> tuple[NDArray[np.int64], list[str]]:
+    """The numbers of the sweeps (n,) without strokes found by motion that touch nothing and may be out of reach, and a note."""
+    if log.sweep is not None or log.sweeping is not None:
+        return sweep, []
+    touched = (sweep >= 0) & touches(wrench[:, :2], noise)
+    left = segments.transfers(sweep, touched, position, quaternion, map.rod.length_m)
+    if not len(left) or not touched.any():
+        return sweep, []
+    kept = np.where(np.isin(sweep, left), -1, sweep)
+    numbers = np.unique(kept[kept >= 0])
+    renumbered = np.where(kept >= 0, np.searchsorted(numbers, kept), -1)
+    return renumbered, [
+        f"{len(left)} strokes without contact are left out, because the rod may have been out of the body's reach; if they are "
+        "sweeps, number them in a column and name it as sweep under [columns]"
+    ]
 
 
 def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:

@@ -267,7 +267,7 @@ def _orientation(entries: Entries) -> Orientation:
     if kind == "euler":
         convention = inner.text("convention", "xyz")
         try:
-            Rotation.from_euler(convention, np.zeros(len(convention)) if len(convention) > 1 else 0.0)
+            Rotation.from_euler(convention, np.zeros((1, len(convention))))
         except (ValueError, TypeError):
             raise inner.error(
                 "convention",

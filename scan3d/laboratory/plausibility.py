@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d.arrays import Mask
+from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory.maps import Map
 from scan3d.recording import Recording
@@ -21,9 +21,13 @@ _LARGEST_MOMENT, _SMALLEST_MOMENT = 2.0, 0.01
 
 def felt(recording: Recording) -> Mask:
     """Rows (n,) whose force stands out from the noise."""
-    force = np.linalg.norm(recording.force_N, axis=1)
-    threshold = max(_SIGMAS * recording.noise_force_N, _OF_LARGEST * float(force.max()))
-    touching: Mask = force > threshold
+    return touches(recording.force_N, recording.noise_force_N)
+
+
+def touches(force_N: Array, noise_N: float) -> Mask:
+    """Rows (n,) whose force (n, 2) stands out from noise of a given standard deviation."""
+    force = np.linalg.norm(force_N, axis=1)
+    touching: Mask = force > max(_SIGMAS * noise_N, _OF_LARGEST * float(force.max()))
     return touching
 
 

@@ -35,6 +35,13 @@ _ROWS = 20_000
 _SHORTEST, _FEWEST = 2e-3, 3
 # Strokes are one sweep if the clamp has moved by less than this fraction of the first one between them, or by the jitter.
 _PAUSED = 1e-3
+# A stroke is straight if its positions leave the line between its ends by no more than this fraction of its length, as in
+# the tests of recordings.  Larger, transfers in an arc count as sweeps; smaller, the errors of a robot's path end sweeps.
+_OFF_LINE = 0.05
+# A stroke without contact is beside one with contact if their axes differ by less than this, and if its clamp is farther from
+# the body by less than this fraction of the rod's length.  Larger, transfers out of the rod's reach count as empty slices, and
+# the body's height is bounded wrongly; smaller, empty slices are lost.
+_SAME_TURN, _RETRACTED = 0.02, 0.05
 # The clamp turns if its axes change by more than this many radians over a displacement, and more than by jitter.
 _TURNING = 0.02
 
@@ -70,13 +77,24 @@ def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
     direction[straight & (along < -np.cos(_ALONG))] = -1
     direction[straight & (along > np.cos(_ALONG))] = 1
     runs = _joined(_runs(direction, lag), position, jitter)
-    travel = np.array([np.linalg.norm(position[b - 1] - position[a]) for a, b, _ in runs])
+    travel = np.array([_travel(position[a:b], jitter) for a, b, _ in runs])
     shortest = max(_SHORTEST * length, _OVER_JITTER * jitter)
+    # what is curved has no travel
     kept = [run for run, way in zip(runs, travel, strict=True) if way >= shortest and run[1] - run[0] >= _FEWEST]
     sweep = np.full(n, -1, dtype=np.int64)
     for number, (start, stop, _) in enumerate(kept):
         sweep[start:stop] = number
     return Strokes(sweep, np.array([sign > 0 for *_, sign in kept], dtype=bool))
+
+
+def _travel(position: Array, jitter: float) -> float:
+    """Length of the line from the first to the last position (n, 3); 0 if the others leave it by more than a fraction of it."""
+    line = position[-1] - position[0]
+    length = float(np.linalg.norm(line))
+    if length == 0:
+        return 0.0
+    off = np.linalg.norm(np.cross(position - position[0], line / length), axis=1).max()
+    return length if off <= _OFF_LINE * length + _OVER_JITTER / 4 * jitter else 0.0
 
 
 def _second_difference_sd(values: Array) -> float:
@@ -143,6 +161,29 @@ def _joined(runs: list[tuple[int, int, int]], position: Array, jitter: float) ->
                 continue
         joined.append((start, stop, sign))
     return joined
+
+
+def transfers(sweep: NDArray[np.int64], touched: Mask, position: Array, quaternion: Array, length: float) -> NDArray[np.int64]:
+    """Numbers of the strokes without contact that are no evidence of empty space, because the rod may have been out of reach.
+
+    A stroke without contact counts as a sweep beside one with contact that has the same orientation, if the clamp is no farther
+    from the body along the rod, and if both pass each other.
+    """
+    numbers, first = np.unique(sweep, return_index=True)
+    numbers, first = numbers[numbers >= 0], first[numbers >= 0]
+    last = len(sweep) - 1 - np.unique(sweep[::-1], return_index=True)[1]
+    last = last[-len(numbers) :] if len(numbers) else last[:0]
+    with_contact = np.isin(numbers, np.unique(sweep[touched]))
+    axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix() if len(first) else np.empty((0, 3, 3))
+    left = []
+    for k in np.flatnonzero(~with_contact):
+        same = with_contact & (np.abs(axes - axes[k]).max(axis=(1, 2)) < _SAME_TURN)
+        x, y = axes[k, :, 0], axes[k, :, 1]
+        reaches = position[first[k]] @ y >= position[first] @ y - _RETRACTED * length
+        start, end = np.sort([position[first] @ x, position[last] @ x], axis=0)
+        if not (same & reaches & (start <= end[k]) & (start[k] <= end)).any():
+            left.append(int(numbers[k]))
+    return np.array(left, dtype=np.int64)
 
 
 def numbered(sweep: NDArray[np.int64], sweeping: Mask) -> NDArray[np.int64]:
