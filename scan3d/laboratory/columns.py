@@ -137,7 +137,8 @@ class _Finder:
             )
         names = self.table.names
         listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
-        near = did_you_mean([reference], names)
+        inside = [name for name in names if reference.lower() in name.lower()]
+        near = f"; did you mean {inside[0]}?" if inside else did_you_mean([reference], names)
         return f"{where} has no column {reference!r}, which {self._entry(entry)} names; it has {listed}{near}"
 
     def expanded(self, references: tuple[Reference, ...], count: int, entry: str) -> tuple[Reference, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory import segments
 from scan3d.laboratory.columns import read_log
@@ -26,16 +26,25 @@ _ALONG = 0.3
 # Fraction of the sweeps along -x, below which the orientation counts as wrong, and with another reading, above which that
 # counts as right.
 _FEW, _MOST = 0.5, 0.9
+# Fraction of the rows in contact that strokes found by motion hold at least; the others belong to retracts and strokes back.
+_TOUCHING = 0.2
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
-def check_directions(table: RawTable, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array) -> None:
-    """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame."""
+def check_directions(
+    table: RawTable, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array, touched: Mask
+) -> None:
+    """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame, or do not hold the contacts.
+
+    touched
+        (n,) rows in contact.
+    """
     angle = segments.travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
-    if len(known) and (known < _ALONG).mean() >= _FEW:
+    holds = not touched.any() or (sweep >= 0)[touched].mean() >= _TOUCHING
+    if len(known) and (known < _ALONG).mean() >= _FEW and holds:
         return
     if len(angle) and not len(known):
         raise InputError(
@@ -43,9 +52,10 @@ def check_directions(table: RawTable, map: Map, sweep: NDArray[np.int64], positi
             f"{map.name}"
         )
     listed = "" if not len(known) else f"in {(known >= _ALONG).sum()} of {len(known)} sweeps "
-    axis = _usual_axis(sweep, position, quaternion)
+    listed = listed if holds else "in contact "
+    axis = _usual_axis(np.where(touched, 0, -1) if not holds else sweep, position, quaternion)
     what = f"the clamp moves {listed}mostly along {axis} of its own frame, and not along -x as in a sweep"
-    advice = _advice(table, map, axis)
+    advice = _advice(table, map, axis, touched)
     raise InputError(f"{table.name}: {what}; {advice}")
 
 
@@ -61,8 +71,8 @@ def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) ->
     return _AXES[int(np.argmax(lengths))]
 
 
-def _advice(table: RawTable, map: Map, axis: str) -> str:
-    right = [name for name, candidate in _other_readings(map) if _fits(table, candidate)]
+def _advice(table: RawTable, map: Map, axis: str, touched: Mask) -> str:
+    right = [name for name, candidate in _other_readings(map) if _fits(table, candidate, touched)]
     if right:
         return f"they would be along -x if {right[0]}: check [columns] orientation of {map.name}"
     if axis == "+x":
@@ -88,20 +98,20 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
         last = "last" if other == "xyzw" else "first"
         yield f'qw is the {last} of the four columns, order = "{other}"', changed(order=other)
         return
-    if orientation.kind == "euler":
-        convention = orientation.convention
-        for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
-            if other != convention:
-                yield f'the convention is "{other}"', changed(convention=other)
     for unit, factor in (("deg", np.pi / 180), ("rad", 1.0)):
         if map.factors["angle"] != factor:
             yield (
                 f'the angles are in {unit}, angle = "{unit}" under [units]',
                 replace(map, factors={**map.factors, "angle": factor}),
             )
+    if orientation.kind == "euler":
+        convention = orientation.convention
+        for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
+            if other != convention:
+                yield f'the convention is "{other}"', changed(convention=other)
 
 
-def _fits(table: RawTable, map: Map) -> bool:
+def _fits(table: RawTable, map: Map, touched: Mask) -> bool:
     """Whether nearly all of the clamp's sweeps are along -x with another map."""
     try:
         log = read_log(table, map)
@@ -114,7 +124,8 @@ def _fits(table: RawTable, map: Map) -> bool:
         sweep = segments.runs_of(log.sweeping)
     else:
         found = segments.strokes(position, quaternion, map.rod.length_m)
-        return bool(len(found.backwards)) and not found.backwards.all()
+        forwards = (found.sweep >= 0) & ~np.append(found.backwards, True)[found.sweep]
+        return bool(forwards[touched].mean() >= _FEW) if touched.any() else bool(forwards.any())
     angle = segments.travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
     return bool(len(known)) and bool((known < _ALONG).mean() >= _MOST)

@@ -17,7 +17,7 @@ from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.columns import CHANNELS, Log, read_log
 from scan3d.laboratory.directions import check_directions
 from scan3d.laboratory.maps import Map, read_map
-from scan3d.laboratory.plausibility import check_sizes, felt, touches
+from scan3d.laboratory.plausibility import check_range, check_sizes, felt, in_contact, stands_out
 from scan3d.laboratory.tables import RawTable, read_table
 from scan3d.laboratory.transforms import clamp_pose, clamp_wrench, turned_back, wrench_matrix
 from scan3d.recording import Recording
@@ -128,10 +128,11 @@ def convert(table: RawTable, map: Map) -> Imported:
     sensed = _sensed(log, clock, map, table.name)
     wrench, known = clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
     position, quaternion = clamp_pose(log.position_m, log.quaternion, map.clamp)
+    check_range(position, map, table.name)
     sweep, backwards = _sweeps(log, position, quaternion, map)
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, transfers = _without_transfers(sweep, log, wrench, position, quaternion, map, noise[0])
-    check_directions(table, map, sweep, position, quaternion)
+    check_directions(table, map, sweep, position, quaternion, in_contact(sensed.wrench[:, :3], noise[0]))
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
         quaternion[backwards], wrench[backwards] = turned_back(quaternion[backwards], wrench[backwards])
@@ -263,8 +264,9 @@ def _without_transfers(
     """The numbers of the sweeps (n,) without strokes found by motion that touch nothing and may be out of reach, and a note."""
     if log.sweep is not None or log.sweeping is not None:
         return sweep, []
-    touched = (sweep >= 0) & touches(wrench[:, :2], noise)
-    left = segments.transfers(sweep, touched, position, quaternion, map.rod.length_m)
+    touched = stands_out(wrench[:, :3], noise)
+    within = segments.with_rows(sweep, touched)
+    left = segments.transfers(sweep, within, position, quaternion, map.rod.length_m)
     if not len(left) or not touched.any():
         return sweep, []
     kept = np.where(np.isin(sweep, left), -1, sweep)

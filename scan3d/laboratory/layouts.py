@@ -113,7 +113,8 @@ def head(name: str, lines: list[str], layout: Layout) -> Head:
     )
     number = layout.header
     if number is None:
-        number = found.layout.header if commented or found.layout.header == 0 else first_line
+        nameless = found.layout.header == 0 and found.first <= first_line
+        number = found.layout.header if commented or nameless else first_line
     assert number is not None
     if number > len(lines):
         raise InputError(f"{name} has no line {number} with the names of its columns; correct header under [table]")

@@ -11,8 +11,12 @@ from scan3d.recording import Recording
 
 # Rows touch the body if their force exceeds this many standard deviations of the noise, and this fraction of the largest.
 _SIGMAS, _OF_LARGEST = 8.0, 1e-3
+# Standard deviations that noise in three components rarely exceeds, and a considerable part of the largest force.
+_RARE, _CONSIDERABLE = 4.5, 0.05
 # Median travel of the sweeps in rod lengths.  Sweeps past a body are some rod lengths long; 1000 times as much is a wrong unit.
 _SHORTEST, _LONGEST = 5e-3, 50.0
+# Range of all positions in rod lengths: the clamp moves that far at least.
+_SMALLEST_RANGE = 0.02
 # Largest force in EI/L².  A rod whose contact has slid to a tenth of its length has a few hundred.
 _STRONGEST, _WEAKEST = 2e3, 1e-4
 # Clamping moment over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
@@ -24,11 +28,35 @@ def felt(recording: Recording) -> Mask:
     return touches(recording.force_N, recording.noise_force_N)
 
 
+def stands_out(force_N: Array, noise_N: float) -> Mask:
+    """Rows (n,) whose force (n, 3) is rarely due to noise; several of them never are."""
+    force = np.linalg.norm(force_N, axis=1)
+    rows: Mask = force > max(_RARE * noise_N, _OF_LARGEST * float(force.max()))
+    return rows
+
+
+def in_contact(force_N: Array, noise_N: float) -> Mask:
+    """Rows (n,) whose force (n, 3) is a considerable part of the largest one."""
+    force = np.linalg.norm(force_N, axis=1)
+    rows: Mask = force > max(_SIGMAS * noise_N, _CONSIDERABLE * float(force.max()))
+    return rows
+
+
 def touches(force_N: Array, noise_N: float) -> Mask:
     """Rows (n,) whose force (n, 2) stands out from noise of a given standard deviation."""
     force = np.linalg.norm(force_N, axis=1)
     touching: Mask = force > max(_SIGMAS * noise_N, _OF_LARGEST * float(force.max()))
     return touching
+
+
+def check_range(position_m: Array, map: Map, table: str) -> None:
+    """Raise InputError if the clamp hardly moves, for the length of the rod."""
+    reach = float(np.ptp(position_m, axis=0).max()) / map.rod.length_m
+    if reach < _SMALLEST_RANGE:
+        raise InputError(
+            f"{table}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] position and [rod] "
+            f"length_m of {map.name}"
+        )
 
 
 def check_sizes(recording: Recording, map: Map, table: str) -> None:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Mask
-from scan3d.reconstruction.resolution import rounding_sd
 
 # The clamp moves along an axis if the direction deviates from it by less than this, in radians.  Larger, oblique approaches
 # count as sweeps; smaller, the jitter of poses interrupts sweeps.
@@ -28,8 +27,8 @@ _SLOWER = 4
 _USUAL = 0.25
 # Errors of positions below this fraction of the rod's length do not count.
 _EXACT = 1e-9
-# Rows from which the rounding of positions is estimated.
-_ROWS = 20_000
+# Positions are steps of an encoder if they stall in at least this fraction of the rows beside a step.
+_STALLS = 0.2
 # A stroke is a sweep if it is at least this fraction of the rod's length, and has so many rows.  Larger, short sweeps past the
 # ends of a body are lost; smaller, turning points count as sweeps.
 _SHORTEST, _FEWEST = 2e-3, 3
@@ -42,6 +41,8 @@ _OFF_LINE = 0.05
 # the body by less than this fraction of the rod's length.  Larger, transfers out of the rod's reach count as empty slices, and
 # the body's height is bounded wrongly; smaller, empty slices are lost.
 _SAME_TURN, _RETRACTED = 0.02, 0.05
+# Rows of a stroke with contact at least, and their fraction.
+_HITS, _HIT_FRACTION = 3, 0.01
 # The clamp turns if its axes change by more than this many radians over a displacement, and more than by jitter.
 _TURNING = 0.02
 
@@ -106,10 +107,22 @@ def _second_difference_sd(values: Array) -> float:
     return float(np.median(second, axis=0).max()) * 1.4826 / float(np.sqrt(6))
 
 
+def _step(values: Array) -> float:
+    """The step of a coordinate (n,) that stalls and jumps, because its steps are larger than the motion from row to row; or 0."""
+    steps = np.abs(np.diff(values))
+    moves = steps > 0
+    if not moves.any():
+        return 0.0
+    beside = np.zeros(len(moves), dtype=bool)
+    beside[1:] |= moves[:-1]
+    beside[:-1] |= moves[1:]
+    stalls = beside & ~moves
+    return float(np.median(steps[moves])) if stalls.sum() > _STALLS * (beside | moves).sum() else 0.0
+
+
 def _jitter(position: Array, length: float) -> float:
     """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if they count as exact."""
-    some = position[:_ROWS]
-    rounding = max(rounding_sd(column) for column in some.T)
+    rounding = max(_step(column) for column in position.T)
     error = float(np.hypot(_second_difference_sd(position), rounding))
     return error if error > _EXACT * length else 0.0
 
@@ -163,8 +176,17 @@ def _joined(runs: list[tuple[int, int, int]], position: Array, jitter: float) ->
     return joined
 
 
-def transfers(sweep: NDArray[np.int64], touched: Mask, position: Array, quaternion: Array, length: float) -> NDArray[np.int64]:
-    """Numbers of the strokes without contact that are no evidence of empty space, because the rod may have been out of reach.
+def with_rows(sweep: NDArray[np.int64], rows: Mask) -> NDArray[np.int64]:
+    """Numbers of the strokes in which some of the rows (n,) are, and more than a few of their own."""
+    numbers, place = np.unique(sweep, return_inverse=True)
+    count, hits = np.bincount(place), np.bincount(place, weights=rows)
+    return numbers[(numbers >= 0) & (hits >= _HITS) & (hits >= _HIT_FRACTION * count)]
+
+
+def transfers(
+    sweep: NDArray[np.int64], touching: NDArray[np.int64], position: Array, quaternion: Array, length: float
+) -> NDArray[np.int64]:
+    """Numbers of the strokes, of which those in `touching` have contact, that are no evidence of empty space, because the rod may have been out of reach.
 
     A stroke without contact counts as a sweep beside one with contact that has the same orientation, if the clamp is no farther
     from the body along the rod, and if both pass each other.
@@ -173,7 +195,7 @@ def transfers(sweep: NDArray[np.int64], touched: Mask, position: Array, quaterni
     numbers, first = numbers[numbers >= 0], first[numbers >= 0]
     last = len(sweep) - 1 - np.unique(sweep[::-1], return_index=True)[1]
     last = last[-len(numbers) :] if len(numbers) else last[:0]
-    with_contact = np.isin(numbers, np.unique(sweep[touched]))
+    with_contact = np.isin(numbers, touching)
     axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix() if len(first) else np.empty((0, 3, 3))
     left = []
     for k in np.flatnonzero(~with_contact):

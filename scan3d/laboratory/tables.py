@@ -102,7 +102,7 @@ class RawTable:
             advice = 'a decimal comma; write decimal = "," under [table] in the map'
         else:
             advice = "which is no number; correct the cell, or remove the line"
-        raise InputError(f"{self.place(row)} has {cell!r} in {self.title(column)}, {advice}")
+        raise InputError(f"{self.place(row)} has {str(cell)!r} in {self.title(column)}, {advice}")
 
 
 def read_table(path: str | Path, layout: Layout | None = None) -> RawTable:

@@ -159,10 +159,11 @@ def find_air(wrench: Array, clock: Array, where: str) -> list[tuple[int, int]]:
     near_rows = np.ones(len(wrench), dtype=bool)
     if channels.any():
         values = wrench[:, channels]
-        scale = _scales(wrench)[channels]
-        zero = _followed(values / scale, clock)
-        near_rows = (np.abs(values / scale - zero) <= 1).all(axis=1)
-    stretches = _consistent(wrench, clock, _refined(wrench, clock, _runs(near_rows)))
+        scaled = values / _scales(wrench)[channels]
+        near_rows = (np.abs(scaled - _followed(scaled, clock)) <= 1).all(axis=1)
+    scale = _scales(wrench)
+    runs = [run for run in _runs(near_rows) if _is_level(wrench[run[0] : run[1]], scale)]
+    stretches = _consistent(wrench, clock, _refined(wrench, clock, runs))
     again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
     # the second pass finds more, unless the zero drifts in a way that it does not follow
     if sum(b - a for a, b in again) >= _MOST * sum(b - a for a, b in stretches):
@@ -262,6 +263,13 @@ def _trimmed(start: int, stop: int) -> tuple[int, int]:
     """A stretch without its margins."""
     margin = round(_MARGIN * (stop - start)) if stop - start > 2 * _FEWEST else 0
     return start + margin, stop - margin
+
+
+def _is_level(values: Array, scale: Array) -> bool:
+    """Whether a wrench (m, c) hardly changes from the first to the last quarter, other than in contact."""
+    quarter = max(1, len(values) // 4)
+    change = np.abs(np.median(values[-quarter:], axis=0) - np.median(values[:quarter], axis=0))
+    return bool((change <= scale).all())
 
 
 def _robust_line(time: Array, values: Array) -> Array:
