@@ -63,7 +63,7 @@ def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) ->
     """The axis of the clamp's frame along which it moves farthest, in the sweeps if there are any."""
     step = np.diff(position, axis=0)
     rows = (sweep[1:] >= 0) & (sweep[1:] == sweep[:-1])
-    rows = rows if rows.any() else np.ones(len(step), dtype=bool)
+    rows = rows if step[rows].any() else np.ones(len(step), dtype=bool)
     if not rows.any():
         return "no axis"
     local = Rotation.from_quat(quaternion[:-1][rows], scalar_first=True).apply(step[rows], inverse=True)

@@ -17,6 +17,8 @@ from scan3d.arrays import Array, Mask
 # The clamp moves along an axis if the direction deviates from it by less than this, in radians.  Larger, oblique approaches
 # count as sweeps; smaller, the jitter of poses interrupts sweeps.
 _ALONG = 0.2
+# A whole stroke deviates by less than this.
+_STRAIGHT = 0.1
 # Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
 # Larger, slow strokes are lost; smaller, the errors turn the direction.
 _OVER_JITTER = 20.0
@@ -31,7 +33,7 @@ _EXACT = 1e-9
 _STALLS = 0.2
 # A stroke is a sweep if it is at least this fraction of the rod's length, and has so many rows.  Larger, short sweeps past the
 # ends of a body are lost; smaller, turning points count as sweeps.
-_SHORTEST, _FEWEST = 2e-3, 3
+_SHORTEST, _FEWEST = 0.02, 3
 # Strokes are one sweep if the clamp has moved by less than this fraction of the first one between them, or by the jitter.
 _PAUSED = 1e-3
 # A stroke is straight if its positions leave the line between its ends by no more than this fraction of its length, as in
@@ -45,6 +47,9 @@ _SAME_TURN, _RETRACTED = 0.02, 0.05
 _HITS, _HIT_FRACTION = 3, 0.01
 # The clamp turns if its axes change by more than this many radians over a displacement, and more than by jitter.
 _TURNING = 0.02
+# A stroke may turn by this many radians per rod length of its travel.  Larger, transfers to another side of the body count as
+# sweeps; smaller, sweeps are lost in which the clamp turns.
+_TURNS = 0.2
 
 
 class Strokes(NamedTuple):
@@ -73,26 +78,36 @@ def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
         along = (moved * axes).sum(axis=1) / size
     later = np.minimum(np.arange(n) + lag, n - 1)
     turned = np.linalg.norm(axes[later] - axes, axis=1)
-    straight = (lag > 0) & (turned < _TURNING + 4 * _second_difference_sd(axes))
+    turn_sd = _second_difference_sd(axes)
+    straight = (lag > 0) & (turned < _TURNING + 4 * turn_sd)
     direction = np.zeros(n, dtype=np.int8)
     direction[straight & (along < -np.cos(_ALONG))] = -1
     direction[straight & (along > np.cos(_ALONG))] = 1
     runs = _joined(_runs(direction, lag), position, jitter)
-    travel = np.array([_travel(position[a:b], jitter) for a, b, _ in runs])
+    travel = np.array([_travel(position[a:b], axes[a], jitter) for a, b, _ in runs])
     shortest = max(_SHORTEST * length, _OVER_JITTER * jitter)
     # what is curved has no travel
-    kept = [run for run, way in zip(runs, travel, strict=True) if way >= shortest and run[1] - run[0] >= _FEWEST]
+    kept = [
+        run
+        for run, way in zip(runs, travel, strict=True)
+        if way >= shortest
+        and run[1] - run[0] >= _FEWEST
+        and np.linalg.norm(axes[run[1] - 1] - axes[run[0]]) <= _TURNS * way / length + 4 * turn_sd
+    ]
     sweep = np.full(n, -1, dtype=np.int64)
     for number, (start, stop, _) in enumerate(kept):
         sweep[start:stop] = number
     return Strokes(sweep, np.array([sign > 0 for *_, sign in kept], dtype=bool))
 
 
-def _travel(position: Array, jitter: float) -> float:
-    """Length of the line from the first to the last position (n, 3); 0 if the others leave it by more than a fraction of it."""
+def _travel(position: Array, axis: Array, jitter: float) -> float:
+    """Length of the line from the first to the last position (n, 3).
+
+    It is 0 if the line is not along the axis (3,), or if the other positions leave it by more than a fraction of it.
+    """
     line = position[-1] - position[0]
     length = float(np.linalg.norm(line))
-    if length == 0:
+    if length == 0 or abs(line @ axis) < np.cos(_STRAIGHT) * length:
         return 0.0
     off = np.linalg.norm(np.cross(position - position[0], line / length), axis=1).max()
     return length if off <= _OFF_LINE * length + _OVER_JITTER / 4 * jitter else 0.0
