@@ -132,7 +132,7 @@ def test_the_table_by_hand_is_imported(tmp_path):
             lines(log() * np.where(np.isin(np.arange(14), [1, 2, 3]), 1e-3, 1)),
             r"log\.csv: the clamp moves over 0\.000667 rod lengths only; check \[units\] length",
         ),
-        (column("x", 20.0), r"the clamp moves mostly along \+y of its own frame, and not along -x as in a sweep; check"),
+        (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep; check"),
         (column("Tz", lambda m: 1e3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
         (column("Tz", lambda m: 1e-3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
         (lines(log() * np.where(np.isin(np.arange(14), [8, 9, 10]), 1e5, 1)), r"the largest force, .*check \[units\] force"),

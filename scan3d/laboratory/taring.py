@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 
 # Standard deviation over the median of the absolute deviations of a normal distribution.
@@ -35,10 +35,15 @@ _MARGIN = 0.05
 _OUTLYING = 6.0
 # A slope counts within a stretch if it exceeds this many standard errors.
 _SLOPING = 4.0
-# Rows over which light contact is distinguished from noise by its mean.
-_AVERAGED = 15
+# Rows over which light contact is distinguished from noise by its mean, and standard deviations that the mean may deviate:
+# there are as many means as rows.
+_AVERAGED, _MEAN_SIGMAS = 15, 5.0
+# Deviations of the zero below this fraction of the noise do no harm.
+_HARMLESS = 0.3
 # Fraction of the rows in the air that the second pass must find again.
 _MOST = 0.8
+# Stretches shorter than this fraction of the median one are left out.
+_SHORT = 0.1
 # Rounding, relative to the range of a channel.
 _ROUNDING = 1e-9
 
@@ -254,7 +259,8 @@ def _within_noise(wrench: Array, clock: Array, stretches: list[tuple[int, int]])
         return [_trimmed(a, b) for a, b in _runs(single)]
     mean = uniform_filter1d(wrench - first.zero, _AVERAGED, axis=0, mode="nearest")
     # where some of the rows are in contact, the mean says nothing about the others
-    light = (np.abs(mean) > _SIGMAS * first.noise / np.sqrt(_AVERAGED) + step + slack).any(axis=1)
+    limit = (_MEAN_SIGMAS / np.sqrt(_AVERAGED) + _HARMLESS) * first.noise
+    light = (np.abs(mean) > limit + step + slack).any(axis=1)
     crowded = uniform_filter1d(single.astype(np.float64), _AVERAGED, mode="nearest") > 1 - 0.5 / _AVERAGED
     return [_trimmed(a, b) for a, b in _runs(single & ~(light & crowded))]
 
@@ -305,15 +311,18 @@ def _consistent(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -
     level = np.array([np.median(wrench[a:b], axis=0) for a, b in stretches])
     time = np.array([clock[a:b].mean() for a, b in stretches])
     count: NDArray[np.int64] = np.array([b - a for a, b in stretches])
-    reach = np.ptp(wrench, axis=0) * _ROUNDING
-    kept = np.arange(len(stretches))
+    inner = np.concatenate([wrench[a:b] - middle for (a, b), middle in zip(stretches, level, strict=True)])
+    reach = np.ptp(wrench, axis=0) * _ROUNDING + _HARMLESS * robust_sd(inner)
+    # much shorter ones are remains of contact, or hardly matter
+    kept = np.flatnonzero(count >= _SHORT * np.median(count))
     for _ in range(len(stretches)):
         if len(kept) < 4:
             break
-        deviation = _from_neighbours(time[kept], level[kept])
+        deviation, before, after = _from_neighbours(time[kept], level[kept])
         usual = _SD_OVER_MAD * np.median(np.abs(deviation), axis=0)
         # shorter stretches have less certain zeros
-        weight = np.sqrt(np.maximum(np.median(count[kept]) / count[kept], 1.0))[:, None]
+        variance = np.maximum(np.median(count[kept]) / count[kept], 1.0)
+        weight = np.sqrt((variance + variance[before] + variance[after]) / 3)[:, None]
         excess = (np.abs(deviation) / (_OUTLYING * usual * weight + reach + np.finfo(float).tiny)).max(axis=1)
         if excess.max() <= 1:
             break
@@ -321,8 +330,8 @@ def _consistent(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -
     return [stretches[k] for k in kept]
 
 
-def _from_neighbours(time: Array, level: Array) -> Array:
-    """Deviations (k, c) of levels from lines through their neighbours on both sides; at the ends from the next two."""
+def _from_neighbours(time: Array, level: Array) -> tuple[Array, Index, Index]:
+    """Deviations (k, c) of levels from lines through two others, and those (k,): on both sides, at the ends the next two."""
     index = np.arange(len(time))
     before = np.clip(index - 1, 0, None)
     before[0] = 1
@@ -331,4 +340,4 @@ def _from_neighbours(time: Array, level: Array) -> Array:
     span = time[after] - time[before]
     part = ((time - time[before]) / np.where(span == 0, 1.0, span))[:, None]
     deviation: Array = level - level[before] - part * (level[after] - level[before])
-    return deviation
+    return deviation, before, after
