@@ -119,14 +119,19 @@ def test_topics_that_are_not_there(tmp_path, recording):
     log = track(recording, air=25)
     path = written(tmp_path / "run", 2, log, "pose")
     for ros, sentence in (
-        ({"wrench": "/ftt"}, r"run has no topic '/ftt' of WrenchStamped, which \[ros\] wrench .*; it has /ft; did you mean /ft\?"),
+        (
+            {"wrench": "/ftt"},
+            r"run has no topic '/ftt' of WrenchStamped, which \[ros\] wrench .*; it has /ft; did you mean /ft\?",
+        ),
         ({"tf": ["world", "clamp"]}, r"run: tf has no chain from 'world' to 'clamp'.*it has no frames"),
         ({"pose": "/a", "tf": ["world", "clamp"]}, r"\[ros\] tf and pose can't both be given"),
     ):
         with pytest.raises(InputError, match=sentence):
             scan3d.import_table(path, made(recording, ros))
     other = written(tmp_path / "tf.bag", 1, log, "tf")
-    with pytest.raises(InputError, match=r"tf\.bag has no topic of PoseStamped; name one as pose .*, or the frames of tf"):
+    with pytest.raises(
+        InputError, match=r"tf\.bag has no topic of PoseStamped; name one as pose .*, or the frames of tf"
+    ):
         scan3d.import_table(other, made(recording, {}))
     with pytest.raises(InputError, match=r"no chain from 'wrld' to 'clamp'.*; did you mean world"):
         scan3d.import_table(other, made(recording, {"tf": ["wrld", "clamp"]}))

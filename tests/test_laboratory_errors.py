@@ -39,7 +39,10 @@ class SimpleRig:
     turn_deg, position_mm, shows = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "clamp-on-rod"
 
 
-def lines(table=None, header=",".join(NAMES)):
+HEADER = ",".join(NAMES)
+
+
+def lines(table=None, header=HEADER):
     rows = [",".join(map(repr, row)) for row in (log() if table is None else table).tolist()]
     return [*([header] if header else []), *rows]
 
@@ -111,16 +114,16 @@ def test_the_table_by_hand_is_imported(tmp_path):
         (column("t", 3.0), "the column of the time has the same value in all 70 rows; leave time out of the map"),
         (
             column("qw", 0.5),
-            r"log\.csv: line 2 has a quaternion of length 0\.5, from column 'qw' on, where 1 is expected; check the four columns",
+            r"log\.csv: line 2 has a quaternion of length 0\.5, from column 'qw' on, where 1 is expected; check the four",
         ),
-        (lines(log() * np.where(np.arange(14) < 8, 1, 0)), r"log\.csv: line 2 and all 69 rows below have zero in column 'Fx', "),
+        (lines(log() * np.where(np.arange(14) < 8, 1, 0)), r"log\.csv: line 2 and all 69 rows below have zero in column 'Fx'"),
         (
             lines(log() * np.where(np.arange(14) < 11, 1, 0)),
             r"zero in column 'Tx', column 'Ty', column 'Tz': nothing was measured; check \[columns\] moment",
         ),
         (
             lines(header=",".join(NAMES).replace("Fx", "Fx [mN]")),
-            r"log\.csv: line 1 has no column 'Fx', which \[columns\] force of the map names; it has t, .*; did you mean Fx \[mN\]\?",
+            r"log\.csv: line 1 has no column 'Fx', which \[columns\] force .*; it has t, .*; did you mean Fx \[mN\]\?",
         ),
         (lines(header=",".join(NAMES).replace("Fy", "Fx")), r"has 2 columns 'Fx' \(numbers 9, 10\).*; give its number"),
         (lines(header=""), r"log\.csv has no line with names, and \[columns\] .* of the map names .*number of the column"),
@@ -132,7 +135,7 @@ def test_the_table_by_hand_is_imported(tmp_path):
             lines(log() * np.where(np.isin(np.arange(14), [1, 2, 3]), 1e-3, 1)),
             r"log\.csv: the clamp moves over 0\.000667 rod lengths only; check \[units\] length",
         ),
-        (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep; check"),
+        (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
         (column("Tz", lambda m: 1e3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
         (column("Tz", lambda m: 1e-3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
         (lines(log() * np.where(np.isin(np.arange(14), [8, 9, 10]), 1e5, 1)), r"the largest force, .*check \[units\] force"),
@@ -265,12 +268,12 @@ def changed(section, **entries):
 @pytest.mark.parametrize(
     ("made", "sentence"),
     [
-        (changed("units", moment="Nmmm"), r"map\.toml: \[units\] moment must be a unit of moment: N m, N cm, N mm, .*; got 'Nmmm'"),
+        (changed("units", moment="Nmmm"), r"map\.toml: \[units\] moment must be a unit of moment: N m, N cm, .*; got 'Nmmm'"),
         (changed("units", lenght="mm"), r"map\.toml: \[units\] has unknown names: lenght; .*; did you mean length\?"),
         (data() | {"sensors": {}}, r"map\.toml: unknown names: sensors; known are .*; did you mean sensor\?"),
         (changed("columns", force=["Fx"]), r"\[columns\] force must be a list of 2 or 3 columns, or a pattern"),
         (changed("columns", force=[0, 1, 2]), r"\[columns\] force counts columns from 1, got 0"),
-        (changed("columns", position=["x", "y", 1.5]), r"\[columns\] position must name columns by text or by number, got 1\.5"),
+        (changed("columns", position=["x", "y", 1.5]), r"position must name columns by text or by number, got 1\.5"),
         (changed("columns", orientation={}), r"\[columns\] orientation is missing"),
         (changed("columns", orientation={"quat": []}), r"\[columns\] orientation needs one of quaternion, euler, rotvec"),
         (
@@ -278,15 +281,15 @@ def changed(section, **entries):
             r"\[columns\.orientation\] convention must be one to three axes.*got 'xYz'",
         ),
         (changed("columns", orientation={"quaternion": list("abcd"), "order": "zyxw"}), r"order must be one of wxyz, xyzw"),
-        (changed("sensor", shows="rod on clamp"), r"\[sensor\] shows must be one of clamp-on-rod, rod-on-clamp; .*did you mean"),
+        (changed("sensor", shows="rod on clamp"), r"\[sensor\] shows must be one of clamp-on-rod, rod-on-.*did you mean"),
         (changed("sensor", position_mm=[1, 2]), r"\[sensor\] position_mm must be a list of 3 numbers, got \[1, 2\]"),
         (changed("tare", air="automatic"), r"\[tare\] air must be 'auto', 'none', or stretches in seconds"),
         (changed("tare", air=[[2.0, 1.0]]), r"\[tare\] air must be 'auto', .*; got \[2\.0, 1\.0\]"),
         (changed("filter", lowpass_hz=-5), r"\[filter\] lowpass_hz must be positive, got -5"),
-        (changed("filter", lowpass_hz=80), r"log\.csv: \[filter\] lowpass_hz = 80 must be below half of the table's rate of 100 Hz"),
+        (changed("filter", lowpass_hz=80), r"log\.csv: \[filter\] lowpass_hz = 80 must be below half of .* rate of 100 Hz"),
         (changed("rod", length_m=0.0), r"map\.toml: \[rod\] a rod needs a positive length in metres, got 0\.0"),
         (changed("rod", length_m="6 cm"), r"\[rod\] length_m must be a number, got '6 cm'"),
-        (data() | {"rod": {"length_m": 0.05}}, r"map\.toml: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m, diam"),
+        (data() | {"rod": {"length_m": 0.05}}, r"map\.toml: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m"),
         (data() | {"rod": 3}, r"map\.toml: rod must be a section \[rod\] or a table in braces, got 3"),
         (changed("table", decimal=",", delimiter=","), r"\[table\] decimal and delimiter can't both be ','"),
         (changed("table", header=300), r"log\.csv has no line 300 with the names of its columns"),

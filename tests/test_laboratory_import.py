@@ -165,7 +165,7 @@ def test_any_map_and_its_inverse(tmp_path, turn, arm, clamp, clamp_arm, shows, k
     log = track(recording)
     rig = Rig(tuple(180 * a for a in turn), tuple(50 * a for a in arm), shows, bias, 0.0)
     values, _ = disturbed(sensed(log.wrench, rig), rig)
-    factors = dict(zip(("s", "ms", "us"), (1, 1e-3, 1e-6))) | {
+    factors = dict(zip(("s", "ms", "us"), (1, 1e-3, 1e-6), strict=True)) | {
         "m": 1,
         "mm": 1e-3,
         "in": 0.0254,
@@ -192,7 +192,7 @@ def test_any_map_and_its_inverse(tmp_path, turn, arm, clamp, clamp_arm, shows, k
     data = map_of(recording.rod, rig)
     data["columns"] |= {
         "orientation": orientation,
-        "position": [("-" if s < 0 else "") + n for n, s in zip("xyz", sign)],
+        "position": [("-" if s < 0 else "") + n for n, s in zip("xyz", sign, strict=True)],
     }
     data["units"] = dict(zip(("time", "length", "angle", "force", "moment"), units, strict=True))
     data["clamp"] = {"position_mm": (1e3 * shift).tolist(), "euler_deg": [120 * a for a in clamp]}
@@ -224,10 +224,10 @@ def test_a_table_as_parquet_gives_the_same_recording(tmp_path, planar):
     one, other = (scan3d.import_table(tmp_path / f"raw.{ending}", data) for ending in ("csv", "parquet"))
     assert one.force_N.tobytes() == other.force_N.tobytes()
     assert one.position_m.tobytes() == other.position_m.tobytes()
+    data["columns"]["force"] = ["Fw", "Fy", "Fz"]
     with pytest.raises(
         InputError, match=r"raw\.parquet has no column 'Fw', which \[columns\] force of the map names; it has t, x"
     ):
-        data["columns"]["force"] = ["Fw", "Fy", "Fz"]
         scan3d.import_table(tmp_path / "raw.parquet", data)
 
 

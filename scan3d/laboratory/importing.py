@@ -142,9 +142,8 @@ def convert(table: RawTable, map: Map) -> Imported:
     rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
     recording = _recording(table, map, rows, bool(known.all()), noise)
     check_sizes(recording, map, table.name)
-    notes = [
-        *sensed.notes, *transfers, *_filter_notes(map, sensed.rate, every), *_contact_notes(recording, wrench[kept], known, map),
-    ]  # fmt: skip
+    notes = [*sensed.notes, *transfers, *_filter_notes(map, sensed.rate, every)]
+    notes += _contact_notes(recording, wrench[kept], known, map)
     left_out = {
         "without numbers": len(table) - len(log), "between sweeps": len(log) - len(within),
         "thinned": len(within) - len(kept),

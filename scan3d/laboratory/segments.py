@@ -123,7 +123,7 @@ def _second_difference_sd(values: Array) -> float:
 
 
 def _step(values: Array) -> float:
-    """The step of a coordinate (n,) that stalls and jumps, because its steps are larger than the motion from row to row; or 0."""
+    """The step of a coordinate (n,) that stalls and jumps, because it is larger than the motion from row to row; 0 for others."""
     steps = np.abs(np.diff(values))
     moves = steps > 0
     if not moves.any():
@@ -201,9 +201,9 @@ def with_rows(sweep: NDArray[np.int64], rows: Mask) -> NDArray[np.int64]:
 def transfers(
     sweep: NDArray[np.int64], touching: NDArray[np.int64], position: Array, quaternion: Array, length: float
 ) -> NDArray[np.int64]:
-    """Numbers of the strokes, of which those in `touching` have contact, that are no evidence of empty space, because the rod may have been out of reach.
+    """Numbers of the strokes without contact that are no evidence of empty space: the rod may have been out of reach.
 
-    A stroke without contact counts as a sweep beside one with contact that has the same orientation, if the clamp is no farther
+    Those in `touching` have contact.  A stroke without contact counts as a sweep beside one with contact that has the same orientation, if the clamp is no farther
     from the body along the rod, and if both pass each other.
     """
     numbers, first = np.unique(sweep, return_index=True)

@@ -44,6 +44,8 @@ _HARMLESS = 0.3
 _MOST = 0.8
 # Stretches shorter than this fraction of the median one are left out.
 _SHORT = 0.1
+# Residuals have the steps of a converter if so many of them have fewer different values.
+_LOOKED_AT, _FEW_VALUES = 2000, 64
 # Rounding, relative to the range of a channel.
 _ROUNDING = 1e-9
 
@@ -132,7 +134,7 @@ def robust_sd(residuals: Array) -> Array:
     inside = absolute <= limit
     count = np.maximum(inside.sum(axis=0), 1)
     rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / count)
-    coarse = np.array([len(np.unique(column[:2000])) < 8 for column in residuals.T])
+    coarse = np.array([len(np.unique(column[:_LOOKED_AT])) < _FEW_VALUES for column in residuals.T])
     return np.where((mad == 0) | coarse, rms, mad)
 
 
