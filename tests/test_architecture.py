@@ -21,7 +21,10 @@ LAYERS = [{name.strip() for name in line.split("|")} for line in CONTRACTS[0]["l
 # What knows the true body, and the commands, which compare with it.
 TRUTH = {"scan3d.simulation"}
 ABOVE_TRUTH = {"scan3d.cli"}
-STEP_2 = {"scan3d.reconstruction", "scan3d.surfaces", "scan3d.planning", "scan3d.cloud", "scan3d.recording", "scan3d.laboratory"}
+STEP_2 = {
+    "scan3d.reconstruction", "scan3d.surfaces", "scan3d.planning", "scan3d.cloud", "scan3d.recording",
+    "scan3d.laboratory",
+}  # fmt: skip
 
 
 def wing(name):

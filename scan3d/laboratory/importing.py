@@ -14,9 +14,10 @@ from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory import filtering, segments, taring
 from scan3d.laboratory.bags import is_bag, read_bag
-from scan3d.laboratory.columns import CHANNELS, Log, read_log
+from scan3d.laboratory.columns import Log, read_log
 from scan3d.laboratory.directions import check_directions
 from scan3d.laboratory.maps import Map, read_map
+from scan3d.laboratory.notes import contact_notes, filter_notes
 from scan3d.laboratory.plausibility import check_range, check_sizes, felt, in_contact, stands_out
 from scan3d.laboratory.tables import RawTable, read_table
 from scan3d.laboratory.transforms import clamp_pose, clamp_wrench, turned_back, wrench_matrix
@@ -28,8 +29,6 @@ KIND = "import"
 _COLOURED = 1.3
 # Rounding of a wrench from which its zero was taken off, relative to the largest one.
 _ROUNDING = 1e-13
-# Part of the force out of the plane, of a sensor with four or five channels, from which a note says so.
-_OUT_OF_PLANE = 0.05
 
 
 @dataclass(frozen=True)
@@ -142,8 +141,8 @@ def convert(table: RawTable, map: Map) -> Imported:
     rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
     recording = _recording(table, map, rows, bool(known.all()), noise)
     check_sizes(recording, map, table.name)
-    notes = [*sensed.notes, *transfers, *_filter_notes(map, sensed.rate, every)]
-    notes += _contact_notes(recording, wrench[kept], known, map)
+    notes = [*sensed.notes, *transfers, *filter_notes(map, sensed.rate, every)]
+    notes += contact_notes(recording, wrench[kept], known, map)
     left_out = {
         "without numbers": len(table) - len(log), "between sweeps": len(log) - len(within),
         "thinned": len(within) - len(kept),
@@ -313,46 +312,3 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
     if not six_axis:
         return recording
     return replace(recording, force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
-
-
-def _filter_notes(map: Map, rate: float | None, every: int) -> list[str]:
-    if rate is None:
-        return []
-    left = rate / every
-    if map.lowpass_hz and left > 4 * map.lowpass_hz:
-        return [
-            f"rows that follow one another at {left:.4g} Hz have nearly the same noise after a low-pass of {map.lowpass_hz:g} "
-            f"Hz; rate_hz = {2 * map.lowpass_hz:g} under [filter] keeps rows with independent noise"
-        ]
-    if map.lowpass_hz and left < 2 * map.lowpass_hz:
-        return [
-            f"at {left:.4g} Hz what is faster than {left / 2:.4g} Hz appears as slower; lowpass_hz lets up to "
-            f"{map.lowpass_hz:g} Hz pass"
-        ]
-    return []
-
-
-def _contact_notes(recording: Recording, wrench: Array, known: Mask, map: Map) -> list[str]:
-    notes = []
-    touched = felt(recording)
-    if not touched.any():
-        notes.append(
-            "no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent"
-        )
-    further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
-    if not known.all() and further:
-        text = (
-            f"{', '.join(further)} are left out, because a planar recording has fx, fy and mz, and all six are needed for the "
-            "model in space"
-        )
-        if known[2] and touched.any():
-            part = np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)
-            worst = float(np.median(part))
-            if worst > _OUT_OF_PLANE:
-                text += f"; fz is {100 * worst:.2g} % of the force in contact, and the planar model takes it for zero"
-        notes.append(text)
-    if map.air == "none" and map.noise_force_N is None:
-        notes.append(
-            "nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under [tare]"
-        )
-    return notes

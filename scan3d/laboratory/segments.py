@@ -123,7 +123,7 @@ def _second_difference_sd(values: Array) -> float:
 
 
 def _step(values: Array) -> float:
-    """The step of a coordinate (n,) that stalls and jumps, because it is larger than the motion from row to row; 0 for others."""
+    """The step of a coordinate (n,) that stalls and jumps because it moves by less from row to row; 0 for others."""
     steps = np.abs(np.diff(values))
     moves = steps > 0
     if not moves.any():
@@ -203,8 +203,8 @@ def transfers(
 ) -> NDArray[np.int64]:
     """Numbers of the strokes without contact that are no evidence of empty space: the rod may have been out of reach.
 
-    Those in `touching` have contact.  A stroke without contact counts as a sweep beside one with contact that has the same orientation, if the clamp is no farther
-    from the body along the rod, and if both pass each other.
+    Those in `touching` have contact.  A stroke without contact counts as a sweep beside one with contact that has the same
+    orientation, if the clamp is no farther from the body along the rod, and if both pass each other.
     """
     numbers, first = np.unique(sweep, return_index=True)
     numbers, first = numbers[numbers >= 0], first[numbers >= 0]
