@@ -20,6 +20,7 @@ from scan3d.laboratory.maps import read_map
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 EXACT = Rig()
+RIG_WITH_NOISE = Rig(noise=0.002)
 
 
 @pytest.fixture(scope="module")
@@ -351,3 +352,31 @@ def test_a_body_on_a_turntable_is_the_example_of_the_manual(tmp_path, monkeypatc
     assert found.axes() == pytest.approx(by_hand.axes(), abs=1e-14)
     assert found.force_N == pytest.approx(by_hand.force_N, rel=1e-14)
     assert found.moment_Nm == pytest.approx(by_hand.moment_Nm, rel=1e-14)
+
+
+@pytest.mark.parametrize(("jitter_m", "step_m"), [(2e-5, 0.0), (0.0, 1e-5), (2e-6, 5e-6)])
+def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, planar, jitter_m, step_m):
+    """Slow motion, 20 µm of jitter, and an encoder of 10 µm: the sweeps are whole, but for some rows at their ends."""
+    log, slower = track(planar), 12
+    at = np.linspace(0, len(log.time) - 1, slower * len(log.time))
+    index = np.arange(len(log.time))
+    position = np.stack([np.interp(at, index, column) for column in log.position.T], axis=1)
+    position += jitter_m * np.random.default_rng(2).standard_normal(position.shape)
+    position = np.round(position / step_m) * step_m if step_m else position
+    nearest = np.round(at).astype(int)
+    long = log._replace(
+        time=np.arange(len(at)) / 1000,
+        position=position,
+        wrench=np.stack([np.interp(at, index, column) for column in log.wrench.T], axis=1),
+        quaternion=log.quaternion[nearest],
+        row=log.row[nearest],
+    )
+    found = imported(tmp_path / "raw.csv", table(long, RIG_WITH_NOISE), map_of(planar.rod, RIG_WITH_NOISE))
+    truth, mine = np.where(long.row >= 0, planar.sweep[long.row], -1), found.sweep
+    count = len(np.unique(planar.sweep))
+    assert found.summary.sweeps == count
+    for number, original in enumerate(dict.fromkeys(planar.sweep.tolist())):
+        rows = truth == original
+        # all of its rows but a few, and others within the 20 standard deviations over which the direction is determined
+        assert (mine[rows] == number).mean() > 0.97
+        assert (mine == number).sum() < 1.25 * rows.sum()

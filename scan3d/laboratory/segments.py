@@ -24,7 +24,7 @@ _STRAIGHT = 0.1
 _OVER_JITTER = 20.0
 # Motion this many times slower than the usual one is still recognised.  Larger, the clamp counts as moving before it does;
 # smaller, slow sweeps beside fast transfers are lost.
-_SLOWER = 4
+_SLOWER = 16
 # The usual motion is that of at least this fraction of the rows.
 _USUAL = 0.25
 # Errors of positions below this fraction of the rod's length do not count.
