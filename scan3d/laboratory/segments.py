@@ -27,6 +27,8 @@ _OVER_JITTER = 20.0
 _SLOWER = 16
 # The usual motion is that of at least this fraction of the rows.
 _USUAL = 0.25
+# Rows from which medians are taken, evenly spread.
+_SOME = 20_000
 # Errors of positions below this fraction of the rod's length do not count.
 _EXACT = 1e-9
 # Positions are steps of an encoder if they stall in at least this fraction of the rows beside a step.
@@ -117,7 +119,7 @@ def _second_difference_sd(values: Array) -> float:
     """Standard deviation of the errors of successive values (n, k), from their second differences."""
     if len(values) < 3:
         return 0.0
-    second = np.abs(np.diff(values, n=2, axis=0))
+    second = np.abs(np.diff(values, n=2, axis=0)[:: max(1, len(values) // _SOME)])
     # of three independent errors with the weights 1, -2, 1
     return float(np.median(second, axis=0).max()) * 1.4826 / float(np.sqrt(6))
 

@@ -46,6 +46,8 @@ _MOST = 0.8
 _SHORT = 0.1
 # Residuals have the steps of a converter if so many of them have fewer different values.
 _LOOKED_AT, _FEW_VALUES = 2000, 64
+# Rows from which medians are taken, evenly spread.
+_SOME = 20_000
 # Rounding, relative to the range of a channel.
 _ROUNDING = 1e-9
 
@@ -164,11 +166,10 @@ def find_air(wrench: Array, clock: Array, where: str) -> list[tuple[int, int]]:
     """
     channels = np.ptp(wrench, axis=0) > 0
     near_rows = np.ones(len(wrench), dtype=bool)
-    if channels.any():
-        values = wrench[:, channels]
-        scaled = values / _scales(wrench)[channels]
-        near_rows = (np.abs(scaled - _followed(scaled, clock)) <= 1).all(axis=1)
     scale = _scales(wrench)
+    if channels.any():
+        scaled = wrench[:, channels] / scale[channels]
+        near_rows = (np.abs(scaled - _followed(scaled, clock)) <= 1).all(axis=1)
     runs = [run for run in _runs(near_rows) if _is_level(wrench[run[0] : run[1]], scale)]
     stretches = _consistent(wrench, clock, _refined(wrench, clock, runs))
     again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
@@ -187,7 +188,7 @@ def _scales(wrench: Array) -> Array:
     """(c,) deviations within which a channel counts as near its zero: a fraction of the range, or the noise."""
     steps = np.abs(np.diff(wrench, axis=0)) if len(wrench) > 1 else np.zeros((1, wrench.shape[1]))
     # the quartile of |x| is 0.3186 standard deviations, and those of differences are √2 times as large
-    noise = np.percentile(steps, 25, axis=0) / (0.3186 * np.sqrt(2))
+    noise = np.percentile(steps[:: max(1, len(steps) // _SOME)], 25, axis=0) / (0.3186 * np.sqrt(2))
     reach = np.ptp(wrench, axis=0)
     half = wrench.shape[1] // 2
     group = np.concatenate([np.full(half, reach[:half].max()), np.full(len(reach) - half, reach[half:].max())])
@@ -282,22 +283,30 @@ def _is_level(values: Array, scale: Array) -> bool:
 
 def _robust_line(time: Array, values: Array) -> Array:
     """The residuals (m, c) from a line through the medians of both halves, fitted again to the rows close to it."""
+    every = max(1, len(time) // (_SOME // 10))
+    level, slope, middle = _fitted(time[::every], values[::every])
+    return values - level - slope * (time - middle)[:, None]
+
+
+def _fitted(time: Array, values: Array) -> tuple[Array, Array, float]:
+    """That line: its level (c,) at a time, its slope (c,), and the time."""
     half = len(time) // 2
     early, late = np.median(values[:half], axis=0), np.median(values[-half:], axis=0)
     span = float(np.median(time[-half:]) - np.median(time[:half]))
     slope = (late - early) / span if span > 0 else np.zeros(values.shape[1])
-    residual = values - slope * time[:, None]
-    residual -= np.median(residual, axis=0)
+    middle = float(time.mean())
+    level = np.median(values - slope * (time - middle)[:, None], axis=0)
     for _ in range(3):
+        residual = values - level - slope * (time - middle)[:, None]
         mad = _SD_OVER_MAD * np.median(np.abs(residual), axis=0)
         kept = (np.abs(residual) <= _SIGMAS * mad).all(axis=1)
-        centred = time - time[kept].mean() if kept.any() else time
-        spread = float((centred[kept] ** 2).sum()) if kept.any() else 0.0
-        if kept.sum() < _FEWEST or spread == 0:
+        if kept.sum() < _FEWEST or np.ptp(time[kept]) == 0:
             break
-        slope = (centred[kept, None] * residual[kept]).sum(axis=0) / spread
-        residual = residual - residual[kept].mean(axis=0) - slope * centred[:, None]
-    return residual
+        middle = float(time[kept].mean())
+        centred = time[kept] - middle
+        level = values[kept].mean(axis=0)
+        slope = (centred[:, None] * (values[kept] - level)).sum(axis=0) / float((centred**2).sum())
+    return level, slope, middle
 
 
 def _step(values: Array) -> float:
