@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory import filtering, segments, taring
+from scan3d.laboratory.air import find_air
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.columns import Log, read_log
 from scan3d.laboratory.directions import check_directions
@@ -217,7 +218,7 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> tuple[Array, Mask, A
     if map.air == "none":
         return np.zeros((1, 6)), np.zeros(len(log), dtype=bool), np.zeros(6), []
     if isinstance(map.air, str):
-        stretches = taring.find_air(log.wrench, clock, where)
+        stretches = find_air(log.wrench, clock, where)
     elif log.time_s is None:
         raise InputError(
             f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]"
