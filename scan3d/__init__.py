@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from scan3d.laboratory.calibration import calibrate
     from scan3d.laboratory.calibration_file import read_rig, write_rig
     from scan3d.laboratory.calibration_result import Calibration
+    from scan3d.laboratory.importing import import_table
     from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
     from scan3d.reconstruction import reconstruct
@@ -49,6 +50,7 @@ _HOME = {
     "Session": "session",
     "calibrate": "laboratory.calibration",
     "compare": "comparison",
+    "import_table": "laboratory.importing",
     "load_mesh": "simulation.bodies",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
@@ -71,6 +73,7 @@ __all__ = [
     "Session",
     "calibrate",
     "compare",
+    "import_table",
     "load_mesh",
     "plot",
     "read_recording",

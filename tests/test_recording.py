@@ -84,7 +84,7 @@ def test_rows_without_contact_are_kept(tmp_path):
 
 
 def test_a_recording_is_a_csv(tmp_path):
-    with pytest.raises(InputError, match=r"a recording is written as \.csv, got 'log\.txt'"):
+    with pytest.raises(InputError, match=r"a recording is written as \.csv or \.parquet, got 'log\.txt'"):
         write_recording(random_recording(), tmp_path / "log.txt")
     assert list(tmp_path.iterdir()) == []
 

@@ -16,7 +16,12 @@ from scan3d.processes import python
 
 # Packages that every scan needs, and what the others are used for.
 NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
-OPTIONAL = {"open3d": "Poisson and ball pivoting surfaces", "imageio-ffmpeg": "movies as .mp4"}
+OPTIONAL = {
+    "open3d": "Poisson and ball pivoting surfaces",
+    "imageio-ffmpeg": "movies as .mp4",
+    "pyarrow": "recordings and tables as Parquet",
+    "rosbags": "the import of ROS bags",
+}
 # Endings of recordings that are tried; those that this version does not know are left out of the result.
 _RECORDINGS = (".csv", ".parquet")
 # A child process is stopped after this time.  Shorter, a slow disk or a busy machine would count as a failure; longer, a

@@ -11,7 +11,7 @@ from dataclasses import fields
 from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import calibration, rig_parser
+from scan3d.cli import calibration, laboratory_parser, rig_parser
 from scan3d.cli.settings import Settings
 from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
@@ -24,6 +24,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
   scan3d reconstruct log.csv --out out --truth part.stl    only the reconstruction, compared with the true body
   scan3d calibrate touches.csv --sphere 30 --out rig.toml  rod, clamp and sensor, from touches of a reference sphere
+  scan3d import raw.csv --map rig.toml --out log.csv       a laboratory's table becomes a recording
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
   scan3d show out                                          an interactive window; --html and --screenshot write files
   scan3d export out --to part.glb                          the surface for other programs
@@ -149,7 +150,7 @@ def parser() -> argparse.ArgumentParser:
 
     reconstruct = commands.add_parser("reconstruct", help="step 2 only, from a simulated or measured recording")
     reconstruct.add_argument(
-        "recording", metavar="REC", help="the .csv of a recording; its .toml is in the same folder"
+        "recording", metavar="REC", help="the .csv or .parquet of a recording; its .toml is in the same folder"
     )
     reconstruct.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     reconstruct.add_argument("--truth", metavar="MESH", help="mesh of the true body, to compare the surface with")
@@ -174,6 +175,9 @@ def parser() -> argparse.ArgumentParser:
     reconstruct.set_defaults(command="reconstruct")
 
     calibration.add(commands, _add_overwrite, _add_output)
+    imported = laboratory_parser.add_import(commands)
+    _add_overwrite(imported)
+    _add_output(imported)
 
     compare = commands.add_parser("compare", help="Hausdorff distance and other measures of two meshes")
     compare.add_argument("first", metavar="A", help="a mesh, such as a reconstructed surface")
@@ -253,7 +257,7 @@ def parser() -> argparse.ArgumentParser:
 
     rig_parser.add_rig_commands(commands, _add_overwrite, _add_output)
 
-    for name, text in (_EXAMPLES | rig_parser.EXAMPLES).items():
+    for name, text in (_EXAMPLES | rig_parser.EXAMPLES | laboratory_parser.EXAMPLES).items():
         commands.choices[name].epilog = f"examples:\n{text}"
         commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter
     return top

@@ -16,6 +16,7 @@ from typing import Any
 
 from scan3d.cli import rig
 from scan3d.cli.calibration import calibrate, rigged
+from scan3d.cli.laboratory import import_
 from scan3d.cli.settings import Settings, settings
 from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
 from scan3d.errors import InputError
@@ -201,7 +202,7 @@ def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
         scene, report = stored.read_folder(path, unit)
         truth = truth or stored.find_truth(path, report)
         hull = hull or bool((report.get("settings") or {}).get("hull"))
-    elif path.suffix.lower() == ".csv":
+    elif path.suffix.lower() in (".csv", ".parquet"):
         scene = _recording_scene(path)
     else:
         stored_scene = stored.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
@@ -268,6 +269,7 @@ VERBS: dict[str, Callable[[Namespace], int]] = {
     "next": lambda arguments: _printed(arguments, *rig.further(arguments)),
     "reconstruct": reconstruct,
     "calibrate": calibrate,
+    "import": import_,
     "compare": compare,
     "show": show,
     "export": export,

@@ -93,16 +93,19 @@ def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, c
         raise InputError(f"{path} can't be recognised as written by scan3d; {_ASK} {option}")
 
 
-def check_recording(path: str | Path, sidecar: Path, inputs: Inputs, overwrite: bool, option: str = "--out") -> None:
-    """Raise InputError if a simulated recording must not be written at the path, with its TOML file."""
+def check_recording(
+    path: str | Path, sidecar: Path, inputs: Inputs, overwrite: bool, option: str = "--out", kind: str = "simulation"
+) -> None:
+    """Raise InputError if a recording must not be written at the path, with its TOML file; one of the same kind is replaced."""
     for file in (Path(path), sidecar):
         check_path(file, inputs, option)
         if file.name in RECORDING and earlier_files(file.parent):
             raise InputError(f"{file} belongs to the scan in {file.parent}; choose another place with {option}")
     if not overwrite:
         check_sidecar(sidecar, f"; {_ASK} {option}")
-        if Path(path).exists() and _kind(sidecar) != "simulation":
-            raise InputError(f"{path} is not a recording that scan3d has simulated; {_ASK} {option}")
+        if Path(path).exists() and _kind(sidecar) != kind:
+            made = "simulated" if kind == "simulation" else "imported"
+            raise InputError(f"{path} is not a recording that scan3d has {made}; {_ASK} {option}")
 
 
 def check_companion(path: Path, sidecar: Path, kind: str, option: str) -> None:

@@ -1,0 +1,80 @@
+"""Low-pass without a shift in time, fewer rows, and the noise that is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from scan3d.arrays import Array
+from scan3d.errors import InputError
+
+# Order of the Butterworth filter, which is applied forwards and backwards.  Higher, steps overshoot more; lower, more of the
+# noise above the limit is left.
+_ORDER = 2
+# Steps in time longer than this many median steps separate parts that are filtered separately.
+_GAP = 5.0
+# Time steps count as even if this fraction of them differs by less than half of the median.
+_EVEN = 0.95
+# Frequencies at which the response is averaged.
+_FREQUENCIES = 4096
+
+
+def sampling_rate(clock: Array, where: str) -> float:
+    """Rows per second.  Raises InputError if the time steps are too uneven for a filter."""
+    steps = np.diff(clock)
+    median = float(np.median(steps)) if len(steps) else 0.0
+    if median <= 0:
+        mean = float(clock[-1] - clock[0]) / max(len(steps), 1)
+        if mean <= 0:
+            raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
+        return 1 / mean
+    if (np.abs(steps - median) < median / 2).mean() < _EVEN:
+        raise InputError(
+            f"{where}: [filter] needs even time steps, and those of the table differ by more than half of their median of "
+            f"{median:.3g} s in {100 * (1 - _EVEN):.0f} % of the rows or more; leave [filter] out"
+        )
+    return 1 / median
+
+
+def low_pass(values: Array, clock: Array, limit_hz: float, rate: float, where: str) -> Array:
+    """The values (n, c) without what is faster than `limit_hz`; parts that long pauses separate are filtered separately."""
+    if limit_hz >= rate / 2:
+        raise InputError(
+            f"{where}: [filter] lowpass_hz = {limit_hz:g} must be below half of the table's rate of {rate:.6g} Hz; lower it, "
+            "or leave it out"
+        )
+    filter_ = _filter(limit_hz, rate)
+    filtered = values.copy()
+    for start, stop in parts(clock, rate):
+        # the edges are continued by reflection, over as many rows as the part has at most
+        pad = min(stop - start - 1, round(3 * rate / limit_hz))
+        if stop - start > 3:
+            filtered[start:stop] = signal.sosfiltfilt(filter_, values[start:stop], axis=0, padlen=pad)
+    return filtered
+
+
+def noise_factor(limit_hz: float, rate: float) -> float:
+    """Standard deviation of white noise that the filter leaves, over that before it."""
+    _, response = signal.freqz_sos(_filter(limit_hz, rate), worN=_FREQUENCIES)
+    # forwards and backwards: the amplitude is that of both
+    return float(np.sqrt(np.mean(np.abs(response) ** 4)))
+
+
+def _filter(limit_hz: float, rate: float) -> Array:
+    sections: Array = signal.butter(_ORDER, limit_hz, fs=rate, output="sos")
+    return sections
+
+
+def parts(clock: Array, rate: float) -> list[tuple[int, int]]:
+    """The parts of a log that have no pause within them: first row, and the one after the last."""
+    breaks = np.flatnonzero(np.diff(clock) > _GAP / rate) + 1
+    edges = [0, *breaks.tolist(), len(clock)]
+    return list(zip(edges[:-1], edges[1:], strict=True))
+
+
+def thinned(sweep: NDArray[np.int64], every: int) -> NDArray[np.int64]:
+    """Rows of which every so many are kept in each sweep (n,), from its first one on."""
+    starts = np.flatnonzero(np.diff(sweep, prepend=sweep[:1] - 1))
+    since = np.arange(len(sweep)) - np.repeat(starts, np.diff(np.append(starts, len(sweep))))
+    return np.flatnonzero(since % every == 0)

@@ -1,0 +1,179 @@
+"""A page that shows what became of a laboratory's table: raw and converted curves, the clamp's path, and the first rows."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array, Mask
+from scan3d.pictures.figures import FONT, SPATIAL_LABELS, quiet
+from scan3d.pictures.shading import INK, UNKNOWN
+
+# Colours of the components x, y and z, which also the colour-blind can distinguish (Okabe and Ito).
+_COLORS = ("#0072B2", "#D55E00", "#009E73")
+_AIR = "#56B4E9"
+# Points of a curve: more than the page has pixels are not seen.  Longer curves are drawn by the extremes of their parts.
+_POINTS = 1500
+# Stretches in the air, and sweeps, that are drawn at most.
+_MOST = 400
+_SIZE = (9.6, 4.6)
+_STYLE = """body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:62rem;margin:2rem auto;padding:0 1rem}
+h1{font-size:1.4rem}h2{font-size:1.1rem;margin-top:2rem}svg{width:100%;height:auto}
+table{border-collapse:collapse}th,td{padding:.15rem .6rem;text-align:right;font-variant-numeric:tabular-nums}
+th{border-bottom:1px solid #999}.facts td,.facts th{text-align:left;border:0}.wide{overflow-x:auto}li{margin:.3rem 0}"""
+
+
+@dataclass(frozen=True)
+class ImportView:
+    """What the page shows of an import of n rows."""
+
+    name: str
+    clock: Array
+    """(n,)"""
+    clock_label: str
+    raw: Array
+    """(n, 6) force and moment of the sensor in N and N m."""
+    zero: Array
+    """(n, 6) or (1, 6) what was taken off."""
+    air: Mask
+    """(n,)"""
+    converted: Array
+    """(n, 6) in the clamp's frame."""
+    sweep: NDArray[np.int64]
+    """(n,) -1 outside sweeps."""
+    position_mm: Array
+    """(n, 3) of the clamp."""
+    facts: Sequence[tuple[str, str]]
+    notes: Sequence[str]
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def import_page(view: ImportView) -> bytes:
+    """The page (HTML, UTF-8), which needs neither the network nor scripts.  The same import gives the same bytes."""
+    with quiet():
+        raw = _svg(_curves(view, view.raw, view.zero, "the sensor shows"))
+        converted = _svg(_curves(view, view.converted, None, "reaction at the clamp"))
+        path = _svg(_path(view))
+    name = html.escape(view.name)
+    facts = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in view.facts)
+    notes = "".join(f"<li>{html.escape(note)}</li>" for note in view.notes)
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in view.header)
+    rows = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in view.rows)
+    text = f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{name}, imported by scan3d</title>
+<style>{_STYLE}</style></head><body>
+<h1>{name}</h1>
+<table class="facts">{facts}</table>
+{f"<h2>Notes</h2><ul>{notes}</ul>" if notes else ""}
+<h2>What the sensor shows</h2>
+<p>Blue bars: stretches in the air. Dashed: the zero that is taken off.</p>
+{raw}
+<h2>What the recording holds</h2>
+<p>Support reactions in the clamp's frame; grey bars: sweeps.</p>
+{converted}
+<h2>The path of the clamp</h2>
+<p>Coloured by the number of the sweep; grey: rows between sweeps.</p>
+{path}
+<h2>The first rows</h2>
+<div class="wide"><table><tr>{head}</tr>{rows}</table></div>
+</body></html>
+"""
+    return text.encode(errors="replace")
+
+
+def _svg(figure: Any) -> str:
+    """A figure as an element of a page."""
+    from matplotlib import rc_context
+
+    stream = io.StringIO()
+    with rc_context({"svg.hashsalt": "scan3d", "svg.fonttype": "none"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    text = stream.getvalue()
+    return re.sub("<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+
+
+def _figure(height: float) -> Any:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(_SIZE[0], height), layout="constrained")
+
+
+def _curves(view: ImportView, values: Array, zero: Array | None, what: str) -> Any:
+    """Forces above moments, over time."""
+    figure = _figure(_SIZE[1])
+    panels = figure.subplots(2, 1, sharex=True)
+    marked = view.air if zero is not None else view.sweep >= 0
+    for part, axes in enumerate(panels):
+        label, *names = SPATIAL_LABELS[part]
+        scale = (1e3, 1e6)[part]
+        for start, stop in _spans(marked):
+            axes.axvspan(
+                view.clock[start], view.clock[stop - 1], color=_AIR if zero is not None else UNKNOWN, alpha=0.25, lw=0
+            )
+        for axis in range(3):
+            column = values[:, 3 * part + axis]
+            if not column.any():
+                continue
+            name = names[axis] if zero is None else "xyz"[axis]
+            axes.plot(*_thin(view.clock, scale * column), color=_COLORS[axis], lw=0.8, label=name)
+            if zero is not None and len(zero) == len(column):
+                axes.plot(*_thin(view.clock, scale * zero[:, 3 * part + axis]), color=INK, lw=0.9, ls="--")
+        axes.set_ylabel(label, fontsize=FONT - 2)
+        axes.tick_params(labelsize=FONT - 3)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.01)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), fontsize=FONT - 3, frameon=False, ncols=3)
+    panels[0].set_title(what, loc="left", fontsize=FONT - 1)
+    panels[-1].set_xlabel(view.clock_label, fontsize=FONT - 2)
+    return figure
+
+
+def _thin(x: Array, y: Array) -> tuple[Array, Array]:
+    """A curve with the extremes of its parts, if it has more points than are seen."""
+    if len(x) <= 2 * _POINTS:
+        return x, y
+    edges = np.linspace(0, len(x), _POINTS + 1).astype(np.intp)[:-1]
+    low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
+    return np.repeat(x[edges], 2), np.stack([low, high], axis=1).ravel()
+
+
+def _spans(marked: Mask) -> list[tuple[int, int]]:
+    """Runs of marked rows, the longest ones if there are many."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8))).reshape(-1, 2)
+    longest = np.argsort(edges[:, 0] - edges[:, 1], kind="stable")[:_MOST]
+    return [(int(a), int(b)) for a, b in edges[np.sort(longest)]]
+
+
+def _path(view: ImportView) -> Any:
+    """The clamp's path from above and from the side."""
+    from matplotlib import colormaps
+
+    figure = _figure(_SIZE[1])
+    numbers = np.unique(view.sweep[view.sweep >= 0])
+    colors = colormaps["viridis"](np.linspace(0, 0.95, max(len(numbers), 1)))
+    chosen = np.linspace(0, len(numbers) - 1, min(len(numbers), _MOST)).astype(np.intp)
+    spans = _spans(np.isin(view.sweep, numbers[chosen]))
+    for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
+        step = max(1, len(view.clock) // (4 * _POINTS))
+        axes.plot(view.position_mm[::step, a], view.position_mm[::step, b], color="0.8", lw=0.6, zorder=1)
+        for start, stop in spans:
+            inner = np.flatnonzero(np.diff(view.sweep[start:stop])) + start + 1
+            for first, last in zip([start, *inner], [*inner, stop], strict=True):
+                ends = np.unique(np.linspace(first, last - 1, min(last - first, 30)).astype(np.intp))
+                color = colors[int(np.searchsorted(numbers, view.sweep[first]))]
+                axes.plot(view.position_mm[ends, a], view.position_mm[ends, b], color=color, lw=1.0, zorder=2)
+        axes.set_xlabel(f"{'xyz'[a]} in mm", fontsize=FONT - 2)
+        axes.set_ylabel(f"{'xyz'[b]} in mm", fontsize=FONT - 2)
+        axes.tick_params(labelsize=FONT - 3)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_aspect("equal", adjustable="datalim")
+    return figure

@@ -1,0 +1,148 @@
+"""ROS bags of both generations, written by rosbags for these tests."""
+
+import numpy as np
+import pytest
+import trimesh
+from raw_tables import Rig, disturbed, map_of, sensed, track
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+import scan3d
+from scan3d import InputError
+from scan3d.laboratory.bags import is_bag
+
+RIG = Rig((0.0, 30.0, 0.0), (0.0, -20.0, 0.0), drift=0.0)
+START = 1_700_000_000 * 10**9
+
+
+@pytest.fixture(scope="module")
+def recording():
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=15.0)
+    return scan3d.simulate(mesh, scan3d.Plan(slices=2, sweeps=2, samples=20))
+
+
+class Bag:
+    """A bag of either generation that is being written."""
+
+    def __init__(self, path, generation):
+        self.first = generation == 1
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.first else Stores.ROS2_HUMBLE)
+        name = "tf2_msgs/msg/TFMessage"
+        if name not in self.store.types:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        self.writer = Writer1(path) if self.first else Writer2(path, version=9)
+        self.connections, self.count = {}, 0
+
+    def stamp(self, ns, frame="world"):
+        types = self.store.types
+        time = types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+        more = {"seq": self.count} if self.first else {}
+        return types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **more)
+
+    def make(self, name, *values):
+        return self.store.types[name](*values)
+
+    def put(self, topic, kind, ns, message):
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        serialize = self.store.serialize_ros1 if self.first else self.store.serialize_cdr
+        self.count += 1
+        # received a while after it was measured
+        self.writer.write(self.connections[topic], ns + 5_000_000, serialize(message, kind))
+
+    def wrench(self, topic, ns, values):
+        force, torque = (self.make("geometry_msgs/msg/Vector3", *map(float, part)) for part in (values[:3], values[3:]))
+        kind = "geometry_msgs/msg/WrenchStamped"
+        self.put(topic, kind, ns, self.make(kind, self.stamp(ns), self.make("geometry_msgs/msg/Wrench", force, torque)))
+
+    def pose(self, topic, ns, position, turn):
+        place = self.make("geometry_msgs/msg/Point", *map(float, position))
+        w, x, y, z = map(float, turn)
+        kind = "geometry_msgs/msg/PoseStamped"
+        pose = self.make("geometry_msgs/msg/Pose", place, self.make("geometry_msgs/msg/Quaternion", x, y, z, w))
+        self.put(topic, kind, ns, self.make(kind, self.stamp(ns), pose))
+
+    def transform(self, topic, ns, parent, child, position, turn):
+        w, x, y, z = map(float, turn)
+        shift = self.make("geometry_msgs/msg/Vector3", *map(float, position))
+        inner = self.make("geometry_msgs/msg/Transform", shift, self.make("geometry_msgs/msg/Quaternion", x, y, z, w))
+        one = self.make("geometry_msgs/msg/TransformStamped", self.stamp(ns, parent), child, inner)
+        kind = "tf2_msgs/msg/TFMessage"
+        self.put(topic, kind, ns, self.make(kind, [one]))
+
+
+def written(path, generation, log, poses):
+    """A bag with the wrenches of a log at 1 kHz, and its poses by 'pose' or 'tf' at the same times."""
+    values, _ = disturbed(sensed(log.wrench, RIG), RIG)
+    bag = Bag(path, generation)
+    flange = Rotation.from_euler("xyz", [0.3, -0.2, 0.5])
+    offset = np.array([0.01, -0.02, 0.03])
+    with bag.writer:
+        if poses == "tf":
+            bag.transform("/tf_static", START, "flange", "clamp", offset, flange.as_quat(scalar_first=True))
+        for k, ns in enumerate((START + np.round(log.time * 1e9).astype(np.int64)).tolist()):
+            bag.wrench("/ft", ns, values[k])
+            if poses == "pose":
+                bag.pose("/tool", ns, log.position[k], log.quaternion[k])
+            else:
+                turn = Rotation.from_quat(log.quaternion[k], scalar_first=True) * flange.inv()
+                place = log.position[k] - turn.apply(offset)
+                bag.transform("/tf", ns, "world", "flange", place, turn.as_quat(scalar_first=True))
+    return path
+
+
+def made(recording, ros):
+    data = map_of(recording.rod, RIG)
+    del data["columns"], data["units"]
+    return data | {"ros": ros}
+
+
+@pytest.mark.parametrize("generation", [1, 2])
+@pytest.mark.parametrize("poses", ["pose", "tf"])
+def test_a_bag_gives_the_recording_back(tmp_path, recording, generation, poses):
+    log = track(recording, air=25)
+    path = written(tmp_path / ("run.bag" if generation == 1 else "run"), generation, log, poses)
+    assert is_bag(path)
+    back = scan3d.import_table(path, made(recording, {"tf": ["world", "clamp"]} if poses == "tf" else {}))
+    rows = log.row[log.row >= 0]
+    assert back.six_axis
+    assert back.source["table"] == path.name
+    assert back.position_m == pytest.approx(recording.position_m[rows], abs=1e-12)
+    assert np.abs(back.axes() - recording.axes()[rows]).max() < 1e-12
+    assert back.force_N == pytest.approx(recording.force_N[rows], abs=1e-12)
+    assert back.moment_Nm == pytest.approx(recording.moment_Nm[rows], abs=1e-14)
+
+
+def test_topics_that_are_not_there(tmp_path, recording):
+    log = track(recording, air=25)
+    path = written(tmp_path / "run", 2, log, "pose")
+    for ros, sentence in (
+        (
+            {"wrench": "/ftt"},
+            r"run has no topic '/ftt' of WrenchStamped, which \[ros\] wrench .*; it has /ft; did you mean /ft\?",
+        ),
+        ({"tf": ["world", "clamp"]}, r"run: tf has no chain from 'world' to 'clamp'.*it has no frames"),
+        ({"pose": "/a", "tf": ["world", "clamp"]}, r"\[ros\] tf and pose can't both be given"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            scan3d.import_table(path, made(recording, ros))
+    other = written(tmp_path / "tf.bag", 1, log, "tf")
+    with pytest.raises(
+        InputError, match=r"tf\.bag has no topic of PoseStamped; name one as pose .*, or the frames of tf"
+    ):
+        scan3d.import_table(other, made(recording, {}))
+    with pytest.raises(InputError, match=r"no chain from 'wrld' to 'clamp'.*; did you mean world"):
+        scan3d.import_table(other, made(recording, {"tf": ["wrld", "clamp"]}))
+    with pytest.raises(InputError, match=r"nothing moves between 'flange' and 'clamp' in tf"):
+        scan3d.import_table(other, made(recording, {"tf": ["flange", "clamp"]}))
+    (tmp_path / "cut.bag").write_bytes((tmp_path / "tf.bag").read_bytes()[:50])
+    with pytest.raises(InputError, match=r"can't read the bag .*cut\.bag"):
+        scan3d.import_table(tmp_path / "cut.bag", made(recording, {}))
+
+
+def test_without_rosbags_the_message_says_what_to_install(tmp_path, recording, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    with pytest.raises(InputError, match=r"ROS bags need rosbags: pip install 'scan3d\[ros\]'"):
+        scan3d.import_table(tmp_path / "run.bag", made(recording, {}))

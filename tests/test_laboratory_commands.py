@@ -1,0 +1,286 @@
+"""`scan3d import`: files, first maps, the page; Parquet; and how long a large table takes."""
+
+import json
+import sys
+import time
+import tomllib
+
+import numpy as np
+import pytest
+import trimesh
+from raw_tables import Rig, map_of, table, track, write
+
+import scan3d
+from scan3d import InputError
+from scan3d.cli import main
+from scan3d.files.parquet import parquet_bytes
+from scan3d.files.text import to_toml
+from scan3d.laboratory import filtering, taring
+from scan3d.laboratory.guessing import guess_map
+from scan3d.laboratory.importing import convert, load
+from scan3d.laboratory.maps import read_map
+
+RIG = Rig(noise=0.002)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=15.0)
+    return scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=32))
+
+
+@pytest.fixture
+def place(tmp_path, recording, monkeypatch):
+    """A folder with a table and its map, which is the current one."""
+    write(tmp_path / "raw.csv", table(track(recording), RIG))
+    (tmp_path / "rig.toml").write_text(to_toml(map_of(recording.rod, RIG)))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_command_writes_a_recording_with_its_origin(place, capsys):
+    for name in ("log.csv", "log.parquet"):
+        assert main(["import", "raw.csv", "--map", "rig.toml", "--out", name]) == 0
+        assert f"written to         {name}" in capsys.readouterr().out
+        source = scan3d.read_recording(name).source
+        assert (source["kind"], source["table"]) == ("import", "raw.csv")
+        assert len(source["table_sha256"]) == 64
+        assert source["map"] == tomllib.loads((place / "rig.toml").read_text())
+    assert (
+        main(["import", "raw.csv", "--map", "rig.toml", "--out", "log.csv", "--json"]) == 0
+    )  # an earlier import is replaced
+    data = json.loads(capsys.readouterr().out)
+    assert data["rows"] == len((place / "raw.csv").read_text().splitlines()) - 1
+    assert data["noise_force_N"] > 0
+
+
+def test_files_of_others_are_not_replaced(place, capsys):
+    (place / "other.csv").write_text("mine")
+    assert main(["import", "raw.csv", "--map", "rig.toml", "--out", "other.csv"]) == 1
+    assert "other.csv is not a recording that scan3d has imported; give --overwrite" in capsys.readouterr().err
+    for out, sentence in (
+        ("raw.csv", "raw.csv is the table that this run reads"),
+        ("rig.csv", "rig.toml is the map that"),
+    ):
+        assert main(["import", "raw.csv", "--map", "rig.toml", "--out", out, "--overwrite"]) == 1
+        assert sentence in capsys.readouterr().err
+    assert main(["import", "raw.csv", "--map", "rig.toml", "--out", "log.txt"]) == 1
+    assert main(["import", "raw.csv", "--map", "rig.toml", "--out", "other.csv", "--overwrite", "--quiet"]) == 0
+
+
+def test_options_that_are_missing(place, capsys):
+    for options, sentence in (
+        (["--out", "log.csv"], "--guess writes a first one"),
+        (["--map", "rig.toml"], "--out names the"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main(["import", "raw.csv", *options])
+        assert sentence in capsys.readouterr().err
+
+
+def test_a_dry_run_shows_rows_and_writes_a_page_only(place, capsys):
+    assert main(["import", "raw.csv", "--map", "rig.toml", "--dry-run"]) == 0
+    printed = capsys.readouterr().out
+    assert sorted(path.name for path in place.iterdir()) == ["raw.csv", "raw.html", "rig.toml"]
+    lines = printed.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.split()[:2] == ["row", "fx"])
+    assert len(lines) - start == 7
+    assert len({len(line) for line in lines[start:]}) == 1
+    page = (place / "raw.html").read_text()
+    assert page.count("<svg") == 3
+    assert "http" not in page.replace("http://www.w3.org", "")  # the names of SVG's elements
+    assert "<script" not in page
+    assert main(["import", "raw.csv", "--map", "rig.toml", "--dry-run", "--quiet"]) == 0  # a page of ours is replaced
+    assert (place / "raw.html").read_text() == page
+
+
+def test_a_first_map_is_written_and_completed(place, recording, capsys):
+    columns = table(track(recording), RIG)
+    units = dict(t="t_s", x="TCP X [mm]", y="TCP Y [mm]", z="TCP Z [mm]", a="Roll", b="Pitch", c="Yaw")
+    units |= {f"F{k}": f"F{k} (N)" for k in "xyz"} | {f"T{k}": f"T{k} (N mm)" for k in "xyz"}
+    write(place / "robot.csv", {units[name]: column for name, column in columns.items()}, ";", ",")
+    assert main(["import", "robot.csv", "--guess"]) == 0
+    printed = capsys.readouterr().out
+    assert "written to robot.map.toml" in printed
+    assert "unit of force" not in printed
+    text = (place / "robot.map.toml").read_text()
+    data = tomllib.loads(text)
+    assert data["table"] == {"decimal": ",", "delimiter": ";"}
+    assert data["columns"]["position"] == ["TCP X [mm]", "TCP Y [mm]", "TCP Z [mm]"]
+    assert data["units"] == {"time": "s", "length": "mm", "angle": "deg", "force": "N", "moment": "N mm"}
+    with pytest.raises(InputError, match=r"robot\.map\.toml: \[rod\] a rod needs a positive length"):
+        scan3d.import_table("robot.csv", "robot.map.toml")
+    assert main(["import", "robot.csv", "--guess"]) == 1
+    assert "robot.map.toml exists already; give --overwrite" in capsys.readouterr().err
+    complete = data | {key: map_of(recording.rod, RIG)[key] for key in ("sensor", "rod")}
+    found, known = scan3d.import_table("robot.csv", complete), scan3d.import_table("raw.csv", "rig.toml")
+    assert found.force_N.tobytes() == known.force_N.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("header", "entries", "left"),
+    [
+        (
+            "time,px,py,pz,rx,ry,rz,fx,fy,fz,mx,my,mz",
+            {"orientation": {"rotvec": ["rx", "ry", "rz"]}, "moment": ["mx", "my", "mz"], "time": "time"},
+            {"unit of moment", "sensor", "rod"},
+        ),
+        (
+            "timestamp,sweep,x_m,y_m,z_m,qw,qx,qy,qz,force_x_N,force_y_N,torque_z_Nm,move",
+            {"force": ["force_x_N", "force_y_N"], "moment": ["torque_z_Nm"], "sweep": "sweep", "move": "move"},
+            {"sensor"},
+        ),
+        (
+            "a,b,c,d,e,f,g,h,i,j,k,l,m",
+            {"force": ["(force x)", "(force y)", "(force z)"]},
+            {"position", "force", "moment"},
+        ),
+    ],
+)
+def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
+    count = len(header.split(","))
+    (tmp_path / "log.csv").write_text(f"{header}\n" + f"{','.join(['0.5'] * count)}\n" * 3)
+    guess = guess_map(tmp_path / "log.csv")
+    columns = tomllib.loads(guess.text)["columns"]
+    assert {name: columns[name] for name in entries} == entries
+    assert left <= set(guess.open)
+
+
+def test_titles_and_units_are_found_by_the_guess(tmp_path):
+    (tmp_path / "log.csv").write_text("A title\n\nt\tx\ty\ns\tmm\tmm\n" + "0,5\t1,5\t2,5\n" * 4)
+    data = tomllib.loads(guess_map(tmp_path / "log.csv").text)
+    assert data["table"] == {"decimal": ",", "delimiter": "\t", "units_row": True, "header": 3}
+
+
+# --- filter ---
+
+
+def test_the_filter_shifts_nothing_and_leaves_the_noise_that_is_stated(recording):
+    rng = np.random.default_rng(0)
+    clock = np.arange(20_000) / 1000
+    slow = np.sin(2 * np.pi * 2 * clock)[:, None]
+    passed = filtering.low_pass(slow, clock, 50.0, 1000.0, "log")
+    assert np.abs(passed - slow)[500:-500].max() < 1e-4
+    noise = rng.standard_normal((20_000, 1))
+    left = filtering.low_pass(noise, clock, 50.0, 1000.0, "log").std()
+    assert left == pytest.approx(filtering.noise_factor(50.0, 1000.0), rel=0.05)
+    # in two parts with a pause between them, each as if it were alone
+    paused = np.where(np.arange(20_000) < 9000, clock, clock + 5)
+    both = filtering.low_pass(noise, paused, 50.0, 1000.0, "log")
+    assert np.array_equal(both[:9000], filtering.low_pass(noise[:9000], clock[:9000], 50.0, 1000.0, "log"))
+
+
+def test_filter_and_rate_state_the_noise_that_is_left(place, recording):
+    write(place / "long.csv", table(track(recording, air=400), RIG))
+    data = map_of(recording.rod, RIG)
+    full = scan3d.import_table("long.csv", data)
+    data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
+    imported = convert(load("long.csv", read_map(data)), read_map(data))
+    assert imported.recording.noise_force_N < 0.75 * full.noise_force_N
+    assert imported.summary.samples == pytest.approx(len(full) / 4, rel=0.1)
+    assert imported.summary.left_out["thinned"] == len(full) - imported.summary.samples
+    data["filter"] = {"lowpass_hz": 50.0}
+    notes = convert(load("long.csv", read_map(data)), read_map(data)).summary.notes
+    assert "rate_hz = 100 under [filter] keeps rows with independent noise" in " ".join(notes)
+    del data["columns"]["time"]
+    with pytest.raises(InputError, match=r"\[filter\] needs the time of the rows"):
+        scan3d.import_table("long.csv", data)
+
+
+# --- noise ---
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5, 3.0])
+def test_the_noise_is_estimated_with_outliers_and_steps(step):
+    values = np.random.default_rng(1).standard_normal((4000, 1))
+    values = np.round(values / step) * step if step else values
+    values[::400] += 100
+    expected = (
+        float(np.hypot(1, step / np.sqrt(12))) if step < 2 else np.sqrt((values[np.abs(values) < 50] ** 2).mean())
+    )
+    assert taring.robust_sd(values)[0] == pytest.approx(expected, rel=0.1)
+
+
+# --- Parquet ---
+
+
+def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
+    (tmp_path / "log.parquet").write_bytes(b"no such thing")
+    (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
+    with pytest.raises(InputError, match=r"can't read log\.parquet as Parquet"):
+        scan3d.read_recording(tmp_path / "log.parquet")
+    (tmp_path / "log.parquet").write_bytes(parquet_bytes({"sweep": np.zeros(2)}))
+    with pytest.raises(InputError, match=r"log\.parquet is not a recording: its header lacks x_m"):
+        scan3d.read_recording(tmp_path / "log.parquet")
+    columns = {name: np.zeros(2) for name in scan3d.files.recordings.COLUMNS} | {"qw": np.array(["a", "b"])}
+    (tmp_path / "log.parquet").write_bytes(parquet_bytes(columns))
+    with pytest.raises(InputError, match=r"the column qw holds text such as 'a', where numbers are expected"):
+        scan3d.read_recording(tmp_path / "log.parquet")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    for call in (
+        lambda: scan3d.read_recording(tmp_path / "log.parquet"),
+        lambda: scan3d.write_recording(recording, tmp_path / "new.parquet"),
+        lambda: scan3d.import_table(tmp_path / "log.parquet", map_of(recording.rod, RIG)),
+    ):
+        with pytest.raises(InputError, match=r"Parquet files need pyarrow: pip install 'scan3d\[parquet\]'"):
+            call()
+
+
+def test_without_pyarrow_text_is_read_to_the_same_bits(place, monkeypatch):
+    fast = scan3d.import_table("raw.csv", "rig.toml")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    slow = scan3d.import_table("raw.csv", "rig.toml")
+    assert fast.force_N.tobytes() == slow.force_N.tobytes()
+    assert fast.position_m.tobytes() == slow.position_m.tobytes()
+
+
+# --- size ---
+
+
+@pytest.mark.slow
+def test_a_million_rows(tmp_path, recording):
+    """In 10 s, and Parquet in 1 s: process time, because other programs may run."""
+    log, rows = track(recording), 1_000_000
+    at = np.linspace(0, log.time[-1], rows)
+    position, wrench = (
+        np.stack([np.interp(at, log.time, column) for column in values.T], axis=1)
+        for values in (log.position, log.wrench)
+    )
+    nearest = np.round(at * 1000).astype(int).clip(max=len(log.time) - 1)
+    long = log._replace(
+        time=np.arange(rows) / 1000,
+        position=position,
+        wrench=wrench,
+        quaternion=log.quaternion[nearest],
+        row=log.row[nearest],
+    )
+    columns, data = table(long, RIG), map_of(recording.rod, RIG)
+    (tmp_path / "raw.parquet").write_bytes(parquet_bytes(columns))
+    import pyarrow
+    import pyarrow.csv
+
+    pyarrow.csv.write_csv(pyarrow.table(columns), tmp_path / "raw.csv")
+
+    start = time.process_time()
+    imported = scan3d.import_table(tmp_path / "raw.csv", data)
+    scan3d.write_recording(imported, tmp_path / "log.csv")
+    assert time.process_time() - start < 10
+    start = time.process_time()
+    load(tmp_path / "raw.parquet", read_map(data))
+    assert time.process_time() - start < 1
+    whole = scan3d.Recording(
+        sweep=np.zeros(rows, dtype=int),
+        position_m=long.position,
+        quaternion=long.quaternion,
+        force_N=long.wrench[:, :2],
+        moment_Nm=long.wrench[:, 5],
+        rod=recording.rod,
+    )
+    start = time.process_time()
+    scan3d.write_recording(whole, tmp_path / "whole.parquet")
+    again = scan3d.read_recording(tmp_path / "whole.parquet")
+    assert time.process_time() - start < 1
+    scan3d.write_recording(whole, tmp_path / "whole.csv")
+    for back in (again, scan3d.read_recording(tmp_path / "whole.csv")):
+        assert back.force_N.tobytes() == whole.force_N.tobytes()
+        assert back.position_m.tobytes() == whole.position_m.tobytes()

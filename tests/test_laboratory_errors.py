@@ -1,0 +1,320 @@
+"""What is wrong with a table or a map: one sentence each, with the file, the line, the column, and what to do."""
+
+import copy
+import re
+
+import numpy as np
+import pytest
+from raw_tables import map_of
+
+from scan3d import InputError, Rod, import_table
+from scan3d.files.text import to_toml
+from scan3d.laboratory.maps import read_map
+
+ROD = Rod(0.06, 1.9e-4, 0.0003)
+NAMES = ["t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
+
+
+def log():
+    """A table by hand: air, a stroke along -x with a force that grows, air; 5 mm steps, N and N mm."""
+    n, air = 40, 15
+    travel = np.concatenate([np.zeros(air), np.linspace(0, 40, n), np.full(air, 40.0)])
+    deflected = np.clip(np.concatenate([np.zeros(air), np.linspace(-0.3, 1, n), np.zeros(air)]), 0, None)
+    table = np.zeros((n + 2 * air, len(NAMES)))
+    table[:, 0] = 0.01 * np.arange(len(table))
+    table[:, 1], table[:, 4] = 20 - travel, 1.0
+    table[:, 2] = np.concatenate([np.linspace(-20, -10, air), np.full(n, -10.0), np.linspace(-10, -20, air)])
+    table[:, 8], table[:, 9] = -0.2 * deflected, 0.05 * deflected
+    table[:, 13] = 5.0 * deflected
+    return table
+
+
+def data():
+    made = map_of(ROD, SimpleRig)
+    made["columns"]["orientation"] = {"quaternion": ["qw", "qx", "qy", "qz"]}
+    return made
+
+
+class SimpleRig:
+    turn_deg, position_mm, shows = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "clamp-on-rod"
+
+
+HEADER = ",".join(NAMES)
+
+
+def lines(table=None, header=HEADER):
+    rows = [",".join(map(repr, row)) for row in (log() if table is None else table).tolist()]
+    return [*([header] if header else []), *rows]
+
+
+def put(folder, rows):
+    path = folder / "log.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def with_cell(line, column, text):
+    rows = lines()
+    cells = rows[line - 1].split(",")
+    cells[NAMES.index(column)] = text
+    rows[line - 1] = ",".join(cells)
+    return rows
+
+
+def column(name, values):
+    table = log()
+    table[:, NAMES.index(name)] = values(table[:, NAMES.index(name)]) if callable(values) else values
+    return lines(table)
+
+
+def semicolons():
+    return [lines()[0].replace(",", ";"), *(line.replace(",", ";").replace(".", ",") for line in lines()[1:])]
+
+
+def backwards():
+    rows = lines()
+    rows[20], rows[21] = rows[21], rows[20]
+    return rows
+
+
+def test_the_table_by_hand_is_imported(tmp_path):
+    recording = import_table(put(tmp_path, lines()), data())
+    assert len(recording) == 40
+    assert recording.six_axis
+    assert recording.moment_Nm.max() == pytest.approx(5e-3)
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        (with_cell(7, "Fx", "o.5"), r"log\.csv: line 7 has 'o\.5' in column 'Fx', which is no number; correct the cell"),
+        (with_cell(2, "Fx", "err"), r"log\.csv: line 2 has 'err' in column 'Fx', which is no number"),
+        (with_cell(7, "Fx", ""), r"line 7 has no value in column 'Fx'.*1 of 70 rows; .*missing = \"drop\" under \[table\]"),
+        (with_cell(7, "x", "inf"), r"log\.csv: line 7 has inf in column 'x', where a finite number is expected"),
+        ([*lines(), "0.7,1,2"], r"log\.csv: line 72 has 3 values, expected 14; it ends in column 3: is it cut off\?"),
+        ([*lines()[:9], lines()[9] + ",7", *lines()[10:]], r"line 10 has 15 values, expected 14"),
+        (
+            [lines()[0], "s,mm,mm,mm,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]],
+            r"log\.csv: line 2 has 's' in column 1 \(t\), where data are expected: a second header line; .*units_row = true",
+        ),
+        (
+            [lines()[0], lines()[0], *lines()[1:]],
+            r"line 2 has 't' in column 1 \(t\).*a second header line; .*else header = 2",
+        ),
+        (
+            ["Experiment 7", "by A. Person", *lines()],
+            r"line 1 has 1 cells and the data have 14 columns, whose names stand in line 3; write header = 3 under \[table\]",
+        ),
+        (semicolons(), r"log\.csv: line 2 has '20,0' in column 'x', a decimal comma; write decimal = \",\" under \[table\]"),
+        (
+            [lines()[0], *(line.replace(".", ",") for line in lines()[1:])],
+            r"line 2 has 28 values, expected 14; are there decimal commas, first in column 1\?.*decimal = \",\"",
+        ),
+        (backwards(), r"log\.csv: line 22 has a time 0\.01 s before that of the row above, and time runs backwards in 1 of 70"),
+        (column("t", 3.0), "the column of the time has the same value in all 70 rows; leave time out of the map"),
+        (
+            column("qw", 0.5),
+            r"log\.csv: line 2 has a quaternion of length 0\.5, from column 'qw' on, where 1 is expected; check the four",
+        ),
+        (lines(log() * np.where(np.arange(14) < 8, 1, 0)), r"log\.csv: line 2 and all 69 rows below have zero in column 'Fx'"),
+        (
+            lines(log() * np.where(np.arange(14) < 11, 1, 0)),
+            r"zero in column 'Tx', column 'Ty', column 'Tz': nothing was measured; check \[columns\] moment",
+        ),
+        (
+            lines(header=",".join(NAMES).replace("Fx", "Fx [mN]")),
+            r"log\.csv: line 1 has no column 'Fx', which \[columns\] force .*; it has t, .*; did you mean Fx \[mN\]\?",
+        ),
+        (lines(header=",".join(NAMES).replace("Fy", "Fx")), r"has 2 columns 'Fx' \(numbers 9, 10\).*; give its number"),
+        (lines(header=""), r"log\.csv has no line with names, and \[columns\] .* of the map names .*number of the column"),
+        ([lines()[0]], r"log\.csv has no row of data below line 1"),
+        ([""], r"log\.csv is empty; expected a table with one row per sample"),
+        (["\0\1\2binary"], r"log\.csv is no text"),
+        (column("x", lambda x: 1e3 * x), r"log\.csv: the sweeps are 667 rod lengths long.*check \[units\] length"),
+        (
+            lines(log() * np.where(np.isin(np.arange(14), [1, 2, 3]), 1e-3, 1)),
+            r"log\.csv: the clamp moves over 0\.000667 rod lengths only; check \[units\] length",
+        ),
+        (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
+        (column("Tz", lambda m: 1e3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
+        (column("Tz", lambda m: 1e-3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
+        (lines(log() * np.where(np.isin(np.arange(14), [8, 9, 10]), 1e5, 1)), r"the largest force, .*check \[units\] force"),
+    ],
+    ids=range(28),
+)  # fmt: skip
+def test_tables(tmp_path, rows, sentence):
+    with pytest.raises(InputError, match=sentence) as error:
+        import_table(put(tmp_path, rows), data())
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 500
+
+
+def test_wrong_units_that_the_header_contradicts(tmp_path):
+    header = ",".join(NAMES).replace("Tx,", "Tx_Nm,")
+    named = data()
+    named["columns"]["moment"] = ["Tx_Nm", "Ty", "Tz"]
+    with pytest.raises(
+        InputError,
+        match=r"log\.csv: line 1 says that column 'Tx_Nm' is in N m, and \[units\] moment of the map says N mm",
+    ):
+        import_table(put(tmp_path, lines(header=header)), named)
+    rows = [lines()[0], "s,m,m,m,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]]
+    with pytest.raises(
+        InputError, match=r"log\.csv: line 2 says that column 'x' is in m, and \[units\] length .* says mm"
+    ):
+        import_table(put(tmp_path, rows), data() | {"table": {"units_row": True}})
+
+
+def test_what_a_map_announces_is_read(tmp_path):
+    expected = import_table(put(tmp_path, lines()), data())
+    rows = [lines()[0], "s,mm,mm,mm,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]]
+    cases = [
+        (rows, {"units_row": True}),
+        (semicolons(), {"decimal": ","}),
+        (["Experiment 7", "by A. Person", *lines()], {"header": 3}),
+        (["# a comment", *lines()[:5], "# another one", *lines()[5:]], {}),
+        ([line.replace(",", "\t") for line in lines()], {}),
+        ([line.replace(",", "  ") for line in lines()], {}),
+        ([f'"{line}"'.replace(",", '","') for line in lines()], {}),
+        (with_cell(3, "Fy", ""), {"missing": "drop"}),
+    ]
+    for text, table in cases:
+        found = import_table(put(tmp_path, text), data() | {"table": table})
+        assert np.array_equal(found.force_N, expected.force_N), table
+        assert np.array_equal(found.position_m, expected.position_m), table
+    for encoding in ("utf-8-sig", "utf-16"):
+        (tmp_path / "log.csv").write_bytes("\r\n".join(lines()).encode(encoding))
+        assert np.array_equal(import_table(tmp_path / "log.csv", data()).force_N, expected.force_N)
+
+
+def test_columns_by_number_pattern_and_without_names(tmp_path):
+    expected = import_table(put(tmp_path, lines()), data())
+    changed = data()
+    changed["columns"] |= {"position": [2, 3, 4], "force": "F*", "moment": "T?", "time": 1}
+    assert np.array_equal(import_table(put(tmp_path, lines()), changed).force_N, expected.force_N)
+    changed["columns"] |= {"orientation": {"quaternion": [5, 6, 7, 8]}, "force": [9, 10, 11], "moment": [12, 13, 14]}
+    assert np.array_equal(import_table(put(tmp_path, lines(header="")), changed).force_N, expected.force_N)
+    changed["columns"]["force"] = [9, 10, 15]
+    with pytest.raises(InputError, match=r"log\.csv has 14 columns, and \[columns\] force of the map names column 15"):
+        import_table(put(tmp_path, lines()), changed)
+    for pattern, sentence in (("G*", "finds no column, where 3 are expected"), ("?x", "finds qx, Fx, Tx, where 3 are")):
+        changed["columns"]["force"] = pattern
+        if pattern == "?x":
+            changed["columns"]["force"] = "q*"
+            sentence = "finds qw, qx, qy, qz, where 3 are expected"
+        with pytest.raises(InputError, match=rf"log\.csv: the pattern .* {sentence}"):
+            import_table(put(tmp_path, lines()), changed)
+
+
+def test_quaternions_of_wrong_order(tmp_path):
+    # the clamp's x axis is the world's y axis: half a right angle in each of w and z
+    table = log()
+    half = np.sqrt(0.5)
+    table[:, 4:8] = [half, 0, 0, half]
+    table[:, [1, 2]] = np.stack([-table[:, 2], table[:, 1]], axis=1)
+    import_table(put(tmp_path, lines(table)), data())
+    wrong = copy.deepcopy(data())
+    wrong["columns"]["orientation"]["order"] = "xyzw"
+    with pytest.raises(
+        InputError, match=r'log\.csv: the clamp moves .*along -x if qw is the first of the four columns, order = "wxyz"'
+    ):
+        import_table(put(tmp_path, lines(table)), wrong)
+
+
+def test_euler_angles_in_another_unit_or_convention(tmp_path):
+    table = log()
+    table[:, [1, 2]] = np.stack([-table[:, 2], table[:, 1]], axis=1)
+    table[:, 4:7] = [0, 0, 90]
+    angles = data()
+    angles["columns"]["orientation"] = {"euler": ["qw", "qx", "qy"], "convention": "xyz"}
+    import_table(put(tmp_path, lines(table)), angles)
+    wrong = copy.deepcopy(angles)
+    wrong["units"]["angle"] = "rad"
+    with pytest.raises(InputError, match=r'if the angles are in deg, angle = "deg" under \[units\]'):
+        import_table(put(tmp_path, lines(table)), wrong)
+    wrong = copy.deepcopy(angles)
+    wrong["columns"]["orientation"]["convention"] = "zyx"
+    with pytest.raises(InputError, match=r'if the convention is "(xyz|ZYX|XYZ)"'):
+        import_table(put(tmp_path, lines(table)), wrong)
+
+
+def test_air_that_is_not_there(tmp_path):
+    table = log()
+    table[:, 8:] += np.linspace(0, 1, len(table))[:, None] ** [2, 3, 2, 3, 2, 3] * [1, 1, 1, 30, 30, 30]
+    rows = lines(table[25:55])
+    with pytest.raises(InputError, match=r'log\.csv: no stretch is found in which the rod is in the air.*air = "none"'):
+        import_table(put(tmp_path, rows), data())
+    for air, sentence in (
+        (
+            [[5.0, 6.0]],
+            r"log\.csv has no row from 5 s to 6 s, which \[tare\] air of the map names; the table covers 0 s to 0\.69 s",
+        ),
+        ([[0.0, 0.1], [0.05, 0.12]], r"the stretches of \[tare\] air overlap at 0\.05 s"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            import_table(put(tmp_path, lines()), data() | {"tare": {"air": air}})
+    without = data()
+    del without["columns"]["time"]
+    with pytest.raises(InputError, match=r"\[tare\] air in seconds needs the time of the rows"):
+        import_table(put(tmp_path, lines()), without | {"tare": {"air": [[0.0, 0.1]]}})
+
+
+def changed(section, **entries):
+    made = data()
+    made[section] = made.get(section, {}) | entries
+    return made
+
+
+@pytest.mark.parametrize(
+    ("made", "sentence"),
+    [
+        (changed("units", moment="Nmmm"), r"map\.toml: \[units\] moment must be a unit of moment: N m, N cm, .*; got 'Nmmm'"),
+        (changed("units", lenght="mm"), r"map\.toml: \[units\] has unknown names: lenght; .*; did you mean length\?"),
+        (data() | {"sensors": {}}, r"map\.toml: unknown names: sensors; known are .*; did you mean sensor\?"),
+        (changed("columns", force=["Fx"]), r"\[columns\] force must be a list of 2 or 3 columns, or a pattern"),
+        (changed("columns", force=[0, 1, 2]), r"\[columns\] force counts columns from 1, got 0"),
+        (changed("columns", position=["x", "y", 1.5]), r"position must name columns by text or by number, got 1\.5"),
+        (changed("columns", orientation={}), r"\[columns\] orientation is missing"),
+        (changed("columns", orientation={"quat": []}), r"\[columns\] orientation needs one of quaternion, euler, rotvec"),
+        (
+            changed("columns", orientation={"euler": ["a", "b", "c"], "convention": "xYz"}),
+            r"\[columns\.orientation\] convention must be one to three axes.*got 'xYz'",
+        ),
+        (changed("columns", orientation={"quaternion": list("abcd"), "order": "zyxw"}), r"order must be one of wxyz, xyzw"),
+        (changed("sensor", shows="rod on clamp"), r"\[sensor\] shows must be one of clamp-on-rod, rod-on-.*did you mean"),
+        (changed("sensor", position_mm=[1, 2]), r"\[sensor\] position_mm must be a list of 3 numbers, got \[1, 2\]"),
+        (changed("tare", air="automatic"), r"\[tare\] air must be 'auto', 'none', or stretches in seconds"),
+        (changed("tare", air=[[2.0, 1.0]]), r"\[tare\] air must be 'auto', .*; got \[2\.0, 1\.0\]"),
+        (changed("filter", lowpass_hz=-5), r"\[filter\] lowpass_hz must be positive, got -5"),
+        (changed("filter", lowpass_hz=80), r"log\.csv: \[filter\] lowpass_hz = 80 must be below half of .* rate of 100 Hz"),
+        (changed("rod", length_m=0.0), r"map\.toml: \[rod\] a rod needs a positive length in metres, got 0\.0"),
+        (changed("rod", length_m="6 cm"), r"\[rod\] length_m must be a number, got '6 cm'"),
+        (data() | {"rod": {"length_m": 0.05}}, r"map\.toml: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m"),
+        (data() | {"rod": 3}, r"map\.toml: rod must be a section \[rod\] or a table in braces, got 3"),
+        (changed("table", decimal=",", delimiter=","), r"\[table\] decimal and delimiter can't both be ','"),
+        (changed("table", header=300), r"log\.csv has no line 300 with the names of its columns"),
+        (changed("ros", tf=["world"]), r"\[ros\] tf must be a list of 2 names"),
+        (changed("noise", force_N=-1.0), r"\[noise\] force_N must be a finite number of at least 0"),
+        (data() | {"unit": "furlong"}, r"map\.toml: unit must be one of m, cm, mm, um, in; got 'furlong'"),
+        ({k: v for k, v in data().items() if k != "columns"}, r"map\.toml: \[columns\] is missing; it says which columns hold"),
+        ({k: v for k, v in data().items() if k != "units"}, r"map\.toml: \[units\] length is missing"),
+    ],
+    ids=range(27),
+)  # fmt: skip
+def test_maps(tmp_path, made, sentence):
+    (tmp_path / "map.toml").write_text(to_toml(made))
+    with pytest.raises(InputError, match=sentence) as error:
+        import_table(put(tmp_path, lines()), tmp_path / "map.toml")
+    assert "\n" not in str(error.value)
+
+
+def test_maps_that_can_not_be_read(tmp_path):
+    with pytest.raises(
+        InputError, match=r"can't read the map .*map\.toml: No such file.*; scan3d import RAW --map map\.toml --guess"
+    ):
+        read_map(tmp_path / "map.toml")
+    (tmp_path / "map.toml").write_text("[columns\n")
+    with pytest.raises(InputError, match=re.escape("map.toml is not a TOML file: ")):
+        read_map(tmp_path / "map.toml")
+    with pytest.raises(InputError, match=r"can't read the table .*none\.csv: No such file"):
+        import_table(tmp_path / "none.csv", data())
