@@ -204,6 +204,23 @@ def test_the_noise_is_estimated_with_outliers_and_steps(step):
 # --- Parquet ---
 
 
+@pytest.mark.parametrize("moves", [["approach", "sweep", "sweep", "retract"], [0.0, 1.0, 1.0, 2.0]])
+def test_of_parquet_recordings_with_moves_the_sweeps_are_read(tmp_path, moves):
+    numbers = dict.fromkeys(("sweep", "x_m", "y_m", "z_m", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm"), np.zeros(4))
+    table = numbers | {"x_m": np.arange(4.0), "qw": np.ones(4), "move": np.array(moves, dtype=object)}
+    (tmp_path / "log.parquet").write_bytes(parquet_bytes(table))
+    (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
+    expected = [1, 2] if moves[1] == "sweep" else [0, 1, 2, 3]
+    assert scan3d.read_recording(tmp_path / "log.parquet").position_m[:, 0].tolist() == expected
+    if moves[1] == "sweep":
+        table["move"] = np.array(["fly", *moves[1:]], dtype=object)
+        (tmp_path / "log.parquet").write_bytes(parquet_bytes(table))
+        with pytest.raises(
+            InputError, match=r"log\.parquet has the move 'fly', expected one of approach, sweep, retract"
+        ):
+            scan3d.read_recording(tmp_path / "log.parquet")
+
+
 def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
     (tmp_path / "log.parquet").write_bytes(b"no such thing")
     (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
