@@ -221,7 +221,7 @@ def _parquet_table(path: Path, stored: Path) -> dict[str, Array]:
     moves = table[_MOVE].astype(str) if _MOVE in table else np.empty(0, dtype=str)
     if (rows := moves == _MOVES[Move.SWEEP]).any():
         if other := sorted(set(moves) - set(_MOVES)):
-            raise InputError(f"{path.name} has the move {other[0]!r}, expected one of {', '.join(_MOVES)}")
+            raise InputError(f"{path.name} has the move {str(other[0])!r}, expected one of {', '.join(_MOVES)}")
         table = {name: table[name][rows] for name in columns}
     return {name: table[name] for name in columns}
 
