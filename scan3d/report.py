@@ -288,6 +288,8 @@ def summary(data: Mapping[str, Any]) -> Summary:
         bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
         confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
         rows.append(("certified", f"within {bound}, from touch alone{confidence}"))
+    else:
+        rows.append(("certified", "nothing, because no contact bounds the body on some side of it"))
     return Summary(heading, rows)
 
 

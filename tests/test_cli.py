@@ -199,7 +199,7 @@ def test_a_recording_has_its_ending_checked_before_the_work(call, tmp_path, monk
     monkeypatch.setattr("scan3d.simulation.scan.simulate", pytest.fail)
     code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.txt")
     assert (code, stdout) == (1, "")
-    assert_sentence(stderr, r"a recording is written as \.csv, got 'log\.txt'")
+    assert_sentence(stderr, r"a recording is written as \.csv or \.parquet, got 'log\.txt'")
     assert tree(tmp_path) == {}
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
+from scipy.ndimage import maximum_filter1d
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 
 # Order of the Butterworth filter, which is applied forwards and backwards.  Higher, steps overshoot more; lower, more of the
@@ -16,6 +17,15 @@ _ORDER = 2
 _GAP = 5.0
 # Time steps count as even if this fraction of them differs by less than half of the median.
 _EVEN = 0.95
+# Rows are blurred that the filter changes by so many standard deviations of what it takes away.  Larger, contacts next to snaps
+# are wrong; smaller, noise alone takes rows away.
+_BLURRED = 6.0
+# Change by the filter, relative to the largest force or moment, that is never too large: that of a log without noise.
+_NEGLIGIBLE = 1e-4
+# Median of the absolute values of Gaussian noise, in standard deviations.
+_MEDIAN_OF_GAUSSIAN = 0.6745
+# Largest limit of a low-pass, in rates.
+_HIGHEST = 0.45
 # Frequencies at which the response is averaged.
 _FREQUENCIES = 4096
 
@@ -52,6 +62,20 @@ def low_pass(values: Array, clock: Array, limit_hz: float, rate: float, where: s
         if stop - start > 3:
             filtered[start:stop] = signal.sosfiltfilt(filter_, values[start:stop], axis=0, padlen=pad)
     return filtered
+
+
+def blurred(values: Array, filtered: Array, clock: Array, limit_hz: float, rate: float, where: str) -> Mask:
+    """The rows (n,) that the low-pass changes by more than their noise, as at touch-down and where the rod snaps off.
+
+    What the filter takes away is noise, but for these rows; slower than twice the limit, little of the noise is left in it.
+    """
+    taken = low_pass(values - filtered, clock, min(2 * limit_hz, _HIGHEST * rate), rate, where)
+    noise = np.median(np.abs(taken), axis=0) / _MEDIAN_OF_GAUSSIAN
+    smallest = _NEGLIGIBLE * np.repeat([np.abs(values[:, :3]).max(), np.abs(values[:, 3:]).max()], 3)
+    changed = (np.abs(taken) > np.maximum(_BLURRED * noise, smallest)).any(axis=1)
+    around = 2 * max(1, round(rate / limit_hz / 4)) + 1  # between the places where the change has its zeros
+    blurred: Mask = maximum_filter1d(changed, around)
+    return blurred
 
 
 def noise_factor(limit_hz: float, rate: float) -> float:

@@ -116,6 +116,8 @@ class _Sensed(NamedTuple):
     """(6,) standard deviations that are left."""
     factor: float
     """Noise that the filter leaves, over that before it."""
+    blurred: Mask
+    """(n,) rows that the filter changes by more than their noise."""
     rate: float | None
     """Rows per second, if there is a filter."""
     notes: list[str]
@@ -136,7 +138,7 @@ def convert(table: RawTable, map: Map) -> Imported:
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
         quaternion[backwards], wrench[backwards] = turned_back(quaternion[backwards], wrench[backwards])
-    within = np.flatnonzero(sweep >= 0)
+    within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[filtering.thinned(sweep[within], every)] if every > 1 else within
     rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
@@ -145,8 +147,8 @@ def convert(table: RawTable, map: Map) -> Imported:
     notes = [*sensed.notes, *transfers, *filter_notes(map, sensed.rate, every)]
     notes += contact_notes(recording, wrench[kept], known, map)
     left_out = {
-        "without numbers": len(table) - len(log), "between sweeps": len(log) - len(within),
-        "thinned": len(within) - len(kept),
+        "without numbers": len(table) - len(log), "between sweeps": int((sweep < 0).sum()),
+        "blurred by the filter": int((sensed.blurred & (sweep >= 0)).sum()), "thinned": len(within) - len(kept),
     }  # fmt: skip
     summary = _summary(table, log, clock, sensed, recording, left_out, notes)
     return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
@@ -186,14 +188,17 @@ def _sensed(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
     """The wrench of a log without the sensor's zero, and filtered if the map says so."""
     zero, air, noise, stretches = _tared(log, clock, map, where)
     wrench = _without_rounding(log.wrench - zero, log.wrench) if zero.any() else log.wrench
+    sharp = np.zeros(len(log), dtype=bool)
     if not (map.lowpass_hz or map.rate_hz):
-        return _Sensed(wrench, zero, air, stretches, noise, 1.0, None, [])
+        return _Sensed(wrench, zero, air, stretches, noise, 1.0, sharp, None, [])
     if log.time_s is None:
         raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
     rate = filtering.sampling_rate(clock, where)
     if not map.lowpass_hz:
-        return _Sensed(wrench, zero, air, stretches, noise, 1.0, rate, [])
-    wrench = filtering.low_pass(wrench, clock, map.lowpass_hz, rate, where)
+        return _Sensed(wrench, zero, air, stretches, noise, 1.0, sharp, rate, [])
+    measured = wrench
+    wrench = filtering.low_pass(measured, clock, map.lowpass_hz, rate, where)
+    blurred = filtering.blurred(measured, wrench, clock, map.lowpass_hz, rate, where)
     factor = filtering.noise_factor(map.lowpass_hz, rate)
     notes = []
     left = factor * noise
@@ -204,7 +209,7 @@ def _sensed(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
                 "the filter leaves more noise than it would of white noise; the noise found after it is stated"
             )
         left = np.maximum(left, found)
-    return _Sensed(wrench, zero, air, stretches, left, factor, rate, notes)
+    return _Sensed(wrench, zero, air, stretches, left, factor, blurred, rate, notes)
 
 
 def _rate(time: Array | None) -> float | None:
