@@ -18,7 +18,8 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are different t
 MOMENTS = [0.08, 0.16, 0.24, 0.32, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2]
 # SIGINT may be ignored in this process, and a child process would inherit that; what it prints states that it is ready.
 _CODE = """
-import signal, sys
+import faulthandler, signal, sys
+faulthandler.enable()  # after a crash this test shows where
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from scan3d.cli import main
 print("ready", flush=True)
@@ -54,7 +55,7 @@ def test_ctrl_c_at_any_moment(tmp_path, moment):
     [(signal.SIGTERM, "terminated"), (getattr(signal, "SIGHUP", None), "terminated: its terminal was closed")],
 )
 def test_a_run_that_is_asked_to_end_cleans_up(tmp_path, number, sentence):
-    child = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "20000", "--quiet")
+    child = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "4000", "--quiet")
     deadline = time.monotonic() + 60
     while not (tmp_path / "out").exists():
         assert child.poll() is None

@@ -30,7 +30,7 @@ def planar():
 
 @pytest.fixture(scope="module")
 def spatial():
-    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8, model="spatial"))
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8, model="spatial", sweeps=5))
 
 
 @pytest.fixture(scope="module")

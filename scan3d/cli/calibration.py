@@ -16,8 +16,7 @@ from scan3d.units import UNITS_M
 
 EXAMPLES = """\
   scan3d calibrate touches.csv --sphere 30 --out rig.toml
-  scan3d calibrate touches.csv --sphere 30 --out rig.toml --pose-noise 0.02 --json
-  scan3d reconstruct log.csv --rig rig.toml --out out"""
+  scan3d calibrate touches.csv --sphere 30 --out rig.toml --pose-noise 0.02 --json"""
 
 
 def add(commands: Any, add_overwrite: Callable[[Any], None], add_output: Callable[[Any], None]) -> None:
