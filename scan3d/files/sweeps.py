@@ -80,7 +80,8 @@ def read_sweep(
         noise = meta.get("noise", {})
         force = number_of(noise, forces, 0.0) if noise_force is None else noise_force
         moment = number_of(noise, moments, 0.0) if noise_moment is None else noise_moment
-        return OneSweep(*table, used, force, moment)
+        x0, f0x, f0y, m0z = table
+        return OneSweep(x0, f0x, f0y, m0z, used, force, moment)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 

@@ -28,7 +28,8 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         spread = planar.jacobian(*reactions, direction=sweep.direction) * [force, force, moment]
         point_sd, s1_sd = np.linalg.norm(spread[:, :2], axis=2), np.linalg.norm(spread[:, 2], axis=1)
         angle_sd = np.linalg.norm(spread[:, 4], axis=1)
-        slope_sd = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
+        # the slope is α - β, in the mirror image, where β keeps its sign, α + β
+        slope_sd = np.linalg.norm(spread[:, 3] + sweep.direction * spread[:, 4], axis=1)
         tolerance = contact_tolerance(s1_sd, angle_sd)
         found = planar.reconstruct(sweep.x0 / in_length, *reactions, tolerance=tolerance, direction=sweep.direction)
         felt = np.hypot(*reactions[:2]) > FORCE_SIGMAS * max(force, moment)
