@@ -147,6 +147,22 @@ def test_the_rounding_of_the_numbers_gives_error_bars(tmp_path, left, capsys):
     assert "by rounding alone" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "1e-320"])
+@pytest.mark.parametrize("column", range(4))
+def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, left, value, column):
+    table = np.round(columns(left), 4)
+    whole = reconstruct_sweep(read_sweep(write(tmp_path / "whole.csv", table)))
+    table[50, column] = float(value)
+    found = reconstruct_sweep(read_sweep(write(tmp_path / "sweep.csv", table)))
+    others = np.arange(len(table)) != 50
+    if not np.isfinite(float(value)):
+        assert found.contacts.status[50] == planar.Status.NO_FORCE
+        assert np.isnan(found.place_sd[50])
+        assert found.noise_force == pytest.approx(whole.noise_force)
+        assert (found.contacts.status == whole.contacts.status)[others].all()
+    sweep_figure(found)
+
+
 def test_the_picture_has_contacts_and_error_bars_by_kind(left, tmp_path, capsys):
     exact = OneSweep(left.x0, left.f0x, left.f0y, left.m0z)
     noisy = OneSweep(left.x0, left.f0x, left.f0y, left.m0z, None, 1e-3, 1e-3)

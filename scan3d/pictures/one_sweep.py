@@ -24,7 +24,7 @@ _LIGHT = 4.0
 # Inches: margins to the left and right, below and above, between the panels and for the legend; height of the friction; the
 # lowest and highest contour.
 _LEFT, _RIGHT, _BELOW, _ABOVE, _BETWEEN = 0.95, 0.2, 0.95, 0.15, 0.2
-_FRICTION_HEIGHT, _LOWEST, _HIGHEST = 1.6, 1.2, 6.0
+_FRICTION_HEIGHT, _LOWEST, _HIGHEST = 1.6, 1.4, 6.0
 # Room around the contacts, as a fraction of their extent, and the smallest range of the friction shown.
 _ROOM, _SMALLEST_FRICTION = 0.06, 0.1
 # Colours and marks of the kinds of contact.

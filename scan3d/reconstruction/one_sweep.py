@@ -21,8 +21,8 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     stand out from them have no contact.  Raises InputError if no row has one.
     """
     in_length, in_force, in_moment = sweep.units
-    force = together(sweep.noise_force, max(rounding_sd(sweep.f0x), rounding_sd(sweep.f0y))) / in_force
-    moment = together(sweep.noise_moment, rounding_sd(sweep.m0z)) / in_moment
+    force = together(sweep.noise_force, max(_rounding(sweep.f0x), _rounding(sweep.f0y))) / in_force
+    moment = together(sweep.noise_moment, _rounding(sweep.m0z)) / in_moment
     reactions = sweep.f0x / in_force, sweep.f0y / in_force, sweep.m0z / in_moment
     with np.errstate(over="ignore", invalid="ignore"):
         spread = planar.jacobian(*reactions, direction=sweep.direction) * [force, force, moment]
@@ -30,6 +30,7 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         angle_sd = np.linalg.norm(spread[:, 4], axis=1)
         # the slope is α - β, in the mirror image, where β keeps its sign, α + β
         slope_sd = np.linalg.norm(spread[:, 3] + sweep.direction * spread[:, 4], axis=1)
+        place_sd = _largest(spread[:, :2])
         tolerance = contact_tolerance(s1_sd, angle_sd)
         found = planar.reconstruct(sweep.x0 / in_length, *reactions, tolerance=tolerance, direction=sweep.direction)
         felt = np.hypot(*reactions[:2]) > FORCE_SIGMAS * max(force, moment)
@@ -44,11 +45,16 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         noise_force=force,
         noise_moment=moment,
         point_sd=np.where(valid[:, None], point_sd, np.nan),
-        place_sd=np.where(valid, _largest(spread[:, :2]), np.nan),
+        place_sd=np.where(valid, place_sd, np.nan),
         s1_sd=np.where(valid, s1_sd, np.nan),
         slope_sd=np.where(tangential, slope_sd, np.nan),
         friction_angle_sd=np.where(tangential, angle_sd, np.nan),
     )
+
+
+def _rounding(column: Array) -> float:
+    """Standard deviation of the rounding of a column (n,), by its values that are not missing or infinite."""
+    return rounding_sd(column[np.isfinite(column)])
 
 
 def _largest(spread: Array) -> Array:
