@@ -21,8 +21,8 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
 
     Reactions (n,) in ``EI/L²`` and ``EI/L``; lengths in rod lengths, angles in radians; `direction` is the sign of the base's
     motion along x.  The covariance of these five is ``J C Jᵀ``, with C that of the reactions; the slope (14) of a tangential
-    contact is ``α - β``.  NaN where no rod has these reactions, and where there is no force.  The errors are those of the first
-    order: they hold where the errors of the force are small compared with the force.
+    contact is ``α - β``, and ``α + β`` in a sweep in +x.  NaN where no rod has these reactions, and where there is no force.
+    The errors are those of the first order: they hold where the errors of the force are small compared with the force.
     Raises ValueError for arrays of different lengths and for another direction than -1 or 1.
     """
     if direction not in (-1, 1):
@@ -62,7 +62,7 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
         ]
     result = np.stack(rows, axis=1)
     if side < 0:
-        # x, α and β are odd under the reflection; so are f0x and m0z
+        # x and α are odd under the reflection; so are f0x and m0z
         result[:, [0, 3], :] *= -1
         result[:, :, [0, 2]] *= -1
     result[~np.isfinite(result).all(axis=(1, 2))] = np.nan

@@ -11,7 +11,7 @@ from dataclasses import fields
 from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import calibration, laboratory_parser, rig_parser
+from scan3d.cli import calibration, laboratory_parser, one_sweep, rig_parser
 from scan3d.cli.settings import Settings
 from scan3d.cli.terminal import one_line
 from scan3d.units import UNITS_M
@@ -47,7 +47,8 @@ _EXAMPLES = {
   scan3d simulate part.stl --poses poses.csv --out raw.csv --faults faults.toml""",
     "reconstruct": """\
   scan3d reconstruct log.csv --out out
-  scan3d reconstruct log.csv --out out --truth part.stl --method hull""",
+  scan3d reconstruct log.csv --out out --truth part.stl --method hull"""
+    + one_sweep.EXAMPLES,
     "calibrate": calibration.EXAMPLES,
     "compare": """\
   scan3d compare out/surface.ply part.stl
@@ -152,7 +153,9 @@ def parser() -> argparse.ArgumentParser:
     reconstruct.add_argument(
         "recording", metavar="REC", help="the .csv or .parquet of a recording; its .toml is in the same folder"
     )
-    reconstruct.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    reconstruct.add_argument(
+        "--out", metavar="DIR", help="folder for the results; of one sweep also its picture (default: beside the table)"
+    )
     reconstruct.add_argument("--truth", metavar="MESH", help="mesh of the true body, to compare the surface with")
     reconstruct.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
     reconstruct.add_argument(
@@ -168,6 +171,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"model of contact: {one_of(MODELS)} (default spatial for a recording with six axes, else planar)",
     )
     calibration.add_rig(reconstruct)
+    one_sweep.add_options(reconstruct)
     _add_mesh_path(reconstruct)
     _add_overwrite(reconstruct)
     _add_output(reconstruct)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from scan3d.cli import rig
+from scan3d.cli import one_sweep, rig
 from scan3d.cli.calibration import calibrate, rigged
 from scan3d.cli.laboratory import import_
 from scan3d.cli.settings import Settings, settings
@@ -88,6 +88,8 @@ def simulate(arguments: Namespace) -> int:
 
 def reconstruct(arguments: Namespace) -> int:
     """Step 2 only: write the results of a recording, compared with the true body if it is given."""
+    if one_sweep.is_one_sweep(arguments):
+        return one_sweep.reconstruct(arguments)
     from scan3d import workflow
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.files.results import opened

@@ -36,7 +36,7 @@ _MARKS = {
     ".stl": rb"\Ascan3d surface, unit ",
     ".glb": rb"metres_per_unit_of_recording",
     ".vtp": rb'Name="unit"(?s:.*)Name="frame"',
-    ".csv": rf"\Ax_({_UNIT}),y_({_UNIT}),z_({_UNIT}),nx,ny,nz\b".encode(),
+    ".csv": rf"\A(x_({_UNIT}),y_({_UNIT}),z_({_UNIT}),nx,ny,nz|x0(_m)?,x(_m)?,y(_m)?,s1(_m)?,phase,status)\b".encode(),
     ".png": rb"\A\x89PNG(?s:.*)Software\0scan3d",
     ".pdf": rb"/Creator \(scan3d\)",
     ".toml": rb"\A# rig calibrated by scan3d\n",

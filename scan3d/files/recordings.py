@@ -151,9 +151,9 @@ def read_recording(path: str | Path) -> Recording:
             force_N=np.stack([table["fx_N"], table["fy_N"]], axis=1),
             moment_Nm=table["mz_Nm"],
             **{field: table[name] for name, field in SIX_AXES.items() if name in table},
-            rod=_rod(rod),
-            noise_force_N=_number(noise, "force_N", 0.0),
-            noise_moment_Nm=_number(noise, "moment_Nm", 0.0),
+            rod=rod_of(rod),
+            noise_force_N=number_of(noise, "force_N", 0.0),
+            noise_moment_Nm=number_of(noise, "moment_Nm", 0.0),
             unit=unit,
             source=source,
         )
@@ -191,7 +191,7 @@ def _read_table(path: Path) -> dict[str, Array]:
             )
     if _MOVE in header:
         body = _sweeping(path, body, header.index(_MOVE))
-    return {name: _numbers(path, name, header.index(name), body) for name in columns}
+    return {name: numbers_of(path, name, header.index(name), body) for name in columns}
 
 
 def _sweeping(path: Path, body: list[tuple[int, list[str]]], column: int) -> list[tuple[int, list[str]]]:
@@ -254,7 +254,7 @@ def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
     if missing:
         raise InputError(
             f"{path.name} is not a recording: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
-            f"(scan3d simulate writes such a table)"
+            f"(scan3d simulate writes such a table); one sweep in one plane has the columns x0, f0x, f0y, m0z"
         )
     further = [name for name in SIX_AXES if name in header]
     if further and len(further) < len(SIX_AXES):
@@ -272,7 +272,8 @@ def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
     return columns
 
 
-def _numbers(path: Path, name: str, column: int, body: list[tuple[int, list[str]]]) -> Array:
+def numbers_of(path: Path, name: str, column: int, body: list[tuple[int, list[str]]]) -> Array:
+    """A column (n,) of a table, from its lines with their numbers.  Raises InputError for text."""
     try:
         return np.array([float(line[column]) for _, line in body])
     except ValueError:
@@ -325,15 +326,17 @@ def _section(path: Path, meta: Mapping[str, Any], name: str) -> Mapping[str, Any
     return section
 
 
-def _rod(meta: Mapping[str, Any]) -> Rod:
+def rod_of(meta: Mapping[str, Any]) -> Rod:
     if "length_m" in meta and "bending_stiffness_Nm2" in meta:
-        return Rod(_number(meta, "length_m"), _number(meta, "bending_stiffness_Nm2"), _number(meta, "diameter_m", 0.0))
+        return Rod(
+            number_of(meta, "length_m"), number_of(meta, "bending_stiffness_Nm2"), number_of(meta, "diameter_m", 0.0)
+        )
     if all(name in meta for name in ("length_m", "diameter_m", "modulus_Pa")):
-        return Rod.wire(_number(meta, "length_m"), _number(meta, "diameter_m"), _number(meta, "modulus_Pa"))
+        return Rod.wire(number_of(meta, "length_m"), number_of(meta, "diameter_m"), number_of(meta, "modulus_Pa"))
     raise InputError("[rod] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
 
 
-def _number(section: Mapping[str, Any], name: str, default: float = float("nan")) -> float:
+def number_of(section: Mapping[str, Any], name: str, default: float = float("nan")) -> float:
     value = section.get(name, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{name} must be a number, got {value!r}")

@@ -137,7 +137,7 @@ def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_momen
         largest = np.sqrt(mean + np.hypot(half, place[:, 0, 1]))
         s1, beta = (np.linalg.norm(spread[:, k], axis=1) for k in (2, 4))
         slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
-    tolerance = np.clip(_TIP_SIGMAS * np.maximum(s1, beta), planar.TOLERANCE, _LARGEST_TOLERANCE)
+    tolerance = contact_tolerance(s1, beta)
     known = np.isfinite(largest)
     return _Errors(
         place,
@@ -145,6 +145,15 @@ def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_momen
         np.where(known, slope, np.inf),
         np.where(known, tolerance, planar.TOLERANCE),
     )
+
+
+def contact_tolerance(s1: Array, beta: Array) -> Array:
+    """(n,) differences in s1 and in the friction angle that count as noise, from their standard deviations (n,).
+
+    Where these are not known, it is that of exact data.
+    """
+    sd = np.maximum(s1, beta)
+    return np.clip(np.where(np.isnan(sd), 0.0, _TIP_SIGMAS * sd), planar.TOLERANCE, _LARGEST_TOLERANCE)
 
 
 def _common_friction(angle: Array, noise: float) -> float | None:

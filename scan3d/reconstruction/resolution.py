@@ -144,13 +144,13 @@ def noise_of(recording: Recording) -> Noise:
     size = float(np.linalg.norm(np.ptp(recording.position_m, axis=0))) + length
     place = position * (position <= _FINE * length) + turn * size * (turn <= _FINE)
     return Noise(
-        _together(stated_force, force),
-        _together(stated_moment, moment),
+        together(stated_force, force),
+        together(stated_moment, moment),
         place * LARGEST_OVER_SD,
         stated_force >= _DITHER * force and stated_moment >= _DITHER * moment,
     )
 
 
-def _together(stated: float, rounding: float) -> float:
+def together(stated: float, rounding: float) -> float:
     """Standard deviation of the sum of noise and rounding."""
     return stated if rounding <= _NEGLIGIBLE * stated else float(np.hypot(stated, rounding))

@@ -1,0 +1,305 @@
+"""One sweep in one plane through its files: contour, friction and error bars, and what is wrong with a table."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import planar
+from scan3d import InputError
+from scan3d.cli import main
+from scan3d.files.sweeps import COLUMNS, SI_COLUMNS, is_sweep, read_sweep
+from scan3d.one_sweep import OneSweep
+from scan3d.pictures.one_sweep import sweep_figure
+from scan3d.reconstruction.one_sweep import reconstruct_sweep
+from scan3d.rods import parse_rod
+
+ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.85), 0.3)
+FRICTION = 0.25
+ROD = "steel:0.3x50"
+SIDECAR = "[rod]\nlength_m = 0.05\ndiameter_m = 0.0003\nmodulus_Pa = 210e9\n"
+
+
+@pytest.fixture(scope="module", params=[-1, 1], ids=["in -x", "in +x"])
+def sweep(request):
+    return planar.sweep(ELLIPSE, FRICTION, samples=120, direction=request.param)
+
+
+@pytest.fixture(scope="module")
+def left():
+    return planar.sweep(ELLIPSE, FRICTION, samples=120)
+
+
+def columns(sweep, si=False):
+    """The table (n, 4) of a sweep."""
+    rod = parse_rod(ROD)
+    units = [rod.length_m, rod.force_unit_N, rod.force_unit_N, rod.moment_unit_Nm] if si else [1, 1, 1, 1]
+    return np.column_stack([sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z]) * units
+
+
+def write(path, table, header=COLUMNS):
+    rows = "\n".join(",".join(map(repr, row)) for row in table.tolist())
+    path.write_text(f"{','.join(header)}\n{rows}\n", encoding="utf-8")
+    return path
+
+
+def read_contacts(path):
+    """The columns of a table of contacts; NaN where a cell is empty."""
+    with open(path, encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    words = {"phase", "status"}
+    return {
+        name: np.array([row[name] if name in words else float(row[name] or "nan") for row in rows]) for name in rows[0]
+    }
+
+
+@pytest.mark.parametrize("si", [False, True], ids=["dimensionless", "SI"])
+def test_an_ellipse_comes_back_through_the_file(tmp_path, sweep, si, capsys):
+    table = write(tmp_path / "sweep.csv", columns(sweep, si), SI_COLUMNS if si else COLUMNS)
+    assert main(["reconstruct", str(table), *(["--rod", ROD] if si else [])]) == 0
+    out = capsys.readouterr().out
+    assert f"base moving in {'-' if sweep.x0[-1] < sweep.x0[0] else '+'}x" in out
+    assert "error of the place not known: give the noise by --noise-force and --noise-moment" in out
+    length, unit = (parse_rod(ROD).length_m, "_m") if si else (1.0, "")
+    found = read_contacts(tmp_path / "contacts.csv")
+    touching = np.hypot(sweep.f0x, sweep.f0y) > 0  # the rod is straight at touch-down
+    assert touching.sum() > 100
+    assert list(found["status"]) == ["ok" if touches else "no_force" for touches in touching]
+    assert list(found["phase"][touching]) == [planar.Phase(code).name.lower() for code in sweep.phase[touching]]
+    place = np.column_stack([found[f"x{unit}"], found[f"y{unit}"]]) / length
+    assert np.abs(place - sweep.point)[touching].max() < 1e-9
+    assert ELLIPSE.distance(place[touching]).max() < 1e-9
+    assert np.abs(found[f"s1{unit}"] / length - sweep.s1)[touching].max() < 1e-9
+    tangential = touching & (sweep.phase == planar.Phase.TANGENTIAL)
+    assert np.abs(found["friction"][tangential] - FRICTION).max() < 1e-9
+    assert np.abs(found["slope"] - sweep.slope)[tangential].max() < 1e-9
+    normal = np.column_stack([np.sin(sweep.slope), -np.cos(sweep.slope)])
+    assert np.abs(np.column_stack([found["normal_x"], found["normal_y"]]) - normal)[tangential].max() < 1e-9
+    assert np.isnan(found["friction"][~tangential]).all()
+    assert not any(name.startswith("sd_") for name in found)
+    # the folder has the picture as well
+    with Image.open(tmp_path / "sweep.png") as image:
+        assert image.size[0] == 1400
+
+
+def test_error_bars_cover_the_truth(sweep):
+    # two standard deviations cover 95.4 % of normal errors; rows near the tip may change their kind of contact
+    noise, rng = 3e-4, np.random.default_rng(0)
+    hits = {name: [] for name in ("x", "y", "s1", "friction", "slope")}
+    strong = np.hypot(sweep.f0x, sweep.f0y) > 100 * noise  # errors of the first order
+    for _ in range(40):
+        error = rng.normal(scale=noise, size=(3, len(sweep)))
+        noisy = OneSweep(sweep.x0, sweep.f0x + error[0], sweep.f0y + error[1], sweep.m0z + error[2], None, noise, noise)
+        found = reconstruct_sweep(noisy)
+        contacts = found.contacts
+        rows = strong & found.touching
+        assert rows.sum() > 0.99 * strong.sum()
+        safely = rows & found.tangential & (sweep.s1 < 0.99)
+        for name, value, truth, sd, some in (
+            ("x", contacts.point[:, 0], sweep.point[:, 0], found.point_sd[:, 0], rows),
+            ("y", contacts.point[:, 1], sweep.point[:, 1], found.point_sd[:, 1], rows),
+            ("s1", contacts.s1, sweep.s1, found.s1_sd, rows),
+            ("friction", contacts.friction, sweep.friction, found.friction_sd, safely),
+            ("slope", contacts.slope, sweep.slope, found.slope_sd, safely),
+        ):
+            hits[name].append(np.abs(value - truth)[some] <= 2 * sd[some])
+    for name, covered in hits.items():
+        assert 0.945 < np.concatenate(covered).mean() < 0.963, name
+
+
+def test_noise_is_that_of_the_sidecar_or_the_options(tmp_path, left, capsys):
+    table = write(tmp_path / "sweep.csv", columns(left, si=True), SI_COLUMNS)
+    (tmp_path / "sweep.toml").write_text(f"{SIDECAR}[noise]\nforce_N = 1e-5\nmoment_Nm = 5e-7\n")
+    found = reconstruct_sweep(read_sweep(table))
+    rod = parse_rod(ROD)
+    assert (found.noise_force, found.noise_moment) == pytest.approx(
+        (1e-5 / rod.force_unit_N, 5e-7 / rod.moment_unit_Nm)
+    )
+    options = ["--noise-force", "2e-5", "--noise-moment", "1e-6", "--json"]
+    medians = []
+    for further in ([], options):
+        assert main(["reconstruct", str(table), "--json", *further]) == 0
+        data = json.loads(capsys.readouterr().out)
+        assert data["unit"] == "mm"
+        medians.append(data["place_sd_median"])
+    assert medians[1] == pytest.approx(2 * medians[0], rel=0.02)
+    length = rod.length_m
+    written = read_contacts(tmp_path / "contacts.csv")
+    twice = reconstruct_sweep(read_sweep(table, None, 2e-5, 1e-6))
+    assert np.nanmax(np.abs(written["sd_x_m"] / length - twice.point_sd[:, 0])) < 1e-15
+    tangential = twice.tangential
+    # the first order of tan ζ
+    step = np.tan(twice.contacts.friction_angle + 1e-6 * twice.friction_angle_sd) - twice.contacts.friction
+    assert written["sd_friction"][tangential] == pytest.approx(1e6 * step[tangential], rel=1e-3)
+
+
+def test_the_rounding_of_the_numbers_gives_error_bars(tmp_path, left, capsys):
+    table = columns(left)
+    step = 1e-3
+    table[:, 1:] = np.round(table[:, 1:] / step) * step
+    path = write(tmp_path / "sweep.csv", np.round(table, 3))
+    found = reconstruct_sweep(read_sweep(path))
+    assert found.only_rounding
+    assert found.noise_force == pytest.approx(step / np.sqrt(12), rel=1e-6)
+    assert main(["reconstruct", str(path)]) == 0
+    assert "by rounding alone" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "1e-320"])
+@pytest.mark.parametrize("column", range(4))
+def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, left, value, column):
+    table = np.round(columns(left), 4)
+    whole = reconstruct_sweep(read_sweep(write(tmp_path / "whole.csv", table)))
+    table[50, column] = float(value)
+    found = reconstruct_sweep(read_sweep(write(tmp_path / "sweep.csv", table)))
+    others = np.arange(len(table)) != 50
+    if not np.isfinite(float(value)):
+        assert found.contacts.status[50] == planar.Status.NO_FORCE
+        assert np.isnan(found.place_sd[50])
+        assert found.noise_force == pytest.approx(whole.noise_force)
+        assert (found.contacts.status == whole.contacts.status)[others].all()
+    sweep_figure(found)
+
+
+def test_the_picture_has_contacts_and_error_bars_by_kind(left, tmp_path, capsys):
+    exact = OneSweep(left.x0, left.f0x, left.f0y, left.m0z)
+    noisy = OneSweep(left.x0, left.f0x, left.f0y, left.m0z, None, 1e-3, 1e-3)
+    for sweep, bars in ((exact, 0), (noisy, 2)):
+        found = reconstruct_sweep(sweep)
+        figure = sweep_figure(found)
+        below, above = figure.axes
+        assert len(above.containers) == bars
+        drawn = np.concatenate([line.get_xydata() for line in above.lines if line.get_marker() in ("o", "s")])
+        assert {tuple(point) for point in drawn} == {tuple(point) for point in found.contacts.point[found.touching]}
+        # one scale along both axes
+        width, height = above.get_position().size * figure.get_size_inches()
+        assert np.ptp(above.get_xlim()) / width == pytest.approx(np.ptp(above.get_ylim()) / height, rel=1e-9)
+        assert len(below.containers) == bars / 2
+    table = write(tmp_path / "log.csv", columns(left))
+    assert main(["reconstruct", str(table), "--out", str(tmp_path / "new" / "contour.pdf"), "--quiet"]) == 0
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["contacts.csv", "contour.pdf"]
+
+
+def test_only_tip_contacts_have_no_friction(tmp_path, left, capsys):
+    tips = columns(left)[left.phase == planar.Phase.TIP]
+    assert len(tips) > 10
+    table = write(tmp_path / "sweep.csv", tips)
+    assert main(["reconstruct", str(table)]) == 0
+    assert "not known, as no contact is tangential" in capsys.readouterr().out
+
+
+def test_files_are_replaced_only_if_they_are_ours(tmp_path, left, capsys):
+    table = write(tmp_path / "sweep.csv", columns(left))
+    for _ in range(2):
+        assert main(["reconstruct", str(table), "--quiet"]) == 0
+    (tmp_path / "contacts.csv").write_text("mine\n")
+    assert main(["reconstruct", str(table)]) == 1
+    assert "contacts.csv can't be recognised as written by scan3d; give --overwrite" in capsys.readouterr().err
+    assert main(["reconstruct", str(table), "--quiet", "--overwrite"]) == 0
+    other = write(tmp_path / "contacts.csv", columns(left))
+    assert main(["reconstruct", str(other), "--overwrite"]) == 1
+    assert "which is never overwritten" in capsys.readouterr().err
+
+
+def test_a_recording_is_told_from_one_sweep_by_its_header(tmp_path):
+    for header, is_one in (
+        ("x0,f0x,f0y,m0z", True),
+        ("time,x0_m,f0x_N,f0y_N,m0z_Nm,sweep", True),
+        ("x0;f0x;f0y;m0z", True),
+        ("f0x,f0y", True),
+        ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm", False),
+        ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm,x0", False),
+        ("a,b", False),
+        ("", False),
+    ):
+        path = tmp_path / "table.csv"
+        path.write_text(header + "\n", encoding="utf-8-sig")
+        assert is_sweep(path) == is_one, header
+    assert not is_sweep(tmp_path / "none.csv")
+
+
+def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
+    """The one sentence with which a table is refused; nothing is written."""
+    path = tmp_path / "sweep.csv"
+    path.write_text(text, encoding="utf-8")
+    if sidecar is not None:
+        path.with_suffix(".toml").write_text(sidecar, encoding="utf-8")
+    assert main(["reconstruct", str(path), *options]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert not (tmp_path / "contacts.csv").exists()
+    assert not (tmp_path / "sweep.png").exists()
+    return err
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            "x0,f0x,m0z\n0,0,0\n",
+            "the header of one sweep lacks f0y; expected x0,f0x,f0y,m0z or x0_m,f0x_N,f0y_N,m0z_Nm",
+        ),
+        ("x0_m,f0x_N\n0,0\n", "lacks f0y_N, m0z_Nm"),
+        ("x0;f0x;f0y;m0z\n0;0;0;0\n", "lacks x0, f0x, f0y, m0z"),
+        ("x0;f0x;f0y;m0z\n0;0;0;0\n", "its columns must be separated by commas"),
+        ("x0,f0x,f0y,m0z,f0x\n0,0,0,0,0\n", "has f0x more than once"),
+        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,abc,0\n", "line 3 has 'abc' for f0y, where a number is expected"),
+        ("x0,f0x,f0y,m0z\n1,0,,0\n0,0,0,0\n", "line 2 has '' for f0y, where a number is expected"),
+        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0\n", "line 3 has 3 values, expected 4; is it cut off"),
+        ("x0,f0x,f0y,m0z\n1,0,5,0,0\n", "or has it decimal commas?"),
+        ("x0_m,f0x,f0y,m0z\n1,0,0,0\n", "mixes dimensionless columns (f0x, f0y, m0z) with columns in SI units (x0_m)"),
+        ("x0,f0x,f0y,m0z\n", "a sweep needs two rows or more"),
+        ("x0,f0x,f0y,m0z\n1,-1,1,1\n", "a sweep needs two rows or more, which tell the direction"),
+        ("x0,f0x,f0y,m0z\n1,-1,1,1\n1,-1,1,1\n", "must decrease or increase"),
+        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0,0\n", "the sweep has no contact: of 2 of its 2 rows, nothing touches"),
+        ("x0,f0x,f0y,m0z\n1,-1,1,-1\n0,-1,1,-1\n", "the clamping moment is that of a rod bent against the sweep"),
+        (
+            "x0_m,f0x_N,f0y_N,m0z_Nm\n1,0,0,0\n0,0,0,0\n",
+            "need the rod: give --rod MATERIAL:DIAMETERxLENGTH, or a section",
+        ),
+    ],
+)
+def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, capsys, text, sentence):
+    assert sentence in refused(tmp_path, capsys, text)
+
+
+@pytest.mark.parametrize(
+    ("options", "sidecar", "si", "code", "sentence"),
+    [
+        (["--rod", ROD], None, False, 1, "its columns are dimensionless and need no rod"),
+        (["--rod", "wood"], None, True, 1, "a rod is 'auto' or MATERIAL:DIAMETERxLENGTH"),
+        (["--rod", "auto"], None, True, 2, "name the rod as MATERIAL:DIAMETERxLENGTH"),
+        (["--noise-force", "-1"], None, False, 1, "must be finite and at least 0, got -1"),
+        (["--truth", "part.stl", "--strict"], None, False, 2, "--truth, --strict can be used only with a recording"),
+        ([], "[noise]\nforce_N = 1.0\n", False, 1, "unknown names: force_N; known for a table that is dimensionless"),
+        ([], "[noise]\nforce = 'much'\n", False, 1, "force must be a number, got 'much'"),
+        ([], "noise = 1\n", False, 1, "noise must be a section [noise], got 1"),
+        ([], "[rod]\nlength_m = 0.05\n", False, 1, "sweep.toml: unknown names: rod"),
+        ([], "[rod]\nlength_m = 0.05\n", True, 1, "[rod] needs length_m and bending_stiffness_Nm2"),
+        ([], "[rod\n", True, 1, "can't read"),
+    ],
+)
+def test_wrong_settings_are_refused_in_one_sentence(tmp_path, capsys, left, options, sidecar, si, code, sentence):
+    text = write(tmp_path / "table.csv", columns(left, si), SI_COLUMNS if si else COLUMNS).read_text()
+    assert sentence in refused(tmp_path, capsys, text, *options, sidecar=sidecar, code=code)
+
+
+def test_options_of_one_sweep_are_refused_for_a_recording(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    path.write_text("sweep,x_m\n")
+    for options, sentence in (
+        (["--rod", ROD, "--out", "out"], "--rod can be used only with one sweep in one plane, which log.csv is not"),
+        ([], "the following arguments are required: --out"),
+    ):
+        assert main(["reconstruct", str(path), *options]) == 2
+        assert sentence in capsys.readouterr().err
+
+
+def test_noise_alone_is_no_contact(left):
+    rng = np.random.default_rng(1)
+    force, moment = rng.normal(scale=1e-3, size=(2, 50)), rng.normal(scale=1e-3, size=50)
+    with pytest.raises(InputError, match="no contact"):
+        reconstruct_sweep(OneSweep(np.linspace(1, 0, 50), *force, moment, None, 1e-3, 1e-3))
