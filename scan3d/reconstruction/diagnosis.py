@@ -1,7 +1,7 @@
 """The likeliest fault of a recording that contradicts the model.
 
-Each hypothesis is a single fault with at most three numbers.  They are estimated by least squares of residuals that vanish for a
-right recording (`scan3d.reconstruction.misfits`), and the hypothesis that leaves least of them is named, if it leaves little.
+Each hypothesis is a single fault with at most three numbers.  They are estimated by least squares of residuals that vanish for
+a right recording (`scan3d.reconstruction.misfits`), and the hypothesis that leaves least of them is named, if it leaves little.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class _Trial(NamedTuple):
     @property
     def score(self) -> float:
         """Mean square misfit with what its numbers cost, as a logarithm."""
-        return float(np.log(self.misfit + _NONE) + len(self.hypothesis.starts[0]) * np.log(_PER_NUMBER))
+        return float(np.log(self.misfit + _NONE) + self.hypothesis.cost * np.log(_PER_NUMBER))
 
 
 def diagnose(recording: Recording, model: str) -> Diagnosis:
@@ -82,7 +82,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     for trial in named[1:]:
         other = trial.hypothesis.fault(trial.numbers)
         alike = trial.misfit + _NONE < _ALIKE * (best_trial.misfit + _NONE)
-        if alike and other.code != fault.code and len(trial.numbers) <= len(best_trial.numbers):
+        if alike and other.code != fault.code and trial.hypothesis.cost <= best_trial.hypothesis.cost:
             others.setdefault(other.code, other)
     message = f"most likely {fault.message}"
     if others:
@@ -91,13 +91,12 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
 
 
 def stuck_rows(recording: Recording, measured: Reactions) -> Index:
-    """Rows whose reactions under a force repeat those of the row before, and of another one beside them, though the clamp moves."""
+    """Rows whose reactions under a force repeat those of the row before while the clamp moves, two or more in succession."""
     same = np.zeros(len(recording), dtype=bool)
     force, moment = measured.force, measured.moment
     same[1:] = (
         (force[1:] == force[:-1]).all(axis=1)
         & (moment[1:] == moment[:-1]).all(axis=1)
-        & (recording.sweep[1:] == recording.sweep[:-1])
         & (recording.position_m[1:] != recording.position_m[:-1]).any(axis=1)
         & felt(force, noise(recording))[1:]
     )
@@ -123,8 +122,9 @@ def _explains(trial: _Trial, before: float) -> float:
 
 
 def _searched(candidates: list[Hypothesis], measured: Reactions, few: Touches) -> list[_Trial]:
-    """The best starts of the best hypotheses with numbers, by few rows, and all hypotheses without numbers."""
-    plain, found = [], []
+    """The best hypotheses with numbers, as estimated by few rows, and all hypotheses without numbers."""
+    plain: list[_Trial] = []
+    found: list[list[_Trial]] = []
     for hypothesis in candidates:
         if not len(hypothesis.starts[0]):
             plain.append(_Trial(hypothesis, hypothesis.starts[0], np.inf))
@@ -176,12 +176,10 @@ def _second_contact(touches: Touches, measured: Reactions, model: str, explains:
         100 * fraction,
         "%",
         explains,
-        f"a second contact: force and moment of {100 * fraction:.2g} % of the rows are not those of a single force; no "
-        "single fault of the sensor explains it; look for what else the rod touches",
+        f"most likely either a second contact, or channels that were exchanged or logged at different times: force and moment "
+        f"of {100 * fraction:.2g} % of the rows are not those of a single force; look for what else the rod touches",
     )
 
 
 def _unknown(explains: float) -> Diagnosis:
     return Diagnosis("unknown", None, "", explains, f"no single fault explains the contradiction: {_UNKNOWN}")
-
-

@@ -30,7 +30,7 @@ _SIGMAS = 3.0
 # Forces below this part of the largest one are rounding of a tare.
 _NO_FORCE = 1e-5
 # Slices that are compared, and rows of each; rows of a recording in space.
-_SLICES, _IN_SLICE, _IN_SPACE = 6, 160, 400
+_SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
 # Parts of them for a first search.
 _FEW_SLICES, _FEW_IN_SLICE, _FEW_IN_SPACE = 3, 60, 120
 
@@ -140,7 +140,7 @@ class _InPlane:
 
 
 class _InSpace:
-    """Rows of six reactions; misfits are their two residuals (S4), and depths of contacts and tangents in the contacts' hull."""
+    """Rows of six reactions; misfits are their residuals (S4), and depths of contacts and tangents in the contacts' hull."""
 
     def __init__(self, recording: Recording, kept: Index, few: bool) -> None:
         self._noise = noise(recording)
