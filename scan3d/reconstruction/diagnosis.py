@@ -27,6 +27,8 @@ _PER_NUMBER = 2.0
 _NONE = 1e-12
 # Hypotheses that are refined, starts of each, and evaluations of a refinement.
 _REFINED, _STARTS, _EVALUATIONS = 4, 2, 12
+# Runs of rows that repeat others of which each is tried.
+_RUNS = 60
 # A skew that is this part of the mean square misfit is that of a second contact, if nothing else explains it.
 _BY_SKEW = 0.5
 _UNKNOWN = "check signs, axes and units, the tare of force and moment, the rod, and that the body is convex"
@@ -65,8 +67,8 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     if not len(touches.rows):
         return _unknown(0.0)
     few = touches_of(recording, model, stuck, few=True)
-    candidates = hypotheses(recording, model, measured, stuck)
     before = _mean_square(touches.misfit(_of_rows(measured, touches.rows)))
+    candidates = hypotheses(recording, model, measured, _contradicting(stuck, measured, touches))
     if before <= _NONE:
         return _unknown(0.0)
     trials = _searched(candidates, measured, few)
@@ -103,6 +105,22 @@ def stuck_rows(recording: Recording, measured: Reactions) -> Index:
     run = same.copy()
     run[1:-1] = same[1:-1] & (same[:-2] | same[2:])
     return np.flatnonzero(run)
+
+
+def _contradicting(stuck: Index, measured: Reactions, touches: Touches) -> Index:
+    """Those of the rows that repeat others whose runs contradict the rest: along a flat face right reactions repeat as well."""
+    runs = np.split(stuck, np.flatnonzero(np.diff(stuck) > 1) + 1)
+    if not len(stuck) or len(runs) > _RUNS:
+        return stuck
+
+    def without(rows: Index) -> float:
+        free = ~np.isin(touches.rows, rows)[:, None]
+        some = _of_rows(measured, touches.rows)
+        return _mean_square(touches.misfit(Reactions(some.force * free, some.moment * free)))
+
+    least = _ALIKE * without(stuck) + _NONE
+    wrong = [run for run in runs if without(np.setdiff1d(stuck, run)) > least]
+    return np.concatenate(wrong) if wrong else stuck
 
 
 def _of_rows(reactions: Reactions, rows: Index) -> Reactions:
@@ -146,12 +164,12 @@ def _searched(candidates: list[Hypothesis], measured: Reactions, few: Touches) -
 
 
 def _fitted(trial: _Trial, measured: Reactions, touches: Touches) -> _Trial:
-    hypothesis = trial.hypothesis
+    hypothesis, limit = trial.hypothesis, trial.hypothesis.limit
 
     def residuals(numbers: Array) -> Array:
         return touches.misfit(_corrected(hypothesis, measured, touches.rows, numbers)) / LARGEST
 
-    found = least_squares(residuals, trial.numbers, diff_step=1e-5, max_nfev=_EVALUATIONS)
+    found = least_squares(residuals, trial.numbers, bounds=(-limit, limit), diff_step=1e-5, max_nfev=_EVALUATIONS)
     return _Trial(hypothesis, np.asarray(found.x), _mean_square(found.fun) * LARGEST**2)
 
 

@@ -15,6 +15,8 @@ from scan3d.rods import Rod
 
 # Starts of the search: factors of scales, angles in degrees, and distances in rod lengths.
 _SCALES = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, 1.5, 2.0, 3.0)
+# Largest logarithm of a scale.  With larger ones the noise, which is not scaled, hides any misfit.
+_LARGEST_SCALE = 1.4
 _ANGLES = (-165, -135, -110, -90, -70, -50, -35, -25, -15, -7, -2, 2, 7, 15, 25, 35, 50, 70, 90, 110, 135, 165)
 # Contacts near the tip count as tip contacts, so that the misfit is one of steps in the length: those of the starts are finer.
 _LENGTHS = np.linspace(0.7, 1.4, 47)
@@ -44,6 +46,8 @@ class Hypothesis(NamedTuple):
     fault: Callable[[Array], Fault]
     cost: int = 0
     """How many numbers it takes from the data."""
+    limit: float = np.inf
+    """Largest magnitude of a number."""
 
 
 def hypotheses(recording: Recording, model: str, measured: Reactions, stuck: Index) -> list[Hypothesis]:
@@ -207,10 +211,17 @@ def _scales() -> list[Hypothesis]:
             lambda r, rows, n: Reactions(r.force * np.exp(n[0]), r.moment * np.exp(n[0]), r.length),
             stiffness,
             1,
+            _LARGEST_SCALE,
         ),
-        Hypothesis(starts, lambda r, rows, n: Reactions(r.force, r.moment * np.exp(n[0]), r.length), moment, 1),
-        Hypothesis(starts, lambda r, rows, n: Reactions(r.force * np.exp(n[0]), r.moment, r.length), force, 1),
-        Hypothesis(lengths, lambda r, rows, n: Reactions(r.force, r.moment, float(np.exp(n[0]))), length, 1),
+        Hypothesis(
+            starts, lambda r, rows, n: Reactions(r.force, r.moment * np.exp(n[0]), r.length), moment, 1, _LARGEST_SCALE
+        ),
+        Hypothesis(
+            starts, lambda r, rows, n: Reactions(r.force * np.exp(n[0]), r.moment, r.length), force, 1, _LARGEST_SCALE
+        ),
+        Hypothesis(
+            lengths, lambda r, rows, n: Reactions(r.force, r.moment, float(np.exp(n[0]))), length, 1, _LARGEST_SCALE
+        ),
     ]
 
 
@@ -228,7 +239,7 @@ def _gains(model: str) -> list[Hypothesis]:
             message = f"{name} is recorded {factor:.3g} times too large: check the sensor's gains"
             return Fault(f"{name}-scale", factor, "times", message)
 
-        return Hypothesis(starts, correct, fault, 1)
+        return Hypothesis(starts, correct, fault, 1, _LARGEST_SCALE)
 
     channels = [("fx", 0, 0), ("fy", 0, 1)]
     if model == "spatial":

@@ -191,7 +191,7 @@ def _depth(point: Array, tangent: Array, lines: Mask, place: Array, turn: Array)
     outward, offset = hull.equations[:, :3], hull.equations[:, 3]
     height = -(point @ outward.T + offset)
     of_facet = place[hull.simplices].max(axis=1)
-    depth = (height - of_facet).min(axis=1) - place
+    depth: Array = (height - of_facet).min(axis=1) - place
     height = height[lines]
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = tangent[lines] @ outward.T
