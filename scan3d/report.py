@@ -15,7 +15,7 @@ from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.coverage import coverage
-from scan3d.reconstruction import Contradiction, noise_of, radius_errors
+from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
 from scan3d.surfaces import Certificate, Enclosure, sigmas
 
@@ -52,6 +52,8 @@ class Analysis:
     """Time spent on each step."""
     warnings: tuple[Contradiction, ...] = ()
     """Contradictions between the recording and the model; with any of them nothing is certified."""
+    diagnosis: Diagnosis | None = None
+    """The likeliest fault of a recording that contradicts the model; None without warnings."""
 
 
 def report(
@@ -94,6 +96,7 @@ def report(
         "hausdorff": _hausdorff(comparison, unit),
         "certificate": _certificate(analysis),
         "warnings": [warning._asdict() for warning in analysis.warnings],
+        "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": _noise(analysis),
         "error_budget": _budget(analysis),
         "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate),

@@ -24,7 +24,7 @@ from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.words import key_figures
-from scan3d.reconstruction import NoContactError, cause_of_no_contact, contradictions, reconstruct
+from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
@@ -50,7 +50,7 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
         except NoContactError as error:
             raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
     with clock("check"):
-        warnings = tuple(contradictions(recording, cloud))
+        warnings, diagnosis = checked(recording, cloud)
     with clock("bounds"):
         bounds = enclosure(cloud)
     with clock("surface"):
@@ -62,7 +62,16 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
             bounds, certified = withdrawn(bounds, mesh)
         else:
             certified = certificate(bounds, mesh)
-    analysis = Analysis(recording, cloud, bounds, mesh, certified, seconds=clock.seconds, warnings=warnings)
+    analysis = Analysis(
+        recording,
+        cloud,
+        bounds,
+        mesh,
+        certified,
+        seconds=clock.seconds,
+        warnings=tuple(warnings),
+        diagnosis=diagnosis,
+    )
     if truth is None:
         return analysis
     with clock("compare"):

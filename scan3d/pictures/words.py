@@ -51,6 +51,8 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     if isinstance(warnings, list) and warnings:
         codes = [str(warning.get("code")) for warning in warnings if isinstance(warning, Mapping)]
         rows.append(("not certified", ", ".join(codes)))
+    if entry("diagnosis", "message") is not None:
+        rows.append(("diagnosis", str(entry("diagnosis", "message"))))
     for label, section, name in (
         ("Hausdorff distance", "hausdorff", "two_sided"),
         ("certified within", "certificate", "bound"),

@@ -6,8 +6,6 @@ the noise that they state and the digits that they keep; errors of signs, axes, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,13 +13,13 @@ from scipy.stats import chi2
 
 from scan3d.arrays import Index
 from scan3d.cloud import Cloud
-from scan3d.errors import InputError
-from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError, contacts
+from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.contradiction import Contradiction
+from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
 from scan3d.reconstruction.resolution import LARGEST_OVER_SD, noise_of, rounding_sd
 from scan3d.reconstruction.slices import stacks
 from scan3d.reconstruction.spatial import readings, without_normals
-from scan3d.reconstruction.spatial_consistency import cause_of_no_spatial_contact, spatial_contradictions
+from scan3d.reconstruction.spatial_consistency import spatial_contradictions
 from scan3d.recording import Recording
 
 # Largest fraction of the rows with a force that may lack a contact.  Larger, faulty recordings pass; smaller, single
@@ -40,9 +38,6 @@ _COMPARED = 1500
 # Standard deviations by which the contacts of both models may differ by noise.  Larger, small forces out of the plane pass;
 # smaller, noise counts as such a force.
 _OUT_OF_PLANE_SIGMAS = 6.0
-# A cause is named if correcting it leaves at most this fraction of the contradiction.  Larger, a wrong cause is named more
-# often; smaller, no cause is named.
-_EXPLAINED = 0.2
 
 
 class _Found(NamedTuple):
@@ -64,35 +59,68 @@ class _Found(NamedTuple):
         return self.without_contact > _WITHOUT_CONTACT or self.excess > 1
 
 
+class Checked(NamedTuple):
+    """How a recording agrees with the model."""
+
+    contradictions: list[Contradiction]
+    """Empty if it agrees."""
+    diagnosis: Diagnosis | None
+    """The likeliest fault; None if it agrees."""
+
+
 def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     """The contradictions between a recording, its contacts and the model; an empty list if there is none."""
+    return checked(recording, cloud).contradictions
+
+
+def checked(recording: Recording, cloud: Cloud) -> Checked:
+    """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
     if cloud.model == "spatial":
-        return spatial_contradictions(recording, cloud)
+        found = spatial_contradictions(recording, cloud)
+        if not found:
+            return Checked([], None)
+        diagnosis = diagnose(recording, "spatial")
+        return Checked(
+            [warning._replace(message=f"{warning.message}; {diagnosis.message}") for warning in found], diagnosis
+        )
     warnings = _off_line(recording) + _out_of_plane(recording, cloud)
-    found = _tests(recording, cloud)
-    if not found.contradicts:
-        return warnings
-    cause = "" if warnings else _cause(recording, found)
-    if found.without_contact > _WITHOUT_CONTACT:
+    tested = _tests(recording, cloud)
+    if not tested.contradicts:
+        return Checked(warnings, _of_poses_or_model(warnings))
+    diagnosis = _of_poses_or_model(warnings) or diagnose(recording, "planar")
+    cause = "" if warnings else f"; {diagnosis.message}"
+    if tested.without_contact > _WITHOUT_CONTACT:
         warnings.append(
             Contradiction(
                 "force-without-contact",
-                f"{100 * found.without_contact:.2g} % of the rows with a force have no contact: no bent rod has their "
+                f"{100 * tested.without_contact:.2g} % of the rows with a force have no contact: no bent rod has their "
                 f"reactions (at most {100 * _WITHOUT_CONTACT:.0f} % are expected){cause}",
-                found.without_contact,
+                tested.without_contact,
             )
         )
-    if found.excess > 1:
+    if tested.excess > 1:
         warnings.append(
             Contradiction(
                 "beyond-tangent",
-                f"contacts lie up to {found.beyond:.3g} {cloud.unit} beyond the tangent at a contact of the same slice, where "
-                f"noise and rounding allow {found.allowed:.2g} {cloud.unit}: the contacts are not those of a convex "
+                f"contacts lie up to {tested.beyond:.3g} {cloud.unit} beyond the tangent at a contact of the same slice, where "
+                f"noise and rounding allow {tested.allowed:.2g} {cloud.unit}: the contacts are not those of a convex "
                 f"body{cause}",
-                found.beyond,
+                tested.beyond,
             )
         )
-    return warnings
+    return Checked(warnings, diagnosis)
+
+
+def _of_poses_or_model(warnings: list[Contradiction]) -> Diagnosis | None:
+    """The fault that a test has found which looks for this fault alone."""
+    for warning in warnings:
+        if warning.code == "sweep-direction":
+            return Diagnosis("poses", warning.value, "deg", 1.0, f"most likely the poses are wrong: {warning.message}")
+        if warning.code == "out-of-plane":
+            return Diagnosis(
+                "planar-model", warning.value, "", 1.0, "most likely the model is wrong: choose the spatial model"
+            )
+    return None
 
 
 def _tests(recording: Recording, cloud: Cloud) -> _Found:
@@ -202,79 +230,5 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
 
 def cause_of_no_contact(recording: Recording) -> str:
     """What is likeliest to be wrong with a recording that has no contact, as the end of a sentence; "" if nothing is found."""
-    nothing = _Found(1.0, 0.0, 1.0)
-    cause = cause_of_no_spatial_contact(recording) if recording.six_axis else _best_correction(recording, nothing)
-    return f"; most likely {cause}" if cause else ""
-
-
-def _cause(recording: Recording, found: _Found) -> str:
-    cause = _best_correction(recording, found)
-    if cause:
-        return f"; most likely {cause}"
-    return "; check signs, axes and units, the tare of force and moment, the rod, and that the body is convex"
-
-
-def _best_correction(recording: Recording, found: _Found) -> str | None:
-    """The fault whose correction leaves least of the contradiction; None if none leaves little."""
-    left = {}
-    for fault, corrected in _CORRECTIONS.items():
-        candidate = corrected(recording)
-        try:
-            with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
-                remaining = _tests(candidate, contacts(candidate))
-        except InputError:
-            continue
-        left[fault] = max(
-            remaining.without_contact / max(found.without_contact, _WITHOUT_CONTACT),
-            remaining.excess / max(found.excess, 1.0),
-        )
-    best = min(left, key=lambda fault: left[fault], default=None)
-    return best if best is not None and left[best] <= _EXPLAINED else None
-
-
-def _scaled(force_x: float, force_y: float, moment: float) -> Callable[[Recording], Recording]:
-    def corrected(recording: Recording) -> Recording:
-        return replace(
-            recording,
-            force_N=recording.force_N * [force_x, force_y],
-            moment_Nm=recording.moment_Nm * moment,
-            noise_force_N=recording.noise_force_N * abs(force_x),
-            noise_moment_Nm=recording.noise_moment_Nm * abs(moment),
-        )
-
-    return corrected
-
-
-def _without_offset(recording: Recording) -> Recording:
-    """The wrench without its median at the starts of the sweeps, before the rod touches."""
-    first = np.unique(recording.sweep, return_index=True)[1]
-    return replace(
-        recording,
-        force_N=recording.force_N - np.median(recording.force_N[first], axis=0),
-        moment_Nm=recording.moment_Nm - np.median(recording.moment_Nm[first]),
-    )
-
-
-def _without_drift(recording: Recording) -> Recording:
-    """The wrench without its value at the start of each sweep."""
-    _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
-    return replace(
-        recording,
-        force_N=recording.force_N - recording.force_N[first][sweep],
-        moment_Nm=recording.moment_Nm - recording.moment_Nm[first][sweep],
-    )
-
-
-_CORRECTIONS: dict[str, Callable[[Recording], Recording]] = {
-    "fx has the opposite sign": _scaled(-1, 1, 1),
-    "fy has the opposite sign": _scaled(1, -1, 1),
-    "mz has the opposite sign": _scaled(1, 1, -1),
-    "the forces have the opposite signs": _scaled(-1, -1, 1),
-    "fx and mz have the opposite signs": _scaled(-1, 1, -1),
-    "the wrench has the opposite sign (that of the rod on the clamp)": _scaled(-1, -1, -1),
-    "the moment is in N mm, not in N m": _scaled(1, 1, 1e-3),
-    "the forces are in mN, not in N": _scaled(1e-3, 1e-3, 1),
-    "fx and fy are exchanged": lambda recording: replace(recording, force_N=recording.force_N[:, ::-1]),
-    "force and moment were not tared": _without_offset,
-    "the zero of force and moment drifts from sweep to sweep": _without_drift,
-}
+    diagnosis = diagnose(recording, "spatial" if recording.six_axis else "planar")
+    return "" if diagnosis.fault in ("unknown", "second-contact") else f"; {diagnosis.message}"

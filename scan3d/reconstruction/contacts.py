@@ -51,7 +51,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     moment = recording.moment_Nm / rod.moment_unit_Nm
     known = noise_of(recording)
     noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
-    error = _errors(fx, fy, moment, *noise)
+    error = errors_in_plane(fx, fy, moment, *noise)
     columns = np.zeros(len(moment)), fx, fy, moment
     in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance)
     felt = np.hypot(fx, fy) > FORCE_SIGMAS * max(noise)
@@ -71,7 +71,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
-    slice_of, slice_axis, slice_height = _slices(recording, axes[:, 2])
+    slice_of, slice_axis, slice_height = slices_of(recording, axes[:, 2])
     unresolved = np.isin(np.arange(len(slice_height)), np.setdiff1d(slice_of[felt], slice_of[rows]))
     covariance = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
@@ -105,7 +105,7 @@ class NoContactError(InputError):
     """No row of a recording has the reactions of a bent rod."""
 
 
-class _Errors(NamedTuple):
+class PlaneErrors(NamedTuple):
     """Standard deviations and covariances (n,) of what the reactions give, dimensionless; infinite without a rod."""
 
     place: Array
@@ -125,11 +125,11 @@ class _Errors(NamedTuple):
         return light
 
 
-def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_moment: float) -> _Errors:
+def errors_in_plane(fx: Array, fy: Array, moment: Array, noise_force: float, noise_moment: float) -> PlaneErrors:
     """Errors of the first order from the Jacobian of the closed form."""
     n = len(fx)
     if not max(noise_force, noise_moment):
-        return _Errors(np.zeros((n, 2, 2)), np.zeros(n), np.zeros(n), np.full(n, planar.TOLERANCE))
+        return PlaneErrors(np.zeros((n, 2, 2)), np.zeros(n), np.zeros(n), np.full(n, planar.TOLERANCE))
     spread = planar.jacobian(fx, fy, moment) * [noise_force, noise_force, noise_moment]
     with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
         place = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
@@ -139,7 +139,7 @@ def _errors(fx: Array, fy: Array, moment: Array, noise_force: float, noise_momen
         slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
     tolerance = contact_tolerance(s1, beta)
     known = np.isfinite(largest)
-    return _Errors(
+    return PlaneErrors(
         place,
         np.where(known, largest, np.inf),
         np.where(known, slope, np.inf),
@@ -166,7 +166,7 @@ def _common_friction(angle: Array, noise: float) -> float | None:
     return max(float(np.tan(median)), 0.0) if agree else None
 
 
-def _slices(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Array, Array]:
+def slices_of(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Array, Array]:
     """(n,) number of each row's slice, in order of appearance; (s, 3) normals of the slices and (s,) heights, in metres.
 
     A sweep lies in one plane.  Sweeps are in one slice if their planes differ by no more than rounding, or by no more than the

@@ -7,8 +7,6 @@ rod's tangents at tangential contacts pass outside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +16,8 @@ from scipy.stats import chi2
 import planar
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
-from scan3d.errors import InputError
 from scan3d.reconstruction.contradiction import Contradiction
-from scan3d.reconstruction.spatial import Readings, readings, without_normals
+from scan3d.reconstruction.spatial import Readings, readings
 from scan3d.recording import Recording
 
 # Largest fraction of the rows with a force that may lack a contact or have residuals.  Larger, faulty recordings pass; smaller,
@@ -35,9 +32,6 @@ _FALSE_ALARM = 1e-5
 # Contacts and tangents that are compared with the hull at most, and contacts of the hull.  More take longer; fewer may miss
 # the worst one.
 _COMPARED, _HULL = 1000, 4000
-# A cause is named if correcting it leaves at most this fraction of the contradiction.  Larger, a wrong cause is named more
-# often; smaller, no cause is named.
-_EXPLAINED = 0.2
 
 
 class _Found(NamedTuple):
@@ -74,8 +68,6 @@ def spatial_contradictions(recording: Recording, cloud: Cloud) -> list[Contradic
     codes = [code for code, excess in found.excesses().items() if excess > 1]
     if not codes:
         return []
-    cause = _best_correction(recording, found)
-    ending = f"most likely {cause}" if cause else "check signs, axes and units, the tare, and that the body is convex"
     values = {
         "force-without-contact": (
             found.without_contact,
@@ -98,12 +90,7 @@ def spatial_contradictions(recording: Recording, cloud: Cloud) -> list[Contradic
             "convex body",
         ),
     }
-    return [Contradiction(code, f"{values[code][1]}; {ending}", values[code][0]) for code in codes]
-
-
-def cause_of_no_spatial_contact(recording: Recording) -> str | None:
-    """What is likeliest to be wrong with a six-axis recording that has no contact; None if nothing is found."""
-    return _best_correction(recording, _Found(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    return [Contradiction(code, values[code][1], values[code][0]) for code in codes]
 
 
 def _tests(recording: Recording, known: Readings, cloud: Cloud) -> _Found:
@@ -179,59 +166,3 @@ def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
 def _some(rows: Index, count: int) -> Index:
     """At most `count` of the rows, evenly spread."""
     return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
-
-
-def _best_correction(recording: Recording, found: _Found) -> str | None:
-    """The fault whose correction leaves least of the contradiction; None if none leaves little."""
-    left = {}
-    before = found.excesses()
-    for fault, corrected in _CORRECTIONS.items():
-        candidate = corrected(recording)
-        try:
-            with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
-                known = readings(candidate)
-                remaining = _tests(candidate, known, without_normals(candidate, known)).excesses()
-        except InputError:
-            continue
-        left[fault] = max(excess / max(before[code], 1.0) for code, excess in remaining.items())
-    best = min(left, key=lambda fault: left[fault], default=None)
-    return best if best is not None and left[best] <= max(_EXPLAINED, 1 / max(before.values())) else None
-
-
-def _changed(change: Callable[[Array, Array], tuple[Array, Array]]) -> Callable[[Recording], Recording]:
-    """A recording with force and moment (n, 3) changed by a function of both."""
-
-    def corrected(recording: Recording) -> Recording:
-        force, moment = change(*recording.wrench())
-        return replace(
-            recording,
-            force_N=force[:, :2],
-            force_z_N=force[:, 2],
-            moment_x_Nm=moment[:, 0],
-            moment_y_Nm=moment[:, 1],
-            moment_Nm=moment[:, 2],
-        )
-
-    return corrected
-
-
-def _without_offset(recording: Recording) -> Recording:
-    """The wrench without its median at the starts of the sweeps, before the rod touches."""
-    first = np.unique(recording.sweep, return_index=True)[1]
-    return _changed(lambda f, m: (f - np.median(f[first], axis=0), m - np.median(m[first], axis=0)))(recording)
-
-
-_SIGNS = np.eye(3) * -2 + 1
-_CORRECTIONS: dict[str, Callable[[Recording], Recording]] = {
-    "the wrench has the opposite sign (that of the rod on the clamp)": _changed(lambda f, m: (-f, -m)),
-    "the forces have the opposite signs": _changed(lambda f, m: (-f, m)),
-    "fx has the opposite sign": _changed(lambda f, m: (f * _SIGNS[0], m)),
-    "fy has the opposite sign": _changed(lambda f, m: (f * _SIGNS[1], m)),
-    "fz has the opposite sign": _changed(lambda f, m: (f * _SIGNS[2], m)),
-    "mx has the opposite sign": _changed(lambda f, m: (f, m * _SIGNS[0])),
-    "mz has the opposite sign": _changed(lambda f, m: (f, m * _SIGNS[2])),
-    "the z axis is reversed, as in a left-handed frame": _changed(lambda f, m: (f * _SIGNS[2], -m * _SIGNS[2])),
-    "the moments are in N mm, not in N m": _changed(lambda f, m: (f, 1e-3 * m)),
-    "the forces are in mN, not in N": _changed(lambda f, m: (1e-3 * f, m)),
-    "force and moment were not tared": _without_offset,
-}
