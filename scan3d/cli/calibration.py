@@ -70,12 +70,14 @@ def calibrate(arguments: argparse.Namespace) -> int:
     from scan3d.files.text import to_json
     from scan3d.laboratory.calibration import calibrate as calibrate_rig
     from scan3d.laboratory.calibration_file import check_path, sections, write_rig
+    from scan3d.laboratory.rigged import not_rigged
 
     inputs = {"recording": arguments.recording, "TOML file of the recording": sidecar(arguments.recording)}
     check_path(arguments.out, inputs, arguments.overwrite)
     scale = UNITS_M[arguments.unit]
     noise = None if arguments.pose_noise is None else scale * arguments.pose_noise
     recording = read_recording(arguments.recording)
+    not_rigged(recording.source, "the recording")
     found = calibrate_rig(recording, scale * arguments.sphere, tare=arguments.tare, pose_noise_m=noise)
     write_rig(found, arguments.out, overwrite=True)  # checked above
     if arguments.json:
@@ -93,7 +95,9 @@ def rigged(recording: Any, rig: str | None) -> Any:
     if rig is None:
         return recording
     from scan3d.laboratory.calibration_file import read_rig
+    from scan3d.laboratory.rigged import not_rigged
 
+    not_rigged(recording.source, "the recording")
     return read_rig(rig).applied(recording)
 
 

@@ -34,8 +34,9 @@ def import_(arguments: Namespace) -> int:
     from scan3d.files.recordings import check_path, sidecar, write_recording
     from scan3d.laboratory.importing import KIND, convert, load
     from scan3d.laboratory.maps import read_map
+    from scan3d.laboratory.rigged import with_rig
 
-    inputs = {"table": arguments.raw, "map": arguments.map}
+    inputs = {"table": arguments.raw, "map": arguments.map, "rig": arguments.rig}
     writes = arguments.out and not arguments.dry_run
     if arguments.out:
         check_path(arguments.out)
@@ -45,6 +46,8 @@ def import_(arguments: Namespace) -> int:
     if page:
         check_file(page, inputs, arguments.overwrite, "--html")
     chosen = read_map(arguments.map)
+    if arguments.rig:
+        chosen = with_rig(chosen, arguments.rig)
     raw = load(arguments.raw, chosen)
     imported = convert(raw, chosen)
     if writes:

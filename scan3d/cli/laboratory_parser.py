@@ -9,6 +9,7 @@ EXAMPLES = {
   scan3d import log.csv --map rig.toml --guess
   scan3d import log.csv --map rig.toml --dry-run
   scan3d import log.csv --map rig.toml --out specimen.csv
+  scan3d import log.csv --map rig.toml --rig calibrated.toml --out specimen.csv
   scan3d import run.bag --map rig.toml --out specimen.parquet""",
 }
 """Examples that are printed below the help of a command."""
@@ -21,6 +22,11 @@ def add_import(commands: Any) -> Any:
         "raw", metavar="RAW", help="a text table with any delimiter, a Parquet file, or a ROS bag (.bag, or its folder)"
     )
     parser.add_argument("--map", metavar="FILE", help="TOML file that says what the columns mean")
+    parser.add_argument(
+        "--rig",
+        metavar="RIG",
+        help="the .toml of a calibrated rig, whose frames and rod replace those of the map",
+    )
     parser.add_argument(
         "--out", metavar="FILE", help="the recording, .csv or .parquet; a .toml of the same name is written as well"
     )

@@ -34,6 +34,7 @@ _SECTIONS = (
     "quantities",
     "uncertainty",
     "covariance",
+    "map",
 )
 
 
@@ -91,6 +92,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
             "well": [bool(good) for good, is_known in zip(rig.well, known, strict=True) if is_known],
             "matrix": [_numbers(row) for row in rig.covariance[np.ix_(known, known)]],
         },
+        **({"map": dict(rig.map_frames)} if rig.map_frames else {}),
     }
 
 
@@ -164,6 +166,7 @@ def _calibration(parts: Mapping[str, Mapping[str, Any]]) -> Calibration:
         noise_moment_Nm=_number("noise", noise, "moment_Nm", 0.0),
         diameter_m=_number("sphere", parts["sphere"], "diameter_mm", math.nan) / 1000,
         details=details,
+        map_frames={title: _table("[map]", parts["map"], title) for title in ("sensor", "clamp") if title in parts["map"]},
     )
 
 

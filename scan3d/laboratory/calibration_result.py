@@ -71,6 +71,8 @@ class Calibration:
     """Of the reference sphere."""
     details: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of rows, and how the tare was modelled."""
+    map_frames: Mapping[str, Any] = field(default_factory=dict)
+    """The sections `sensor` and `clamp` of the map with which the touches were imported: `scan3d.import_table` needs them."""
 
     @property
     def expanded(self) -> Array:
@@ -177,7 +179,19 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
             "tare": air.model,
             "pose_noise": "estimated" if fitted.estimated else "given",
         },
+        map_frames=_map_frames(recording),
     )
+
+
+def _map_frames(recording: Recording) -> dict[str, Any]:
+    """The frames of the map with which a recording was imported."""
+    map = recording.source.get("map", {})
+    keys = ("position_mm", "euler_deg")
+    return {
+        title: {key: map[title][key] for key in keys if key in map[title]}
+        for title in ("sensor", "clamp")
+        if title in map
+    }
 
 
 def _estimates(fitted: Fitted, nominal: Rod, centre: Array) -> tuple[tuple[str, ...], Array, Mask, Array]:

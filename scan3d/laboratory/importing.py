@@ -15,11 +15,13 @@ from scan3d.errors import InputError
 from scan3d.laboratory import filtering, segments, taring
 from scan3d.laboratory.air import find_air
 from scan3d.laboratory.bags import is_bag, read_bag
+from scan3d.laboratory.calibration_result import Calibration
 from scan3d.laboratory.columns import Log, read_log
 from scan3d.laboratory.directions import check_directions
 from scan3d.laboratory.maps import Map, read_map
 from scan3d.laboratory.notes import contact_notes, filter_notes
 from scan3d.laboratory.plausibility import check_range, check_sizes, felt, in_contact, stands_out
+from scan3d.laboratory.rigged import with_rig
 from scan3d.laboratory.tables import RawTable, read_table
 from scan3d.laboratory.transforms import clamp_pose, clamp_wrench, turned_back, wrench_matrix
 from scan3d.recording import Recording
@@ -85,15 +87,19 @@ class Imported:
     """(m,) rows of the log that became the recording's."""
 
 
-def import_table(path: str | Path, map: str | Path | Mapping[str, Any] | Map) -> Recording:
+def import_table(
+    path: str | Path, map: str | Path | Mapping[str, Any] | Map, rig: Calibration | str | Path | None = None
+) -> Recording:
     """The recording of a laboratory's table: text with any delimiter, Parquet, or a ROS bag.
 
     map
         says what the columns mean: the path of a TOML file, or its contents.
+    rig
+        a calibration, or the path of its file: its frames of sensor and clamp, and its rod, replace those of the map.
 
     Raises InputError with the file, the line and the column of what can't be used, and what to do.
     """
-    chosen = read_map(map)
+    chosen = read_map(map) if rig is None else with_rig(read_map(map), rig)
     return convert(load(path, chosen), chosen).recording
 
 
@@ -303,6 +309,7 @@ class _Rows(NamedTuple):
 
 def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tuple[float, float]) -> Recording:
     force, moment = rows.wrench[:, :3], rows.wrench[:, 3:]
+    source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
     recording = Recording(
         sweep=rows.sweep,
         position_m=rows.position,
@@ -313,7 +320,7 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         unit=map.unit,
-        source={"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)},
+        source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
     )
     if not six_axis:
         return recording

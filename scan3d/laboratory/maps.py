@@ -129,6 +129,8 @@ class Map:
     """Of its file, for messages."""
     text: Mapping[str, Any] = field(default_factory=dict)
     """The contents of the file, for the recording's source."""
+    rig: Mapping[str, Any] = field(default_factory=dict)
+    """The calibrated rig whose frames and rod these are, for the recording's source; empty if there is none."""
 
 
 ROS_COLUMNS: dict[str, Any] = {
@@ -296,6 +298,11 @@ def _frame(entries: Entries) -> Frame:
     angles = entries.numbers("euler_deg", 3, (0.0, 0.0, 0.0))
     turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix() if any(angles) else np.eye(3)
     return Frame(position, turn)
+
+
+def read_frame(section: Mapping[str, Any], name: str) -> Frame:
+    """The frame that `position_mm` and `euler_deg` describe, as in the sections [clamp] and [sensor] of a map."""
+    return _frame(Entries(name, "", section))
 
 
 def _air(entries: Entries) -> str | tuple[tuple[float, float], ...]:

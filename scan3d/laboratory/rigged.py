@@ -1,0 +1,62 @@
+"""Import with a calibrated rig: its frames and its rod take the place of those of a map.
+
+A calibration states the clamp in the frame of the poses that it was given, and the sensor in that clamp's frame, starting from
+the reactions that it was given.  If these came from an import, the map of that import had turned and moved them already: the
+calibration keeps its frames, so that the same physical frames follow for any later map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from scipy.spatial.transform import Rotation
+
+from scan3d.errors import InputError
+from scan3d.laboratory.calibration_file import read_rig
+from scan3d.laboratory.calibration_quantities import EULER, euler
+from scan3d.laboratory.calibration_result import Calibration
+from scan3d.laboratory.maps import Frame, Map, read_frame
+
+
+def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
+    """The map with the sensor, the clamp and the rod of a calibration, which may be the path of its file.
+
+    The sign of the wrench, the units and the columns stay those of the map, and the zero is found in the log's own stretches in
+    the air: it changes from day to day.  Raises InputError as `scan3d.read_rig`.
+    """
+    found = rig if isinstance(rig, Calibration) else read_rig(rig)
+    sensor_before, clamp_before = (
+        read_frame(found.map_frames.get(title, {}), f"[map] {title} of the rig") for title in ("sensor", "clamp")
+    )
+    sensor = composed(_frame(found.sensor_position_m, found.sensor_euler_deg), sensor_before)
+    clamp = composed(clamp_before, _frame(found.clamp_position_m, found.clamp_euler_deg))
+    used: dict[str, Any] = {"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name}
+    used |= {"sensor": _section(sensor), "clamp": _section(clamp)}
+    return replace(map, sensor=sensor, clamp=clamp, rod=found.rod, rig=used)
+
+
+def composed(outer: Frame, inner: Frame) -> Frame:
+    """The inner frame, which is given in the outer one, in the frame in which the outer one is given."""
+    return Frame(outer.position_m + outer.turn @ inner.position_m, outer.turn @ inner.turn)
+
+
+def not_rigged(source: Mapping[str, Any], name: str) -> None:
+    """Raise InputError for the source of a recording that a rig has corrected: frames would be applied twice."""
+    if source.get("calibrated"):
+        raise InputError(
+            f"{name} was corrected by a calibrated rig already; leave --rig out, or import the table again without it"
+        )
+
+
+def _frame(position_m: Any, euler_deg: Any) -> Frame:
+    return Frame(position_m, Rotation.from_euler(EULER, euler_deg, degrees=True).as_matrix())
+
+
+def _section(frame: Frame) -> dict[str, list[float]]:
+    return {
+        "position_mm": [float(1000 * value) for value in frame.position_m],
+        "euler_deg": [float(value) for value in euler(frame.turn)],
+    }
