@@ -166,7 +166,9 @@ def _calibration(parts: Mapping[str, Mapping[str, Any]]) -> Calibration:
         noise_moment_Nm=_number("noise", noise, "moment_Nm", 0.0),
         diameter_m=_number("sphere", parts["sphere"], "diameter_mm", math.nan) / 1000,
         details=details,
-        map_frames={title: _table("[map]", parts["map"], title) for title in ("sensor", "clamp") if title in parts["map"]},
+        map_frames={
+            title: _table("[map]", parts["map"], title) for title in ("sensor", "clamp") if title in parts["map"]
+        },
     )
 
 
