@@ -16,11 +16,14 @@ from scan3d.cli.interruptions import Interruptions, Terminated
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are different there")
 # The seconds after its beginning at which a run is interrupted: while it imports, computes and writes.
 MOMENTS = [0.08, 0.16, 0.24, 0.32, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2]
-# SIGINT may be ignored in this process, and a child process would inherit that; what it prints states that it is ready.
+# Signals may be ignored in this process, as under nohup, and a child process would inherit that; what it prints states
+# that it is ready.
 _CODE = """
 import faulthandler, signal, sys
 faulthandler.enable()  # after a crash this test shows where
 signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from scan3d.cli import main
 print("ready", flush=True)
 sys.exit(main())

@@ -177,8 +177,12 @@ def test_filter_and_rate_state_the_noise_that_is_left(place, recording):
     data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
     imported = convert(load("long.csv", read_map(data)), read_map(data))
     assert imported.recording.noise_force_N < 0.75 * full.noise_force_N
-    assert imported.summary.samples == pytest.approx(len(full) / 4, rel=0.1)
-    assert imported.summary.left_out["thinned"] == len(full) - imported.summary.samples
+    # the rod snaps off within some rows of this log, which the filter blurs
+    left_out = imported.summary.left_out
+    sharp = len(full) - left_out["blurred by the filter"]
+    assert 0 < sharp < len(full)
+    assert imported.summary.samples == pytest.approx(sharp / 4, rel=0.2)
+    assert left_out["thinned"] == sharp - imported.summary.samples
     data["filter"] = {"lowpass_hz": 50.0}
     notes = convert(load("long.csv", read_map(data)), read_map(data)).summary.notes
     assert "rate_hz = 100 under [filter] keeps rows with independent noise" in " ".join(notes)
