@@ -8,7 +8,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan3d.cli.terminal import one_line, printable, printable_json, table
+from scan3d.cli.terminal import one_line, print_result, printable, table
 from scan3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _guess(arguments: Namespace) -> int:
     with folder(path.parent, "--map"):
         write_atomic(path, guess.text.encode(), "--map")
     text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(guess.open)}")
-    return _print(arguments, {"map": str(path), "open": list(guess.open)}, text)
+    return print_result(arguments, {"map": str(path), "open": list(guess.open)}, text)
 
 
 def _print_import(
@@ -90,7 +90,7 @@ def _print_import(
     text = table(f"{data['table']}, imported", [*facts, *written], sys.stdout)
     if arguments.dry_run:
         text += "\n\n" + _aligned(header, rows)
-    _print(arguments, data, text)
+    print_result(arguments, data, text)
 
 
 def _aligned(header: list[str], rows: list[list[str]]) -> str:
@@ -179,13 +179,3 @@ def _page(imported: Imported, facts: list[tuple[str, str]], header: list[str], r
             rows=rows,
         )
     )
-
-
-def _print(arguments: Namespace, data: Any, text: str) -> int:
-    from scan3d.files.text import to_json
-
-    if arguments.json:
-        print(printable_json(to_json(data).decode()), end="")
-    elif not arguments.quiet:
-        print(text)
-    return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -91,3 +92,14 @@ def _encodes(characters: str, stream: Any) -> bool:
     except (UnicodeEncodeError, LookupError):
         return False
     return True
+
+
+def print_result(arguments: Namespace, data: Any, text: str) -> int:
+    """Print a result as JSON or as text, as the options say; the exit code."""
+    from scan3d.files.text import to_json
+
+    if arguments.json:
+        print(printable_json(to_json(data).decode()), end="")
+    elif not arguments.quiet:
+        print(text)
+    return 0

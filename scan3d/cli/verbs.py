@@ -18,7 +18,7 @@ from scan3d.cli import one_sweep, rig
 from scan3d.cli.calibration import calibrate, rigged
 from scan3d.cli.laboratory import import_
 from scan3d.cli.settings import Settings, settings
-from scan3d.cli.terminal import is_terminal, one_line, printable, printable_json, table
+from scan3d.cli.terminal import is_terminal, one_line, print_result, printable, printable_json, table
 from scan3d.errors import InputError
 
 
@@ -83,7 +83,7 @@ def simulate(arguments: Namespace) -> int:
         "sweeps": len(np.unique(recording.sweep)),
     }
     text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
-    return _print(arguments, data, text)
+    return print_result(arguments, data, text)
 
 
 def reconstruct(arguments: Namespace) -> int:
@@ -130,7 +130,7 @@ def compare(arguments: Namespace) -> int:
 
     comparison = compare_meshes(read_mesh(arguments.first), read_mesh(arguments.second))
     text = _table(*comparison_summary(comparison, arguments.unit))
-    return _print(arguments, dataclasses.asdict(comparison), text)
+    return print_result(arguments, dataclasses.asdict(comparison), text)
 
 
 def show(arguments: Namespace) -> int:
@@ -173,7 +173,7 @@ def show(arguments: Namespace) -> int:
         window.open_window(scene, print, arguments.color or "force")
         return 0
     text = "\n".join(printable(f"written to {file}") for file in files)
-    return _print(arguments, {"shown": scene.name, "files": files}, text)
+    return print_result(arguments, {"shown": scene.name, "files": files}, text)
 
 
 def _check_show(arguments: Namespace) -> None:
@@ -237,7 +237,7 @@ def export(arguments: Namespace) -> int:
         f"a surface of {written['points']} vertices and {written['faces']} faces",
     )
     shape = cloud if written["what"] == "cloud" else surface
-    return _print(arguments, written, printable(f"{shape} in {written['unit']}, written to {written['file']}"))
+    return print_result(arguments, written, printable(f"{shape} in {written['unit']}, written to {written['file']}"))
 
 
 def doctor(arguments: Namespace) -> int:
@@ -303,7 +303,7 @@ def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
     from scan3d.report import summary
 
     heading, rows = summary(data)
-    _print(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))
+    print_result(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))
     for warning in data["warnings"]:
         _say(f"warning: {warning['message']}")
     return 1 if arguments.strict and data["warnings"] else 0
@@ -313,17 +313,7 @@ def _printed(arguments: Namespace, data: Any, text: str, warnings: Iterable[str]
     """Print the result of a command of another module, and its warnings."""
     for warning in warnings:
         _say(f"warning: {warning}")
-    return _print(arguments, data, text)
-
-
-def _print(arguments: Namespace, data: Any, text: str) -> int:
-    from scan3d.files.text import to_json
-
-    if arguments.json:
-        print(printable_json(to_json(data).decode()), end="")
-    elif not arguments.quiet:
-        print(text)
-    return 0
+    return print_result(arguments, data, text)
 
 
 def _table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
