@@ -101,21 +101,27 @@ def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, 
         part = points[first : first + _BLOCK]
         depth = -(part @ normals.T + offsets)
         nearest = depth.min(axis=1)
-        on_facet = depth <= np.maximum(near, nearest)[:, None]
-        total = on_facet @ normals
+        # pairs of points and facets that they lie on, of which every point has one at least
+        point, facet = np.nonzero(depth <= np.maximum(near, nearest)[:, None])
+        starts = np.searchsorted(point, np.arange(len(part)))
+        normal = normals[facet]
+        total = np.add.reduceat(normal, starts)
         with np.errstate(divide="ignore", invalid="ignore"):  # on a flat hull, whose facets are opposite
             axis = total / np.linalg.norm(total, axis=1, keepdims=True)
-        cosine = np.where(on_facet, axis @ normals.T, 1.0)
+        cosine = (axis[point] * normal).sum(axis=1)
+        smallest = np.minimum.reduceat(cosine, starts)
+        # the facet of each point whose normal is farthest from the axis
+        at_most = np.flatnonzero(~(cosine > smallest[point]))
+        farthest = at_most[np.searchsorted(point[at_most], np.arange(len(part)))]
         rows = slice(first, first + _BLOCK)
-        number = cosine.argmin(axis=1)
-        edge = np.cross(axis, normals[number])
+        edge = np.cross(axis, normal[farthest])
         size = np.linalg.norm(edge, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             edge /= size[:, None]
-        across = np.where(on_facet, np.abs(edge @ normals.T), 0.0).max(axis=1)
+        across = np.maximum.reduceat(np.abs((edge[point] * normal).sum(axis=1)), starts)
         edge[~(size > _ROUNDING) | ~(across < _ROUNDING)] = np.nan
         middle[rows], edges[rows] = axis, edge
-        angle = np.arccos(np.clip(cosine[np.arange(len(part)), number], -1.0, 1.0))
+        angle = np.arccos(np.clip(smallest, -1.0, 1.0))
         # a contact inside the hull contradicts the model
         width[rows] = np.where(np.isfinite(angle) & (nearest <= _INSIDE * near), angle, np.inf)
     return middle, width, edges
