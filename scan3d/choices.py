@@ -9,8 +9,9 @@ SPACINGS = ("cosine", "uniform", "adaptive")
 """Rules for the heights of the slices."""
 STANDOFFS = ("follow", "fixed")
 """Whether the base line follows each slice, or keeps clear of the widest slice."""
-METHODS = ("auto", "hull", "bracket", "support", "poisson", "ball-pivoting")
-"""Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds."""
+METHODS = ("auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting")
+"""Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes
+to noisy contacts."""
 VIEWS = ("cloud", "surface", "bound", "compare", "explain")
 """What a picture can show."""
 COLORS = ("phase", "force", "friction", "error", "bending")

@@ -16,6 +16,12 @@ from scan3d.shown import Shown
 # this fraction of the rod's length.  Larger, surfaces are drawn to places outside the body; smaller, more of the body is left
 # without contacts.
 _LIGHT, _NEGLIGIBLE = 4.0, 2e-5
+# Least standard deviation of a contact in any direction by which it is weighted, in median ones of a place.  Larger, accurate
+# contacts count less; smaller, what the noise does not explain, as the facets of a fit, is drawn to the few most accurate ones.
+_FLOOR = 0.15
+# Errors of the second order: the square of a place's standard deviation over this fraction of the rod's length.  Larger, they
+# are neglected; smaller, light contacts count less than they could.
+_SECOND_ORDER = 0.3
 
 
 class NormalSource(IntEnum):
@@ -117,6 +123,20 @@ class Cloud(Shown):
             return self
         limit = max(_LIGHT * self.noise, _NEGLIGIBLE * self.rod_length)
         return self if (self.place_sd <= limit).all() else self.select(self.place_sd <= limit)
+
+    def least_variance(self) -> Array:
+        """(n,) variances that are added to the covariances in every direction where contacts are weighted; for noisy data."""
+        assert self.place_sd is not None
+        second = self.place_sd**2 / (_SECOND_ORDER * self.rod_length)
+        variance: Array = (_FLOOR * self.noise) ** 2 + self.pose_error**2 + second**2
+        return variance
+
+    def sd_along(self, directions: Array) -> Array | None:
+        """(n,) standard deviations of the places along unit vectors (n, 3), NaN where those are; None for exact data."""
+        if self.covariance is None:
+            return None
+        variance = np.einsum("ni,nij,nj->n", directions, self.covariance, directions)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.least_variance()))
 
     fit: SupportFit | None = None
     """The support function fitted to the contacts, if the body proved smooth."""

@@ -24,10 +24,13 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array
+from scan3d.geometry.hulls import hull
 
 # Largest number of contacts used for a fit, spread over all slices.  More take longer; fewer come close to the number of
 # coefficients, and the series follows their noise.
 MAX_CONTACTS = 4000
+# Largest number of noisy contacts used for a fit: the error falls with their number.
+_NOISY_CONTACTS = 20_000
 # Rounds in which the normals follow the fit.  Each improves them by a factor of ten or more and takes as long as the first;
 # with fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
@@ -39,6 +42,9 @@ _TURNS, _DAMPING = 3, 0.8
 # normals are rough, and later.  Larger, errors of the position along the surface, which say little, distort the fit; smaller,
 # rough normals do.
 _POSITION_WEIGHT = (0.1, 0.02)
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
+# of the facets by four and multiplies the number of vertices by four; one fewer does the opposite.
+_SUBDIVISIONS = 6
 # Points that are evaluated at once.  More need more memory; fewer take more calls.
 _BLOCK = 1000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.  Larger, it would distort what the
@@ -75,10 +81,17 @@ class SupportFit:
         return np.concatenate([np.tensordot(self.coefficients, harmonics(part, self.degree)[1], 1).T for part in parts])
 
 
-def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
-    """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`."""
+def fit_support(points: Array, normals: Array, degree: int, sd: Array | None = None) -> SupportFit:
+    """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`.
+
+    sd
+        (n,) standard deviations of the contacts along their normals, by whose inverses they are weighted; equal weights by
+        default.
+    """
     center, shape = inertia(points)
-    step = max(1, -(-len(points) // MAX_CONTACTS))
+    # exact contacts say no more if they are many
+    step = max(1, -(-len(points) // (MAX_CONTACTS if sd is None else _NOISY_CONTACTS)))
+    root = np.ones(0) if sd is None else np.nanmin(sd) / np.nan_to_num(sd[::step], nan=np.inf)
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
     directions = _unit(normals[::step] @ shape)
     coefficients = np.zeros((degree + 1) ** 2)
@@ -92,6 +105,9 @@ def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
             rows = np.hstack([value, *(weight * (gradient * t.T).sum(axis=1) for t in across)])
             here = mapped[part]
             aims = [(here * directions[part]).sum(axis=1), *(weight * (here * t).sum(axis=1) for t in across)]
+            if sd is not None:
+                rows *= np.tile(root[part], 3)
+                aims = [root[part] * aim for aim in aims]
             normal_matrix += rows @ rows.T
             right += rows @ np.concatenate(aims)
         normal_matrix.flat[:: len(right) + 1] += _RIDGE * np.trace(normal_matrix) / len(right)
@@ -100,6 +116,15 @@ def fit_support(points: Array, normals: Array, degree: int) -> SupportFit:
         directions = _follow(fitted._gradient, mapped, directions)
     off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
     return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
+
+
+def fitted_body(fit: SupportFit) -> Any:
+    """The convex hull of points of a fitted body, a `trimesh.Trimesh`."""
+    from trimesh.creation import icosphere
+
+    # spread evenly over the ball-like body to which the fit maps its own, so that needles and discs get even facets as well
+    directions = icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)
+    return hull(fit.points(directions @ np.linalg.inv(fit.shape)))
 
 
 def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
@@ -150,8 +175,8 @@ def inertia(points: Array) -> tuple[Array, Array]:
     The shape is the symmetric map from the unit ball to the ellipsoid that has the hull's moments of inertia.
     """
     middle = points.mean(axis=0)
-    hull = ConvexHull(points - middle)
-    corners = hull.points[hull.simplices]
+    qhull = ConvexHull(points - middle)
+    corners = qhull.points[qhull.simplices]
     volume = np.abs(np.linalg.det(corners)) / 6
     centroid = (volume[:, None] * corners.sum(axis=1) / 4).sum(axis=0) / volume.sum()
     tetrahedra = np.concatenate([corners, np.zeros((len(corners), 1, 3))], axis=1) - centroid

@@ -58,11 +58,12 @@ def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
         return None
     held_out = held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
+    sd = cloud.select(used).sd_along(cloud.normals[used])
     best: tuple[SupportFit, float] | None = None
     for degree in DEGREES:
         if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
             break
-        fitted = fit_support(cloud.points[used], cloud.normals[used], degree)
+        fitted = fit_support(cloud.points[used], cloud.normals[used], degree, sd)
         error = held_out_error(fitted, cloud.points[held_out], cloud.normals[held_out])
         if best is not None and not error < DEGREE_GAIN * best[1]:
             break

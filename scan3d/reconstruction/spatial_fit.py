@@ -65,7 +65,7 @@ def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
     fit_error = error * mean_radius(fitted)
     if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
-        fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree)
+        fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree, cloud.sd_along(normals))
     friction = np.where(slides, np.tan(angles(normals, direction)), np.nan)
     return replace(
         cloud,
@@ -86,7 +86,11 @@ def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array
     held_out = held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
     used = used[:: max(1, -(-len(used) // (MAX_CONTACTS if cloud.noise else _EXACT_CONTACTS)))]
-    parts = _Part(cloud.points[used], normals[used]), _Part(cloud.points[held_out], normals[held_out])
+    used_part, held_out_part = (
+        _Part(cloud.points[part], normals[part], cloud.select(part).sd_along(normals[part]))
+        for part in (used, held_out)
+    )
+    parts = used_part, held_out_part
     best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
     for degree in DEGREES:
         if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
@@ -108,20 +112,21 @@ def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array
 
 
 class _Part(NamedTuple):
-    """Some contacts: their points (n, 3) and normals (n, 3)."""
+    """Some contacts: their points (n, 3), normals (n, 3), and the standard deviations (n,) of noisy points along them."""
 
     points: Array
     normals: Array
+    sd: Array | None
 
     def followed(self, fitted: SupportFit) -> _Part:
-        return _Part(self.points, fitted.normals(self.points, self.normals))
+        return self._replace(normals=fitted.normals(self.points, self.normals))
 
 
 def _converged(used: _Part, held_out: _Part, degree: int) -> tuple[SupportFit, float, tuple[_Part, _Part]]:
     """The fit of some degree to contacts, repeated from its own normals, its error at others, and the normals of both."""
     best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
     for _ in range(1 + _REFITS):
-        fitted = fit_support(used.points, used.normals, degree)
+        fitted = fit_support(used.points, used.normals, degree, used.sd)
         used, held_out = used.followed(fitted), held_out.followed(fitted)
         error = held_out_error(fitted, held_out.points, held_out.normals)
         falling = best is None or error < _GAIN * best[1]

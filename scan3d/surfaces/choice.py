@@ -14,19 +14,17 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
-from scan3d.geometry.support import SupportFit, fit_support
+from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.surfaces.bounds import certificate, enclosure, slice_enclosure
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
 from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
+from scan3d.surfaces.regression import regression
 from scan3d.surfaces.spatial_bounds import SpatialEnclosure
-from scan3d.surfaces.spatial_estimates import best_estimate
+from scan3d.surfaces.spatial_estimates import REGRESSION, best_estimate
 from scan3d.surfaces.tuning import Tuning
 
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
-# of the facets by four and multiplies the number of vertices by four; one fewer does the opposite.
-_SUBDIVISIONS = 6
 # An estimate from contacts anywhere is given up if it is bounded so many times less well than the hull: it lies outside the
 # outer body somewhere.  Larger, wrong estimates pass; smaller, right ones are given up, bounded by the outer body's corners.
 _FAR = 2.0
@@ -46,15 +44,17 @@ def surface(
         'hull': the convex hull of the contacts, never outside the body.
         'bracket': the hull, extended by an estimate of where the true surface lies between the inner and the outer body.
         'support': the support function fitted to the contacts, for smooth bodies.
+        'regression': the convex polytope that fits noisy contacts best, weighted by their covariances.
         'poisson', 'ball-pivoting': methods of open3d that do not assume a convex body; ball pivoting may leave holes.
-        'auto': whichever of the first three methods predicts held-out slices best.
+        'auto': whichever of the methods above but the last two predicts held-out slices best; regression only under noise.
     bounds
         the cloud's `enclosure`, if it has been computed already.
     tuning
         numbers of the estimate between the bounds.
 
     `metadata` has the `method` that was used and the `reason` for it.  Raises InputError for an unknown method, for contacts
-    that do not span a body, for 'support' if the body is not smooth, and if open3d is needed but cannot be imported.
+    that do not span a body, for 'support' if the body is not smooth,
+    for 'regression' of a recording without noise, and if open3d is needed but cannot be imported.
     """
     if not isinstance(cloud, Cloud):
         raise InputError(
@@ -80,9 +80,11 @@ def surface(
         build = open3d_methods.poisson if method == "poisson" else open3d_methods.ball_pivoting
         mesh = build(cloud.points, cloud.normals)
         return _labelled(mesh, method, f"{mesh.metadata['reason']}, as requested")
+    if method == "regression":
+        return _regression(cloud, "as requested")
     if method == "support":
         assert cloud.fit is not None
-        return _labelled(_of_fit(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
+        return _labelled(fitted_body(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
     if isinstance(bounds, SpatialEnclosure):
         return _best_in_space(cloud, bounds, tuning or Tuning(), with_fit=method == "auto")
     assert isinstance(bounds, SliceEnclosure)
@@ -91,10 +93,11 @@ def surface(
 
 @dataclass(frozen=True)
 class _CrossValidation:
-    """Errors at held-out slices of the estimates between the bounds, and of the fit; None if the body was not fitted."""
+    """Errors at held-out slices of the estimates between the bounds, and of fits; None of a fit that was not made."""
 
     estimates: dict[Edges, HeldOutError]
     fit: HeldOutError | None
+    regression: HeldOutError | None = None
 
 
 def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: bool) -> Any:
@@ -118,15 +121,25 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     estimate = errors.estimates[best]
     # under noise the largest error is that of the noisiest contact
     name = "rms" if cloud.noise else "largest"
-    if errors.fit is not None and getattr(errors.fit, name) < tuning.fit_gain * getattr(estimate, name):
+    regressed = errors.regression is not None and errors.regression.rms <= estimate.rms
+    # unlike the estimate, the regression hardly improves where all slices are used
+    other, gain = (errors.regression, 1.0) if regressed else (estimate, tuning.fit_gain)
+    if errors.fit is not None and getattr(errors.fit, name) <= gain * getattr(other, name):
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out slices lie within {errors.fit.largest:.2g} {cloud.unit}"
-        return _labelled(_of_fit(cloud.fit), "support", reason)
+        return _labelled(fitted_body(cloud.fit), "support", reason)
+    if errors.regression is not None and regressed:
+        return _regression(cloud, f"held-out slices lie within {errors.regression.largest:.2g} {cloud.unit}")
     reason = (
         f"between hull and outer body, as {_DESCRIPTIONS[best]}: held-out slices lie within {estimate.largest:.2g} "
         f"{cloud.unit}"
     )
     return _labelled(_between(cloud, bounds, best, tuning), "bracket", reason)
+
+
+def _regression(cloud: Cloud, reason: str) -> Any:
+    mesh, planes = regression(cloud)
+    return _labelled(mesh, "regression", f"{planes} planes, fitted to the contacts with their uncertainties: {reason}")
 
 
 def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
@@ -144,13 +157,13 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
     if with_fit and bounds.bound <= tuning.proven * diagonal:
         return _proven(cloud, bounds)
     mesh, description, errors = best_estimate(cloud, with_fit=with_fit)
-    fit_is_better = (
-        errors is not None and errors.fit is not None and errors.fit.rms < tuning.fit_gain * errors.estimate.rms
-    )
+    regressed = description == REGRESSION
+    gain = 1.0 if regressed else tuning.fit_gain
+    fit_is_better = errors is not None and errors.fit is not None and errors.fit.rms <= gain * errors.estimate.rms
     if errors is not None and errors.fit is not None and fit_is_better:
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
-        return _labelled(_of_fit(cloud.fit), "support", reason)
+        return _labelled(fitted_body(cloud.fit), "support", reason)
     convex = hull(cloud.points)
     if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
         reason = f"convex hull of the contacts, because the estimate, {description}, is bounded much less well"
@@ -159,7 +172,7 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
         reason = f"{description}; too few sweeps for cross-validation"
     else:
         reason = f"{description}: held-out sweeps lie within {errors.estimate.largest:.2g} {cloud.unit}"
-    return _labelled(mesh, "bracket", reason)
+    return _labelled(mesh, "regression" if regressed else "bracket", reason)
 
 
 def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossValidation | None:
@@ -170,14 +183,17 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     kept, held_out = parts
     bounds = slice_enclosure(kept, margin=0.0)
     estimates = {edges: error_of_surface(_between(kept, bounds, edges, tuning), held_out) for edges in Edges}
-    fit = None
+    fit = regressed = None
+    if with_fit and cloud.covariance is not None:
+        regressed = error_of_surface(regression(kept)[0], held_out)
     if with_fit and cloud.fit is not None:
         by_slices = with_slice_normals(kept)
         known = np.isfinite(by_slices.normals[:, 0])
         points, normals = kept.points[known], by_slices.normals[known]
-        near = cKDTree(points).query(held_out)[1]
-        fit = error_of_fit(fit_support(points, normals, cloud.fit.degree), held_out, normals[near])
-    return _CrossValidation(estimates, fit)
+        sd = kept.select(known).sd_along(normals)
+        near = cKDTree(points).query(held_out.points)[1]
+        fit = error_of_fit(fit_support(points, normals, cloud.fit.degree, sd), held_out, normals[near])
+    return _CrossValidation(estimates, fit, regressed)
 
 
 def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
@@ -192,14 +208,6 @@ def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning)
     if edges is not Edges.NONE:
         points.append(contours_between(bounds.stack, tuning))
     return hull(np.concatenate(points))
-
-
-def _of_fit(fit: SupportFit) -> Any:
-    from trimesh.creation import icosphere
-
-    # spread evenly over the ball-like body to which the fit maps its own, so that needles and discs get even facets as well
-    directions = icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)
-    return hull(fit.points(directions @ np.linalg.inv(fit.shape)))
 
 
 def _degree(fit: SupportFit) -> str:

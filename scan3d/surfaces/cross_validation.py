@@ -9,8 +9,8 @@ import numpy as np
 
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
-from scan3d.geometry.distance import distances
-from scan3d.geometry.support import SupportFit
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.support import SupportFit, fitted_body
 
 # Slices with contacts that an axis needs before any of them is held out.  Larger, scans of few slices are not judged by
 # cross-validation; smaller, the slices that are kept do not determine a surface.
@@ -23,10 +23,11 @@ class HeldOutError:
 
     largest: float
     rms: float
+    """Of noisy contacts weighted by their inverse variances across the surface, without the part that noise explains."""
 
 
-def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Array] | None:
-    """The cloud without every second slice between the end slices of each axis, and the held-out contacts (n, 3).
+def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
+    """The cloud without every second slice between the end slices of each axis, and the cloud of the held-out contacts.
 
     None if no axis has five slices with contacts.  The kept cloud has no fitted support function, since that of the whole cloud
     was fitted to the held-out contacts as well.
@@ -51,19 +52,36 @@ def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Array] | None:
         fit=None,
         fit_error=np.inf,
     )
-    return kept, cloud.points[~rows]
+    return kept, cloud.select(~rows)
 
 
-def error_of_surface(surface: Any, held_out: Array) -> HeldOutError:
-    """The error of a surface at held-out contacts (n, 3)."""
-    return _error(distances(held_out, surface))
+def error_of_surface(surface: Any, held_out: Cloud) -> HeldOutError:
+    """The error of a convex surface at held-out contacts."""
+    distance, _, foot = nearest(held_out.points, surface)
+    with np.errstate(divide="ignore", invalid="ignore"):  # contacts on the surface itself have no direction to it
+        return _error(distance, (held_out.points - foot) / distance[:, None], held_out)
 
 
-def error_of_fit(fit: SupportFit, held_out: Array, start: Array) -> HeldOutError:
-    """The error of a fitted body, without facets, at held-out contacts (n, 3); `start` (n, 3) are their approximate normals."""
-    normals = fit.normals(held_out, start)
-    return _error(((held_out - fit.points(normals)) * normals).sum(axis=1))
+def error_of_fit(fit: SupportFit, held_out: Cloud, start: Array) -> HeldOutError:
+    """The error of a fitted body at held-out contacts (n,); `start` (n, 3) are their approximate normals.
+
+    Under noise a body with edges may pass for smooth, and be fitted by a function that is no support function: it has points
+    far out, which the hull of the fitted body shows.  Exact contacts are compared with the function, which has no facets.
+    """
+    if held_out.covariance is not None:
+        return error_of_surface(fitted_body(fit), held_out)
+    normals = fit.normals(held_out.points, start)
+    return _error(((held_out.points - fit.points(normals)) * normals).sum(axis=1), normals, held_out)
 
 
-def _error(deviation: Array) -> HeldOutError:
-    return HeldOutError(float(np.abs(deviation).max()), float(np.sqrt(np.mean(deviation**2))))
+def _error(distance: Array, directions: Array, held_out: Cloud) -> HeldOutError:
+    """The error of a surface at (n,) signed distances along directions (n, 3)."""
+    largest = float(np.abs(distance).max())
+    sd, own = held_out.sd_along(directions), held_out.sd_along(held_out.normals)
+    if sd is None or own is None:
+        return HeldOutError(largest, float(np.sqrt(np.mean(distance**2))))
+    # at an edge the nearest point lies across another face than the contact's own
+    sd = np.fmax(sd, own)
+    weight = np.where(np.isfinite(sd), 1 / sd**2, 0.0)
+    mean = float((weight * distance**2).sum() / weight.sum())
+    return HeldOutError(largest, float(np.sqrt(max(mean - np.count_nonzero(weight) / weight.sum(), 0.0))))

@@ -21,6 +21,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.polytopes import cut_polytope, plane_faces
 from scan3d.geometry.support import fit_support
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface
+from scan3d.surfaces.regression import regression
 
 # Distance from a plane, in diagonals, of the contacts that lie in it.  Larger, gently curved surfaces count as plane;
 # smaller, errors of the normals, by which contacts are moved by the rod's radius, hide plane faces.
@@ -48,6 +49,10 @@ _EVERY, _HELD_OUT = 4, 3000
 _KEPT = 12_000
 
 
+REGRESSION = "planes fitted to the contacts with their uncertainties"
+"""What the estimate by convex regression is called."""
+
+
 class HeldOutErrors(NamedTuple):
     """Errors at held-out sweeps."""
 
@@ -67,18 +72,21 @@ def best_estimate(cloud: Cloud, *, with_fit: bool) -> tuple[Any, str, HeldOutErr
     if parts is None:
         return hull(cloud.points), "convex hull of the contacts", None
     kept, held_out = parts
-    errors = {name: error_of_surface(estimate(kept), held_out) for name, estimate in _ESTIMATES.items()}
+    estimates = dict(_ESTIMATES)
+    if with_fit and cloud.covariance is not None:
+        estimates[REGRESSION] = _regression
+    errors = {name: error_of_surface(estimate(kept), held_out) for name, estimate in estimates.items()}
     best = min(errors, key=lambda name: errors[name].rms)
     fit = None
     if with_fit and cloud.fit is not None:
-        near = cKDTree(kept.points).query(held_out)[1]
-        fitted = fit_support(kept.points, kept.normals, cloud.fit.degree)
+        near = cKDTree(kept.points).query(held_out.points)[1]
+        fitted = fit_support(kept.points, kept.normals, cloud.fit.degree, kept.sd_along(kept.normals))
         fit = error_of_fit(fitted, held_out, kept.normals[near])
-    return _ESTIMATES[best](cloud), best, HeldOutErrors(errors[best], fit)
+    return estimates[best](cloud), best, HeldOutErrors(errors[best], fit)
 
 
-def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Array] | None:
-    """The cloud without every fourth sweep, and held-out contacts (n, 3); None with too few sweeps."""
+def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
+    """The cloud without every fourth sweep, and the cloud of held-out contacts; None with too few sweeps."""
     sweeps, number = np.unique(cloud.sweep, return_inverse=True)
     if len(sweeps) < _FEWEST_SWEEPS:
         return None
@@ -87,7 +95,11 @@ def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Array] | None:
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _HELD_OUT)).astype(np.intp))]
     kept = np.flatnonzero(~held_out)
     kept = kept[:: -(-len(kept) // _KEPT)]
-    return replace(cloud.select(kept), fit=None, fit_error=np.inf), cloud.points[rows]
+    return replace(cloud.select(kept), fit=None, fit_error=np.inf), cloud.select(rows)
+
+
+def _regression(cloud: Cloud) -> Any:
+    return regression(cloud)[0]
 
 
 def _hull(cloud: Cloud) -> Any:

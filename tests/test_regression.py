@@ -1,0 +1,177 @@
+"""Convex regression: planes fitted to noisy contacts, against least squares, known bodies, and the hull of the contacts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from sample_bodies import scanned
+from scipy.spatial.transform import Rotation
+
+import scan3d
+from scan3d.errors import InputError
+from scan3d.geometry.distance import distances
+from scan3d.surfaces.bounds import certificate, enclosure
+from scan3d.surfaces.choice import surface
+from scan3d.surfaces.regression import Contacts, fit_planes
+
+MESHES = "meshes/"
+
+
+def contacts(points, sd):
+    """Contacts with equal standard deviations in all directions."""
+    entries = np.tile(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * sd**2, (len(points), 1))
+    return Contacts(points, entries, np.zeros(len(points)))
+
+
+def on_box(count, extents, chance):
+    """Points (n, 3) on the faces of a box about the origin, and their normals."""
+    face = chance.integers(0, 6, count)
+    points = chance.uniform(-0.5, 0.5, (count, 3)) * extents
+    normals = np.concatenate([np.eye(3), -np.eye(3)])[face]
+    points[np.arange(count), face % 3] = (normals * extents).sum(axis=1) / 2
+    return points, normals
+
+
+def test_the_planes_of_a_box_are_found_within_their_standard_errors():
+    chance, sd = np.random.default_rng(1), 0.2
+    turn = Rotation.from_euler("xyz", [20, 30, 40], degrees=True).as_matrix()
+    points, normals = on_box(6000, np.array([40.0, 30.0, 20.0]), chance)
+    noisy = points @ turn.T + chance.normal(0, sd, points.shape)
+    planes = fit_planes(contacts(noisy, sd), chance.integers(0, 40, len(noisy)))
+    assert len(planes) == 6
+    cosine = planes.normals @ (turn @ np.concatenate([np.eye(3), -np.eye(3)]).T)
+    assert sorted(cosine.argmax(axis=1)) == [0, 1, 2, 3, 4, 5]
+    # slopes of a plane over a face of width b are known to sd √12 / (b √n); 5 standard errors of the narrowest face
+    assert np.arccos(cosine.max(axis=1)).max() < 5 * sd * np.sqrt(12) / (20 * np.sqrt(900))
+    offsets = np.tile([20.0, 15.0, 10.0], 2)[cosine.argmax(axis=1)]
+    # contacts near the edges belong to the wrong plane now and then, which adds a little
+    assert np.abs(planes.offsets - offsets).max() < 0.04
+
+
+def test_one_plane_is_that_of_total_least_squares():
+    chance = np.random.default_rng(2)
+    points, normals = on_box(4000, np.array([40.0, 30.0, 20.0]), chance)
+    points += chance.normal(0, 0.05, points.shape)
+    planes = fit_planes(contacts(points, 0.05), normals @ [1, 2, 3])
+    top = int(planes.normals[:, 2].argmax())
+    mine = points[planes.highest(points)[:, 0] == top]
+    centred = mine - mine.mean(axis=0)
+    direction = np.linalg.svd(centred, full_matrices=False)[2][2]
+    assert abs(direction @ planes.normals[top]) == pytest.approx(1, abs=1e-10)
+    assert mine.mean(axis=0) @ planes.normals[top] == pytest.approx(planes.offsets[top], abs=1e-5)
+
+
+def test_a_ball_is_fitted_by_many_planes_and_less_noise_by_more():
+    chance = np.random.default_rng(3)
+    directions = chance.normal(size=(8000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = []
+    for sd in (0.4, 0.1):
+        points = 20 * directions + chance.normal(0, sd, directions.shape)
+        planes = fit_planes(contacts(points, sd), (directions[:, 2] * 4).astype(int))
+        found.append((len(planes), np.abs(planes.offsets - 20).max()))
+    assert 20 < found[0][0] < found[1][0]
+    assert found[1][1] < 0.2 < found[0][1] < 0.5
+
+
+def test_the_fit_turns_and_scales_with_the_contacts():
+    chance = np.random.default_rng(4)
+    points, normals = on_box(3000, np.array([40.0, 30.0, 20.0]), chance)
+    points += chance.normal(0, 0.1, points.shape)
+    group = normals @ [1, 2, 3]
+    turn = Rotation.from_euler("xyz", [50, -20, 70], degrees=True).as_matrix()
+    first = fit_planes(contacts(points, 0.1), group)
+    second = fit_planes(contacts(1e-3 * points @ turn.T, 1e-4), group)
+    order = (first.normals @ turn.T @ second.normals.T).argmax(axis=1)
+    assert np.allclose(second.normals[order], first.normals @ turn.T, atol=1e-7)
+    assert np.allclose(second.offsets[order], 1e-3 * first.offsets, rtol=1e-7)
+
+
+def noisy(recording, fraction, seed):
+    """A recording with noise of a fraction of the largest force and of the largest moment."""
+    chance = np.random.default_rng(seed)
+    force, moment = fraction * np.abs(recording.force_N).max(), fraction * np.abs(recording.moment_Nm).max()
+    return replace(
+        recording,
+        force_N=recording.force_N + force * chance.standard_normal(recording.force_N.shape),
+        moment_Nm=recording.moment_Nm + moment * chance.standard_normal(len(recording)),
+        noise_force_N=force,
+        noise_moment_Nm=moment,
+    )
+
+
+def scan(mesh, fraction, slices, seed=1):
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=slices, friction=(0.0, 0.4)))
+    return scan3d.reconstruct(noisy(recording, fraction, seed))
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"), [("cube.stl", 1e-2), ("hexagonal_prism.obj", 1e-2), ("cylinder.off", 1e-2)]
+)
+def test_with_one_per_cent_of_noise_bodies_with_edges_are_found_ten_times_better_than_by_the_hull(name, largest):
+    mesh = scan3d.load_mesh(MESHES + name)
+    cloud = scan(mesh, 0.01, 32)
+    bounds = enclosure(cloud)
+    found = surface(cloud, bounds=bounds)
+    assert found.metadata["method"] == "regression"
+    assert "planes, fitted to the contacts with their uncertainties" in found.metadata["reason"]
+    error, diagonal = scan3d.compare(found, mesh).hausdorff, np.linalg.norm(mesh.extents)
+    assert error < largest * diagonal
+    assert error < 0.1 * scan3d.compare(surface(cloud, "hull"), mesh).hausdorff
+    assert error < certificate(bounds, found).bound
+
+
+@pytest.mark.slow
+def test_with_one_per_cent_of_noise_the_egg_is_found_to_a_third_of_the_largest_error_of_a_contact():
+    mesh = scan3d.load_mesh(MESHES + "egg.stl")
+    cloud = scan(mesh, 0.01, 64)
+    off = distances(cloud.points, mesh)
+    assert np.sqrt(np.mean(off**2)) < 0.01 * cloud.rod_length
+    found = surface(cloud)
+    assert found.metadata["method"] == "support"
+    error = scan3d.compare(found, mesh).hausdorff
+    assert error < off.max() / 3
+    # the goal is met with room: weights, and all contacts, make it a twentieth
+    assert error < off.max() / 20
+
+
+@pytest.mark.slow
+def test_a_body_with_a_sharp_rim_does_not_pass_for_smooth_because_of_noise():
+    mesh = scan3d.load_mesh(MESHES + "lens.off")
+    cloud = scan(mesh, 0.002, 32)
+    assert cloud.fit is not None  # its error at the contacts is that of noise
+    found = surface(cloud)
+    assert found.metadata["method"] != "support"
+    assert scan3d.compare(found, mesh).hausdorff < 0.01 * np.linalg.norm(mesh.extents)
+    assert scan3d.compare(surface(cloud, "support"), mesh).hausdorff > 0.02 * np.linalg.norm(mesh.extents)
+
+
+def test_where_few_contacts_show_a_plane_the_polytope_goes_half_way_to_its_vertices():
+    mesh = trimesh.creation.cone(20.0, 40.0, sections=6)
+    mesh.apply_translation([0, 0, -10])
+    cloud = scan(mesh, 0.002, 12)
+    low, high = surface(cloud, "regression").bounds
+    # no farther than half way from the last slice to the empty slice beyond it
+    heights = np.unique(cloud.slice_height)
+    assert low[2] >= heights[0]
+    assert high[2] <= heights[-1]
+
+
+def test_exact_recordings_have_nothing_to_weight_by():
+    cloud = scanned(trimesh.creation.box((20, 20, 20)), slices=8, samples=16)
+    with pytest.raises(
+        InputError, match=r"the method regression weights the contacts by the noise .* states none; state the noise"
+    ):
+        surface(cloud, "regression")
+
+
+def test_contacts_in_space_are_fitted_as_well():
+    mesh = trimesh.creation.box((30, 40, 50))
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=16, friction=0.2, model="spatial", noise=1e-3))
+    cloud = scan3d.reconstruct(recording)
+    found = surface(cloud)
+    assert found.metadata["method"] == "regression"
+    error = scan3d.compare(found, mesh).hausdorff
+    assert error < 0.2 * scan3d.compare(surface(cloud, "hull"), mesh).hausdorff
+    assert error < 0.01 * np.linalg.norm(mesh.extents)
