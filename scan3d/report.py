@@ -15,6 +15,7 @@ from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.coverage import coverage
+from scan3d.measurands import measurands
 from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
 from scan3d.surfaces import Certificate, Enclosure, sigmas
@@ -95,6 +96,7 @@ def report(
         "friction": _friction(cloud, friction_set),
         "hausdorff": _hausdorff(comparison, unit),
         "certificate": _certificate(analysis),
+        "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate),
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": _noise(analysis),
@@ -284,6 +286,10 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if hausdorff:
         relative = f"{hausdorff['relative']:.1e} of the diagonal"
         rows.append(("Hausdorff distance", f"{hausdorff['two_sided']:.4g} {hausdorff['unit']} ({relative})"))
+    volume = next((known for known in data.get("measurands", ()) if known["quantity"] == "volume"), None)
+    if volume and None not in volume["interval"] and np.isfinite(volume["interval"]).all() and not data["warnings"]:
+        low, high = volume["interval"]
+        rows.append(("volume", f"{volume['value']:.4g} {volume['unit']}, certified between {low:.4g} and {high:.4g}"))
     certified = data["certificate"]
     if data["warnings"]:
         rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))

@@ -36,6 +36,19 @@ class Enclosure:
         """The largest gap by each cause."""
         raise NotImplementedError
 
+    def support(self, directions: Array) -> tuple[Array, Array]:
+        """Lower and upper bounds (d,) of the true body's support function in directions (d, 3), unit vectors.
+
+        They hold with the enclosure's `confidence`, and are infinite where nothing bounds the body.
+        """
+        if not self.confidence:
+            nothing = np.full(len(directions), np.inf)
+            return -nothing, nothing
+        return self._support(directions)
+
+    def _support(self, directions: Array) -> tuple[Array, Array]:
+        raise NotImplementedError
+
 
 @dataclass(frozen=True, kw_only=True)
 class SliceEnclosure(Enclosure):
@@ -60,6 +73,18 @@ class SliceEnclosure(Enclosure):
 
     def parts(self) -> dict[str, float]:
         return {kind.name.lower(): self.part(kind) for kind in Gap}
+
+    def _support(self, directions: Array) -> tuple[Array, Array]:
+        lower = _highest(self.inner.vertices.view(np.ndarray), directions) - self.margin
+        if not (np.isfinite(self.bound) and np.isfinite(self.corners).all()):
+            return lower, np.full(len(directions), np.inf)
+        return lower, _highest(self.corners, directions) + self.margin
+
+
+def _highest(points: Array, directions: Array) -> Array:
+    """(d,) support function of points (n, 3) in directions (d, 3)."""
+    highest: Array = (points @ directions.T).max(axis=0)
+    return highest
 
 
 class Certificate(NamedTuple):

@@ -84,12 +84,18 @@ class SpatialEnclosure(Enclosure):
 
     directions: Array
     """(d, 3) unit vectors in which the body's support function is bounded."""
-    support: Array
+    upper: Array
     """(d,) its upper bounds."""
 
     def sticking_out(self, points: Array) -> Array:
         """Upper bounds (n,) of the distances of points (n, 3) from the true body, negative inside."""
         return _sticking_out(points, self.inner_bodies)
+
+    def _support(self, directions: Array) -> tuple[Array, Array]:
+        lower = (_vertices(self.inner) @ directions.T).max(axis=0) - self.excess
+        if self.open.any() or not len(self.corners):
+            return lower, np.full(len(directions), np.inf)
+        return lower, (self.corners @ directions.T).max(axis=0) - self.radius
 
     def parts(self) -> dict[str, float]:
         return {"contacts": float(self.gap.max(initial=0.0)), "rod": self.excess}
@@ -157,7 +163,7 @@ def _by_contacts(cloud: Cloud, errors: Array, turns: Array, confidence: float) -
         apexes=middles,
         open=is_open,
         directions=directions,
-        support=support - radius,
+        upper=support - radius,
     )
 
 
@@ -316,7 +322,7 @@ def _depths(bounds: SpatialEnclosure, surface: Any) -> Array:
     np.add.at(normals, faces.ravel(), np.repeat(face_normals, 3, axis=0))
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
     near = cKDTree(bounds.directions).query(normals, k=np.arange(1, min(_NEAR, len(bounds.directions)) + 1))[1]
-    depths: Array = (bounds.support[near] - (bounds.directions[near] * vertices[:, None]).sum(axis=2)).min(axis=1)
+    depths: Array = (bounds.upper[near] - (bounds.directions[near] * vertices[:, None]).sum(axis=2)).min(axis=1)
     return np.maximum(depths, 0.0)
 
 

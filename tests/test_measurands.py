@@ -1,0 +1,82 @@
+"""Quantities with their coverage intervals: against the true bodies, and their entries in the report."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import scan3d
+from scan3d.measurands import measurands
+from scan3d.report import report, summary
+from scan3d.surfaces.confidence import sigmas
+from scan3d.workflow import analyse
+
+
+def measured(analysis):
+    found = measurands(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
+    return {quantity["quantity"]: quantity for quantity in found}
+
+
+def turned_box():
+    box = trimesh.creation.box((30, 40, 25))
+    box.apply_transform(trimesh.transformations.euler_matrix(0.2, -0.3, 0.4))
+    return box
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
+    mesh = turned_box()
+    plan = scan3d.Plan(slices=16, samples=32, friction=0.2, model=model, noise=noise)
+    analysis = analyse(scan3d.simulate(mesh, plan), mesh)
+    assert not analysis.warnings
+    found = measured(analysis)
+    true = {f"extent along {axis}": extent for axis, extent in zip("xyz", mesh.extents, strict=True)}
+    true |= {"volume": mesh.volume, "distance of the surface from the body": analysis.comparison.hausdorff}
+    assert list(found) == list(true)
+    for name, value in true.items():
+        low, high = found[name]["interval"]
+        assert low - 1e-9 <= value <= high + 1e-9, name
+        assert found[name]["expanded_uncertainty"] == pytest.approx(
+            max(high - found[name]["value"], found[name]["value"] - low)
+        )
+        assert found[name]["coverage_probability"] == (0.95 if noise else 1.0)
+        if np.isfinite(high) and name != "distance of the surface from the body":
+            assert high - low < 0.3 * value  # the intervals say something
+    assert found["volume"]["unit"] == "mm³"
+    factor = found["volume"]["coverage_factor"]
+    assert factor == (sigmas(len(analysis.cloud)) if noise else None)
+
+
+def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direction():
+    mesh = turned_box()
+    cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24)))
+    from scan3d.surfaces import enclosure
+
+    directions = trimesh.creation.icosphere(3).vertices.view(np.ndarray)
+    lower, upper = enclosure(cloud).support(directions)
+    true = (mesh.vertices @ directions.T).max(axis=0)
+    assert (lower <= true + 1e-9).all()
+    assert (true <= upper + 1e-9).all()
+
+
+def test_nothing_is_stated_where_the_recording_contradicts_the_model():
+    mesh = turned_box()
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24))
+    wrong = replace(recording, force_N=recording.force_N * [1.0, -1.0])
+    analysis = analyse(wrong)
+    assert analysis.warnings
+    for quantity in measured(analysis).values():
+        assert quantity["coverage_probability"] == 0.0
+        assert quantity["interval"][1] == np.inf
+    assert "volume" not in dict(summary(report(analysis, settings={})).rows)
+
+
+def test_the_summary_states_the_volume_with_its_interval():
+    mesh = turned_box()
+    analysis = analyse(scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24)))
+    data = report(analysis, settings={})
+    row = dict(summary(data).rows)["volume"]
+    low, high = data["measurands"][3]["interval"]
+    assert row.endswith(f"mm³, certified between {low:.4g} and {high:.4g}")
