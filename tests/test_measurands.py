@@ -9,6 +9,7 @@ import trimesh
 import scan3d
 from scan3d.measurands import measurands
 from scan3d.report import report, summary
+from scan3d.surfaces import enclosure
 from scan3d.surfaces.confidence import sigmas
 from scan3d.workflow import analyse
 
@@ -52,7 +53,6 @@ def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
 def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direction():
     mesh = turned_box()
     cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24)))
-    from scan3d.surfaces import enclosure
 
     directions = trimesh.creation.icosphere(3).vertices.view(np.ndarray)
     lower, upper = enclosure(cloud).support(directions)
