@@ -59,6 +59,9 @@ def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direct
     true = (mesh.vertices @ directions.T).max(axis=0)
     assert (lower <= true + 1e-9).all()
     assert (true <= upper + 1e-9).all()
+    planes = enclosure(cloud).outer_planes()
+    assert len(planes) >= 6
+    assert (mesh.vertices @ planes[:, :3].T <= planes[:, 3] + 1e-9).all()
 
 
 def test_nothing_is_stated_where_the_recording_contradicts_the_model():

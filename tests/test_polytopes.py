@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import ConvexHull
 from spatial_bodies import Ellipsoid, box, spatial_cloud, unit
 
-from scan3d.geometry.polytopes import cut_polytope, plane_faces
+from scan3d.geometry.polytopes import clipped, cut_polytope, plane_faces
 
 
 def test_the_plane_faces_of_a_box():
@@ -40,3 +42,13 @@ def test_tangent_planes_cut_what_faces_leave_open():
 def test_no_planes_leave_a_box_around_the_body():
     corners = cut_polytope(np.empty((0, 4)), np.empty((0, 4)), np.ones(3), 1.0, 1e-6)
     assert np.abs(corners - 1) == pytest.approx(np.full((8, 3), 2.0))
+
+
+def test_planes_cut_the_hull_of_points():
+    corners = trimesh.creation.box((2, 2, 2)).vertices.view(np.ndarray)
+    assert clipped(corners, np.array([[1.0, 0, 0, 1.0], [0, 1.0, 0, 3.0]])) is corners
+    cut = clipped(corners, np.array([[1.0, 0, 0, 0.5], [0, 1.0, 0, 3.0]]))
+    assert np.ptp(cut, axis=0) == pytest.approx([1.5, 2.0, 2.0])
+    assert ConvexHull(cut).volume == pytest.approx(6.0)
+    # planes with most of the points beyond them contradict the points
+    assert clipped(corners, np.array([[1.0, 0, 0, -0.5]])) is corners

@@ -13,7 +13,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 from scan3d.surfaces.bounds import certificate, enclosure
 from scan3d.surfaces.choice import surface
-from scan3d.surfaces.regression import Contacts, fit_planes
+from scan3d.surfaces.regression import Contacts, fit_planes, regression
 
 MESHES = "meshes/"
 
@@ -120,6 +120,25 @@ def test_with_one_per_cent_of_noise_bodies_with_edges_are_found_ten_times_better
     assert error < largest * diagonal
     assert error < 0.1 * scan3d.compare(surface(cloud, "hull"), mesh).hausdorff
     assert error < certificate(bounds, found).bound
+
+
+def test_no_part_of_the_fitted_polytope_lies_outside_the_outer_body():
+    # planes above and below a narrow band, of which few contacts tell, meet outside it
+    gem = trimesh.convex.convex_hull(
+        [
+            [np.cos(a) * r, np.sin(a) * r, z]
+            for r, z in ((6, -12), (15, -0.4), (15, 0.4), (6, 7))
+            for a in np.arange(0.2, 6.4, 0.5236)
+        ]
+    )
+    cloud = scan(gem, 0.004, 24)
+    bounds = enclosure(cloud)
+    outer = bounds.outer_planes()
+    free = regression(cloud.accurate())[0]
+    assert (free.vertices @ outer[:, :3].T - outer[:, 3]).max() > 0.01
+    found = surface(cloud, "regression", bounds=bounds)
+    assert (found.vertices @ outer[:, :3].T - outer[:, 3]).max() < 1e-6
+    assert scan3d.compare(found, gem).hausdorff < scan3d.compare(free, gem).hausdorff
 
 
 @pytest.mark.slow

@@ -14,6 +14,8 @@ _FAR = 2.0
 # Rounds in which planes are added where they cut the polytope, and the number of vertices that are cut in one of them.  More
 # take longer; fewer leave the polytope larger.
 _ROUNDS, _AT_ONCE = 20, 500
+# Depth of a cut, in sizes of the body, that is rounding.
+_SHALLOW = 1e-9
 # Points that a plane face has at least.  Larger, small faces are overlooked; smaller, facets of curved bodies count as plane.
 _FACE_POINTS = 6
 # Groups of facets that are tried at most, those with the largest facets first.  More take longer; fewer overlook small faces.
@@ -72,6 +74,19 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
         planes = np.concatenate([planes, others[added]])
         vertices = _vertices(planes, inside)
     return vertices
+
+
+def clipped(vertices: Array, planes: Array) -> Array:
+    """Vertices (w, 3) of what planes (k, 4) leave of the hull of points (v, 3); the points themselves if none cuts it."""
+    heights = (vertices @ planes[:, :3].T).max(axis=0) - planes[:, 3]
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    cutting = planes[heights > _SHALLOW * size]
+    middle = vertices.mean(axis=0)
+    # planes that pass the middle by show a hull that lies outside of them for the most part
+    if not len(cutting) or (cutting[:, :3] @ middle > cutting[:, 3] - _SHALLOW * size).any():
+        return vertices
+    equations = ConvexHull(vertices).equations
+    return cut_polytope(np.column_stack([equations[:, :3], -equations[:, 3]]), cutting, middle, size, _SHALLOW * size)
 
 
 def _deepest_cuts(vertices: Array, planes: Array) -> tuple[Index, Array]:

@@ -14,6 +14,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
+from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.surfaces.bounds import certificate, enclosure, slice_enclosure
@@ -81,7 +82,7 @@ def surface(
         mesh = build(cloud.points, cloud.normals)
         return _labelled(mesh, method, f"{mesh.metadata['reason']}, as requested")
     if method == "regression":
-        return _regression(cloud, "as requested")
+        return _regression(cloud, bounds or enclosure(cloud), "as requested")
     if method == "support":
         assert cloud.fit is not None
         return _labelled(fitted_body(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
@@ -108,6 +109,7 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if with_fit and bounds.bound <= tuning.proven * diagonal:
         return _proven(cloud, bounds)
+    proven = bounds
     if bounds.confidence < 1:
         # the estimate is made between the contacts' hull and their half-spaces as they are, not as noise allows them to be
         bounds = slice_enclosure(cloud, margin=0.0)
@@ -129,7 +131,7 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out slices lie within {errors.fit.largest:.2g} {cloud.unit}"
         return _labelled(fitted_body(cloud.fit), "support", reason)
     if errors.regression is not None and regressed:
-        return _regression(cloud, f"held-out slices lie within {errors.regression.largest:.2g} {cloud.unit}")
+        return _regression(cloud, proven, f"held-out slices lie within {errors.regression.largest:.2g} {cloud.unit}")
     reason = (
         f"between hull and outer body, as {_DESCRIPTIONS[best]}: held-out slices lie within {estimate.largest:.2g} "
         f"{cloud.unit}"
@@ -137,8 +139,11 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     return _labelled(_between(cloud, bounds, best, tuning), "bracket", reason)
 
 
-def _regression(cloud: Cloud, reason: str) -> Any:
+def _regression(cloud: Cloud, bounds: Enclosure, reason: str) -> Any:
     mesh, planes = regression(cloud)
+    outer = bounds.outer_planes()
+    if len(outer):
+        mesh = hull(clipped(mesh.vertices.view(np.ndarray), outer))
     return _labelled(mesh, "regression", f"{planes} planes, fitted to the contacts with their uncertainties: {reason}")
 
 
@@ -164,6 +169,8 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
         return _labelled(fitted_body(cloud.fit), "support", reason)
+    if regressed and len(outer := bounds.outer_planes()):
+        mesh = hull(clipped(mesh.vertices.view(np.ndarray), outer))
     convex = hull(cloud.points)
     if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
         reason = f"convex hull of the contacts, because the estimate, {description}, is bounded much less well"

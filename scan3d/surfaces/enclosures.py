@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.reconstruction.slices import SliceStack
@@ -48,6 +49,16 @@ class Enclosure:
 
     def _support(self, directions: Array) -> tuple[Array, Array]:
         raise NotImplementedError
+
+    def outer_planes(self) -> Array:
+        """Planes (k, 4), n and c with <n, x> <= c, of a convex body that contains the true one with the enclosure's confidence.
+
+        There are none where the body is unbounded.
+        """
+        if not (self.confidence and np.isfinite(self.bound) and np.isfinite(self.corners).all()):
+            return np.empty((0, 4))
+        normals = ConvexHull(self.corners).equations[:, :3]
+        return np.column_stack([normals, self.support(normals)[1]])
 
 
 @dataclass(frozen=True, kw_only=True)
