@@ -35,7 +35,8 @@ from scan3d.laboratory.calibration_model import (
     clamp_wrench,
 )
 from scan3d.laboratory.calibration_result import Calibration, Fitted, of_fit
-from scan3d.laboratory.calibration_start import far_kinds, first_rig, kinds, likelier_kinds
+from scan3d.laboratory.calibration_rows import far_kinds, kinds, likelier_kinds, neighbours
+from scan3d.laboratory.calibration_start import first_rig
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 
@@ -99,6 +100,8 @@ class _Measured(NamedTuple):
     problem: Problem
     sweep: NDArray[np.int64]
     """(n,) of the rows in contact."""
+    around: Array
+    """(n, 6) wrench of the neighbours of each row, which decides whether the row is used."""
     unloaded: Unloaded
     nominal: Rig
     world: Array
@@ -119,7 +122,8 @@ def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
     wrench = wrench / unit
     noise = known.force_N / unit[0], known.moment_Nm / unit[3]
     found = unloaded(recording.sweep, wrench, channels, noise, tare)
-    force = np.linalg.norm((wrench - found.basis @ found.tare.T)[:, :3], axis=1)
+    around = neighbours(wrench, recording.sweep, found.contact)
+    force = np.linalg.norm((around - found.basis @ found.tare.T)[:, :3], axis=1)
     rows = np.flatnonzero(found.contact & (force > _FELT * found.force_noise))
     if len(rows) < _FEWEST:
         raise InputError(
@@ -150,7 +154,7 @@ def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
         _by_parameter(_WIDTHS, len(free)),
     )
     nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), touches.position.mean(axis=0), 1.0, found.tare)
-    return _Measured(problem, recording.sweep[rows], found, nominal, world)
+    return _Measured(problem, recording.sweep[rows], around[rows], found, nominal, world)
 
 
 def _fitted(measured: _Measured, place: float | None, recording: Recording, sphere: float) -> Calibration:
@@ -180,6 +184,8 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
         problem = replace(problem, free=free)
         first = started(problem, _at_nominal(first, nominal, free), noise)[0]
     fit = adjusted(problem, first, noise)
+    problem, sweep, fit = _chosen_by_neighbours(measured, problem, fit, noise)
+    kind = problem.touches.kind
     for _ in range(_ROUNDS if problem.free[LENGTH] else 0):
         before, kind = kind, likelier_kinds(problem, sweep, fit.rig, noise)
         problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free)
@@ -207,6 +213,23 @@ def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, 
     free = free.copy()
     free[LENGTH] &= length is not None
     return replace(problem, touches=problem.touches._replace(kind=kind), free=free)
+
+
+def _chosen_by_neighbours(
+    measured: _Measured, problem: Problem, fit: Adjusted, noise: Noise
+) -> tuple[Problem, NDArray[np.int64], Adjusted]:
+    """The problem of the rows that their neighbours choose for a fitted rig, their sweeps, and its fit."""
+    around = replace(measured.problem, touches=measured.problem.touches._replace(wrench=measured.around))
+    strong = _strong(around, fit.rig, noise)
+    sweep = measured.sweep[strong]
+    chosen = replace(problem, touches=measured.problem.touches.rows(strong))
+    if problem.free[LENGTH]:
+        kind = likelier_kinds(chosen, sweep, fit.rig, noise)
+    else:
+        kind = kinds(chosen, sweep, fit.rig, noise)[0]
+        kind[kind == Kind.TIP] = Kind.UNSURE
+    chosen = replace(chosen, touches=chosen.touches._replace(kind=kind))
+    return chosen, sweep, adjusted(chosen, fit.rig, noise)
 
 
 def _strong(problem: Problem, rig: Rig, noise: Noise) -> Mask:
