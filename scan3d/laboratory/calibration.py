@@ -18,6 +18,8 @@ from scan3d.choices import TARES
 from scan3d.errors import InputError
 from scan3d.laboratory import calibration_words as words
 from scan3d.laboratory.calibration_air import Unloaded, unloaded
+from scan3d.laboratory.calibration_checks import Fitted
+from scan3d.laboratory.calibration_colour import Colour, colour
 from scan3d.laboratory.calibration_fit import Adjusted, Air, Noise, Problem, adjusted, information, started
 from scan3d.laboratory.calibration_model import (
     CENTRE,
@@ -34,7 +36,7 @@ from scan3d.laboratory.calibration_model import (
     bent,
     clamp_wrench,
 )
-from scan3d.laboratory.calibration_result import Calibration, Fitted, of_fit
+from scan3d.laboratory.calibration_result import Calibration, of_fit
 from scan3d.laboratory.calibration_rows import far_kinds, kinds, likelier_kinds, neighbours
 from scan3d.laboratory.calibration_start import first_rig
 from scan3d.reconstruction.resolution import noise_of
@@ -100,6 +102,10 @@ class _Measured(NamedTuple):
     problem: Problem
     sweep: NDArray[np.int64]
     """(n,) of the rows in contact."""
+    rows: NDArray[np.intp]
+    """(n,) their numbers in the recording."""
+    colours: tuple[Colour, Colour]
+    """Of the noise of force and moment."""
     around: Array
     """(n, 6) wrench of the neighbours of each row, which decides whether the row is used."""
     unloaded: Unloaded
@@ -147,14 +153,18 @@ def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
         free[CENTRE + 2] = np.ptp(touches.position[:, 2]) > _PLANE * sphere / 2 / rod.length_m
     problem = Problem(
         touches,
-        Air(wrench[found.air], found.basis[found.air]),
+        Air(wrench[found.air], found.basis[found.air], np.flatnonzero(found.air)),
         (sphere + rod.diameter_m) / 2 / rod.length_m,
         channels,
         free,
         _by_parameter(_WIDTHS, len(free)),
     )
     nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), touches.position.mean(axis=0), 1.0, found.tare)
-    return _Measured(problem, recording.sweep[rows], around[rows], found, nominal, world)
+    colours = (
+        colour(wrench, found, channels, slice(0, 3), found.force_noise),
+        colour(wrench, found, channels, slice(3, 6), found.moment_noise),
+    )
+    return _Measured(problem, recording.sweep[rows], rows, colours, around[rows], found, nominal, world)
 
 
 def _fitted(measured: _Measured, place: float | None, recording: Recording, sphere: float) -> Calibration:
@@ -184,7 +194,8 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
         problem = replace(problem, free=free)
         first = started(problem, _at_nominal(first, nominal, free), noise)[0]
     fit = adjusted(problem, first, noise)
-    problem, sweep, fit = _chosen_by_neighbours(measured, problem, fit, noise)
+    problem, chosen, fit = _chosen_by_neighbours(measured, problem, fit, noise)
+    sweep = measured.sweep[chosen]
     kind = problem.touches.kind
     for _ in range(_ROUNDS if problem.free[LENGTH] else 0):
         before, kind = kind, likelier_kinds(problem, sweep, fit.rig, noise)
@@ -196,7 +207,18 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
         noise = noise._replace(place=_place_noise(fit, problem, noise))
         fit = adjusted(problem, fit.rig, noise)
     _check(fit, problem, noise, sphere, recording)
-    return of_fit(Fitted(fit, problem, noise, measured.unloaded, measured.world, place is None), recording, sphere)
+    fitted = Fitted(
+        fit,
+        problem,
+        noise,
+        measured.unloaded,
+        measured.world,
+        measured.rows[chosen],
+        sweep,
+        measured.colours,
+        place is None,
+    )
+    return of_fit(fitted, recording, sphere)
 
 
 def _refined(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> Rig:
@@ -217,8 +239,8 @@ def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, 
 
 def _chosen_by_neighbours(
     measured: _Measured, problem: Problem, fit: Adjusted, noise: Noise
-) -> tuple[Problem, NDArray[np.int64], Adjusted]:
-    """The problem of the rows that their neighbours choose for a fitted rig, their sweeps, and its fit."""
+) -> tuple[Problem, Mask, Adjusted]:
+    """The problem of the rows that their neighbours choose for a fitted rig, which these are, and its fit."""
     around = replace(measured.problem, touches=measured.problem.touches._replace(wrench=measured.around))
     strong = _strong(around, fit.rig, noise)
     sweep = measured.sweep[strong]
@@ -229,7 +251,7 @@ def _chosen_by_neighbours(
         kind = kinds(chosen, sweep, fit.rig, noise)[0]
         kind[kind == Kind.TIP] = Kind.UNSURE
     chosen = replace(chosen, touches=chosen.touches._replace(kind=kind))
-    return chosen, sweep, adjusted(chosen, fit.rig, noise)
+    return chosen, strong, adjusted(chosen, fit.rig, noise)
 
 
 def _strong(problem: Problem, rig: Rig, noise: Noise) -> Mask:

@@ -26,6 +26,9 @@ _LIKELIER = 12.0
 _SURE, _WINDOWS = 0.02, 10
 # Contacts are far from the tip within this part of the quantile of s1 that serves as the largest, for a first estimate.
 _FAR, _FARTHEST = 0.85, 0.98
+# Quantile of s1 of the contacts that are not tangential which is that of the tip: lower, contacts that stick or touch edges
+# hide the tip; higher, single contacts that the noise puts past it do.
+_TIP_S1 = 0.8
 # Tip contacts that are needed for the free length.
 _FEWEST_TIPS = 8
 
@@ -35,7 +38,7 @@ def neighbours(wrench: Array, sweep: NDArray[np.int64], contact: Mask) -> Array:
 
     It is that of the straight line through up to three rows before and three after it.
     """
-    result = wrench.copy()
+    result: Array = wrench.copy()
     for number in np.unique(sweep[contact]):
         rows = np.flatnonzero((sweep == number) & contact)
         result[rows] = _predicted(wrench[rows], rows.astype(float))
@@ -46,17 +49,17 @@ def _predicted(values: Array, place: Array) -> Array:
     """The values (n, c) at places (n,) on the lines through the others nearby; the values where there are no others."""
     offsets = [k for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1) if k != 0]
     index = np.arange(len(values))[:, None] + offsets
-    inside = (index >= 0) & (index < len(values))
+    within = (index >= 0) & (index < len(values))
     index = np.clip(index, 0, len(values) - 1)
     away = place[index] - place[:, None]
-    inside &= np.abs(away) <= _NEIGHBOURS
+    inside = np.where(np.abs(away) <= _NEIGHBOURS, within, False)
     count = np.maximum(inside.sum(axis=1), 1)
     middle = (away * inside).sum(axis=1) / count
     spread = inside * (away - middle[:, None])
     square = (spread**2).sum(axis=1)
     weight = inside / count[:, None] - (middle / np.where(square > 0, square, 1))[:, None] * spread
     predicted = np.einsum("nk,nkc->nc", weight, values[index])
-    return np.where(inside.any(axis=1)[:, None], predicted, values)
+    return np.where(np.asarray(inside.any(axis=1))[:, None], predicted, values)
 
 
 def _around(values: Array, half: int) -> Array:
@@ -85,9 +88,9 @@ def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) ->
         if not sure.any():
             return result, None
         not_tangential: Mask = cosine < -_SIGMAS * cosine_sd - _COSINE
-        # most contacts that are not tangential are at the tip; a single largest s1 is that of the noise
+        # a single largest s1 is that of the noise
         surely = sure & not_tangential
-        tip_s1 = np.median(s1[surely]) if surely.sum() >= _FEWEST_TIPS else s1[sure].max()
+        tip_s1 = np.quantile(s1[surely], _TIP_S1) if surely.sum() >= _FEWEST_TIPS else s1[sure].max()
         farthest: Mask = s1 - tip_s1 > -_SIGMAS * s1_sd - _SURE
         tip: Mask = farthest & not_tangential
         if tip.sum() < _FEWEST_TIPS:  # then the farthest may be at the tip all the same
@@ -116,7 +119,7 @@ def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise
 
 
 def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
-    """The kind of each contact (n,) of sweeps (n,) by the likelihood of its neighbours alone, for a rig whose length is known."""
+    """The kind of each contact (n,) of sweeps (n,) by that of its neighbours, for a rig whose length is known."""
     result = np.full(len(sweep), Kind.UNSURE, dtype=np.int8)
     difference = misfits(problem, rig, noise, Kind.TANGENTIAL) - misfits(problem, rig, noise, Kind.TIP)
     together = _summed(difference, sweep, own=False)

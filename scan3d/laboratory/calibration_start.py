@@ -38,7 +38,8 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     """A rig whose contacts lie near a sphere and, where they are far from the tip, are tangential."""
     free = problem.free.copy()
     free[LENGTH:] = False  # the tare is that of the rows in the air
-    no_air = Air(problem.air.wrench[:0], problem.air.basis[:0])
+    air = problem.air
+    no_air = Air(air.wrench[:0], air.basis[:0], air.rows[:0])
     # contacts of light touches are far from linear in the noise
     force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
     heavy = problem.touches.rows(force >= np.median(force))
