@@ -15,6 +15,7 @@ import planar
 import scan3d
 from scan3d.planning.envelopes import parse_envelope
 from scan3d.planning.rig_plan import RigPlan, plan_poses
+from scan3d.simulation.disturbances import pink_noise
 from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.spatial.bodies import Ellipsoid
 from scan3d.spatial.polyhedra import RoundedPolyhedron
@@ -82,8 +83,9 @@ def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REA
     return position, axes, np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
 
 
-def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, **raster):
-    """The recording of a rig, as it logs without knowing of its faults."""
+def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, **raster):
+    """The recording of a rig, as it logs without knowing of its faults; `pink` is the fraction of its noise's variance with
+    the spectrum 1/f."""
     truth = Truth() if truth is None else truth
     rng = np.random.default_rng(seed)
     position, axes, force, moment, _ = swept(length=truth.length, **raster)
@@ -99,9 +101,11 @@ def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, **raster):
     largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
     wrench = np.hstack([force, moment])
     time = np.linspace(-0.5, 0.5, m * n)[:, None]
-    wrench = wrench + largest * (
-        np.array(truth.bias) + time * truth.drift + truth.noise * rng.normal(size=wrench.shape)
-    )
+    noise = rng.normal(size=wrench.shape)
+    if pink:
+        coloured = np.stack([pink_noise(len(wrench), rng) for _ in range(6)], axis=1)
+        noise = np.sqrt(1 - pink) * noise + np.sqrt(pink) * coloured
+    wrench = wrench + largest * (np.array(truth.bias) + time * truth.drift + truth.noise * noise)
     # clamp -> pose
     clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True).as_matrix()
     pose = np.einsum("nji,kj->nik", axes, clamp)  # columns: axes of the pose's frame in the world

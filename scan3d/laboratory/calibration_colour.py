@@ -26,12 +26,14 @@ _LAGS, _PAIRS = 10, 100
 _SIGMAS = 4.0
 # Scatter over the noise below which the rows in the air are those of exact data.
 _EXACT = 0.03
+# Rows times functions of the tare up to which the noise that the tare takes away is computed; in longer recordings it is little.
+_LARGEST = 5_000_000
 # Short lags of that test.
 _SHORT = 5
 
 
 class Colour(NamedTuple):
-    """Autocorrelation of the noise of a component by the lag in rows: a sum of exponentials, one at the lag 0."""
+    """Autocovariance of the noise of a component by the lag in rows: a sum of exponentials, in variances of the noise."""
 
     decay: Array
     """(m,) factors by which the exponentials fall from row to row; 0 for white noise."""
@@ -39,7 +41,7 @@ class Colour(NamedTuple):
     """(m,)"""
 
     def at(self, lag: int) -> float:
-        """The autocorrelation at a lag."""
+        """The autocovariance at a lag."""
         return float((self.weight * self.decay**lag).sum())
 
 
@@ -68,8 +70,40 @@ def colour(wrench: Array, found: Unloaded, channels: Mask, part: slice, noise: f
     if total < _SIGMAS:
         return WHITE
     decay = np.concatenate([[0.0], np.exp(-1 / np.array([time for time in _TIMES if time <= max(largest, 1)]))])
-    weight = nnls(decay[None] ** lags[:, None] / error[:, None], correlation / error)[0]
-    return Colour(decay, weight / weight.sum())
+    expected = _expected(decay, lags, found) / pairs[:, None]
+    scale = covariance[0] / pairs[0] / residual.shape[1]
+    weight = nnls(expected / error[:, None], covariance / pairs / residual.shape[1] / scale / error)[0]
+    # the variance of all of the noise is larger than what the tare has left of it
+    return Colour(decay, weight * scale / noise**2)
+
+
+def _expected(decay: Array, lags: NDArray[np.intp], found: Unloaded) -> Array:
+    """Sums of products (l, m) at lags (l,) of rows in the air that are expected of exponentials (m,) of unit variance.
+
+    The tare that was fitted to the rows takes the slow part of their noise away: with the projection P on its basis, noise of
+    the covariance T has residuals of the covariance (1 - P) T (1 - P).
+    """
+    air = found.air.astype(float)
+    basis = np.zeros_like(found.basis)
+    basis[found.air] = np.linalg.qr(found.basis[found.air])[0]
+    columns = []
+    for factor in decay:
+        column = factor**lags * np.array([_lagged(air, air, lag) for lag in lags])
+        if basis.size <= _LARGEST:
+            ahead = lfilter([1.0], [1.0, -factor], basis, axis=0)
+            behind = lfilter([1.0], [1.0, -factor], basis[::-1], axis=0)[::-1]
+            spread = (ahead + behind - basis) * air[:, None]
+            inner = basis @ (basis.T @ spread)
+            column -= [
+                _lagged(basis, spread, lag) + _lagged(spread, basis, lag) - _lagged(inner, basis, lag) for lag in lags
+            ]
+        columns.append(column)
+    return np.column_stack(columns)
+
+
+def _lagged(one: Array, other: Array, lag: int) -> float:
+    """The sum of products of rows (n, ...) and those that follow them at a lag."""
+    return float((one[: len(one) - lag] * other[lag:]).sum())
 
 
 def summed(values: Array, colour: Colour) -> Array:
