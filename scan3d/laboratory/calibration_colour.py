@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
@@ -26,7 +27,7 @@ _LAGS, _PAIRS = 10, 100
 _SIGMAS = 4.0
 # Scatter over the noise below which the rows in the air are those of exact data.
 _EXACT = 0.03
-# Rows times functions of the tare up to which the noise that the tare takes away is computed; in longer recordings it is little.
+# Rows times functions of the tare up to which the noise that the tare takes away is computed; in longer logs it is little.
 _LARGEST = 5_000_000
 # Short lags of that test.
 _SHORT = 5

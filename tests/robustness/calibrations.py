@@ -6,8 +6,8 @@ The rig is that of `tests.rigs.Truth`: 30 sweeps, force noise of 0.2 % of the la
 away, a bias of 5 % and a drift of 1 %, pose jitter of 20 µm.
 
 The table has for each quantity its stated standard deviation, the root mean square of its errors, the mean error in standard
-deviations, and how many of the 95 % intervals hold.  With `--pink` that fraction of the noise's variance has the spectrum 1/f.  Fails if these are not 93 to 97 % over all quantities of the rig, or fewer
-than 90 % for one of them.
+deviations, and how many of the 95 % intervals hold.  Fails if these are not 93 to 97 % over all quantities of the rig, or fewer
+than 90 % for one of them.  With `--pink` that fraction of the noise's variance has the spectrum 1/f.
 """
 
 import argparse
