@@ -335,3 +335,12 @@ def test_forces_of_the_wrong_sign_have_a_sentence():
     wrong = dataclasses.replace(recording, force_N=-recording.force_N, force_z_N=-recording.force_z_N)
     with pytest.raises(InputError, match="signs of forces and moments"):
         scan3d.calibrate(wrong, rigs.DIAMETER)
+
+
+def test_long_recordings_are_begun_with_some_rows_and_end_with_all(noisy, monkeypatch):
+    monkeypatch.setattr("scan3d.laboratory.calibration._MANY", 700)
+    found = scan3d.calibrate(rigs.recorded(), rigs.DIAMETER)
+    assert found.details["air"] == noisy.details["air"]
+    assert found.details["contacts"] == pytest.approx(noisy.details["contacts"], rel=0.01)
+    assert (np.abs(found.values - noisy.values) < 0.5 * noisy.standard_deviations).all()
+    assert found.standard_deviations == pytest.approx(noisy.standard_deviations, rel=0.1)
