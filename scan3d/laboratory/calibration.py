@@ -96,8 +96,11 @@ def _fitted(measured: Measured, place: float | None, recording: Recording, spher
     if step > 1:  # the fit of some rows is near that of all
         settled = _settled(measured, settled.problem, settled.fit, settled.noise, place is None, (0, 1))
     _check(settled.fit, settled.problem, settled.noise, sphere, recording)
+    fit = settled.fit
+    if not settled.problem.free[LENGTH]:  # the contacts at the tip may have turned out to be none
+        fit = fit._replace(rig=replace(fit.rig, length=measured.nominal.length))
     fitted = Fitted(
-        settled.fit,
+        fit,
         settled.problem,
         settled.noise,
         measured.unloaded,
