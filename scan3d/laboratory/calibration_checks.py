@@ -48,12 +48,10 @@ class Fitted(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """The uncertainties of the parameters, and what the tests of the premises say."""
+    """The uncertainties of quantities, and what the tests of the premises say."""
 
     covariance: Array
-    """(p, p) of the parameters."""
-    by_gradient: Array
-    """(p, p) from the gradient to the parameters."""
+    """(q, q)"""
     systematic: Systematic
     chi2: float
     consistency: float
@@ -62,28 +60,24 @@ class Checked(NamedTuple):
     spoiled: bool
     """Whether the model fits so badly that no quantity of the rig counts as well determined."""
 
-    def largest_shifts(self, jacobian: Array) -> Array:
-        """By how much (q,) systematic deviations shift quantities with derivatives (q, p) at most, to the first order."""
-        by_row = jacobian @ self.by_gradient
+    @property
+    def largest_shifts(self) -> Array:
+        """By how much (q,) systematic deviations shift the quantities at most, to the first order."""
         groups = zip(self.systematic.square, self.systematic.normal, strict=True)
-        return np.asarray(
-            sum(
-                np.sqrt(square * np.maximum(np.einsum("qp,pr,qr->q", by_row, normal, by_row), 0))
-                for square, normal in groups
-            )
-        )
+        return np.asarray(sum(np.sqrt(square * np.diag(normal)) for square, normal in groups))
 
 
-def check(fitted: Fitted, recording: Recording) -> Checked:
-    """Test the premises of a fit."""
+def check(fitted: Fitted, recording: Recording, jacobian: Array) -> Checked:
+    """Test the premises of a fit; `jacobian` (q, p) are the derivatives of quantities by the parameters."""
     fit, problem, noise = fitted.fit, fitted.problem, fitted.noise
     free = np.flatnonzero(problem.free)
     scale = 1 / np.sqrt(np.diag(fit.normal)[free])
     inverse = np.zeros_like(fit.normal)
     inner = np.linalg.inv(fit.normal[np.ix_(free, free)] * scale[:, None] * scale)
     inverse[np.ix_(free, free)] = inner * scale[:, None] * scale
-    found = systematic(fit, problem, noise, fitted.colours, fitted.rows, fitted.sweep)
-    gradient = noise_covariance(fit, problem, noise, fitted.colours, fitted.rows) + found.covariance
+    by_gradient = inverse @ jacobian.T
+    found = systematic(fit, problem, noise, fitted.colours, fitted.rows, fitted.sweep, by_gradient)
+    covariance = noise_covariance(fit, problem, noise, fitted.colours, fitted.rows, by_gradient) + found.covariance
     chi2, consistency, freedom = _squares(fitted)
     largest = _largest(int(fit.used.sum())), _largest(int(fit.used[:, :2].sum()))
     # scatter beyond the noise that is white is noise that was understated: the Birge ratio
@@ -102,9 +96,8 @@ def check(fitted: Fitted, recording: Recording) -> Checked:
     if found:
         sentences += _deviations(fitted, found, inverse, recording, spoiled)
     if spoiled:  # then the deviations may be alike in all rows
-        gradient = gradient + sum(square * normal for square, normal in zip(found.square, found.normal, strict=True))
-    covariance = birge * (inverse @ gradient @ inverse)
-    return Checked(covariance, inverse, found, chi2, consistency, freedom, sentences, spoiled)
+        covariance += sum(square * normal for square, normal in zip(found.square, found.normal, strict=True))
+    return Checked(birge * covariance, found, chi2, consistency, freedom, sentences, spoiled)
 
 
 def _squares(fitted: Fitted) -> tuple[float, float, int]:

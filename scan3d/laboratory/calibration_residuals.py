@@ -50,9 +50,9 @@ class Systematic(NamedTuple):
     square: tuple[float, float]
     """Sum of squares over all rows."""
     normal: tuple[Array, Array]
-    """(p, p) normal matrices of both groups."""
+    """(q, q) normal matrices of both groups, as covariances of quantities for deviations of unit variance."""
     covariance: Array
-    """(p, p) that they add to the gradient of the fit."""
+    """(q, q) that they add to quantities."""
 
     def __bool__(self) -> bool:
         return any(self.square)
@@ -65,23 +65,29 @@ class Systematic(NamedTuple):
 
 
 def noise_covariance(
-    fit: Adjusted, problem: Problem, noise: Noise, colours: tuple[Colour, Colour], rows: NDArray[np.intp]
+    fit: Adjusted,
+    problem: Problem,
+    noise: Noise,
+    colours: tuple[Colour, Colour],
+    rows: NDArray[np.intp],
+    by_gradient: Array,
 ) -> Array:
-    """The covariance (p, p) of the gradient of the fit under noise with its colour; `rows` (n,) numbers those in contact."""
-    result = fit.normal.copy()
+    """The covariance (q, q) of quantities under noise with its colour; `rows` (n,) numbers those in contact.
+
+    `by_gradient` (p, q) are the derivatives of the quantities by the gradient of the fit.
+    """
+    result = np.asarray(by_gradient.T @ fit.normal @ by_gradient)
     if all(len(colour.decay) == 1 for colour in colours):
         return result
     k = problem.air.basis.shape[1]
     deviation = np.sqrt(noise.variances(problem.channels))
     count = int(max(rows.max(), problem.air.rows.max())) + 1
-    fixed = ~problem.free
     for channel in np.flatnonzero(problem.channels):
         by_value = np.einsum("nij,nj->ni", fit.factor, fit.by_row[:, :, channel]) * deviation[channel]
         every = np.zeros((count, len(result)))
-        every[rows] = np.einsum("ni,nip->np", by_value, fit.white_by_rig)
+        every[rows] = np.einsum("ni,nip->np", by_value, fit.white_by_rig) @ by_gradient
         first = TARE + channel * k
-        every[problem.air.rows, first : first + k] -= problem.air.basis / deviation[channel]
-        every[:, fixed] = 0
+        every[problem.air.rows] -= problem.air.basis @ by_gradient[first : first + k] / deviation[channel]
         result += summed(every, colours[channel // 3]) - every.T @ every
     return result
 
@@ -93,12 +99,17 @@ def systematic(
     colours: tuple[Colour, Colour],
     rows: NDArray[np.intp],
     sweep: NDArray[np.int64],
+    by_gradient: Array,
 ) -> Systematic:
-    """The systematic deviations of rows (n,) in contact, which are numbered in the recording and belong to sweeps (n,)."""
+    """The systematic deviations of rows (n,) in contact, which are numbered in the recording and belong to sweeps (n,).
+
+    `by_gradient` (p, q) are the derivatives of quantities by the gradient of the fit.
+    """
     by_noise = fit.factor @ fit.by_row[:, :, :6] * np.sqrt(noise.variances(problem.channels))[:6]
     variances, correlations = [0.0, 0.0], [0.0, 0.0]
-    square, normal = [0.0, 0.0], [np.zeros_like(fit.normal), np.zeros_like(fit.normal)]
-    covariance = np.zeros_like(fit.normal)
+    count = by_gradient.shape[1]
+    square, normal = [0.0, 0.0], [np.zeros((count, count)), np.zeros((count, count))]
+    covariance = np.zeros((count, count))
     excess = _excess(fit, colours)
     for number, group in enumerate(_GROUPS):
         deviations = _Deviations(fit.white[:, group], fit.used[:, group], by_noise[:, group], rows, sweep, colours)
@@ -108,16 +119,16 @@ def systematic(
         alike = mean * np.sqrt(pairs) >= _SIGMAS
         if not alike and not excess[group].any():
             continue
-        by_rig = np.where(problem.free, fit.white_by_rig[:, group], 0.0)
-        normal[number] = np.einsum("nep,neq->pq", by_rig, by_rig, optimize=True)
+        by_white = fit.white_by_rig[:, group] @ by_gradient
+        normal[number] = np.einsum("nep,neq->pq", by_white, by_white, optimize=True)
         counts = fit.used[:, group].sum(axis=0)
         variances[number] = variance = float((excess[group] * counts).sum() / counts.sum())
-        covariance += np.einsum("nep,e,neq->pq", by_rig, excess[group], by_rig, optimize=True)
+        covariance += np.einsum("nep,e,neq->pq", by_white, excess[group], by_white, optimize=True)
         if alike:
             correlations[number] = correlation = _correlation(mean, deviations)
             # the mean over the lags belongs to a lag of two rows
             variances[number] = max(variance, mean / correlation**2)
-            covariance += mean / correlation**2 * _running(by_rig, rows, sweep, correlation)
+            covariance += mean / correlation**2 * _running(by_white, rows, sweep, correlation)
         square[number] = variances[number] * float(counts.sum())
     return Systematic(
         (variances[0], variances[1]),
@@ -180,17 +191,17 @@ def _correlation(mean: float, deviations: _Deviations) -> float:
     return float(_HALF ** (1 / (lag - 2)))
 
 
-def _running(by_rig: Array, rows: NDArray[np.intp], sweep: NDArray[np.int64], correlation: float) -> Array:
-    """The covariance (p, p) of sums over rows of derivatives (n, e, p) times deviations that are correlated within a sweep.
+def _running(by_white: Array, rows: NDArray[np.intp], sweep: NDArray[np.int64], correlation: float) -> Array:
+    """The covariance (q, q) of sums over rows of derivatives (n, e, q) times deviations that are correlated within a sweep.
 
     The variance of single rows is left out, because the noise contains it.
     """
-    result = np.zeros((by_rig.shape[2],) * 2)
+    result = np.zeros((by_white.shape[2],) * 2)
     for number in np.unique(sweep):
         mine = sweep == number
-        values = np.zeros((int(np.ptp(rows[mine])) + 1, *by_rig.shape[1:]))
-        values[rows[mine] - rows[mine].min()] = by_rig[mine]
+        values = np.zeros((int(np.ptp(rows[mine])) + 1, *by_white.shape[1:]))
+        values[rows[mine] - rows[mine].min()] = by_white[mine]
         before = lfilter([0.0, correlation], [1.0, -correlation], values, axis=0)
-        product = np.einsum("nep,neq->pq", values, before)
+        product = np.einsum("nep,neq->pq", values, before, optimize=True)
         result += product + product.T
     return result

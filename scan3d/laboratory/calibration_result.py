@@ -126,14 +126,14 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
     nominal, rig = recording.rod, fit.rig
     length = nominal.length_m * rig.length
     centre = fitted.world.T @ rig.centre
-    checked = check(fitted, recording)
     names, values, known, jacobian = _estimates(fitted, nominal, centre)
-    covariance = jacobian @ checked.covariance @ jacobian.T
+    checked = check(fitted, recording, jacobian)
+    covariance = checked.covariance
     covariance[~known] = covariance[:, ~known] = 0
     deviations = np.where(known, np.sqrt(np.maximum(np.diag(covariance), 0)), np.inf)
     limits = np.array([limit(name, nominal, noise) for name in names])
     relative = np.where([name.startswith("bending") for name in names], np.abs(values), 1.0)
-    uncertain = np.maximum(COVERAGE_FACTOR * deviations, np.where(known, checked.largest_shifts(jacobian), np.inf))
+    uncertain = np.maximum(COVERAGE_FACTOR * deviations, np.where(known, checked.largest_shifts, np.inf))
     well = uncertain <= limits * relative
     if checked.spoiled:
         well &= [name.startswith(("tare", "drift")) for name in names]
