@@ -4,15 +4,21 @@ The sweeps are computed once, by `scan3d.spatial.sweeping`; each seed adds fault
 and biased and that drifts, a clamp that is not where the pose says, white noise, and poses that jitter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
+from scan3d.planning.envelopes import parse_envelope
+from scan3d.planning.rig_plan import RigPlan, plan_poses
+from scan3d.simulation.disturbances import pink_noise
+from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.spatial.bodies import Ellipsoid
+from scan3d.spatial.polyhedra import RoundedPolyhedron
 from scan3d.spatial.sweeping import sweep
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
@@ -55,8 +61,11 @@ def orientations(sweeps=30, directions=6, rolls=5):
 
 
 @cache
-def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REACH, length=ROD.length_m):
-    """Exact sweeps of a rod about a sphere in the origin, dimensionless: positions (m, n, 3), axes (m, 3, 3), reactions."""
+def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REACH, length=ROD.length_m, facets=None):
+    """Exact sweeps of a rod about a sphere in the origin, dimensionless: positions (m, n, 3), axes (m, 3, 3), reactions.
+
+    `facets` divides the edges of an icosahedron, which stands for the sphere, so many times into two.
+    """
     axes = orientations(sweeps, directions, rolls)
     radius = DIAMETER / 2 / length
     numbers = np.arange(sweeps)
@@ -66,13 +75,17 @@ def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REA
     travel = (2 * radius + 0.5) * np.linspace(0, 1, samples)
     position = start[:, None] - travel[:, None] * axes[:, :1]
     body = Ellipsoid([radius] * 3, radius=ROD.diameter_m / 2 / length)
+    if facets is not None:
+        ball = trimesh.creation.icosphere(subdivisions=facets, radius=radius)
+        body = RoundedPolyhedron(ball.vertices, ball.faces, ROD.diameter_m / 2 / length)
     result = sweep(body, position, axes, friction, substeps=2)
     touching = np.isfinite(result.s1)[..., None]
     return position, axes, np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
 
 
-def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, **raster):
-    """The recording of a rig, as it logs without knowing of its faults."""
+def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, **raster):
+    """The recording of a rig, as it logs without knowing of its faults; `pink` is the fraction of its noise's variance with
+    the spectrum 1/f."""
     truth = Truth() if truth is None else truth
     rng = np.random.default_rng(seed)
     position, axes, force, moment, _ = swept(length=truth.length, **raster)
@@ -88,9 +101,11 @@ def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, **raster):
     largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
     wrench = np.hstack([force, moment])
     time = np.linspace(-0.5, 0.5, m * n)[:, None]
-    wrench = wrench + largest * (
-        np.array(truth.bias) + time * truth.drift + truth.noise * rng.normal(size=wrench.shape)
-    )
+    noise = rng.normal(size=wrench.shape)
+    if pink:
+        coloured = np.stack([pink_noise(len(wrench), rng) for _ in range(6)], axis=1)
+        noise = np.sqrt(1 - pink) * noise + np.sqrt(pink) * coloured
+    wrench = wrench + largest * (np.array(truth.bias) + time * truth.drift + truth.noise * noise)
     # clamp -> pose
     clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True).as_matrix()
     pose = np.einsum("nji,kj->nik", axes, clamp)  # columns: axes of the pose's frame in the world
@@ -185,3 +200,37 @@ def planar_recorded(seed=0, *, noise=0.0, stiffness=1.05, sweeps=24, samples=80,
         "tare_mz_Nm": -0.04 * sizes[1],
     }
     return recording, truth
+
+
+@cache
+def planar_model_log(samples=100, slices=12):
+    """The exact log of the planar model past a sphere: slices from four sides."""
+    ball = standing(trimesh.creation.icosphere(subdivisions=5, radius=1000 * DIAMETER / 2))
+    rod = scan3d.Rod(0.06, 8.35e-5, 0.0003)
+    plan = RigPlan(parse_envelope("sphere:32"), model="planar", rod=rod, samples=samples, slices=slices)
+    return simulate_rig(ball, plan_poses(plan), friction=(0.2, 0.2)).recording()
+
+
+def planar_model_recorded(seed=0, noise=0.002, jitter=20e-6):
+    """That log as a sensor with six channels shows it: turned by 30 degrees, 20 mm away, biased, with noise."""
+    log, rng = planar_model_log(), np.random.default_rng(seed)
+    zero = np.zeros(len(log))
+    turn = Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    force = np.nan_to_num(np.column_stack([log.force_N, zero]))
+    moment = np.nan_to_num(np.column_stack([zero, zero, log.moment_Nm])) - np.cross([0, -0.02, 0], force)
+    sizes = [np.linalg.norm(column, axis=1).max() for column in (force, moment)]
+    force, moment = (
+        column @ turn + size * (0.03 + noise * rng.normal(size=column.shape))
+        for column, size in zip((force, moment), sizes, strict=True)
+    )
+    return replace(
+        log,
+        position_m=log.position_m + jitter * rng.normal(size=(len(log), 3)),
+        force_N=force[:, :2],
+        force_z_N=force[:, 2],
+        moment_x_Nm=moment[:, 0],
+        moment_y_Nm=moment[:, 1],
+        moment_Nm=moment[:, 2],
+        noise_force_N=noise * sizes[0],
+        noise_moment_Nm=noise * sizes[1],
+    )

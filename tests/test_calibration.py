@@ -7,6 +7,7 @@ import pytest
 
 import scan3d
 from scan3d import InputError
+from scan3d.laboratory.calibration_rows import neighbours
 from scan3d.spatial.inverse import reconstruct
 from tests import rigs
 
@@ -66,6 +67,29 @@ def test_the_stated_intervals_hold():
         errors_in_sd = (found.values - rigs.truth_of(found, rigs.Truth(), recording)) / found.standard_deviations
         holds.append(np.abs(errors_in_sd) < 1.96)
     assert 0.9 <= np.mean(holds) <= 0.99
+
+
+@pytest.mark.parametrize("seed", [1002, 1071])
+def test_a_single_contact_that_noise_puts_past_the_tip_hides_no_tip_contacts(seed):
+    recording = rigs.recorded(seed=seed)
+    found = scan3d.calibrate(recording, rigs.DIAMETER)
+    assert found.details["tip_contacts"] > 100
+    deviations = (found.values - rigs.truth_of(found, rigs.Truth(), recording)) / found.standard_deviations
+    assert np.abs(deviations).max() < 4
+
+
+def test_rows_are_chosen_by_their_neighbours_alone():
+    rng = np.random.default_rng(0)
+    sweep = np.repeat([0, 1, 2], [20, 30, 1])
+    contact = np.ones(51, dtype=bool)
+    contact[8] = False
+    line = np.arange(51.0)[:, None] * np.arange(1, 7)
+    # a straight line is what the neighbours predict, whatever the row's own value; a row alone has no neighbours
+    for row in (0, 7, 25, 49):
+        wrench = line.copy()
+        wrench[row] += rng.normal(size=6)
+        assert np.allclose(neighbours(wrench, sweep, contact)[row], line[row])
+    assert (neighbours(line, sweep, contact)[50] == line[50]).all()
 
 
 def test_with_noise_the_goals_are_met(noisy):
@@ -311,3 +335,12 @@ def test_forces_of_the_wrong_sign_have_a_sentence():
     wrong = dataclasses.replace(recording, force_N=-recording.force_N, force_z_N=-recording.force_z_N)
     with pytest.raises(InputError, match="signs of forces and moments"):
         scan3d.calibrate(wrong, rigs.DIAMETER)
+
+
+def test_long_recordings_are_begun_with_some_rows_and_end_with_all(noisy, monkeypatch):
+    monkeypatch.setattr("scan3d.laboratory.calibration._MANY", 700)
+    found = scan3d.calibrate(rigs.recorded(), rigs.DIAMETER)
+    assert found.details["air"] == noisy.details["air"]
+    assert found.details["contacts"] == pytest.approx(noisy.details["contacts"], rel=0.01)
+    assert (np.abs(found.values - noisy.values) < 0.5 * noisy.standard_deviations).all()
+    assert found.standard_deviations == pytest.approx(noisy.standard_deviations, rel=0.1)

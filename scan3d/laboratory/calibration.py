@@ -17,8 +17,9 @@ from scan3d.arrays import Array, Mask
 from scan3d.choices import TARES
 from scan3d.errors import InputError
 from scan3d.laboratory import calibration_words as words
-from scan3d.laboratory.calibration_air import Unloaded, unloaded
-from scan3d.laboratory.calibration_fit import Adjusted, Air, Noise, Problem, adjusted, information, started
+from scan3d.laboratory.calibration_checks import Fitted
+from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem, adjusted, information, started
+from scan3d.laboratory.calibration_measured import FEWEST, Measured, by_parameter, measured
 from scan3d.laboratory.calibration_model import (
     CENTRE,
     CLAMP,
@@ -30,30 +31,20 @@ from scan3d.laboratory.calibration_model import (
     TURN,
     Kind,
     Rig,
-    Touches,
     bent,
     clamp_wrench,
 )
-from scan3d.laboratory.calibration_result import Calibration, Fitted, of_fit
-from scan3d.laboratory.calibration_start import far_kinds, first_rig, kinds, likelier_kinds
-from scan3d.reconstruction.resolution import noise_of
+from scan3d.laboratory.calibration_result import Calibration, of_fit
+from scan3d.laboratory.calibration_rows import far_kinds, kinds, likelier_kinds
+from scan3d.laboratory.calibration_start import first_rig
 from scan3d.recording import Recording
 
-# Forces in standard deviations of their noise from which a row is used for the first estimate.
-_FELT = 20.0
 # Standard deviation of a contact's place along the rod, over the sphere's radius, up to which a row is used.  Larger, the
 # sphere curves within the errors of a row, and the linearised equations bias the result; smaller, rows are lost.
 _ALONG = 0.12
-# Rows in contact that a calibration needs.
-_FEWEST = 30
-# Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
-# Of the stiffness's logarithm, lengths in rod lengths, angles in radians, and the tare in EI/L² and EI/L.
-_WIDTHS = {STIFFNESS: 0.5, CLAMP: 0.1, TILT: 0.3, TURN: 0.5, SENSOR: 0.3, CENTRE: 1.0, LENGTH: 0.1, TARE: 1.0}
 # Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.
 # The sphere's place and the tare have no nominal value.
 _FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, CENTRE: 0.0, LENGTH: 1.0, TARE: 0.0}
-# Spread of the planes of planar sweeps, over the sphere's radius, up to which they count as one plane through the centre.
-_PLANE = 0.1
 # Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
 # contacts' distance from the sphere depends on it to the second order only, and linear uncertainties do not hold.
 _ABOUT_ROD = 0.01
@@ -63,6 +54,8 @@ _ROUNDING, _PART = 1e-12, 1e-3
 _USABLE, _STIFFEST = 0.3, 2.5
 # Rounds in which the kinds of contacts come to rest, and in which the noise of the poses is estimated.
 _ROUNDS, _NOISE_ROUNDS = 6, 3
+# Rows in contact by which the fit is begun; all are used at its end.
+_MANY = 10_000
 # Relative error of the estimated noise of the poses.
 _PLACE_STEP = 1e-3
 # Noise of the poses in rod lengths: the first estimate, the bounds of the estimate, and the misfit beyond which the touches are
@@ -90,71 +83,38 @@ def calibrate(
         raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
     if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
         raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
-    measured = _measured(recording, sphere, tare)
     place = None if pose_noise_m is None else pose_noise_m / recording.rod.length_m
-    return _fitted(measured, place, recording, sphere)
+    return _fitted(measured(recording, sphere, tare), place, recording, sphere)
 
 
-class _Measured(NamedTuple):
-    problem: Problem
-    sweep: NDArray[np.int64]
-    """(n,) of the rows in contact."""
-    unloaded: Unloaded
-    nominal: Rig
-    world: Array
-    """(3, 3) from the world to the frame of the equations."""
-
-
-def _measured(recording: Recording, sphere: float, tare: str) -> _Measured:
-    """The rows in contact and in the air, dimensionless."""
-    rod, known = recording.rod, noise_of(recording)
-    channels = np.full(6, recording.six_axis)
-    if recording.six_axis:
-        wrench = np.hstack(recording.wrench())
-    else:
-        channels[[0, 1, 5]] = True
-        zero = np.zeros((len(recording), 3))
-        wrench = np.column_stack([recording.force_N, zero, recording.moment_Nm])
-    unit = np.repeat([rod.force_unit_N, rod.moment_unit_Nm], 3)
-    wrench = wrench / unit
-    noise = known.force_N / unit[0], known.moment_Nm / unit[3]
-    found = unloaded(recording.sweep, wrench, channels, noise, tare)
-    force = np.linalg.norm((wrench - found.basis @ found.tare.T)[:, :3], axis=1)
-    rows = np.flatnonzero(found.contact & (force > _FELT * found.force_noise))
-    if len(rows) < _FEWEST:
-        raise InputError(
-            f"the recording has {len(rows)} rows in contact that stand out from the noise, and a calibration needs {_FEWEST}: "
-            "touch the sphere in more sweeps, and bend the rod more"
-        )
-    # sweeps in a plane do not determine how far the sphere's centre is from it: the plane's normal is one of the axes
-    world = np.eye(3) if recording.six_axis else recording.axes()[rows[0]]
-    touches = Touches(
-        wrench[rows],
-        recording.position_m[rows] / rod.length_m @ world.T,
-        world @ recording.axes()[rows].swapaxes(1, 2),
-        found.basis[rows],
-        np.full(len(rows), Kind.EITHER, dtype=np.int8),
-    )
-    k = found.basis.shape[1]
-    free = np.ones(TARE + 6 * k, dtype=bool)
-    if not recording.six_axis:
-        free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
-        free[TARE:] = np.repeat(channels, k)
-        free[CENTRE + 2] = np.ptp(touches.position[:, 2]) > _PLANE * sphere / 2 / rod.length_m
-    problem = Problem(
-        touches,
-        Air(wrench[found.air], found.basis[found.air]),
-        (sphere + rod.diameter_m) / 2 / rod.length_m,
-        channels,
-        free,
-        _by_parameter(_WIDTHS, len(free)),
-    )
-    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), touches.position.mean(axis=0), 1.0, found.tare)
-    return _Measured(problem, recording.sweep[rows], found, nominal, world)
-
-
-def _fitted(measured: _Measured, place: float | None, recording: Recording, sphere: float) -> Calibration:
+def _fitted(measured: Measured, place: float | None, recording: Recording, sphere: float) -> Calibration:
     """The calibration; `place` is the noise of the poses in rod lengths, None to estimate it."""
+    step = max(1, len(measured.rows) // _MANY)
+    few = measured.thinned(step) if step > 1 else measured
+    problem, fit, noise = _first_fit(few, place, step, sphere)
+    settled = _settled(few, problem, fit, noise, place is None, (_ROUNDS, _NOISE_ROUNDS))
+    if step > 1:  # the fit of some rows is near that of all
+        settled = _settled(measured, settled.problem, settled.fit, settled.noise, place is None, (0, 1))
+    _check(settled.fit, settled.problem, settled.noise, sphere, recording)
+    fit = settled.fit
+    if not settled.problem.free[LENGTH]:  # the contacts at the tip may have turned out to be none
+        fit = fit._replace(rig=replace(fit.rig, length=measured.nominal.length))
+    fitted = Fitted(
+        fit,
+        settled.problem,
+        settled.noise,
+        measured.unloaded,
+        measured.world,
+        measured.rows[settled.chosen],
+        measured.sweep[settled.chosen],
+        measured.colours,
+        place is None,
+    )
+    return of_fit(fitted, recording, sphere)
+
+
+def _first_fit(measured: Measured, place: float | None, step: int, sphere: float) -> tuple[Problem, Adjusted, Noise]:
+    """The fit of rows that they themselves choose, `step` times as few as there are, and the parameters that all determine."""
     nominal, sweep = measured.nominal, measured.sweep
     noise = Noise(
         measured.unloaded.force_noise,
@@ -163,11 +123,11 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
     )
     first = first_rig(measured.problem, nominal, noise)
     strong = _strong(measured.problem, first, noise)
-    if strong.sum() < _FEWEST:
+    if strong.sum() < FEWEST:
         raise _no_sphere(
             sphere,
             f", or touch it too lightly: {strong.sum()} rows place the contact to a tenth of the sphere's radius, and a "
-            f"calibration needs {_FEWEST}",
+            f"calibration needs {FEWEST}",
         )
     problem = replace(measured.problem, touches=measured.problem.touches.rows(strong))
     sweep = sweep[strong]
@@ -175,28 +135,44 @@ def _fitted(measured: _Measured, place: float | None, recording: Recording, sphe
     kind, length = kinds(problem, sweep, first, noise)
     problem = _with_kinds(problem, kind, length, measured.problem.free)
     first = first if length is None else replace(first, length=length)
-    free = _determined(problem, information(problem, first, noise))
+    free = _determined(problem, step * information(problem, first, noise))
     if (free != problem.free).any():
         problem = replace(problem, free=free)
         first = started(problem, _at_nominal(first, nominal, free), noise)[0]
-    fit = adjusted(problem, first, noise)
-    for _ in range(_ROUNDS if problem.free[LENGTH] else 0):
+    return problem, adjusted(problem, first, noise), noise
+
+
+class _Settled(NamedTuple):
+    problem: Problem
+    fit: Adjusted
+    noise: Noise
+    chosen: Mask
+    """(n,) which rows in contact were used."""
+
+
+def _settled(
+    measured: Measured, problem: Problem, fit: Adjusted, noise: Noise, estimate: bool, rounds: tuple[int, int]
+) -> _Settled:
+    """The fit of the rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
+    free = problem.free
+    problem, chosen, fit = _chosen_by_neighbours(measured, problem, fit, noise)
+    sweep, kind = measured.sweep[chosen], problem.touches.kind
+    for _ in range(rounds[0] if problem.free[LENGTH] else 0):
         before, kind = kind, likelier_kinds(problem, sweep, fit.rig, noise)
         problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free)
         fit = adjusted(problem, fit.rig, noise)
         if (kind == before).all():
             break
-    for _ in range(_NOISE_ROUNDS if place is None else 0):
+    for _ in range(rounds[1] if estimate else 0):
         noise = noise._replace(place=_place_noise(fit, problem, noise))
         fit = adjusted(problem, fit.rig, noise)
-    _check(fit, problem, noise, sphere, recording)
-    return of_fit(Fitted(fit, problem, noise, measured.unloaded, measured.world, place is None), recording, sphere)
+    return _Settled(problem, fit, noise, chosen)
 
 
 def _refined(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> Rig:
     """The rig by the contacts that are certainly not at the tip, if there are many; it tells the kinds of the others."""
     kind = far_kinds(problem, sweep, rig, noise)
-    if (kind == Kind.TANGENTIAL).sum() < max(_FEWEST, _USABLE * len(kind)):
+    if (kind == Kind.TANGENTIAL).sum() < max(FEWEST, _USABLE * len(kind)):
         return rig
     fit = adjusted(_with_kinds(problem, kind, None, problem.free), rig, noise)
     return fit.rig if fit.at_rest and abs(fit.rig.stiffness) < _STIFFEST else rig
@@ -209,6 +185,23 @@ def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, 
     return replace(problem, touches=problem.touches._replace(kind=kind), free=free)
 
 
+def _chosen_by_neighbours(
+    measured: Measured, problem: Problem, fit: Adjusted, noise: Noise
+) -> tuple[Problem, Mask, Adjusted]:
+    """The problem of the rows that their neighbours choose for a fitted rig, which these are, and its fit."""
+    around = replace(measured.problem, touches=measured.problem.touches._replace(wrench=measured.around))
+    strong = _strong(around, fit.rig, noise)
+    sweep = measured.sweep[strong]
+    chosen = replace(problem, touches=measured.problem.touches.rows(strong), air=measured.problem.air)
+    if problem.free[LENGTH]:
+        kind = likelier_kinds(chosen, sweep, fit.rig, noise)
+    else:
+        kind = kinds(chosen, sweep, fit.rig, noise)[0]
+        kind[kind == Kind.TIP] = Kind.UNSURE
+    chosen = replace(chosen, touches=chosen.touches._replace(kind=kind))
+    return chosen, strong, adjusted(chosen, fit.rig, noise)
+
+
 def _strong(problem: Problem, rig: Rig, noise: Noise) -> Mask:
     """Rows (n,) whose contacts are known well enough along the rod."""
     scale = np.exp(-rig.stiffness)
@@ -219,15 +212,10 @@ def _strong(problem: Problem, rig: Rig, noise: Noise) -> Mask:
         return np.asarray(np.linalg.norm(by_s1 * deviation, axis=1) < _ALONG * problem.radius)
 
 
-def _by_parameter(table: dict[int, float], count: int) -> Array:
-    first = np.array(sorted(table))
-    return np.array([table[first[first <= number][-1]] for number in range(count)])
-
-
 def _determined(problem: Problem, normal: Array) -> Mask:
     """The parameters (p,) that a normal matrix determines; of those it determines only together, some are left out."""
     free = problem.free.copy()
-    widths, order = problem.widths, _by_parameter(_FIXED_FIRST, len(free))
+    widths, order = problem.widths, by_parameter(_FIXED_FIRST, len(free))
     while True:
         rows = np.flatnonzero(free)
         scaled = (normal * widths[:, None] * widths)[np.ix_(rows, rows)]
@@ -284,7 +272,7 @@ def _check(fit: Adjusted, problem: Problem, noise: Noise, sphere: float, recordi
     if noise.place > _NO_SPHERE:
         deviation = 1000 * noise.place * recording.rod.length_m
         raise _no_sphere(sphere, f", from which they deviate by {deviation:.2g} mm")
-    usable = fit.used[:, 2].sum() >= max(_FEWEST, _USABLE * len(fit.used))
+    usable = fit.used[:, 2].sum() >= max(FEWEST, _USABLE * len(fit.used))
     known = np.isfinite(fit.normal).all() and (np.diag(fit.normal)[problem.free] > 0).all()
     if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
         raise _no_sphere(sphere, "")

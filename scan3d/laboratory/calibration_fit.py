@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_model import TARE, Equations, Kind, Rig, Touches, equations
@@ -48,6 +49,8 @@ class Air(NamedTuple):
     """(n, 6)"""
     basis: Array
     """(n, k)"""
+    rows: NDArray[np.intp]
+    """(n,) their numbers in the recording."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,12 @@ class Adjusted(NamedTuple):
     """(n, 4) of the equations at the measured values, linearised at the adjusted ones; 0 where an equation does not apply."""
     by_row: Array
     """(n, 4, 9) their derivatives by the measured values."""
+    factor: Array
+    """(n, 4, 4) that makes misclosures white."""
+    white: Array
+    """(n, 4) white misclosures, with the variance 1 if the premises hold."""
+    white_by_rig: Array
+    """(n, 4, p) their derivatives by the parameters."""
     air_residual: Array
     """(n, 6)"""
     used: Mask
@@ -127,7 +136,18 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
             break
     state = _linearised(problem, rig, noise, correction)
     normal, _ = _normal(problem, state)
-    return Adjusted(rig, normal, state.misclosure, state.by_row, state.air, state.used, at_rest)
+    return Adjusted(
+        rig,
+        normal,
+        state.misclosure,
+        state.by_row,
+        state.factor,
+        state.white,
+        state.white_by_rig,
+        state.air,
+        state.used,
+        at_rest,
+    )
 
 
 class _State(NamedTuple):

@@ -5,25 +5,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory import calibration_words as words
-from scan3d.laboratory.calibration_air import Unloaded, unloaded
-from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem
-from scan3d.laboratory.calibration_model import CENTRE, TARE, TURN, Kind
+from scan3d.laboratory.calibration_air import unloaded
+from scan3d.laboratory.calibration_checks import Fitted, check
+from scan3d.laboratory.calibration_colour import WHITE
+from scan3d.laboratory.calibration_model import CENTRE, TURN, Kind
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, EULER, euler, limit, measured, quantities
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-
-# Estimated noise of the poses, in rod lengths, that is larger than that of robots.
-_ROUGH = 1e-3
-# How many standard deviations of a mean square the tests of the premises allow.
-_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -124,31 +120,23 @@ class Calibration:
         )
 
 
-class Fitted(NamedTuple):
-    """What a calibration is made from."""
-
-    fit: Adjusted
-    problem: Problem
-    noise: Noise
-    air: Unloaded
-    world: Array
-    """(3, 3) from the world to the frame of the equations."""
-    estimated: bool
-    """Whether the noise of the poses is an estimate."""
-
-
 def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
     """The calibration of a fitted rig."""
     fit, problem, noise, air = fitted.fit, fitted.problem, fitted.noise, fitted.air
     nominal, rig = recording.rod, fit.rig
     length = nominal.length_m * rig.length
     centre = fitted.world.T @ rig.centre
-    names, values, known, covariance = _estimates(fitted, nominal, centre)
+    names, values, known, jacobian = _estimates(fitted, nominal, centre)
+    checked = check(fitted, recording, jacobian)
+    covariance = checked.covariance
+    covariance[~known] = covariance[:, ~known] = 0
     deviations = np.where(known, np.sqrt(np.maximum(np.diag(covariance), 0)), np.inf)
     limits = np.array([limit(name, nominal, noise) for name in names])
     relative = np.where([name.startswith("bending") for name in names], np.abs(values), 1.0)
-    well = COVERAGE_FACTOR * deviations <= limits * relative
-    chi2, consistency, freedom = _squares(fitted)
+    uncertain = np.maximum(COVERAGE_FACTOR * deviations, np.where(known, checked.largest_shifts, np.inf))
+    well = uncertain <= limits * relative
+    if checked.spoiled:
+        well &= [name.startswith(("tare", "drift")) for name in names]
     tare = rig.tare * np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)[:, None]
     return Calibration(
         rod=Rod(length, nominal.bending_stiffness_Nm2 * float(np.exp(rig.stiffness)), nominal.diameter_m),
@@ -164,10 +152,10 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
         standard_deviations=deviations,
         covariance=covariance,
         well=tuple(map(bool, well)),
-        sentences=_sentences(fitted, recording, names, deviations, well, chi2, consistency),
-        chi2=chi2,
-        consistency=consistency,
-        freedom=freedom,
+        sentences=_sentences(fitted, names, deviations, limits * relative, checked.spoiled) + checked.sentences,
+        chi2=checked.chi2,
+        consistency=checked.consistency,
+        freedom=checked.freedom,
         pose_noise_m=nominal.length_m * noise.place,
         noise_force_N=nominal.force_unit_N * noise.force,
         noise_moment_Nm=nominal.moment_unit_Nm * noise.moment,
@@ -178,6 +166,8 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
             "air": len(fit.air_residual),
             "tare": air.model,
             "pose_noise": "estimated" if fitted.estimated else "given",
+            "noise_colour": "white" if all(part is WHITE for part in fitted.colours) else "coloured",
+            "systematic": sum(checked.systematic.square) / max(int(fit.used.sum()), 1),
         },
         map_frames=_map_frames(recording),
     )
@@ -195,17 +185,12 @@ def _map_frames(recording: Recording) -> dict[str, Any]:
 
 
 def _estimates(fitted: Fitted, nominal: Rod, centre: Array) -> tuple[tuple[str, ...], Array, Mask, Array]:
-    """Names, values (k,), which of them were determined, and their covariance (k, k)."""
+    """Names, values (k,), which of them were determined, and their derivatives (k, p) by the parameters."""
     fit, problem = fitted.fit, fitted.problem
-    free = np.flatnonzero(problem.free)
-    covariance = np.zeros_like(fit.normal)
-    scale = 1 / np.sqrt(np.diag(fit.normal)[free])
-    inner = np.linalg.inv(fit.normal[np.ix_(free, free)] * scale[:, None] * scale)
-    covariance[np.ix_(free, free)] = inner * scale[:, None] * scale
     rows = [
         row for row in quantities(fit.rig, nominal, fitted.air.model, centre, fitted.world) if measured(row[0], problem)
     ]
-    jacobian = np.zeros((len(rows), len(covariance)))
+    jacobian = np.zeros((len(rows), len(problem.free)))
     known = np.zeros(len(rows), dtype=bool)
     for number, (name, _, slopes) in enumerate(rows):
         jacobian[number, list(slopes)] = list(slopes.values())
@@ -213,65 +198,18 @@ def _estimates(fitted: Fitted, nominal: Rod, centre: Array) -> tuple[tuple[str, 
         known[number] = all(problem.free[k] or (k == CENTRE + 2 and name.startswith("sphere")) for k in slopes)
     if problem.channels.all() and not problem.free[TURN + 1]:  # the sensor's place across the rod turns with it
         known &= [name not in ("sensor_x_mm", "sensor_z_mm") for name, _, _ in rows]
-    result = jacobian @ covariance @ jacobian.T
-    result[~known] = result[:, ~known] = 0
-    return tuple(row[0] for row in rows), np.array([row[1] for row in rows]), known, result
+    return tuple(row[0] for row in rows), np.array([row[1] for row in rows]), known, jacobian
 
 
 def _sentences(
-    fitted: Fitted,
-    recording: Recording,
-    names: tuple[str, ...],
-    deviations: Array,
-    well: Mask,
-    chi2: float,
-    consistency: float,
+    fitted: Fitted, names: tuple[str, ...], deviations: Array, limits: Array, spoiled: bool
 ) -> tuple[str, ...]:
-    """What is poorly determined, and which premises the data contradict."""
-    fit = fitted.fit
+    """What these touches determine poorly or not at all; where the model does not fit, other touches are no remedy."""
     known = np.isfinite(deviations)
     poor = [
         (name, f"{COVERAGE_FACTOR * deviation:.2g}")
-        for name, deviation, good, is_known in zip(names, deviations, well, known, strict=True)
-        if is_known and not good
+        for name, deviation, limit in zip(names, deviations, limits, strict=True)
+        if not spoiled and np.isfinite(deviation) and COVERAGE_FACTOR * deviation > limit
     ]
     fixed = [name for name, is_known in zip(names, known, strict=True) if not is_known]
-    plane = () if fitted.problem.free[CENTRE + 2] else (words.PLANE,)
-    contacts, wrench = int(fit.used.sum()), int(fit.used[:, :2].sum())
-    place_mm = 1000 * fitted.noise.place * recording.rod.length_m
-    rough = fitted.estimated and fitted.noise.place > _ROUGH
-    stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
-    return (
-        words.sentences(poor, fixed)
-        + plane
-        + ((words.rough_poses(place_mm),) if rough else ())
-        + words.premises(
-            (chi2, np.inf if fitted.estimated else _largest(contacts)),
-            # the noise is not stated where it is that of the same rows
-            (fitted.air.misfit, _largest(fit.air_residual.size) if stated else np.inf),
-            (consistency, _largest(wrench)),
-        )
-    )
-
-
-def _squares(fitted: Fitted) -> tuple[float, float, int]:
-    """Mean squares of the misclosures in contact, and of those of the wrench alone, in variances, and the degrees of freedom.
-
-    The parameters that the rows in contact determine are counted with these, the tare with the rows in the air.
-    """
-    fit, problem = fitted.fit, fitted.problem
-    covariance = (fit.by_row * fitted.noise.variances(problem.channels)) @ fit.by_row.swapaxes(1, 2)
-    covariance[:, range(4), range(4)] += ~fit.used
-    solved = np.linalg.solve(covariance, fit.misclosure[:, :, None])[:, :, 0]
-    freedom = max(int(fit.used.sum()) - int(problem.free[:TARE].sum()), 1)
-    total = float((fit.misclosure * solved).sum()) / freedom
-    used = fit.used[:, :2].all(axis=1)
-    if not used.any():
-        return total, 1.0, freedom
-    solved = np.linalg.solve(covariance[used, :2, :2], fit.misclosure[used, :2, None])[:, :, 0]
-    return total, float((fit.misclosure[used, :2] * solved).sum()) / (2 * int(used.sum())), freedom
-
-
-def _largest(count: int) -> float:
-    """The largest mean square of `count` normal numbers that is no contradiction."""
-    return 1 + _SIGMAS * float(np.sqrt(2 / max(count, 1)))
+    return words.sentences(poor, fixed) + (() if fitted.problem.free[CENTRE + 2] else (words.PLANE,))

@@ -1,4 +1,4 @@
-"""First estimates of a rig, from which least squares converges, and what kind of contact each row is.
+"""First estimates of a rig, from which least squares converges.
 
 The condition ``m0·t0 = 0`` in the sensor's frame is linear in the rod's direction u and in ``u × a``, with a the place of the
 sensor: it gives both without a body.  The turn about the rod, the distance along it and the stiffness are then searched on a
@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Mask
-from scan3d.laboratory.calibration_fit import Air, Noise, Problem, misfits, started
-from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench, equations
+from scan3d.laboratory.calibration_fit import Air, Noise, Problem, started
+from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench
 from scan3d.spatial.inverse import reconstruct
 
 # Rows that the search uses.  More take longer; fewer may miss a part of the sphere.
@@ -31,25 +30,16 @@ _TRIED, _SHORT = 4, 12
 _DISTINCT = 3.0
 # Turns of a planar sensor about the normal of its plane, in radians.
 _PLANAR_TURNS = np.radians(np.arange(-60, 61, 15))
-# Standard deviations beyond which a row is taken for a tip contact or a tangential one, and the cosine between tangent and
-# normal from which it is a tip contact, whatever the noise.
-_SIGMAS, _COSINE = 4.0, 0.01
-# Difference of the sums of squares of both kinds over a window from which the kind of its middle is certain.
-_LIKELIER = 12.0
-# Standard deviation of s1, in rod lengths, from which a contact shows how long the rod is, and the windows of the averages in
-# half a sweep.
-_SURE, _WINDOWS = 0.02, 10
 # Contacts are far from the tip within this part of the quantile of s1 that serves as the largest, for a first estimate.
 _FAR, _FARTHEST = 0.85, 0.98
-# Tip contacts that are needed for the free length.
-_FEWEST_TIPS = 8
 
 
 def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     """A rig whose contacts lie near a sphere and, where they are far from the tip, are tangential."""
     free = problem.free.copy()
     free[LENGTH:] = False  # the tare is that of the rows in the air
-    no_air = Air(problem.air.wrench[:0], problem.air.basis[:0])
+    air = problem.air
+    no_air = Air(air.wrench[:0], air.basis[:0], air.rows[:0])
     # contacts of light touches are far from linear in the noise
     force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
     heavy = problem.touches.rows(force >= np.median(force))
@@ -152,77 +142,3 @@ def _sphere(points: Array) -> Array:
 def _thinned(touches: Touches, count: int) -> Touches:
     n = len(touches.kind)
     return touches.rows(np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.intp)))
-
-
-def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> tuple[NDArray[np.int8], float | None]:
-    """The kind of each contact (n,) of sweeps (n,), and the free length, None without tip contacts.
-
-    No contact lies past the tip, so that tip contacts are those with the largest s1 whose rod is not tangential.  Tangent and
-    s1 are averaged along each sweep, so that the noise of a row does not decide its kind.
-    """
-    touches, variances = problem.touches, noise.variances(problem.channels)
-    n = len(touches.kind)
-    as_tangential = equations(rig, touches._replace(kind=np.full(n, Kind.TANGENTIAL, dtype=np.int8)), problem.radius)
-    as_tip = equations(rig, touches._replace(kind=np.full(n, Kind.TIP, dtype=np.int8)), problem.radius)
-    result = np.full(n, Kind.TANGENTIAL, dtype=np.int8)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine, cosine_sd = _averaged(as_tangential.value[:, 3], (as_tangential.by_row[:, 3] ** 2) @ variances, sweep)
-        s1, s1_sd = _averaged(as_tip.value[:, 3] + rig.length, (as_tip.by_row[:, 3] ** 2) @ variances, sweep)
-        sure = s1_sd < _SURE
-        if not sure.any():
-            return result, None
-        away = s1 - s1[sure].max()
-        farthest: Mask = away > -_SIGMAS * s1_sd - _SURE
-        tip: Mask = farthest & (cosine < -_SIGMAS * cosine_sd - _COSINE)
-        if tip.sum() < _FEWEST_TIPS:  # then the farthest may be at the tip all the same
-            result[farthest] = Kind.UNSURE
-            return result, None
-        length = float(np.average(s1[tip], weights=1 / s1_sd[tip] ** 2))
-        near: Mask = s1 > length - _SIGMAS * s1_sd - _COSINE
-    result[near] = Kind.UNSURE
-    result[near & tip] = Kind.TIP
-    return result, length
-
-
-def _all(touches: Touches, kind: Kind) -> Touches:
-    """The rows, all of one kind."""
-    return touches._replace(kind=np.full(len(touches.kind), kind, dtype=np.int8))
-
-
-def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
-    """Contacts (n,) that are certainly not at the tip are tangential; for a rig that is too rough for more."""
-    as_tip = equations(rig, _all(problem.touches, Kind.TIP), problem.radius)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        variance = (as_tip.by_row[:, 3] ** 2) @ noise.variances(problem.channels)
-        s1, _ = _averaged(as_tip.value[:, 3] + rig.length, variance, sweep)
-    far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
-    return np.where(far, Kind.TANGENTIAL, Kind.UNSURE).astype(np.int8)
-
-
-def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
-    """The kind of each contact (n,) of sweeps (n,) by the likelihood of its neighbours, for a rig whose length is known."""
-    result = np.full(len(sweep), Kind.UNSURE, dtype=np.int8)
-    difference = misfits(problem, rig, noise, Kind.TANGENTIAL) - misfits(problem, rig, noise, Kind.TIP)
-    together = _summed(difference, sweep)
-    result[together < -_LIKELIER] = Kind.TANGENTIAL
-    result[together > _LIKELIER] = Kind.TIP
-    return result
-
-
-def _summed(values: Array, sweep: NDArray[np.int64]) -> Array:
-    """Sums (n,) over neighbours in the same sweep."""
-    result = np.zeros(len(values))
-    for number in np.unique(sweep):
-        rows = np.flatnonzero(sweep == number)
-        half = len(rows) // _WINDOWS
-        running = np.concatenate([[0.0], np.cumsum(values[rows])])
-        middle = np.arange(len(rows))
-        result[rows] = running[np.minimum(middle + half + 1, len(rows))] - running[np.maximum(middle - half, 0)]
-    return result
-
-
-def _averaged(values: Array, variance: Array, sweep: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Weighted means (n,) over neighbours in the same sweep, and their standard deviations."""
-    weight = np.where(np.isfinite(values) & np.isfinite(variance) & (variance > 0), 1 / variance, 0.0)
-    total, product = _summed(weight, sweep), _summed(weight * np.nan_to_num(values), sweep)
-    return product / total, 1 / np.sqrt(total)

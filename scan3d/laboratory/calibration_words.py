@@ -10,6 +10,14 @@ MORE_SWEEPS = (
 PLANE = (
     "The sweeps lie in one plane, which is taken to pass through the sphere's centre; sweep planes at several heights."
 )
+# What follows from systematic deviations, and from large ones.
+_FITS_NOT = {
+    False: "what such deviations may have shifted beyond the limit is not called well determined",
+    True: (
+        "the model does not fit these touches, no quantity of the rig is called well determined, and the uncertainties are "
+        "those of deviations that are alike in all rows"
+    ),
+}
 # What a group of quantities is called, and which touches determine it, by the beginning of their names.
 _GROUPS = {
     "bending_stiffness": ("the bending stiffness", "sweeps that bend the rod more, past the middle of the sphere"),
@@ -97,3 +105,35 @@ def premises(
             "diameters of sphere and rod, the noise of the poses, and that the sphere did not move."
         )
     return tuple(result)
+
+
+def alike_in_contact(size_mm: float, rows: float, cause: str, diameter_mm: float, spoiled: bool) -> str:
+    """The sentence on contacts that deviate from the sphere systematically, and the likeliest cause."""
+    causes = {
+        "diameter": f"The likeliest cause is the diameter: one of {diameter_mm:.4g} mm would fit better.",
+        "planar": (
+            "The likeliest cause is a log whose forces lie in one plane, of a planar model or of a sensor with three channels; "
+            "a rod that slides sideways over a sphere has none such."
+        ),
+        "shape": (
+            "The likeliest causes are a reference that is no sphere, such as one of facets, a second contact, a rod that "
+            "sticks, and poses that deviate from the clamp's path; a diameter that is wrong would not look like this."
+        ),
+    }
+    return (
+        f"The contacts deviate from the sphere, or the rod from its tangent, as by {size_mm:.2g} mm{_rows(rows)}, which noise "
+        f"does not explain: {_FITS_NOT[spoiled]}. {causes[cause]}"
+    )
+
+
+def alike_in_wrench(rows: float, spoiled: bool) -> str:
+    """The sentence on moments in contact that contradict a single force systematically."""
+    return (
+        f"In contact the moments about the rod and along the force deviate from zero{_rows(rows)}, which "
+        f"noise does not explain: {_FITS_NOT[spoiled]}. The likeliest causes are friction across a thick rod, a second "
+        "contact, a sensor whose channels mix, and a tare that changes within a sweep."
+    )
+
+
+def _rows(rows: float) -> str:
+    return f", alike over {rows:.0f} rows" if rows >= 2 else ", alike in neighbouring rows" if rows else ""
