@@ -13,7 +13,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 from scan3d.surfaces.bounds import certificate, enclosure
 from scan3d.surfaces.choice import surface
-from scan3d.surfaces.regression import Contacts, fit_planes, regression
+from scan3d.surfaces.regression import Contacts, Planes, _split, fit_planes, regression
 
 MESHES = "meshes/"
 
@@ -194,3 +194,11 @@ def test_contacts_in_space_are_fitted_as_well():
     error = scan3d.compare(found, mesh).hausdorff
     assert error < 0.2 * scan3d.compare(surface(cloud, "hull"), mesh).hausdorff
     assert error < 0.01 * np.linalg.norm(mesh.extents)
+
+
+def test_a_plane_whose_contacts_lie_on_a_line_is_not_split_across_it():
+    line = np.linspace([-20.0, -15.0, 0.0], [20.0, -15.0, 0.0], 50)
+    planes = Planes(np.array([[0.0, 0.0, 1.0]]), np.zeros(1))
+    assert len(_split(contacts(line, 0.1), planes, np.zeros(50, dtype=int))) == 1  # without a warning
+    bent = line - np.outer(np.abs(line[:, 0]), [0.0, 0.0, 0.2])
+    assert len(_split(contacts(bent, 0.1), planes, np.zeros(50, dtype=int))) == 2

@@ -245,7 +245,7 @@ def _split(contacts: Contacts, planes: Planes, group: Index) -> Planes:
         inwards = (product < 0) & (square > 1e-9 * np.bincount(group, weight, count))
         decrease = np.where(inwards, product**2 / np.maximum(square, 1e-300), 0.0) * size**2
         better = decrease > gain
-        gain[better], angle[better], bend[better] = decrease[better], direction, (product / square)[better]
+        gain[better], angle[better], bend[better] = decrease[better], direction, product[better] / square[better]
     divided = (gain > _GAIN) & (np.bincount(group, minlength=count) >= 2 * _HALF)
     first, second = _across(planes.normals)
     direction = (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)[divided]
