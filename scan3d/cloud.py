@@ -93,6 +93,8 @@ class Cloud(Shown):
     """Number of contacts left out because the rod touched too lightly for the noise."""
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
+    table: float | None = None
+    """Height z of the table, below which nothing of the body lies, in the recording's unit; None if no table is known."""
 
     model: str = "planar"
     """Model of contact that gave the contacts, one of `choices.MODELS`.  Clouds of the spatial model have no slices: `slice` is

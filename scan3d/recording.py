@@ -87,6 +87,8 @@ class Recording(Shown):
     """Standard deviation of the moment, likewise."""
     unit: str = "mm"
     """Unit in which clouds and surfaces made from this recording are written."""
+    table_m: float | None = None
+    """Height z of the table on which the body stands: nothing of the body lies below.  None if no table is known."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """Where the data came from, for the report."""
 
@@ -128,6 +130,8 @@ class Recording(Shown):
         noises = (self.noise_force_N, self.noise_moment_Nm)
         if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
+        if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
+            raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
 
     def __len__(self) -> int:
         return len(self.sweep)

@@ -320,6 +320,7 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         unit=map.unit,
+        table_m=map.table_m,
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
     )
     if not six_axis:

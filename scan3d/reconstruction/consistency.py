@@ -35,6 +35,8 @@ _ROUNDING = 1e-7
 _FALSE_ALARM = 1e-5
 # Lines and points of a slice that are compared at most.  More take longer; fewer may miss the worst pair.
 _COMPARED = 1500
+BELOW_TABLE = "below-table"
+"""Code of the contradiction between contacts and the table."""
 # Standard deviations by which the contacts of both models may differ by noise.  Larger, small forces out of the plane pass;
 # smaller, noise counts as such a force.
 _OUT_OF_PLANE_SIGMAS = 6.0
@@ -76,18 +78,17 @@ def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
 def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
     if cloud.model == "spatial":
-        found = spatial_contradictions(recording, cloud)
+        warnings, found = _below_table(cloud), spatial_contradictions(recording, cloud)
         if not found:
-            return Checked([], None)
-        diagnosis = diagnose(recording, "spatial")
-        return Checked(
-            [warning._replace(message=f"{warning.message}; {diagnosis.message}") for warning in found], diagnosis
-        )
-    warnings = _off_line(recording) + _out_of_plane(recording, cloud)
+            return Checked(warnings, _of_single_test(warnings))
+        likeliest = diagnose(recording, "spatial")
+        found = [warning._replace(message=f"{warning.message}; {likeliest.message}") for warning in found]
+        return Checked(found + warnings, likeliest)
+    warnings = _off_line(recording) + _out_of_plane(recording, cloud) + _below_table(cloud)
     tested = _tests(recording, cloud)
     if not tested.contradicts:
-        return Checked(warnings, _of_poses_or_model(warnings))
-    diagnosis = _of_poses_or_model(warnings) or diagnose(recording, "planar")
+        return Checked(warnings, _of_single_test(warnings))
+    diagnosis = _of_single_test(warnings) or diagnose(recording, "planar")
     cause = "" if warnings else f"; {diagnosis.message}"
     if tested.without_contact > _WITHOUT_CONTACT:
         warnings.append(
@@ -111,7 +112,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     return Checked(warnings, diagnosis)
 
 
-def _of_poses_or_model(warnings: list[Contradiction]) -> Diagnosis | None:
+def _of_single_test(warnings: list[Contradiction]) -> Diagnosis | None:
     """The fault that a test has found which looks for this fault alone."""
     for warning in warnings:
         if warning.code == "sweep-direction":
@@ -120,6 +121,8 @@ def _of_poses_or_model(warnings: list[Contradiction]) -> Diagnosis | None:
             return Diagnosis(
                 "planar-model", warning.value, "", 1.0, "most likely the model is wrong: choose the spatial model"
             )
+        if warning.code == BELOW_TABLE:
+            return Diagnosis("table", warning.value, "", 1.0, f"most likely the table is wrong: {warning.message}")
     return None
 
 
@@ -170,6 +173,32 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
 def _some(rows: Index) -> Index:
     """At most `_COMPARED` of the rows, evenly spread."""
     return rows if len(rows) <= _COMPARED else rows[np.linspace(0, len(rows) - 1, _COMPARED).astype(np.intp)]
+
+
+def _below_table(cloud: Cloud) -> list[Contradiction]:
+    """Whether contacts lie below the table, farther than noise and rounding allow; an empty list if they do not."""
+    if cloud.table is None:
+        return []
+    kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
+    allowed = np.full(len(cloud), _ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
+    if cloud.centre_points is not None:  # of a rod that touches the body from below the table
+        heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
+    else:
+        heights = cloud.points[:, 2]
+        sd = None if cloud.covariance is None else np.sqrt(np.maximum(cloud.covariance[:, 2, 2], 0.0))
+    depth = cloud.table - heights - allowed - (0.0 if sd is None else kappa * sd)
+    worst = int(depth.argmax())
+    if depth[worst] <= 0:
+        return []
+    value = float(cloud.table - heights[worst])
+    return [
+        Contradiction(
+            BELOW_TABLE,
+            f"contacts lie down to z = {heights[worst]:.4g} {cloud.unit}, where the table is at {cloud.table:.4g}; move the "
+            "frame of the poses so that the body stands on the table, or correct the table's height",
+            value,
+        )
+    ]
 
 
 def _off_line(recording: Recording) -> list[Contradiction]:

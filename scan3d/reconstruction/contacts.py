@@ -97,6 +97,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         unresolved=unresolved if unresolved.any() else None,
         light=int(light.sum()),
         pose_error=known.place_m / scale,
+        table=None if recording.table_m is None else recording.table_m / scale,
         independent=known.independent,
     )
 

@@ -7,7 +7,8 @@ extrapolated secant from the slice behind it,
 
 with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between two
 slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest empty slice.
-The half-spaces cut each slab to a polyhedron.  Where contacts are noisy, the half-spaces are moved outwards by a margin.
+The half-spaces cut each slab to a polyhedron, as does the table on which the body stands, if it is known.  Where contacts are
+noisy, the half-spaces are moved outwards by a margin.
 
 Where heights are uncertain by e, the secants start at ``z_i ± e`` and rise over ``z_i - z_before ± 2e``, whichever lies farther
 out, and each slab reaches e beyond its planes.  The true planes of the slices then lie in both of their slabs.
@@ -81,7 +82,7 @@ class _HalfSpaces(NamedTuple):
     planes: Array
     """(k, 4) a and b."""
     side: Array
-    """(k,) 0 for those from the slices below, 1 for those from above, -1 for the slab's planes."""
+    """(k,) 0 for those from the slices below, 1 for those from above, -1 for the slab's planes and the table's."""
     straight: Mask
     """(k,) whether the body goes on straight behind the slab at this normal."""
 
@@ -156,6 +157,10 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
         straight.append(_goes_on_straight(slices[i:], below))
     # where an empty slice bounds the cap, the corner in its plane does not follow from the body's shape: not straight
     ends = [stack.bounded_by_others[1] and above is None, stack.bounded_by_others[0] and below is None]
+    if stack.table is not None:
+        planes.append(stack.table[None])
+        side.append(np.array([-1.0]))
+        straight.append(np.zeros(1, dtype=bool))
     return _HalfSpaces(
         np.concatenate([*planes, [[0.0, 0.0, 1.0, -high], [0.0, 0.0, -1.0, low]]]),
         np.concatenate([*side, [-1.0, -1.0]]),
