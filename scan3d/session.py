@@ -27,6 +27,7 @@ from scan3d.planning.transits import Sweep
 from scan3d.poses import PoseList
 from scan3d.reconstruction import Contradiction, contradictions, reconstruct
 from scan3d.reconstruction.consistency import BELOW_TABLE
+from scan3d.reconstruction.planes import LEVEL
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
@@ -45,7 +46,7 @@ _AROUND = 0.1
 _WIDE = 0.5
 # Height of the table, in metres.
 _TABLE = 0.0
-# Components of a slice's normal that are zero, and heights below the table in rod lengths that are rounding.
+# Heights below the table in rod lengths that are rounding.
 _ROUNDING = 1e-6
 # Places that sweeps in space are aimed at for each sweep that is wanted: some cannot be reached from above the table.
 _SPARE = 8
@@ -304,6 +305,6 @@ def _merged(recordings: list[Recording]) -> Recording:
 
 
 def _is_level(recording: Recording) -> bool:
-    """Whether all slices are horizontal, with their normals up."""
+    """Whether all slices are horizontal, up to the tilt of a clamp that is a little off, with their normals up."""
     normals = recording.axes()[:, 2]
-    return bool((normals[:, 2] > 0).all() and np.abs(normals[:, :2]).max() < _ROUNDING)
+    return bool((normals[:, 2] > 0).all() and np.linalg.norm(normals[:, :2], axis=1).max() < LEVEL)

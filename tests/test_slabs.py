@@ -91,6 +91,22 @@ def test_slices_moved_by_less_than_the_error_of_heights_leave_the_body_inside(er
         assert missing[0] < 1e-9 < missing[1]
 
 
+def test_sides_of_a_slice_that_were_touched_at_different_heights_leave_the_body_inside():
+    """Above the middle the body narrows in x, below it in y, and its sides are touched above and below the middle there."""
+    steep, error = 1.0, 0.2
+
+    def halves(z, off):
+        return np.array([10 - steep * max(z + off, 0.0), 10 + steep * min(z - off, 0.0)])
+
+    heights = [-6.0, -3.0, 0.0, 3.0, 6.0]
+    stack = stack_of_rectangles(heights, [halves(z, error) for z in heights], floor=-8.0, ceiling=8.0)
+    outer = [hull(slab.corners) for slab in slabs(dataclasses.replace(stack, height_error=error))]
+    z = np.linspace(-8, 8, 321)
+    body = np.array([[*(sign * halves(height, 0.0)), height] for height in z for sign in ([1, 1], [1, -1], [-1, 1])])
+    missing = np.min([signed_distances(body, part) for part in outer], axis=0)
+    assert missing.max() < 1e-9
+
+
 @pytest.mark.parametrize("seed", [2, 3, 40])
 def test_the_bound_allows_for_the_digits_of_heights(seed):
     """Of 60 thin bodies, scanned with poses in steps of 5 µm, the bound or the volume of 46 was false."""

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from scan3d.arrays import Index
-from scan3d.cloud import Cloud
+from scan3d.arrays import Array, Index
+from scan3d.cloud import Cloud, Tilt
 from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.contradiction import Contradiction
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
 from scan3d.reconstruction.resolution import LARGEST_OVER_SD, noise_of, rounding_sd
-from scan3d.reconstruction.slices import stacks
+from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.reconstruction.spatial import readings, without_normals
 from scan3d.reconstruction.spatial_consistency import spatial_contradictions
 from scan3d.recording import Recording
@@ -135,18 +135,26 @@ def _tests(recording: Recording, cloud: Cloud) -> _Found:
 
 
 def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
-    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two."""
+    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two.
+
+    Tilted planes of contacts in one slice lie at different heights; there the body's slope up and down the axis, which lies
+    between the secants to the neighbouring slices, is allowed for, and end slices are left out.
+    """
     kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
     rounding = _ROUNDING * cloud.rod_length + 2 * cloud.pose_error
     worst = 0.0, rounding
     for stack in stacks(cloud):
-        for slice_ in stack.slices:
+        for number, slice_ in enumerate(stack.slices):
+            if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
+                continue
             lines, points = _some(slice_.tangential), _some(np.arange(len(slice_.rows)))
             if not len(lines):
                 continue
             place, normals = slice_.points[lines], slice_.normals[np.searchsorted(slice_.tangential, lines)]
             beyond = normals @ slice_.points[points].T - (normals * place).sum(axis=1)[:, None]
             allowed = np.full(beyond.shape, rounding)
+            if cloud.tilt is not None:
+                allowed += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
             if cloud.covariance is not None and cloud.normal_sd is not None:
                 rows = slice_.rows
                 covariance = np.einsum("ij,njk,lk->nil", stack.frame[:2], cloud.covariance[rows], stack.frame[:2])
@@ -168,6 +176,21 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
             if ratio[i] > worst[0] / worst[1]:
                 worst = float(beyond[i]), float(allowed[i])
     return worst
+
+
+def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
+    """(k,) how far contacts of a slice can lie beyond tangents with normals (k, 2), because their heights differ."""
+    slice_ = stack.slices[number]
+    radius = float(np.linalg.norm((cloud.points - tilt.centre) @ stack.frame[:2].T, axis=1).max())
+    apart = 2 * (tilt.spread + np.sqrt(2) * tilt.slope * radius)
+    support = slice_.support_of_contacts(normals)
+    slopes = np.zeros(len(normals))
+    for other in (stack.slices[number - 1], stack.slices[number + 1]):
+        run = abs(slice_.height - other.height) - apart
+        rise = np.abs(support - other.support_of_contacts(normals))
+        slopes = np.maximum(slopes, rise / run if run > 0 else np.inf)
+    allowed: Array = apart * slopes
+    return allowed
 
 
 def _some(rows: Index) -> Index:
