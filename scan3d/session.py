@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.arrays import Index
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
@@ -28,7 +27,7 @@ from scan3d.poses import PoseList
 from scan3d.reconstruction import Contradiction, contradictions, reconstruct
 from scan3d.reconstruction.consistency import BELOW_TABLE
 from scan3d.reconstruction.planes import LEVEL
-from scan3d.recording import Recording
+from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
 from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
 
@@ -154,13 +153,13 @@ class Session:
             recording.wrench()
         if recording.unit != self.plan.unit:
             raise InputError(f"the session is in {self.plan.unit}, and the recording in {recording.unit}")
-        if self._recordings and self._recordings[0].rod != recording.rod:
-            raise InputError("the recording has another rod than those before; use one rod in a session")
         if recording.table_m not in (None, _TABLE):
             raise InputError(
                 f"the session's body stands on z = 0, and the recording's on z = {recording.table_m:.4g} m; state poses in a "
                 "frame in which the table is at 0"
             )
+        recording = replace(recording, table_m=_TABLE)
+        joined([*self._recordings[-1:], recording])  # raises InputError if it cannot be done
         self._recordings.append(recording)
         self._last = None
 
@@ -199,7 +198,7 @@ class Session:
         if not self._recordings:
             raise InputError("there is no recording yet: sweep the poses of ask(), and tell() their recording")
         if self._last is None:
-            recording = _merged(self._recordings)
+            recording = joined(self._recordings)
             self._last = _Known(recording, "planar" if self.plan.model == "planar" and _is_level(recording) else None)
         return self._last
 
@@ -274,34 +273,6 @@ def around_contacts(recording: Recording, model: str) -> Envelope:
         )
     radius = float(np.hypot(*cloud.points[:, :2].T).max())
     return Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
-
-
-def _merged(recordings: list[Recording]) -> Recording:
-    """All recordings as one with the table, their sweeps numbered one after the other."""
-    numbers: list[Index] = []
-    first = 0
-    for recording in recordings:
-        distinct, rank = np.unique(recording.sweep, return_inverse=True)
-        # a recording that goes on from the ones before keeps its numbers
-        numbers.append(recording.sweep if distinct[0] >= first else first + rank.reshape(-1))
-        first = int(numbers[-1].max()) + 1
-    columns = ["position_m", "quaternion", "force_N", "moment_Nm"]
-    if all(recording.six_axis for recording in recordings):
-        columns += ["force_z_N", "moment_x_Nm", "moment_y_Nm"]
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns
-    }
-    last = recordings[-1]
-    return Recording(
-        sweep=np.concatenate(numbers),
-        **joined,
-        rod=last.rod,
-        noise_force_N=max(recording.noise_force_N for recording in recordings),
-        noise_moment_Nm=max(recording.noise_moment_Nm for recording in recordings),
-        unit=last.unit,
-        table_m=_TABLE,
-        source=last.source,
-    )
 
 
 def _is_level(recording: Recording) -> bool:
