@@ -1,13 +1,13 @@
 """An inner and an outer body from touch alone, and the certified distance between them.
 
-The convex hull of the contacts lies inside the body.  The body lies in the union of the slabs that the half-spaces of
-the slices leave (`scan3d.surfaces.slabs`).
+The convex hull of the contacts lies inside the body.  The body lies in the union of the slabs that the half-spaces of the
+slices leave (`scan3d.surfaces.slabs`).
 
-The distance to a convex set is a convex function, and so it is largest over a polyhedron at one of the polyhedron's
-corners.  The largest distance of the outer body's corners from the hull is therefore an upper bound of the Hausdorff
-distance between the hull and the unknown body, provided that the body is convex and the contacts are exact.  Where
-contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a
-stated confidence (`scan3d.surfaces.confidence`), or the half-spaces are moved outwards by a given margin.
+The distance to a convex set is a convex function, and so it is largest over a polyhedron at one of the polyhedron's corners.
+The largest distance of the outer body's corners from the hull is therefore an upper bound of the Hausdorff distance between
+the hull and the unknown body, provided that the body is convex and the contacts are exact.  Where contacts are noisy, each
+slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
+(`scan3d.surfaces.confidence`), or the half-spaces are moved outwards by a given margin.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     """The enclosure of a cloud's body.
 
     margin
-        the largest error of a contact's place, in the cloud's unit, if it is known.  By default the contacts' own
-        uncertainty counts: of exact contacts the enclosure is certain, of noisy ones it holds with `confidence`, and
-        it allows for the digits of the poses.
+        the largest error of a contact's place, in the cloud's unit, if it is known.  By default the contacts' own uncertainty
+        counts: of exact contacts the enclosure is certain, of noisy ones it holds with `confidence`, and it allows for the
+        digits of the poses and for tilted slices.  With a given margin slices count as parallel.
     confidence
         probability with which the enclosure of noisy contacts holds.
 
@@ -67,12 +67,12 @@ def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float
 
     Let a row's plane be tilted against its slice by the angle τ, and let the body lie within a distance R of an axis
     through the contacts, which lie within r of it.  A body's supporting plane through a contact p contains the rod's
-    tangent there.  With the tangent's direction t and the normal n across it, both seen along the axis, ``<n, x - p>
-    <= g (z - z')`` holds for all x of the body and some slope g, with the height z' of the row's plane at the point
+    tangent there.  With the tangent's direction t and the normal n across it, both seen along the axis,
+    ``<n, x - p> <= g (z - z')`` holds for all x of the body and some slope g, with the height z' of the row's plane at the point
     of the tangent that is nearest to x as seen along the axis.  That point lies within √(R² + r²) of the axis, and z'
     differs from the height of the slice by at most ``spread + √(R² + r²) tan τ`` (`scan3d.cloud.Tilt`).  So the
     half-spaces are those of heights that are uncertain by this.  They hold within the cylinder; if the outer body
-    lies in its interior, then so does the body, since it is connected.
+    between two slices lies in its interior, then so does the body there, since it is connected.
     """
     if cloud.tilt is None or margin is not None:
         return _by_slices(cloud, margin, confidence)

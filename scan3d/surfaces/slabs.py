@@ -1,14 +1,14 @@
 """The outer body, slab by slab: what the half-spaces of the slices leave between two neighbouring heights.
 
-At a fixed normal angle θ a slice's support function is concave in the height z, so that beyond a slice it stays below
-the extrapolated secant from the slice behind it,
+At a fixed normal angle θ a slice's support function is concave in the height z, so that beyond a slice it stays below the
+extrapolated secant from the slice behind it,
 
     <n, p> <= h + σ (z - z_i),        σ = (h - h_before) / (z_i - z_before),
 
-with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between
-two slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest
-empty slice.  The half-spaces cut each slab to a polyhedron, as does the table on which the body stands, if it is
-known.  Where contacts are noisy, the half-spaces are moved outwards by a margin.
+with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between two
+slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest empty slice.
+The half-spaces cut each slab to a polyhedron, as does the table on which the body stands, if it is known.  Where
+contacts are noisy, the half-spaces are moved outwards by a margin.
 
 Where heights are uncertain by e, which may differ from contact to contact, the secants rise over
 ``z_i - z_before ± 2e``, whichever is less steep towards the slab's outside, and each slab reaches e beyond its planes.
