@@ -68,8 +68,8 @@ def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float
     Let a row's plane be tilted against its slice by the angle τ, and let the body lie within a distance R of an axis
     through the contacts, which lie within r of it.  A body's supporting plane through a contact p contains the rod's
     tangent there.  With the tangent's direction t and the normal n across it, both seen along the axis,
-    ``<n, x - p> <= g (z - z')`` holds for all x of the body and some slope g, with the height z' of the row's plane at the point
-    of the tangent that is nearest to x as seen along the axis.  That point lies within √(R² + r²) of the axis, and z'
+    ``<n, x - p> <= g (z - z')`` holds for all x of the body and some slope g, with the height z' of the row's plane at
+    the point of the tangent that is nearest to x as seen along the axis.  That point lies within √(R² + r²) of the axis, and z'
     differs from the height of the slice by at most ``spread + √(R² + r²) tan τ`` (`scan3d.cloud.Tilt`).  So the
     half-spaces are those of heights that are uncertain by this.  They hold within the cylinder; if the outer body
     between two slices lies in its interior, then so does the body there, since it is connected.
