@@ -18,6 +18,8 @@ its interval (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of
 Where contacts have errors of at most e, the intervals of the normals are widened, the planes are moved outwards by e, and H may
 stick out of K by e.  The rod's tangent then has an error as well, and its plane is moved by what that makes of it within a ball
 around the contacts; if all apexes lie inside the ball, so does K, since K is connected.
+
+A table below the body, if it is known, is one more supporting plane of K, moved outwards by the rod's radius.
 """
 
 from __future__ import annotations
