@@ -24,7 +24,7 @@ _SAME_NORMAL = 1e-3
 LEVEL = 0.02
 # Sweeps lie in one slice if their heights differ by less than this many rod lengths, or than this many times the spread of
 # the heights within the median sweep.  Larger, neighbouring slices merge; smaller, the errors of poses split a slice.
-SAME_HEIGHT, _SPREADS = 1e-9, 4.0
+SAME_HEIGHT, _SPREADS = 1e-9, 2.0
 # Tilted sweeps lie in one slice if their planes meet within this many rod lengths of the middle of the contacts.  Larger,
 # neighbouring slices merge; smaller, the sweeps around a body that stands beside the plan's axis split.
 _TILTED = 0.2

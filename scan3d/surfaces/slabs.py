@@ -14,8 +14,8 @@ Where heights are uncertain by e, which may differ from contact to contact, the 
 ``z_i - z_before ± 2e``, whichever is less steep towards the slab's outside, and each slab reaches e beyond its planes.
 Let s be the true slope of a half-space that begins at ``z_i + d``, with d between -e and e.  Within the slab it is
 exceeded by at most e times the steeper of the secants from behind and from ahead, between which s lies; the half-spaces
-are moved outwards by this.  Past an end slice no secant from ahead is known, but there the slab before reaches to
-``z_i + e``, beyond which the half-space holds.
+are moved outwards by this.  Past an end slice, and where all slices ahead are nearer than 4e, no secant from ahead
+is known, but there the slab before reaches to ``z_i + e``, beyond which the half-space holds.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ from scan3d.reconstruction.slices import Slice, SliceStack
 # Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
 # intersections; larger, corners between the slices would be taken for gaps between contacts.
 _IN_PLANE = 1e-9
+# Errors of heights that two slices lie apart at least for a secant between them.  At 2 its slope is infinite; larger, slices
+# near the ends of a body are not used.
+_APART = 4.0
 # Corners farther than this many widths of the slices belong to half-spaces that do not close.  Smaller, very oblique but
 # closed slabs would count as unbounded; larger, corners that rounding has brought back from infinity would be believed.
 _FAR = 1e6
@@ -154,14 +157,10 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
         (above, slices[i:], slices[:i][::-1], 1.0),
     ):
         secants_from = _secants_from(stack, behind[1:], slice_)
-        if slice_ is None or not secants_from:
-            continue
-        rows = _half_spaces(
-            slice_, secants_from, margin, stack.height_error, _secants_from(stack, ahead, slice_) if ahead else None
-        )
-        if len(rows):
-            planes.append(rows)
-            side.append(np.full(len(rows), number))
+        if slice_ is not None and secants_from:
+            ahead_from = _secants_from(stack, ahead, slice_)
+            planes.append(_half_spaces(slice_, secants_from, margin, stack.height_error, ahead_from))
+            side.append(np.full(len(planes[-1]), number))
             straight.append(_goes_on_straight(behind, above if slice_ is below else below))
     if stack.table is not None:
         planes.append(stack.table[None])
@@ -183,7 +182,7 @@ def _secants_from(stack: SliceStack, behind: tuple[Slice, ...], slice_: Slice | 
     """
     if slice_ is None or not (stack.confident or stack.height_error):
         return behind[:1]
-    return tuple(b for b in behind if abs(b.height - slice_.height) > 2 * stack.height_error)
+    return tuple(b for b in behind if abs(b.height - slice_.height) > _APART * stack.height_error)
 
 
 def _half_spaces(
@@ -191,21 +190,19 @@ def _half_spaces(
     behind: tuple[Slice, ...],
     margin: float,
     height_error: float = 0.0,
-    ahead: tuple[Slice, ...] | None = None,
+    ahead: tuple[Slice, ...] = (),
 ) -> Array:
     """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the tightest secant from behind.
 
     ahead
-        the slices on the slab's side that secants are taken from, and None past an end slice.
+        the slices on the slab's side that secants are taken from; without any the slice counts as an end slice.
     """
-    if height_error and ahead is not None and not ahead:
-        return np.empty((0, 4))
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
     secant = _tightest(slice_, behind, normals, margin, height_error)
     value = slice_.value + margin
     if height_error:
         steepest = np.abs(secant)
-        if ahead is not None:
+        if ahead:
             steepest = np.maximum(steepest, np.abs(_tightest(slice_, ahead, normals, margin, height_error)))
         value = value + height_error * steepest
     return np.column_stack([normals, -secant, secant * slice_.height - value])
