@@ -286,7 +286,7 @@ def _warnings(
 
 def _with_faults(log: RawLog, faults: Faults) -> RawLog:
     """The log as a rig with these faults writes it."""
-    keep = kept(len(log), faults)
+    keep, rod = kept(len(log), faults), log.rod
     return replace(
         log,
         time_s=log.time_s[keep],
@@ -294,5 +294,5 @@ def _with_faults(log: RawLog, faults: Faults) -> RawLog:
         move=log.move[keep],
         position_m=logged_positions(log.position_m, faults)[keep],
         quaternion=log.quaternion[keep],
-        wrench=measured(log.wrench[:, :3], log.wrench[:, 3:], faults)[keep],
+        wrench=measured(log.wrench[:, :3], log.wrench[:, 3:], faults, (rod.force_unit_N, rod.moment_unit_Nm))[keep],
     )
