@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,21 @@ class NormalSource(IntEnum):
     """The direction of the contact force, where there is no friction (spatial model)."""
     HULL = 7
     """Perpendicular to the rod, with all contacts on one side: the middle of the angles that this leaves (spatial model)."""
+
+
+class Tilt(NamedTuple):
+    """How the planes in which the rod bends differ from those of the slices."""
+
+    slope: float
+    """Largest tangent of the angle between a row's plane and its slice."""
+    spread: float
+    """Largest difference between the height of a row's plane over the centre and that of its slice."""
+    centre: Array
+    """(3,) a place amid the contacts."""
+
+    def scaled(self, factor: float) -> Tilt:
+        """The same tilt in another unit of length."""
+        return Tilt(self.slope, factor * self.spread, factor * self.centre)
 
 
 @dataclass(frozen=True)
@@ -93,6 +109,10 @@ class Cloud(Shown):
     """Number of contacts left out because the rod touched too lightly for the noise."""
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
+    tilt: Tilt | None = None
+    """How the planes in which contacts lie differ from their slices; None if they agree up to `pose_error`."""
+    table: float | None = None
+    """Height z of the table, below which nothing of the body lies, in the recording's unit; None if no table is known."""
 
     model: str = "planar"
     """Model of contact that gave the contacts, one of `choices.MODELS`.  Clouds of the spatial model have no slices: `slice` is

@@ -9,7 +9,7 @@ is evidence that nothing is there.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any
@@ -87,6 +87,8 @@ class Recording(Shown):
     """Standard deviation of the moment, likewise."""
     unit: str = "mm"
     """Unit in which clouds and surfaces made from this recording are written."""
+    table_m: float | None = None
+    """Height z of the table on which the body stands: nothing of the body lies below.  None if no table is known."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """Where the data came from, for the report."""
 
@@ -128,6 +130,8 @@ class Recording(Shown):
         noises = (self.noise_force_N, self.noise_moment_Nm)
         if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
+        if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
+            raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
 
     def __len__(self) -> int:
         return len(self.sweep)
@@ -148,3 +152,41 @@ class Recording(Shown):
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
         matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
         return matrices.swapaxes(1, 2)
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """Several recordings as one, their sweeps numbered one after the other; six-axis if all of them are.
+
+    Raises InputError for recordings with different rods, units or tables.
+    """
+    last = recordings[-1]
+    if len(recordings) == 1:
+        return last
+    for name, what in (("rod", "rod"), ("unit", "unit"), ("table_m", "table")):
+        if any(getattr(recording, name) != getattr(last, name) for recording in recordings):
+            raise InputError(
+                f"the recording has another {what} than those before; recordings are joined with one {what}"
+            )
+    numbers: list[NDArray[np.int64]] = []
+    first = 0
+    for recording in recordings:
+        distinct, rank = np.unique(recording.sweep, return_inverse=True)
+        # a recording that goes on from the ones before keeps its numbers
+        numbers.append(recording.sweep if distinct[0] >= first else first + rank.reshape(-1))
+        first = int(numbers[-1].max()) + 1
+    columns = ["position_m", "quaternion", "force_N", "moment_Nm"]
+    if all(recording.six_axis for recording in recordings):
+        columns += SIX_AXES
+    values: dict[str, Any] = {
+        name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns
+    }
+    return Recording(
+        sweep=np.concatenate(numbers),
+        **values,
+        rod=last.rod,
+        noise_force_N=max(recording.noise_force_N for recording in recordings),
+        noise_moment_Nm=max(recording.noise_moment_Nm for recording in recordings),
+        unit=last.unit,
+        table_m=last.table_m,
+        source=last.source,
+    )

@@ -182,6 +182,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
         "confidence": bounds.confidence,
+        "table": cloud.table,
         "parts": bounds.parts() | {"noise": _contacts_off(analysis)},
         "volume": list(bounds.volume),
     }
@@ -296,9 +297,13 @@ def summary(data: Mapping[str, Any]) -> Summary:
     elif certified["bound"] is not None and np.isfinite(certified["bound"]):
         bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
         confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
-        rows.append(("certified", f"within {bound}, from touch alone{confidence}"))
+        table = certified.get("table")
+        on_table = "" if table is None else f", and the table at z = {table:.4g} {certified['unit']}"
+        rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
     else:
-        rows.append(("certified", "nothing, because no contact bounds the body on some side of it"))
+        nothing = "nothing, because no contact bounds the body on some side of it"
+        hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
+        rows.append(("certified", nothing + hint))
     return Summary(heading, rows)
 
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.arrays import Index
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
@@ -25,8 +24,10 @@ from scan3d.planning.rig_plan import RigPlan, overtravel, plan_poses, pose_list,
 from scan3d.planning.table_rasters import lines_to
 from scan3d.planning.transits import Sweep
 from scan3d.poses import PoseList
-from scan3d.reconstruction import contradictions, reconstruct
-from scan3d.recording import Recording
+from scan3d.reconstruction import Contradiction, contradictions, reconstruct
+from scan3d.reconstruction.consistency import BELOW_TABLE
+from scan3d.reconstruction.planes import LEVEL
+from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
 from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
 
@@ -42,7 +43,9 @@ _PER_HEIGHT, _LEFT_PER_HEIGHT = 12, 3
 _AROUND = 0.1
 # Part of the bound above which what the contacts of a slice leave open is closed by sweeps from further directions.
 _WIDE = 0.5
-# Components of a slice's normal that are zero, and heights below the table in rod lengths that are rounding.
+# Height of the table, in metres.
+_TABLE = 0.0
+# Heights below the table in rod lengths that are rounding.
 _ROUNDING = 1e-6
 # Places that sweeps in space are aimed at for each sweep that is wanted: some cannot be reached from above the table.
 _SPARE = 8
@@ -53,17 +56,21 @@ class _Known:
     """What follows from all recordings so far."""
 
     recording: Recording
-    table: bool
-    """Whether the table closes the slices from below."""
+    model: str | None
+    """As in `reconstruct`."""
 
     @cached_property
     def cloud(self) -> Cloud:
-        recording = _on_table(self.recording) if self.table else self.recording
-        return reconstruct(recording, model="planar" if self.table else None)
+        return reconstruct(self.recording, model=self.model)
 
     @cached_property
-    def warnings(self) -> tuple[Any, ...]:
-        return tuple(contradictions(self.recording, self.cloud))
+    def warnings(self) -> tuple[Contradiction, ...]:
+        """Raises InputError for contacts below the table: poses are planned for a body that stands on it."""
+        found = tuple(contradictions(self.recording, self.cloud))
+        for warning in found:
+            if warning.code == BELOW_TABLE:
+                raise InputError(warning.message)
+        return found
 
     @cached_property
     def bounds(self) -> Enclosure:
@@ -138,7 +145,7 @@ class Session:
     def tell(self, recording: Recording) -> None:
         """Add what was measured; its sweeps are numbered after those so far.
 
-        Raises InputError for a recording with another rod or unit, or without the axes that the model needs.
+        Raises InputError for a recording with another rod, unit or table, or without the axes that the model needs.
         """
         if not isinstance(recording, Recording):
             raise InputError(f"tell a scan3d.Recording, got {type(recording).__name__}")
@@ -146,8 +153,13 @@ class Session:
             recording.wrench()
         if recording.unit != self.plan.unit:
             raise InputError(f"the session is in {self.plan.unit}, and the recording in {recording.unit}")
-        if self._recordings and self._recordings[0].rod != recording.rod:
-            raise InputError("the recording has another rod than those before; use one rod in a session")
+        if recording.table_m not in (None, _TABLE):
+            raise InputError(
+                f"the session's body stands on z = 0, and the recording's on z = {recording.table_m:.4g} m; state poses in a "
+                "frame in which the table is at 0"
+            )
+        recording = replace(recording, table_m=_TABLE)
+        joined([*self._recordings[-1:], recording])  # raises InputError if it cannot be done
         self._recordings.append(recording)
         self._last = None
 
@@ -158,7 +170,7 @@ class Session:
 
     @property
     def cloud(self) -> Cloud:
-        """The contacts; a table at z = 0 counts as an empty slice of horizontal ones."""
+        """The contacts, with the table at z = 0."""
         return self._known.cloud
 
     @property
@@ -172,7 +184,7 @@ class Session:
         return self._known.certificate
 
     @property
-    def warnings(self) -> tuple[Any, ...]:
+    def warnings(self) -> tuple[Contradiction, ...]:
         """Contradictions between the recordings and the model."""
         return self._known.warnings
 
@@ -186,8 +198,8 @@ class Session:
         if not self._recordings:
             raise InputError("there is no recording yet: sweep the poses of ask(), and tell() their recording")
         if self._last is None:
-            recording = _merged(self._recordings)
-            self._last = _Known(recording, self.plan.model == "planar" and _is_level(recording))
+            recording = joined(self._recordings)
+            self._last = _Known(recording, "planar" if self.plan.model == "planar" and _is_level(recording) else None)
         return self._last
 
     def _further_slices(self, sweeps: int) -> list[Sweep]:
@@ -263,63 +275,7 @@ def around_contacts(recording: Recording, model: str) -> Envelope:
     return Envelope("cylinder", tuple(float(f"{(1 + _AROUND) * size:.4g}") for size in (2 * radius, high)))
 
 
-def _merged(recordings: list[Recording]) -> Recording:
-    """All recordings as one, their sweeps numbered one after the other."""
-    numbers: list[Index] = []
-    first = 0
-    for recording in recordings:
-        distinct, rank = np.unique(recording.sweep, return_inverse=True)
-        # a recording that goes on from the ones before keeps its numbers
-        numbers.append(recording.sweep if distinct[0] >= first else first + rank.reshape(-1))
-        first = int(numbers[-1].max()) + 1
-    columns = ["position_m", "quaternion", "force_N", "moment_Nm"]
-    if all(recording.six_axis for recording in recordings):
-        columns += ["force_z_N", "moment_x_Nm", "moment_y_Nm"]
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(recording, name) for recording in recordings]) for name in columns
-    }
-    last = recordings[-1]
-    return Recording(
-        sweep=np.concatenate(numbers),
-        **joined,
-        rod=last.rod,
-        noise_force_N=max(recording.noise_force_N for recording in recordings),
-        noise_moment_Nm=max(recording.noise_moment_Nm for recording in recordings),
-        unit=last.unit,
-        source=last.source,
-    )
-
-
 def _is_level(recording: Recording) -> bool:
-    """Whether all slices are horizontal, with their normals up."""
+    """Whether all slices are horizontal, up to the tilt of a clamp that is a little off, with their normals up."""
     normals = recording.axes()[:, 2]
-    return bool((normals[:, 2] > 0).all() and np.abs(normals[:, :2]).max() < _ROUNDING)
-
-
-def _on_table(recording: Recording) -> Recording:
-    """The recording with a sweep on the table, in which nothing is touched: the body stands on it.
-
-    Raises InputError if the lowest sweep with a force lies below the table.
-    """
-    touching = np.abs(recording.force_N).max(axis=1) > 0
-    lowest = recording.position_m[touching, 2].min(initial=np.inf)
-    if lowest < -_ROUNDING * recording.rod.length_m:
-        raise InputError(
-            f"the rod touches the body at z = {1000 * lowest:.3g} mm, where the table is at 0; move the frame of the poses so "
-            "that the body stands on z = 0"
-        )
-    position = np.array(
-        [recording.position_m[0], recording.position_m[0] - recording.rod.length_m * recording.axes()[0, 0]]
-    )
-    position[:, 2] = 0.0
-    added: dict[str, Any] = {
-        "sweep": np.append(recording.sweep, np.full(2, recording.sweep.max() + 1)),
-        "position_m": np.concatenate([recording.position_m, position]),
-        "quaternion": np.concatenate([recording.quaternion, recording.quaternion[[0, 0]]]),
-        "force_N": np.concatenate([recording.force_N, np.zeros((2, 2))]),
-        "moment_Nm": np.append(recording.moment_Nm, [0.0, 0.0]),
-        "force_z_N": None,
-        "moment_x_Nm": None,
-        "moment_y_Nm": None,
-    }
-    return replace(recording, **added)
+    return bool((normals[:, 2] > 0).all() and np.linalg.norm(normals[:, :2], axis=1).max() < LEVEL)

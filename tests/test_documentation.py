@@ -7,6 +7,7 @@ import ast
 import importlib.util
 import json
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -84,6 +85,32 @@ def test_every_block_of_readme_runs_by_itself(repository: Path, capsys: pytest.C
         exec(compile(block, f"README.md, block {number}", "exec"), {"__name__": "__main__"})
     # the snippets print numbers
     assert re.search(r"\d", capsys.readouterr().out)
+
+
+@pytest.mark.slow
+def test_every_command_of_the_page_on_an_own_rig_runs(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs" / "own_rig.md").read_text(encoding="utf-8")
+    bounds = []
+    for language, block in re.findall(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
+        if language == "python":
+            exec(compile(block, "own_rig.md", "exec"), {})
+        elif block.startswith("# map.toml"):
+            # as a user completes the first map
+            table, _, rod = block.partition("[rod]")
+            guessed = Path("map.toml").read_text(encoding="utf-8").partition("[rod]")[0]
+            Path("map.toml").write_text(f"{table}{guessed}[rod]{rod}", encoding="utf-8")
+        elif language == "toml":
+            Path(block.partition("\n")[0].removeprefix("# ")).write_text(block, encoding="utf-8")
+        else:
+            for line in block.splitlines():
+                assert line.startswith("scan3d ")
+                assert main(shlex.split(line)[1:]) == 0, line
+                if " reconstruct " in line:
+                    bounds.append(json.loads(Path("out", "report.json").read_text())["certificate"]["bound"])
+    # the bound shrinks
+    assert len(bounds) == 2
+    assert bounds[1] < 0.8 * bounds[0]
+    assert "certified" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -202,6 +202,22 @@ def test_error_by_slices_saves_its_picture_at_the_given_path(tmp_path: Path, mon
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
+def test_rig_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = example("rig_loop")
+    results = script.measure(2)
+    for rows in results.values():
+        sweeps, bound, error = rows.T
+        assert (np.diff(sweeps) > 0).all()
+        assert (np.diff(bound) < 0).all()
+        assert (error < bound).all()
+    measured, exact = results.values()
+    assert measured[-1, 1] < 1.5 * exact[-1, 1]
+    monkeypatch.setattr(script, "measure", lambda batches: results)
+    script.main(["--quick", "--out", str(tmp_path / "loop.png")])
+    assert (tmp_path / "loop.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = example("friction_from_touch")
     tangential = script.SWEEP.phase == planar.Phase.TANGENTIAL

@@ -54,6 +54,23 @@ def test_the_command_writes_a_recording_with_its_origin(place, capsys):
     assert data["noise_force_N"] > 0
 
 
+def test_sweeps_come_after_those_of_an_earlier_recording(place, capsys):
+    run = ["import", "raw.csv", "--map", "rig.toml", "--quiet"]
+    assert main([*run, "--out", "first.csv"]) == 0
+    assert main([*run, "--after", "first.csv", "--out", "both.csv"]) == 0
+    first, both = scan3d.read_recording("first.csv"), scan3d.read_recording("both.csv")
+    count = len(np.unique(first.sweep))
+    assert len(np.unique(both.sweep)) == 2 * count
+    assert (both.sweep[len(first) :] == first.sweep + count).all()
+    assert (both.force_N == np.concatenate([first.force_N, first.force_N])).all()
+    assert main([*run, "--after", "first.csv", "--out", "first.csv"]) == 1
+    assert "first.csv is the recording before that this run reads" in capsys.readouterr().err
+    text = (place / "first.toml").read_text()
+    (place / "first.toml").write_text(text.replace("length_m = ", "length_m = 1", 1))
+    assert main([*run, "--after", "first.csv", "--out", "other.csv"]) == 1
+    assert "another rod than those before" in capsys.readouterr().err
+
+
 def test_files_of_others_are_not_replaced(place, capsys):
     (place / "other.csv").write_text("mine")
     assert main(["import", "raw.csv", "--map", "rig.toml", "--out", "other.csv"]) == 1

@@ -380,3 +380,23 @@ def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, planar, jitter_m, 
         # all of its rows but a few, and others within the 20 standard deviations over which the direction is determined
         assert (mine[rows] == number).mean() > 0.97
         assert (mine == number).sum() < 1.25 * rows.sum()
+
+
+def test_a_convention_with_which_some_sweeps_are_found_is_doubted(tmp_path, spatial):
+    misread = Rotation.from_euler(
+        "zyx", Rotation.from_quat(spatial.quaternion, scalar_first=True).as_euler("ZYX", degrees=True), degrees=True
+    )
+    _, first = np.unique(spatial.sweep, return_index=True)
+    last = np.append(first[1:], len(spatial)) - 1
+    along = misread[first].apply(spatial.position_m[last] - spatial.position_m[first], inverse=True)
+    right = along[:, 0] < -0.99 * np.linalg.norm(along, axis=1)
+    # as many sweeps that are found all the same as others
+    numbers = np.arange(len(first))
+    few = np.isin(spatial.sweep, [*numbers[right], *numbers[~right][: right.sum()]])
+    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm", "force_z_N", "moment_x_Nm", "moment_y_Nm")
+    chosen = dataclasses.replace(spatial, **{name: getattr(spatial, name)[few] for name in names})
+    columns = table(track(chosen), EXACT, euler="ZYX")
+    assert imported(tmp_path / "log.csv", columns, map_of(spatial.rod, EXACT, euler="ZYX")).summary.notes == ()
+    found = imported(tmp_path / "log.csv", columns, map_of(spatial.rod, EXACT, euler="zyx")).summary
+    assert 2 <= found.sweeps <= right.sum()
+    assert 'nearly all do if the convention is "ZYX": check [columns] orientation' in found.notes[0]

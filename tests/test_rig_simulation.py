@@ -536,3 +536,14 @@ def test_the_command_reports_what_it_wrote(folder, tmp_path, capsys):
     assert recording.six_axis
     assert recording.rod == Rod.wire(0.05, 0.0003, 210e9)
     assert recording.source["model"] == "spatial"
+
+
+def test_a_log_without_contact_has_noise():
+    """A log of zeros would be refused by the import, and a session may ask for sweeps that touch nothing."""
+    plan = RigPlan(parse_envelope("cylinder:46x48"), slices=4, samples=16)
+    poses = plan_poses(plan)
+    high = replace(poses, position_m=poses.position_m + np.array([0.0, 0.0, 0.2]))
+    log = simulate_rig(standing(scan3d.load_mesh(EGG)), high, faults=Faults(rate_hz=50, noise=Size(fraction=0.002)))
+    rod = plan.resolved_rod()
+    assert log.wrench[:, :3].std() == pytest.approx(0.002 * rod.force_unit_N, rel=0.05)
+    assert log.wrench[:, 3:].std() == pytest.approx(0.002 * rod.moment_unit_Nm, rel=0.05)

@@ -91,6 +91,32 @@ def test_slices_moved_by_less_than_the_error_of_heights_leave_the_body_inside(er
         assert missing[0] < 1e-9 < missing[1]
 
 
+def test_sides_of_a_slice_that_were_touched_at_different_heights_leave_the_body_inside():
+    """Above the middle the body narrows in x, below it in y, and its sides are touched above and below the middle there."""
+    steep, error = 1.0, 0.2
+
+    def halves(z, off):
+        return np.array([10 - steep * max(z + off, 0.0), 10 + steep * min(z - off, 0.0)])
+
+    heights = [-6.0, -3.0, 0.0, 3.0, 6.0]
+    stack = stack_of_rectangles(heights, [halves(z, error) for z in heights], floor=-8.0, ceiling=8.0)
+    outer = [hull(slab.corners) for slab in slabs(dataclasses.replace(stack, height_error=error))]
+    z = np.linspace(-8, 8, 321)
+    body = np.array([[*(sign * halves(height, 0.0)), height] for height in z for sign in ([1, 1], [1, -1], [-1, 1])])
+    missing = np.min([signed_distances(body, part) for part in outer], axis=0)
+    assert missing.max() < 1e-9
+
+
+def test_a_slice_near_another_does_not_make_the_outer_body_larger():
+    """The secant between slices that lie hardly more than twice the error of their heights apart is nearly infinite."""
+    halves = {z: np.sqrt(20**2 - z**2) for z in (-16.0, -8.0, 0.0, 8.0, 16.0, 16.41)}
+    volumes = []
+    for heights in (list(halves)[:-1], list(halves)):
+        stack = stack_of_rectangles(heights, [halves[z] for z in heights], floor=-20.0, ceiling=20.0)
+        volumes.append(sum(slab.volume for slab in slabs(dataclasses.replace(stack, height_error=0.2))))
+    assert volumes[1] < 1.01 * volumes[0]
+
+
 @pytest.mark.parametrize("seed", [2, 3, 40])
 def test_the_bound_allows_for_the_digits_of_heights(seed):
     """Of 60 thin bodies, scanned with poses in steps of 5 µm, the bound or the volume of 46 was false."""
@@ -123,6 +149,17 @@ def test_heights_that_differ_within_a_slice_are_uncertain_by_their_spread():
     bounds = enclosure(scan3d.reconstruct(measured))
     assert 5e-3 < bounds.stack.height_error < 2e-2
     assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
+
+
+def test_slices_a_few_spreads_apart_stay_separate():
+    """Sweeps of three planned slices that are 0.35 mm apart became one with poses that jitter by 20 µm."""
+    mesh = trimesh.creation.icosphere(3, 20.0)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=100, samples=200, sweeps=4, spacing="uniform"))
+    heights = np.unique(np.round(recording.position_m[:, 2], 9))
+    assert 0.00035 < np.diff(heights).min() < 0.00045
+    off = 2e-5 * np.random.default_rng(0).standard_normal(recording.position_m.shape)
+    measured = scan3d.reconstruct(dataclasses.replace(recording, position_m=recording.position_m + off))
+    assert len(measured.slice_height) == len(heights)
 
 
 # --- an upright box, whose slices all have the same support function: its outer body is known at every height ---

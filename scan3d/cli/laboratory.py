@@ -31,12 +31,15 @@ def import_(arguments: Namespace) -> int:
         arguments.misuse("--out names the recording; --dry-run only shows what would become of the table")
     from scan3d.files.atomic import folder, write_atomic
     from scan3d.files.ownership import check_file, check_recording
-    from scan3d.files.recordings import check_path, sidecar, write_recording
+    from scan3d.files.recordings import check_path, read_recording, sidecar, write_recording
     from scan3d.laboratory.importing import KIND, convert, load
     from scan3d.laboratory.maps import read_map
     from scan3d.laboratory.rigged import with_rig
+    from scan3d.recording import joined
 
     inputs = {"table": arguments.raw, "map": arguments.map, "rig": arguments.rig}
+    if arguments.after:
+        inputs |= {"recording before": arguments.after, "TOML file of the recording before": sidecar(arguments.after)}
     writes = arguments.out and not arguments.dry_run
     if arguments.out:
         check_path(arguments.out)
@@ -52,7 +55,8 @@ def import_(arguments: Namespace) -> int:
     imported = convert(raw, chosen)
     if writes:
         with folder(Path(arguments.out).parent):
-            write_recording(imported.recording, arguments.out, overwrite=True)  # checked above
+            before = [read_recording(arguments.after)] if arguments.after else []
+            write_recording(joined([*before, imported.recording]), arguments.out, overwrite=True)  # checked above
     header, rows = _first_rows(raw, imported)
     facts = _facts(imported)
     if page:

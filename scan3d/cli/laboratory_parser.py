@@ -10,6 +10,7 @@ EXAMPLES = {
   scan3d import log.csv --map rig.toml --dry-run
   scan3d import log.csv --map rig.toml --out specimen.csv
   scan3d import log.csv --map rig.toml --rig calibrated.toml --out specimen.csv
+  scan3d import further.csv --map rig.toml --after specimen.csv --out both.csv
   scan3d import run.bag --map rig.toml --out specimen.parquet""",
 }
 """Examples that are printed below the help of a command."""
@@ -26,6 +27,11 @@ def add_import(commands: Any) -> Any:
         "--rig",
         metavar="RIG",
         help="the .toml of a calibrated rig, whose frames and rod replace those of the map",
+    )
+    parser.add_argument(
+        "--after",
+        metavar="REC",
+        help="an earlier recording, whose sweeps come before those of the table in the new one",
     )
     parser.add_argument(
         "--out", metavar="FILE", help="the recording, .csv or .parquet; a .toml of the same name is written as well"

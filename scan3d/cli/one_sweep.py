@@ -28,6 +28,7 @@ _OF_RECORDING = {
     "method": METHODS[0],
     "model": None,
     "rig": None,
+    "table": None,
     "mesh_path": False,
     "strict": False,
 }

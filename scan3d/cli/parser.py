@@ -171,6 +171,12 @@ def parser() -> argparse.ArgumentParser:
         help=f"model of contact: {one_of(MODELS)} (default spatial for a recording with six axes, else planar)",
     )
     calibration.add_rig(reconstruct)
+    reconstruct.add_argument(
+        "--table",
+        type=float,
+        metavar="Z",
+        help="height of the table on which the body stands, in the recording's unit (default: that of its .toml, or none)",
+    )
     one_sweep.add_options(reconstruct)
     _add_mesh_path(reconstruct)
     _add_overwrite(reconstruct)

@@ -239,7 +239,7 @@ def _write(log: RawLog, path: str) -> None:
         "euler_deg": list(nominal.euler_deg),
         "shows": log.faults.shows,
     }
-    write_log(columns, dataclasses.asdict(log.rod), sensor, path)
+    write_log(columns, dataclasses.asdict(log.rod), sensor, path, log.table_m)
 
 
 def _write_placed(body: Any, unit: str, path: str) -> None:

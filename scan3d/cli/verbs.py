@@ -20,6 +20,7 @@ from scan3d.cli.laboratory import import_
 from scan3d.cli.settings import Settings, settings
 from scan3d.cli.terminal import is_terminal, one_line, print_result, printable, printable_json, table
 from scan3d.errors import InputError
+from scan3d.units import UNITS_M
 
 
 def scan(arguments: Namespace) -> int:
@@ -98,6 +99,8 @@ def reconstruct(arguments: Namespace) -> int:
     chosen = settings({"hull": arguments.hull, "method": arguments.method})
     start = time.perf_counter()
     recording = rigged(read_recording(arguments.recording), arguments.rig)
+    if arguments.table is not None:
+        recording = dataclasses.replace(recording, table_m=UNITS_M[recording.unit] * arguments.table)
     body = load_mesh(arguments.truth, hull=chosen.hull) if arguments.truth else None
     seconds = {"load": time.perf_counter() - start}
     # the remaining settings concern the simulation

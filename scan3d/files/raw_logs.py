@@ -12,7 +12,7 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.atomic import write_together
 from scan3d.files.ownership import Inputs, check_path
-from scan3d.files.recordings import recording_files, sidecar
+from scan3d.files.recordings import TABLE, recording_files, sidecar
 from scan3d.files.text import to_toml
 from scan3d.poses import Move
 from scan3d.recording import Recording
@@ -65,13 +65,21 @@ def write_exact_log(recording: Recording, time_s: Array, move: NDArray[np.int8],
     )
 
 
-def write_log(columns: dict[str, Array], rod: dict[str, float], sensor: dict[str, Any], path: str | Path) -> None:
+def write_log(
+    columns: dict[str, Array],
+    rod: dict[str, float],
+    sensor: dict[str, Any],
+    path: str | Path,
+    table_m: float | None = None,
+) -> None:
     """Write a log with faults, of the columns `RAW_COLUMNS`, and its map, which says what the experimenter knows.
 
     rod
         the nominal one.
     sensor
         its nominal frame, and the wrench that it shows.
+    table_m
+        the height of the table, if it is known.
     """
     path = Path(path)
     table = np.stack([columns[name] for name in RAW_COLUMNS], axis=1)
@@ -84,7 +92,8 @@ def write_log(columns: dict[str, Array], rod: dict[str, float], sensor: dict[str
         f"{_MARK}.  The column sweep has the numbers of the planned sweeps, and -1 between them;\n"
         "# it is not named here, because the log of a rig seldom has it.\n"
     )
-    meta = {
+    meta: dict[str, Any] = {
+        **({} if table_m is None else {TABLE: table_m}),
         "columns": {
             "time": "t_s",
             "position": ["x_mm", "y_mm", "z_mm"],

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 import planar
 from scan3d.errors import InputError
+from scan3d.files.columns import numbers_of
 from scan3d.files.journal import locate
 from scan3d.files.reading import check_file, did_you_mean, read_toml
-from scan3d.files.recordings import number_of, numbers_of, rod_of, sidecar
+from scan3d.files.recordings import number_of, rod_of, sidecar
 from scan3d.one_sweep import OneSweep, SweepContacts
 from scan3d.rods import Rod
 

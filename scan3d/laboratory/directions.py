@@ -27,25 +27,36 @@ _ALONG = 0.3
 # counts as right.
 _FEW, _MOST = 0.5, 0.9
 # Fraction of the rows in contact that strokes found by motion hold at least; the others belong to retracts and strokes back.
-_TOUCHING = 0.2
+# Where they hold less than the second one, other readings of the orientation are tried all the same.
+_TOUCHING, _DOUBTFUL = 0.2, 0.7
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def check_directions(
     table: RawTable, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array, touched: Mask
-) -> None:
+) -> list[str]:
     """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame, or do not hold the contacts.
 
     touched
         (n,) rows in contact.
+
+    Returns notes on sweeps that hold only some of the contacts, where with another reading of the orientation they hold most.
     """
     angle = segments.travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
-    holds = not touched.any() or (sweep >= 0)[touched].mean() >= _TOUCHING
+    held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
+    holds = held >= _TOUCHING
     if len(known) and (known < _ALONG).mean() >= _FEW and holds:
-        return
+        if held >= _DOUBTFUL:
+            return []
+        right = [name for name, candidate in _other_readings(map) if _fits(table, candidate, touched, _MOST)]
+        return [
+            f"only {100 * held:.0f} % of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
+            f"{name}: check [columns] orientation of {map.name}"
+            for name in right[:1]
+        ]
     if len(angle) and not len(known):
         raise InputError(
             f"{table.name}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
@@ -111,8 +122,11 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
                 yield f'the convention is "{other}"', changed(convention=other)
 
 
-def _fits(table: RawTable, map: Map, touched: Mask) -> bool:
-    """Whether nearly all of the clamp's sweeps are along -x with another map."""
+def _fits(table: RawTable, map: Map, touched: Mask, least: float = _FEW) -> bool:
+    """Whether nearly all of the clamp's sweeps are along -x with another map.
+
+    Sweeps that are found by motion hold at least the fraction `least` of the rows in contact then.
+    """
     try:
         log = read_log(table, map)
     except InputError:
@@ -125,7 +139,7 @@ def _fits(table: RawTable, map: Map, touched: Mask) -> bool:
     else:
         found = segments.strokes(position, quaternion, map.rod.length_m)
         forwards = (found.sweep >= 0) & ~np.append(found.backwards, True)[found.sweep]
-        return bool(forwards[touched].mean() >= _FEW) if touched.any() else bool(forwards.any())
+        return bool(forwards[touched].mean() >= least) if touched.any() else bool(forwards.any())
     angle = segments.travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
     return bool(len(known)) and bool((known < _ALONG).mean() >= _MOST)

@@ -140,7 +140,7 @@ def convert(table: RawTable, map: Map) -> Imported:
     sweep, backwards = _sweeps(log, position, quaternion, map)
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, transfers = _without_transfers(sweep, log, wrench, position, quaternion, map, noise[0])
-    check_directions(table, map, sweep, position, quaternion, in_contact(sensed.wrench[:, :3], noise[0]))
+    directions = check_directions(table, map, sweep, position, quaternion, in_contact(sensed.wrench[:, :3], noise[0]))
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
         quaternion[backwards], wrench[backwards] = turned_back(quaternion[backwards], wrench[backwards])
@@ -150,7 +150,7 @@ def convert(table: RawTable, map: Map) -> Imported:
     rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
     recording = _recording(table, map, rows, bool(known.all()), noise)
     check_sizes(recording, map, table.name)
-    notes = [*sensed.notes, *transfers, *filter_notes(map, sensed.rate, every)]
+    notes = [*sensed.notes, *directions, *transfers, *filter_notes(map, sensed.rate, every)]
     notes += contact_notes(recording, wrench[kept], known, map)
     left_out = {
         "without numbers": len(table) - len(log), "between sweeps": int((sweep < 0).sum()),
@@ -320,6 +320,7 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
         unit=map.unit,
+        table_m=map.table_m,
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
     )
     if not six_axis:

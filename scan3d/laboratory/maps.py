@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import read_toml
+from scan3d.files.recordings import TABLE
 from scan3d.laboratory.entries import Entries
 from scan3d.laboratory.quantities import factor
 from scan3d.rods import Rod
@@ -26,7 +27,7 @@ Reference = str | int
 an empty text stands for a column that does not exist."""
 
 SECTIONS = (
-    "table", "ros", "columns", "units", "clamp", "sensor", "tare", "filter", "sweeps", "rod", "noise", "unit",
+    "table", "ros", "columns", "units", "clamp", "sensor", "tare", "filter", "sweeps", "rod", "noise", "unit", TABLE,
 )  # fmt: skip
 ORIENTATIONS = {"quaternion": 4, "euler": 3, "rotvec": 3}
 """Kinds of orientation, and how many columns each has; Euler angles may have fewer, one for each letter of the convention."""
@@ -123,6 +124,8 @@ class Map:
     noise_force_N: float | None = None
     noise_moment_Nm: float | None = None
     unit: str = "mm"
+    table_m: float | None = None
+    """Height z of the table on which the body stands, in the world of the clamp's pose."""
     layout: Layout = field(default_factory=Layout)
     topics: Topics = field(default_factory=Topics)
     name: str = "the map"
@@ -167,8 +170,8 @@ def read_map(source: str | Path | Mapping[str, Any] | Map) -> Map:
 
 def _map(data: Mapping[str, Any], name: str) -> Map:
     top = Entries(name, "", data)
-    sections = {key: top.section(key) for key in SECTIONS if key != "unit"}
-    unit = top.choice("unit", tuple(UNITS_M), "mm")
+    sections = {key: top.section(key) for key in SECTIONS if key not in ("unit", TABLE)}
+    unit, table = top.choice("unit", tuple(UNITS_M), "mm"), top.number(TABLE)
     top.finish(SECTIONS)
     topics = _topics(sections["ros"])
     if "ros" in data and "columns" not in data:
@@ -192,6 +195,7 @@ def _map(data: Mapping[str, Any], name: str) -> Map:
         noise_force_N=noise.number("force_N", None, at_least=0.0),
         noise_moment_Nm=noise.number("moment_Nm", None, at_least=0.0),
         unit=unit,
+        table_m=table,
         layout=_layout(sections["table"]),
         topics=topics,
         name=name,

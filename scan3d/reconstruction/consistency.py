@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from scan3d.arrays import Index
-from scan3d.cloud import Cloud
+from scan3d.arrays import Array, Index
+from scan3d.cloud import Cloud, Tilt
 from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.contradiction import Contradiction
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
 from scan3d.reconstruction.resolution import LARGEST_OVER_SD, noise_of, rounding_sd
-from scan3d.reconstruction.slices import stacks
+from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.reconstruction.spatial import readings, without_normals
 from scan3d.reconstruction.spatial_consistency import spatial_contradictions
 from scan3d.recording import Recording
@@ -35,6 +35,8 @@ _ROUNDING = 1e-7
 _FALSE_ALARM = 1e-5
 # Lines and points of a slice that are compared at most.  More take longer; fewer may miss the worst pair.
 _COMPARED = 1500
+BELOW_TABLE = "below-table"
+"""Code of the contradiction between contacts and the table."""
 # Standard deviations by which the contacts of both models may differ by noise.  Larger, small forces out of the plane pass;
 # smaller, noise counts as such a force.
 _OUT_OF_PLANE_SIGMAS = 6.0
@@ -76,18 +78,17 @@ def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
 def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
     if cloud.model == "spatial":
-        found = spatial_contradictions(recording, cloud)
+        warnings, found = _below_table(cloud), spatial_contradictions(recording, cloud)
         if not found:
-            return Checked([], None)
-        diagnosis = diagnose(recording, "spatial")
-        return Checked(
-            [warning._replace(message=f"{warning.message}; {diagnosis.message}") for warning in found], diagnosis
-        )
-    warnings = _off_line(recording) + _out_of_plane(recording, cloud)
+            return Checked(warnings, _of_single_test(warnings))
+        likeliest = diagnose(recording, "spatial")
+        found = [warning._replace(message=f"{warning.message}; {likeliest.message}") for warning in found]
+        return Checked(found + warnings, likeliest)
+    warnings = _off_line(recording) + _out_of_plane(recording, cloud) + _below_table(cloud)
     tested = _tests(recording, cloud)
     if not tested.contradicts:
-        return Checked(warnings, _of_poses_or_model(warnings))
-    diagnosis = _of_poses_or_model(warnings) or diagnose(recording, "planar")
+        return Checked(warnings, _of_single_test(warnings))
+    diagnosis = _of_single_test(warnings) or diagnose(recording, "planar")
     cause = "" if warnings else f"; {diagnosis.message}"
     if tested.without_contact > _WITHOUT_CONTACT:
         warnings.append(
@@ -111,7 +112,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     return Checked(warnings, diagnosis)
 
 
-def _of_poses_or_model(warnings: list[Contradiction]) -> Diagnosis | None:
+def _of_single_test(warnings: list[Contradiction]) -> Diagnosis | None:
     """The fault that a test has found which looks for this fault alone."""
     for warning in warnings:
         if warning.code == "sweep-direction":
@@ -120,6 +121,8 @@ def _of_poses_or_model(warnings: list[Contradiction]) -> Diagnosis | None:
             return Diagnosis(
                 "planar-model", warning.value, "", 1.0, "most likely the model is wrong: choose the spatial model"
             )
+        if warning.code == BELOW_TABLE:
+            return Diagnosis("table", warning.value, "", 1.0, f"most likely the table is wrong: {warning.message}")
     return None
 
 
@@ -132,18 +135,26 @@ def _tests(recording: Recording, cloud: Cloud) -> _Found:
 
 
 def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
-    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two."""
+    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two.
+
+    Tilted planes of contacts in one slice lie at different heights; there the body's slope up and down the axis, which lies
+    between the secants to the neighbouring slices, is allowed for, and end slices are left out.
+    """
     kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
     rounding = _ROUNDING * cloud.rod_length + 2 * cloud.pose_error
     worst = 0.0, rounding
     for stack in stacks(cloud):
-        for slice_ in stack.slices:
+        for number, slice_ in enumerate(stack.slices):
+            if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
+                continue
             lines, points = _some(slice_.tangential), _some(np.arange(len(slice_.rows)))
             if not len(lines):
                 continue
             place, normals = slice_.points[lines], slice_.normals[np.searchsorted(slice_.tangential, lines)]
             beyond = normals @ slice_.points[points].T - (normals * place).sum(axis=1)[:, None]
             allowed = np.full(beyond.shape, rounding)
+            if cloud.tilt is not None:
+                allowed += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
             if cloud.covariance is not None and cloud.normal_sd is not None:
                 rows = slice_.rows
                 covariance = np.einsum("ij,njk,lk->nil", stack.frame[:2], cloud.covariance[rows], stack.frame[:2])
@@ -167,9 +178,50 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
     return worst
 
 
+def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
+    """(k,) how far contacts of a slice can lie beyond tangents with normals (k, 2), because their heights differ."""
+    slice_ = stack.slices[number]
+    radius = float(np.linalg.norm((cloud.points - tilt.centre) @ stack.frame[:2].T, axis=1).max())
+    apart = 2 * (tilt.spread + np.sqrt(2) * tilt.slope * radius)
+    support = slice_.support_of_contacts(normals)
+    slopes = np.zeros(len(normals))
+    for other in (stack.slices[number - 1], stack.slices[number + 1]):
+        run = abs(slice_.height - other.height) - apart
+        rise = np.abs(support - other.support_of_contacts(normals))
+        slopes = np.maximum(slopes, rise / run if run > 0 else np.inf)
+    allowed: Array = apart * slopes
+    return allowed
+
+
 def _some(rows: Index) -> Index:
     """At most `_COMPARED` of the rows, evenly spread."""
     return rows if len(rows) <= _COMPARED else rows[np.linspace(0, len(rows) - 1, _COMPARED).astype(np.intp)]
+
+
+def _below_table(cloud: Cloud) -> list[Contradiction]:
+    """Whether contacts lie below the table, farther than noise and rounding allow; an empty list if they do not."""
+    if cloud.table is None:
+        return []
+    kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
+    allowed = np.full(len(cloud), _ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
+    if cloud.centre_points is not None:  # of a rod that touches the body from below the table
+        heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
+    else:
+        heights = cloud.points[:, 2]
+        sd = None if cloud.covariance is None else np.sqrt(np.maximum(cloud.covariance[:, 2, 2], 0.0))
+    depth = cloud.table - heights - allowed - (0.0 if sd is None else kappa * sd)
+    worst = int(depth.argmax())
+    if depth[worst] <= 0:
+        return []
+    value = float(cloud.table - heights[worst])
+    return [
+        Contradiction(
+            BELOW_TABLE,
+            f"contacts lie down to z = {heights[worst]:.4g} {cloud.unit}, where the table is at {cloud.table:.4g}; move the "
+            "frame of the poses so that the body stands on the table, or correct the table's height",
+            value,
+        )
+    ]
 
 
 def _off_line(recording: Recording) -> list[Contradiction]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError
+from scan3d.reconstruction.planes import planes
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -32,12 +32,6 @@ _FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
 # The largest distance from the tip, in rod lengths, at which noise can make a tip contact.  Larger, strong noise turns all
 # contacts into tip contacts; smaller, some tip contacts under strong noise pass for tangential.
 _LARGEST_TOLERANCE = 0.5
-# Slices are parallel if the components of their normals differ by less.  Larger, axes that are slightly inclined to each
-# other are merged; smaller, the errors of measured poses split one axis into several.
-_SAME_NORMAL = 1e-3
-# Sweeps lie in one slice if their heights differ by less than this many rod lengths, or than this many times the spread of
-# the heights within the median sweep.  Larger, neighbouring slices merge; smaller, the errors of poses split a slice.
-SAME_HEIGHT, _SPREADS = 1e-9, 4.0
 
 
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
@@ -61,33 +55,29 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     common = _common_friction(in_plane.friction_angle[touching], max(noise))
     if common is not None:
         in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance, friction=common)
-    rows = np.flatnonzero(touching)
-    if not len(rows):
-        raise NoContactError(
-            f"the recording has no contact: none of its {len(moment)} rows has reactions of a bent rod "
-            f"(fx and mz not zero, base moving in -x of the clamp's frame); check its axes, signs and units"
-        )
-
+    rows = _rows(touching)
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
-    slice_of, slice_axis, slice_height = slices_of(recording, axes[:, 2])
-    unresolved = np.isin(np.arange(len(slice_height)), np.setdiff1d(slice_of[felt], slice_of[rows]))
+    slices = planes(recording, axes[:, 2], points.mean(axis=0), known.place_m)
+    unresolved = np.isin(np.arange(len(slices.height)), np.setdiff1d(slices.number[felt], slices.number[rows]))
     covariance = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
     return Cloud(
         points=points / scale,
         normals=np.full((len(rows), 3), np.nan),
         normal_source=np.full(len(rows), NormalSource.UNKNOWN, dtype=np.int8),
-        in_plane_normals=np.einsum("ni,nij->nj", in_plane.normal[rows], axes[rows, :2]),
+        in_plane_normals=slices.turned(
+            np.einsum("ni,nij->nj", in_plane.normal[rows], axes[rows, :2]), axes[:, 2], rows
+        ),
         phase=in_plane.phase[rows],
-        slice=slice_of[rows],
+        slice=slices.number[rows],
         sweep=recording.sweep[rows].astype(np.int32),
         row=rows.astype(np.int32),
         force_N=in_plane.force[rows] * rod.force_unit_N,
         friction=in_plane.friction[rows],
-        slice_axis=slice_axis,
-        slice_height=slice_height / scale,
+        slice_axis=slices.axis,
+        slice_height=slices.height / scale,
         unit=recording.unit,
         rod_length=rod.length_m / scale,
         noise=float(np.median(error.largest[rows])) * rod.length_m / scale,
@@ -97,12 +87,25 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         unresolved=unresolved if unresolved.any() else None,
         light=int(light.sum()),
         pose_error=known.place_m / scale,
+        tilt=slices.tilt_in(scale),
+        table=None if recording.table_m is None else recording.table_m / scale,
         independent=known.independent,
     )
 
 
 class NoContactError(InputError):
     """No row of a recording has the reactions of a bent rod."""
+
+
+def _rows(touching: Mask) -> Index:
+    """The rows that give a contact.  Raises NoContactError if there is none."""
+    rows = np.flatnonzero(touching)
+    if not len(rows):
+        raise NoContactError(
+            f"the recording has no contact: none of its {len(touching)} rows has reactions of a bent rod "
+            f"(fx and mz not zero, base moving in -x of the clamp's frame); check its axes, signs and units"
+        )
+    return rows
 
 
 class PlaneErrors(NamedTuple):
@@ -164,41 +167,3 @@ def _common_friction(angle: Array, noise: float) -> float | None:
     median = float(np.median(angle))
     agree = np.percentile(np.abs(angle - median), 95) <= _FRICTION_AGREES + _FRICTION_GAIN * noise
     return max(float(np.tan(median)), 0.0) if agree else None
-
-
-def slices_of(recording: Recording, normals: Array) -> tuple[NDArray[np.int32], Array, Array]:
-    """(n,) number of each row's slice, in order of appearance; (s, 3) normals of the slices and (s,) heights, in metres.
-
-    A sweep lies in one plane.  Sweeps are in one slice if their planes differ by no more than rounding, or by no more than the
-    poses within a typical sweep do.
-    """
-    _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
-    sweep_normals = normals[first]
-    direction = _groups(sweep_normals, _SAME_NORMAL)
-    mean = np.stack([np.bincount(direction, column) for column in sweep_normals.T], axis=1)
-    axis = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[direction]
-    height = (recording.position_m * axis[sweep]).sum(axis=1)
-    plane = np.bincount(sweep, height) / np.bincount(sweep)
-    low, high = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
-    np.minimum.at(low, sweep, height)
-    np.maximum.at(high, sweep, height)
-    same = max(SAME_HEIGHT * recording.rod.length_m, _SPREADS * float(np.median(high - low)))
-    _, group = np.unique(np.column_stack([direction, _groups(plane[:, None], same)]), axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    # numbers in the order in which the slices appear
-    start = np.full(group.max() + 1, len(sweep))
-    np.minimum.at(start, group, first)
-    order = np.argsort(start)
-    rank = np.empty(len(start), dtype=np.int32)
-    rank[order] = np.arange(len(start))
-    first_sweep = sweep[start[order]]
-    return rank[group][sweep], axis[first_sweep], (np.bincount(group, plane) / np.bincount(group))[order]
-
-
-def _groups(values: Array, same: float) -> NDArray[np.int64]:
-    """Number (n,) of each row's group: by gaps in every sorted column, so that equal values are never separated."""
-    keys = np.empty(values.shape, dtype=np.int64)
-    for key, column in zip(keys.T, values.T, strict=True):
-        order = np.argsort(column, kind="stable")
-        key[order] = np.cumsum(np.insert(np.diff(column[order]) > same, 0, False))
-    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)

@@ -13,7 +13,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 import planar
 from scan3d.arrays import Array, Index, Mask
-from scan3d.reconstruction.contacts import FORCE_SIGMAS, errors_in_plane, slices_of
+from scan3d.reconstruction.contacts import FORCE_SIGMAS, errors_in_plane
+from scan3d.reconstruction.planes import slices_of
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.spatial import inverse

@@ -7,7 +7,7 @@ angle of the in-plane normal ``n = (cos θ, sin θ)``.  A tangential contact at 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -107,15 +107,17 @@ class SliceStack:
     """(3, 3) rows: x, y and z axes of the slices' frame in the world."""
     slices: tuple[Slice, ...]
     floor: float
-    """Height of the nearest empty slice below, -inf if there is no empty slice."""
+    """Height of the nearest empty slice below, or of the table that lies across the axis; -inf if there is neither."""
     ceiling: float
-    """Height of the nearest empty slice above, inf if there is no empty slice."""
+    """Height of the nearest empty slice above, or of the table; inf if there is neither."""
     bounded_by_others: tuple[bool, bool] = (False, False)
     """Whether floor and ceiling come from contacts in slices along other axes, rather than from empty slices."""
     height_error: float = 0.0
     """Largest error of a contact's height over the slice it counts to."""
     confident: bool = False
     """Whether the slices' points and support lines allow for noise (`scan3d.surfaces.confidence`)."""
+    table: Array | None = None
+    """(4,) the half-space ``a·x + b <= 0`` above a table that does not lie across the axis, in the slices' frame."""
 
     @property
     def heights(self) -> Array:
@@ -140,8 +142,22 @@ def stacks(cloud: Cloud) -> list[SliceStack]:
         low, high = filled[0].height, filled[-1].height
         floor = max((z for z in empty if z < low), default=-np.inf)
         ceiling = min((z for z in empty if z > high), default=np.inf)
-        by_axis.append(SliceStack(frame, tuple(filled), floor, ceiling))
+        stack = SliceStack(frame, tuple(filled), floor, ceiling)
+        by_axis.append(stack if cloud.table is None else _on_table(stack, cloud.table))
     return by_axis
+
+
+def _on_table(stack: SliceStack, height: float) -> SliceStack:
+    """A stack of a body of which nothing lies below a height z of the world.
+
+    A table that lies across the axis, and above an end slice by errors only, is in that slice.
+    """
+    down = -stack.frame[:, 2]
+    if np.abs(down[:2]).max() > _SAME_AXIS:
+        return replace(stack, table=np.append(down, height))
+    if down[2] < 0:
+        return replace(stack, floor=max(stack.floor, min(height, float(stack.heights[0]))))
+    return replace(stack, ceiling=min(stack.ceiling, max(-height, float(stack.heights[-1]))))
 
 
 def _slice(cloud: Cloud, frame: Array, number: int) -> Slice:

@@ -125,6 +125,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         normal_sd=np.full(n, np.inf),
         light=int(known.light.sum()),
         pose_error=pose.place_m / scale,
+        table=None if recording.table_m is None else recording.table_m / scale,
         model="spatial",
         rod_radius=rod.diameter_m / 2 / scale,
         centre_points=points,

@@ -21,9 +21,14 @@ def _generator(faults: Faults, stream: int) -> np.random.Generator:
     return np.random.default_rng([faults.seed, 5, stream])
 
 
-def measured(force: Array, moment: Array, faults: Faults) -> Array:
-    """(n, 6) what the sensor logs of the true force (n, 3) and moment (n, 3) at the clamp, sampled at `faults.rate_hz`."""
+def measured(force: Array, moment: Array, faults: Faults, untouched: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """(n, 6) what the sensor logs of the true force (n, 3) and moment (n, 3) at the clamp, sampled at `faults.rate_hz`.
+
+    untouched
+        force and moment that fractions are relative to if nothing is touched.
+    """
     largest = float(np.linalg.norm(force, axis=1).max()), float(np.linalg.norm(moment, axis=1).max())
+    largest = largest if any(largest) else untouched
     delayed = lagged(np.concatenate([force, moment], axis=1), faults)
     wrench: Array = np.concatenate(faults.sensor.seen(delayed[:, :3], delayed[:, 3:]), axis=1)
     if faults.shows != SHOWS[0]:

@@ -39,6 +39,8 @@ _MEMORY_PER_ROW = 1500
 _TURNS = 1e-9
 BETWEEN = -1
 """Number of the sweep in rows between sweeps of a log with faults."""
+TABLE = 0.0
+"""Height of the table on which `standing` places a body."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,8 @@ class RawLog:
     unit: str
     source: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    table_m: float | None = None
+    """Height of the table on which the body stands; None for a body that was not placed on it."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -88,6 +92,7 @@ class RawLog:
             moment_Nm=wrench[:, 5],
             rod=self.rod,
             unit=self.unit,
+            table_m=self.table_m,
             source=self.source,
             **six_axes,
         )
@@ -104,7 +109,7 @@ class _Rows(NamedTuple):
 
 
 def standing(mesh: Any) -> Any:
-    """A copy of a mesh that stands on z = 0 with the middle of its bounding box on the z axis.
+    """A copy of a mesh that stands on the table, z = 0, with the middle of its bounding box on the z axis.
 
     Its `metadata` has `placed`: by how much it was moved.
     """
@@ -169,7 +174,8 @@ def simulate_rig(
         source["around"] = poses.source["around"]
     if "placed" in mesh.metadata:
         source["moved"] = mesh.metadata["placed"]
-    log = RawLog(*rows, wrench, nominal, model, faults, unit, source, warnings)
+    table = TABLE if "placed" in mesh.metadata else None
+    log = RawLog(*rows, wrench, nominal, model, faults, unit, source, warnings, table)
     return log if faults is None else _with_faults(log, faults)
 
 
@@ -280,7 +286,7 @@ def _warnings(
 
 def _with_faults(log: RawLog, faults: Faults) -> RawLog:
     """The log as a rig with these faults writes it."""
-    keep = kept(len(log), faults)
+    keep, rod = kept(len(log), faults), log.rod
     return replace(
         log,
         time_s=log.time_s[keep],
@@ -288,5 +294,5 @@ def _with_faults(log: RawLog, faults: Faults) -> RawLog:
         move=log.move[keep],
         position_m=logged_positions(log.position_m, faults)[keep],
         quaternion=log.quaternion[keep],
-        wrench=measured(log.wrench[:, :3], log.wrench[:, 3:], faults)[keep],
+        wrench=measured(log.wrench[:, :3], log.wrench[:, 3:], faults, (rod.force_unit_N, rod.moment_unit_Nm))[keep],
     )

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
-from scan3d.cloud import Cloud
+from scan3d.cloud import Cloud, Tilt
 from scan3d.comparison import compare
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.hulls import hull
-from scan3d.reconstruction.contacts import SAME_HEIGHT
+from scan3d.reconstruction.planes import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.confidence import CONFIDENCE, confident, sigmas
 from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
@@ -36,6 +36,9 @@ from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate
 # distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
 # only to rounding are certified by the weaker rule for surfaces that are not convex.
 _CONVEX = 1e-9
+# Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
+# radius; the second is tried where the outer body leaves the first.  Larger, heights are more uncertain.
+_WIDENED = (0.25, 2.0)
 # Heights that differ by less than this fraction of their size are equal: a few thousand units in the last place.
 _ROUNDING = 1e-12
 
@@ -46,7 +49,7 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     margin
         the largest error of a contact's place, in the cloud's unit, if it is known.  By default the contacts' own uncertainty
         counts: of exact contacts the enclosure is certain, of noisy ones it holds with `confidence`, and it allows for the
-        digits of the poses.
+        digits of the poses and for tilted slices.  With a given margin slices count as parallel.
     confidence
         probability with which the enclosure of noisy contacts holds.
 
@@ -60,10 +63,43 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
 
 
 def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float = CONFIDENCE) -> SliceEnclosure:
-    """The enclosure by contacts in slices, as `enclosure`."""
+    """The enclosure by contacts in slices, as `enclosure`.
+
+    Let a row's plane be tilted against its slice by the angle τ, and let the body lie within a distance R of an axis
+    through the contacts, which lie within r of it.  A body's supporting plane through a contact p contains the rod's
+    tangent there.  With the tangent's direction t and the normal n across it, both seen along the axis,
+    ``<n, x - p> <= g (z - z')`` holds for all x of the body and some slope g, with the height z' of the row's plane at
+    the point of the tangent that is nearest to x as seen along the axis.  That point lies within √(R² + r²) of the axis, and z'
+    differs from the height of the slice by at most ``spread + √(R² + r²) tan τ`` (`scan3d.cloud.Tilt`).  So the
+    half-spaces are those of heights that are uncertain by this.  They hold within the cylinder; if the outer body
+    between two slices lies in its interior, then so does the body there, since it is connected.
+    """
+    if cloud.tilt is None or margin is not None:
+        return _by_slices(cloud, margin, confidence)
+    for widened in _WIDENED:
+        bounds = _by_slices(cloud, None, confidence, 1 + widened)
+        corners = bounds.corners[np.isfinite(bounds.corners).all(axis=1)]
+        reach = _distances(corners, bounds.stack, cloud.tilt).max(initial=0.0)
+        if reach < (1 + widened) * _distances(cloud.points, bounds.stack, cloud.tilt).max():
+            return bounds
+    return _unbounded(hull(cloud.points), bounds.stack, bounds.confidence)
+
+
+def _distances(points: Array, stack: SliceStack, tilt: Tilt) -> Array:
+    """Distances (n,) of points (n, 3) from the stack's axis through the centre of the tilted planes."""
+    across: Array = np.linalg.norm((points - tilt.centre) @ stack.frame[:2].T, axis=1)
+    return across
+
+
+def _by_slices(cloud: Cloud, margin: float | None, confidence: float, widened: float = 1.0) -> SliceEnclosure:
+    """The enclosure by contacts in slices, of a body that lies in a cylinder `widened` times as wide as the contacts."""
     by_axis = stacks(cloud)
     if margin is None:
-        by_axis = [replace(stack, height_error=_height_error(stack, cloud)) for stack in by_axis]
+        off = [_height_error(stack, cloud) for stack in by_axis]
+        by_axis = [
+            replace(stack, height_error=max(error, _tilt_error(stack, cloud, widened)))
+            for stack, error in zip(by_axis, off, strict=True)
+        ]
     inner = hull(cloud.points)
     if margin is None and cloud.covariance is not None:
         confident_stacks = [confident(stack, cloud, sigmas(len(cloud), confidence)) for stack in by_axis]
@@ -74,13 +110,13 @@ def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float
     else:
         confidence = 1.0
     if margin is None:
-        margin = max(stack.height_error for stack in by_axis)
+        margin = max(off)
         shrunk = _shrunk(inner, margin) if margin else inner
         if shrunk is None:
             return _unbounded(inner, by_axis[0], confidence)
         inner = shrunk
     outer = [slabs(stack, margin) for stack in by_axis]
-    if len(by_axis) > 1:
+    if len(by_axis) > 1 and cloud.tilt is None:
         # another stack may bound the height of a stack more tightly than its empty slices do
         by_axis = [_bounded_by_others(k, by_axis, outer) for k in range(len(by_axis))]
         outer = [slabs(stack, margin) for stack in by_axis]
@@ -108,6 +144,14 @@ def _height_error(stack: SliceStack, cloud: Cloud) -> float:
         float(np.abs(cloud.points[slice_.rows] @ stack.frame[2] - slice_.height).max()) for slice_ in stack.slices
     )
     return cloud.pose_error + (spread if spread > SAME_HEIGHT * cloud.rod_length else 0.0)
+
+
+def _tilt_error(stack: SliceStack, cloud: Cloud, widened: float) -> float:
+    """Largest difference between the height of a slice and that at which a contact's half-space begins."""
+    if cloud.tilt is None:
+        return 0.0
+    radius = float(_distances(cloud.points, stack, cloud.tilt).max())
+    return cloud.pose_error + cloud.tilt.spread + cloud.tilt.slope * radius * float(np.hypot(widened, 1.0))
 
 
 def _shrunk(body: Any, distance: float) -> Any:
@@ -172,9 +216,9 @@ def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float, c
 def certificate(bounds: Enclosure, surface: Any) -> Certificate:
     """The certificate of a surface, a `trimesh.Trimesh` in the cloud's unit, by an enclosure of the body.
 
-    Whether the surface is convex is judged by its shape.  A convex surface is certified by the distances of the outer body's
-    corners from it, and of its vertices from the inner body.  A surface that is open or not convex is compared with the inner
-    body, and the bound of the inner body is added to the distance.
+    Whether the surface is convex is judged by its shape.  A convex surface is certified by the distances of the outer
+    body's corners from it, and of its vertices from the inner body.  A surface that is open or not convex is compared
+    with the inner body, and the bound of the inner body is added to the distance.
     """
     vertices = np.asarray(surface.vertices)
     deviation = distance_to_hull(surface)

@@ -7,10 +7,15 @@ extrapolated secant from the slice behind it,
 
 with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between two
 slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest empty slice.
-The half-spaces cut each slab to a polyhedron.  Where contacts are noisy, the half-spaces are moved outwards by a margin.
+The half-spaces cut each slab to a polyhedron, as does the table on which the body stands, if it is known.  Where
+contacts are noisy, the half-spaces are moved outwards by a margin.
 
-Where heights are uncertain by e, the secants start at ``z_i ± e`` and rise over ``z_i - z_before ± 2e``, whichever lies farther
-out, and each slab reaches e beyond its planes.  The true planes of the slices then lie in both of their slabs.
+Where heights are uncertain by e, which may differ from contact to contact, the secants rise over
+``z_i - z_before ± 2e``, whichever is less steep towards the slab's outside, and each slab reaches e beyond its planes.
+Let s be the true slope of a half-space that begins at ``z_i + d``, with d between -e and e.  Within the slab it is
+exceeded by at most e times the steeper of the secants from behind and from ahead, between which s lies; the half-spaces
+are moved outwards by this.  Past an end slice, and where all slices ahead are nearer than 4e, no secant from ahead
+is known, but there the slab before reaches to ``z_i + e``, beyond which the half-space holds.
 """
 
 from __future__ import annotations
@@ -29,6 +34,9 @@ from scan3d.reconstruction.slices import Slice, SliceStack
 # Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
 # intersections; larger, corners between the slices would be taken for gaps between contacts.
 _IN_PLANE = 1e-9
+# Errors of heights that two slices lie apart at least for a secant between them.  At 2 its slope is infinite; larger, slices
+# near the ends of a body are not used.
+_APART = 4.0
 # Corners farther than this many widths of the slices belong to half-spaces that do not close.  Smaller, very oblique but
 # closed slabs would count as unbounded; larger, corners that rounding has brought back from infinity would be believed.
 _FAR = 1e6
@@ -81,7 +89,7 @@ class _HalfSpaces(NamedTuple):
     planes: Array
     """(k, 4) a and b."""
     side: Array
-    """(k,) 0 for those from the slices below, 1 for those from above, -1 for the slab's planes."""
+    """(k,) 0 for those from the slices below, 1 for those from above, -1 for the slab's planes and the table's."""
     straight: Mask
     """(k,) whether the body goes on straight behind the slab at this normal."""
 
@@ -144,16 +152,20 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     slices, count = stack.slices, len(stack.slices)
     below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
     planes, side, straight = [np.empty((0, 4))], [np.empty(0)], [np.empty(0, dtype=bool)]
-    beyond_below = _secants_from(stack, slices[: max(i - 1, 0)][::-1], below)
-    if below is not None and beyond_below:
-        planes.append(_half_spaces(below, beyond_below, margin, stack.height_error))
-        side.append(np.full(len(planes[-1]), 0.0))
-        straight.append(_goes_on_straight(slices[:i][::-1], above))
-    beyond_above = _secants_from(stack, slices[i + 1 :], above)
-    if above is not None and beyond_above:
-        planes.append(_half_spaces(above, beyond_above, margin, stack.height_error))
-        side.append(np.full(len(planes[-1]), 1.0))
-        straight.append(_goes_on_straight(slices[i:], below))
+    for slice_, behind, ahead, number in (
+        (below, slices[:i][::-1], slices[i:], 0.0),
+        (above, slices[i:], slices[:i][::-1], 1.0),
+    ):
+        secants_from = _secants_from(stack, behind[1:], slice_)
+        if slice_ is not None and secants_from:
+            ahead_from = _secants_from(stack, ahead, slice_)
+            planes.append(_half_spaces(slice_, secants_from, margin, stack.height_error, ahead_from))
+            side.append(np.full(len(planes[-1]), number))
+            straight.append(_goes_on_straight(behind, above if slice_ is below else below))
+    if stack.table is not None:
+        planes.append(stack.table[None])
+        side.append(np.array([-1.0]))
+        straight.append(np.zeros(1, dtype=bool))
     # where an empty slice bounds the cap, the corner in its plane does not follow from the body's shape: not straight
     ends = [stack.bounded_by_others[1] and above is None, stack.bounded_by_others[0] and below is None]
     return _HalfSpaces(
@@ -170,21 +182,42 @@ def _secants_from(stack: SliceStack, behind: tuple[Slice, ...], slice_: Slice | 
     """
     if slice_ is None or not (stack.confident or stack.height_error):
         return behind[:1]
-    return tuple(b for b in behind if abs(b.height - slice_.height) > 2 * stack.height_error)
+    return tuple(b for b in behind if abs(b.height - slice_.height) > _APART * stack.height_error)
 
 
-def _half_spaces(slice_: Slice, behind: tuple[Slice, ...], margin: float, height_error: float = 0.0) -> Array:
-    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the tightest secant from behind."""
+def _half_spaces(
+    slice_: Slice,
+    behind: tuple[Slice, ...],
+    margin: float,
+    height_error: float = 0.0,
+    ahead: tuple[Slice, ...] = (),
+) -> Array:
+    """Rows (k, 4) a and b of ``a·x + b <= 0``: the slice's support lines, inclined along the tightest secant from behind.
+
+    ahead
+        the slices on the slab's side that secants are taken from; without any the slice counts as an end slice.
+    """
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
+    secant = _tightest(slice_, behind, normals, margin, height_error)
     value = slice_.value + margin
-    rise = np.array([value - (b.support_of_contacts(normals) - margin) for b in behind])
-    run = np.array([[slice_.height - b.height] for b in behind])
-    # behind means below for slices above, where the secant's slope bounds the slope from above
-    outwards = 1.0 if slice_.height > behind[0].height else -1.0
-    secants = rise / (run - 2 * outwards * height_error * np.sign(rise))
-    secant = outwards * (outwards * secants).min(axis=0)
-    value = value + height_error * np.abs(secant)
+    if height_error:
+        steepest = np.abs(secant)
+        if ahead:
+            steepest = np.maximum(steepest, np.abs(_tightest(slice_, ahead, normals, margin, height_error)))
+        value = value + height_error * steepest
     return np.column_stack([normals, -secant, secant * slice_.height - value])
+
+
+def _tightest(slice_: Slice, others: tuple[Slice, ...], normals: Array, margin: float, height_error: float) -> Array:
+    """The tightest secants (k,) from a slice's support lines to other slices on one side of it."""
+    value = slice_.value + margin
+    rise = np.array([value - (b.support_of_contacts(normals) - margin) for b in others])
+    run = np.array([[slice_.height - b.height] for b in others])
+    # behind means below for slices above, where the secant's slope bounds the slope from above
+    outwards = 1.0 if slice_.height > others[0].height else -1.0
+    secants = rise / (run - 2 * outwards * height_error * np.sign(rise))
+    tightest: Array = outwards * (outwards * secants).min(axis=0)
+    return tightest
 
 
 def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, list[list[int]], float] | None:
@@ -234,8 +267,8 @@ def _corner_is_straight(side: Array, straight: Mask, one_sided: bool) -> tuple[b
 def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
     """Whether the body goes on straight behind a slab's slice, at the slice's normals (k,).
 
-    `behind` begins with that slice and goes on with those ever farther from the slab; `beyond` is the slice on the slab's
-    other side.  In a cap there is none, and the slopes may differ by rounding only.
+    `behind` begins with that slice and goes on with those ever farther from the slab; `beyond` is the slice on the
+    slab's other side.  In a cap there is none, and the slopes may differ by rounding only.
     """
     if len(behind) < 3 or not len(behind[0].angle):
         return np.zeros(len(behind[0].angle), dtype=bool)

@@ -18,6 +18,8 @@ its interval (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of
 Where contacts have errors of at most e, the intervals of the normals are widened, the planes are moved outwards by e, and H may
 stick out of K by e.  The rod's tangent then has an error as well, and its plane is moved by what that makes of it within a ball
 around the contacts; if all apexes lie inside the ball, so does K, since K is connected.
+
+A table below the body, if it is known, is one more supporting plane of K, moved outwards by the rod's radius.
 """
 
 from __future__ import annotations
@@ -204,9 +206,10 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
 
 
 class _TangentPlanes(NamedTuple):
-    """Supporting planes through the tangents (k,), in a frame in which the contacts are spread like those of a ball."""
+    """Supporting planes in a frame in which the contacts are spread like those of a ball."""
 
     planes: SupportingPlanes
+    """(k,) through the tangents, and then that of the table, if there is one."""
     rows: Index
     """(k,) the contacts."""
     centre: Array
@@ -228,10 +231,11 @@ class _TangentPlanes(NamedTuple):
         return directions / length[:, None], (directions @ self.centre + values) / length
 
     def normals(self) -> tuple[Array, Array]:
-        """Middle normals (k, 3) in the world, and the largest angle (k,) of the true ones from them."""
+        """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""
         inverse = np.linalg.inv(self.shape)
-        middle = _unit(self.planes.middle @ inverse)
-        cosines = (_unit(self.planes.ends() @ inverse) * middle[:, None]).sum(axis=2)
+        planes = self.planes.select(np.arange(len(self.rows)))
+        middle = _unit(planes.middle @ inverse)
+        cosines = (_unit(planes.ends() @ inverse) * middle[:, None]).sum(axis=2)
         return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
 
 
@@ -258,7 +262,19 @@ def _tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> _TangentPlanes
     # planes through these points bound the body whichever normal of its interval each of them has
     with np.errstate(invalid="ignore"):
         outwards = (moved / np.cos(intervals.half_width))[:, None] * intervals.middle
-    return _TangentPlanes(SupportingPlanes(points[rows] + outwards, *intervals), rows, centre, shape, ball)
+    planes = SupportingPlanes(points[rows] + outwards, *intervals)
+    if cloud.table is not None:
+        table = _table_plane(cloud.table - cloud.rod_radius, centre, shape)
+        planes = SupportingPlanes(*(np.concatenate(pair) for pair in zip(planes, table, strict=True)))
+    return _TangentPlanes(planes, rows, centre, shape, ball)
+
+
+def _table_plane(height: float, centre: Array, shape: Array) -> SupportingPlanes:
+    """The plane at a height, below which nothing of the fattened body lies, in the frame of `_TangentPlanes`."""
+    point = np.linalg.solve(shape, [0.0, 0.0, height - centre[2]])
+    normal = _unit(shape @ [0.0, 0.0, -1.0])
+    across = _unit(np.cross(normal, np.eye(3)[np.abs(normal).argmin()]))
+    return SupportingPlanes(point[None], normal[None], across[None], np.zeros(1))
 
 
 def _unit(vectors: Array) -> Array:

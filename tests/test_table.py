@@ -1,0 +1,232 @@
+"""The table on which a body stands: stated in a recording, it bounds the body from below in slices and in space."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from sample_bodies import convex_hausdorff
+from small_scans import EGG
+from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spatial_cloud, unit
+
+import scan3d
+from scan3d import InputError
+from scan3d.cli import main
+from scan3d.geometry.hulls import hull
+from scan3d.reconstruction import checked, contradictions
+from scan3d.session import Session
+from scan3d.simulation.rig import simulate_rig, standing
+from scan3d.surfaces import certificate, enclosure, surface
+
+ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
+
+
+def body(seed, size=20.0):
+    """A polyhedron that stands on the table."""
+    vertices = np.random.default_rng(seed).standard_normal((16, 3))
+    return standing(hull(size * unit(vertices) * [1.0, 0.8, 1.1]))
+
+
+def swept(mesh, slices=7, samples=40):
+    return simulate_rig(mesh, Session("cylinder:46x48", ROD, slices=slices, samples=samples).ask()).recording()
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return swept(body(3))
+
+
+def test_a_recording_keeps_its_table(recording, tmp_path):
+    assert recording.table_m == 0.0
+    moved = dataclasses.replace(recording, table_m=-0.0125)
+    scan3d.write_recording(moved, tmp_path / "log.csv")
+    assert scan3d.read_recording(tmp_path / "log.csv").table_m == -0.0125
+    assert "table_height_m = -0.0125" in (tmp_path / "log.toml").read_text()
+    scan3d.write_recording(dataclasses.replace(recording, table_m=None), tmp_path / "log.csv")
+    assert "table" not in (tmp_path / "log.toml").read_text()
+    assert scan3d.read_recording(tmp_path / "log.csv").table_m is None
+
+
+def test_a_height_that_is_no_number_is_refused(recording, tmp_path):
+    for height in (float("nan"), float("inf"), "0"):
+        with pytest.raises(InputError, match="the height of the table must be a number or None"):
+            dataclasses.replace(recording, table_m=height)
+    scan3d.write_recording(recording, tmp_path / "log.csv")
+    text = (tmp_path / "log.toml").read_text()
+    (tmp_path / "log.toml").write_text(text.replace("table_height_m = 0.0", 'table_height_m = "0 mm"'))
+    with pytest.raises(InputError, match="table_height_m must be a number, got '0 mm'"):
+        scan3d.read_recording(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
+    mesh = body(seed)
+    recording = swept(mesh)
+    open_below = scan3d.reconstruct(dataclasses.replace(recording, table_m=None))
+    assert enclosure(open_below).bound == np.inf
+    cloud = scan3d.reconstruct(recording)
+    bounds = enclosure(cloud)
+    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound < 16
+    assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
+    assert bounds.corners[:, 2].min() == pytest.approx(0, abs=1e-9)
+    made = surface(cloud, bounds=bounds)
+    assert convex_hausdorff(made, mesh) <= certificate(bounds, made).bound
+    # a slice at the table's height, in which nothing is touched
+    with_empty = dataclasses.replace(
+        open_below,
+        slice_axis=np.vstack([open_below.slice_axis, [0.0, 0.0, 1.0]]),
+        slice_height=np.append(open_below.slice_height, 0.0),
+    )
+    assert enclosure(with_empty).bound == bounds.bound
+
+
+def test_the_table_below_slices_whose_normals_point_down():
+    mesh = body(1)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=8, samples=20, axis=(0.0, 0.0, -1.0)))
+    filled = dataclasses.replace(recording, table_m=-0.001)
+    bounds = enclosure(scan3d.reconstruct(filled))
+    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
+    assert bounds.corners[:, 2].min() > -1 - 1e-9
+
+
+@pytest.mark.parametrize("axis", ["x", (1.0, 0.0, 1.0)])
+def test_the_table_cuts_slices_along_other_axes(axis):
+    mesh = body(2)
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=20, axis=axis))
+    cloud = scan3d.reconstruct(recording)
+    before, bounds = enclosure(cloud), enclosure(dataclasses.replace(cloud, table=0.0))
+    assert before.corners[:, 2].min() < -1e-3
+    assert bounds.corners[:, 2].min() > -1e-9
+    assert bounds.volume[1] < before.volume[1]
+    assert bounds.bound <= before.bound
+    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
+    assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.02])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_table_closes_contacts_in_space(seed, radius):
+    shape = Ellipsoid(np.array([1.0, 0.8, 0.6])) if seed == 0 else random_polyhedron(seed)
+    lowest = -float(shape.support(np.array([[0.0, 0.0, -1.0]]))[0])
+    cloud = spatial_cloud(shape, 6000, seed, radius, seen=lambda _, normals: normals[:, 2] > -0.6)
+    before = enclosure(cloud).bound
+    bounds = enclosure(dataclasses.replace(cloud, table=lowest))
+    assert largest_difference(bounds.inner, shape) <= bounds.bound < min(before, 1.0)
+    made = surface(dataclasses.replace(cloud, table=lowest), "bracket", bounds=bounds)
+    certified, local = certificate(bounds, made)
+    assert largest_difference(made, shape) <= certified
+    assert np.isfinite(local).all()
+
+
+def test_contacts_below_the_table_contradict_it(recording):
+    cloud = scan3d.reconstruct(recording)
+    assert contradictions(recording, cloud) == []
+    lowest = float(cloud.points[:, 2].min())
+    # on the table, up to rounding
+    on_it = dataclasses.replace(recording, table_m=lowest / 1000)
+    assert contradictions(on_it, scan3d.reconstruct(on_it)) == []
+    assert enclosure(scan3d.reconstruct(on_it)).bound >= convex_hausdorff(enclosure(cloud).inner, body(3)) - 2 * lowest
+    above = dataclasses.replace(recording, table_m=0.02)
+    found = checked(above, scan3d.reconstruct(above))
+    assert [warning.code for warning in found.contradictions] == ["below-table"]
+    assert f"contacts lie down to z = {lowest:.4g} mm, where the table is at 20" in found.contradictions[0].message
+    assert found.contradictions[0].value == pytest.approx(20 - lowest)
+    assert found.diagnosis.fault == "table"
+
+
+def test_contacts_in_space_below_the_table_contradict_it():
+    plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3)
+    recording = dataclasses.replace(scan3d.simulate(body(4), plan), table_m=0.0)
+    assert contradictions(recording, scan3d.reconstruct(recording)) == []
+    above = dataclasses.replace(recording, table_m=0.001)
+    found = checked(above, scan3d.reconstruct(above))
+    assert [warning.code for warning in found.contradictions] == ["below-table"]
+    assert found.diagnosis.fault == "table"
+
+
+def test_noise_below_the_table_is_no_contradiction():
+    plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3, noise=1e-4)
+    recording = scan3d.simulate(body(4), plan)
+    cloud = scan3d.reconstruct(recording)
+    heights = cloud.centre_points[:, 2] + cloud.rod_radius
+    lowest = int(heights.argmin())
+    for sigmas, codes in ((3.0, []), (20.0, ["below-table"])):
+        table = (heights[lowest] + sigmas * cloud.centre_sd[lowest]) / 1000
+        on_table = dataclasses.replace(recording, table_m=float(table))
+        assert [found.code for found in contradictions(on_table, scan3d.reconstruct(on_table))] == codes
+
+
+def test_a_session_refuses_another_table(recording):
+    session = Session("cylinder:46x48", ROD, slices=7)
+    with pytest.raises(InputError, match=r"the session's body stands on z = 0, and the recording's on z = 0\.01 m"):
+        session.tell(dataclasses.replace(recording, table_m=0.01))
+    session.tell(dataclasses.replace(recording, table_m=None))
+    assert session.recording.table_m == 0.0
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Poses, and an exact log of the egg on the table."""
+    folder = tmp_path_factory.mktemp("table")
+    around = ["--around", "cylinder:60x60", "--slices", "4", "--samples", "40", "--quiet"]
+    assert main(["plan", *around, "--out", str(folder / "poses.csv")]) == 0
+    poses = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--quiet"]
+    assert main([*poses, "--out", str(folder / "log.csv")]) == 0
+    return folder, poses
+
+
+def reconstructed(log, out, capsys, *options):
+    """The certificate of a report, and what the command prints."""
+    assert main(["reconstruct", str(log), "--out", str(out), *options]) == 0
+    return json.loads((out / "report.json").read_text())["certificate"], capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_commands_know_the_table(logs, tmp_path, capsys):
+    folder, _ = logs
+    known, text = reconstructed(folder / "log.csv", tmp_path / "out", capsys)
+    assert known["table"] == 0.0
+    assert 0 < known["bound"] < 30
+    assert "and the table at z = 0 mm" in text
+    # the same table, stated by the option
+    (tmp_path / "log.csv").write_text((folder / "log.csv").read_text())
+    (tmp_path / "log.toml").write_text((folder / "log.toml").read_text().replace("table_height_m = 0.0\n", ""))
+    unknown, text = reconstructed(tmp_path / "log.csv", tmp_path / "out", capsys)
+    assert unknown["table"] is None
+    assert unknown["bound"] is None
+    assert "if it stands on a table, state the height by --table" in text
+    stated, _ = reconstructed(tmp_path / "log.csv", tmp_path / "out", capsys, "--table", "0")
+    assert stated["bound"] == known["bound"]
+    lower, _ = reconstructed(tmp_path / "log.csv", tmp_path / "out", capsys, "--table", "-5")
+    assert lower["table"] == -5.0
+    assert lower["bound"] > known["bound"]
+
+
+def test_a_table_above_the_contacts_withdraws_the_certificate(logs, tmp_path, capsys):
+    folder, _ = logs
+    run = ["reconstruct", str(folder / "log.csv"), "--out", str(tmp_path), "--table", "20", "--strict"]
+    assert main(run) == 1
+    assert "where the table is at 20; move the frame of the poses" in capsys.readouterr().err
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["certificate"]["bound"] is None
+    assert report["diagnosis"]["fault"] == "table"
+
+
+def test_a_body_left_where_it_is_stands_on_no_table(logs, tmp_path):
+    folder, poses = logs
+    assert main([*poses, "--as-is", "--out", str(tmp_path / "log.csv")]) == 0
+    assert scan3d.read_recording(tmp_path / "log.csv").table_m is None
+
+
+def test_a_map_states_the_table(logs, tmp_path):
+    folder, poses = logs
+    (tmp_path / "faults.toml").write_text("rate_hz = 50\n[noise]\nfraction = 1e-4\n")
+    raw = tmp_path / "raw.csv"
+    assert main([*poses, "--faults", str(tmp_path / "faults.toml"), "--out", str(raw)]) == 0
+    text = (tmp_path / "raw_map.toml").read_text()
+    assert scan3d.import_table(raw, tmp_path / "raw_map.toml").table_m == 0.0
+    (tmp_path / "raw_map.toml").write_text(text.replace("table_height_m = 0.0\n", ""))
+    assert scan3d.import_table(raw, tmp_path / "raw_map.toml").table_m is None
+    (tmp_path / "raw_map.toml").write_text(text.replace("table_height_m = 0.0", 'table_height_m = "low"'))
+    with pytest.raises(InputError, match="table_height_m must be a number, got 'low'"):
+        scan3d.import_table(raw, tmp_path / "raw_map.toml")
