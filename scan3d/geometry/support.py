@@ -25,6 +25,7 @@ from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array
 from scan3d.geometry.hulls import hull
+from scan3d.geometry.vectors import across, unit
 
 # Largest number of contacts used for a fit, spread over all slices.  More take longer; fewer come close to the number of
 # coefficients, and the series follows their noise.
@@ -68,13 +69,13 @@ class SupportFit:
 
     def points(self, normals: Array) -> Array:
         """Points (n, 3) of the body with the outward normals (n, 3)."""
-        return self.center + self._gradient(_unit(normals @ self.shape)) @ self.shape
+        return self.center + self._gradient(unit(normals @ self.shape)) @ self.shape
 
     def normals(self, points: Array, start: Array) -> Array:
         """Outward normals (n, 3) of the body at its points (n, 3), from rough normals `start` (n, 3)."""
         mapped = np.linalg.solve(self.shape, (points - self.center).T).T
-        directions = _follow(self._gradient, mapped, _unit(start @ self.shape))
-        return _unit(np.linalg.solve(self.shape, directions.T).T)
+        directions = _follow(self._gradient, mapped, unit(start @ self.shape))
+        return unit(np.asarray(np.linalg.solve(self.shape, directions.T).T))
 
     def _gradient(self, directions: Array) -> Array:
         parts = np.array_split(directions, max(1, len(directions) // _BLOCK))
@@ -93,7 +94,7 @@ def fit_support(points: Array, normals: Array, degree: int, sd: Array | None = N
     step = max(1, -(-len(points) // (MAX_CONTACTS if sd is None else _NOISY_CONTACTS)))
     root = np.ones(0) if sd is None else np.nanmin(sd) / np.nan_to_num(sd[::step], nan=np.inf)
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
-    directions = _unit(normals[::step] @ shape)
+    directions = unit(normals[::step] @ shape)
     coefficients = np.zeros((degree + 1) ** 2)
     for rounds_done in range(_ROUNDS):
         weight = _POSITION_WEIGHT[min(rounds_done, 1)]
@@ -101,10 +102,10 @@ def fit_support(points: Array, normals: Array, degree: int, sd: Array | None = N
         for first in range(0, len(mapped), _BLOCK):
             part = slice(first, first + _BLOCK)
             value, gradient = harmonics(directions[part], degree)
-            across = _tangents(directions[part])
-            rows = np.hstack([value, *(weight * (gradient * t.T).sum(axis=1) for t in across)])
+            tangents = across(directions[part])
+            rows = np.hstack([value, *(weight * (gradient * t.T).sum(axis=1) for t in tangents)])
             here = mapped[part]
-            aims = [(here * directions[part]).sum(axis=1), *(weight * (here * t).sum(axis=1) for t in across)]
+            aims = [(here * directions[part]).sum(axis=1), *(weight * (here * t).sum(axis=1) for t in tangents)]
             if sd is not None:
                 rows *= np.tile(root[part], 3)
                 aims = [root[part] * aim for aim in aims]
@@ -165,7 +166,7 @@ def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) 
     for _ in range(_TURNS):
         offset = points - gradient(directions)
         offset -= (offset * directions).sum(axis=1, keepdims=True) * directions
-        directions = _unit(directions + _DAMPING * offset)
+        directions = unit(directions + _DAMPING * offset)
     return directions
 
 
@@ -185,15 +186,3 @@ def inertia(points: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(second / (20 * volume.sum()))
     # a ball of radius 1 has the second moment 1/5
     return middle + centroid, vectors * np.sqrt(5 * values) @ vectors.T
-
-
-def _tangents(u: Array) -> tuple[Array, Array]:
-    """Two unit vectors (n, 3) across each of the unit vectors u (n, 3) and across each other."""
-    first = _unit(np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=1)]))
-    return first, np.cross(u, first)
-
-
-def _unit(vectors: Any) -> Array:
-    """Vectors (n, 3) scaled to unit length."""
-    scaled: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return scaled

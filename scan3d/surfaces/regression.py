@@ -27,6 +27,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.polytopes import cut_polytope
+from scan3d.geometry.vectors import across, unit
 from scan3d.reconstruction.slices import stacks
 
 # Decrease of the sum of squared misfits for which a plane is added, and below which it is left out.  Its three parameters alone
@@ -149,7 +150,7 @@ def fit_planes(contacts: Contacts, group: Index) -> Planes:
     """The planes fitted to contacts (n,) that are first grouped by numbers (n,)."""
     points = contacts.points
     group = _numbered(group)
-    planes, group = _fitted(contacts, _means(_unit(points - points.mean(axis=0)), group), group)
+    planes, group = _fitted(contacts, _means(unit(points - points.mean(axis=0)), group), group)
     best, best_round, least = planes, 0, np.inf
     for number in range(_ROUNDS):
         for _ in range(_STEPS):
@@ -193,12 +194,12 @@ def _fitted(contacts: Contacts, normals: Array, group: Index) -> tuple[Planes, I
     weight = 1 / contacts.variance(normals[group])
     centre = _sums(group, weight, contacts.points, count) / np.bincount(group, weight, count)[:, None]
     local = _local(contacts.points - centre[group], normals, group)
-    across, height = local[:, :2], local[:, 2]
-    matrix = _sums(group, weight, across[:, :, None] * across[:, None], count) + np.eye(2) / _TURN**2
-    slope = np.linalg.solve(matrix, _sums(group, weight, across * height[:, None], count)[..., None])[..., 0]
+    flat, height = local[:, :2], local[:, 2]
+    matrix = _sums(group, weight, flat[:, :, None] * flat[:, None], count) + np.eye(2) / _TURN**2
+    slope = np.linalg.solve(matrix, _sums(group, weight, flat * height[:, None], count)[..., None])[..., 0]
     slope *= (np.minimum(size := np.linalg.norm(slope, axis=1), _LARGEST_TURN) / np.maximum(size, 1e-300))[:, None]
-    first, second = _across(normals)
-    turned = _unit(normals - slope[:, :1] * first - slope[:, 1:] * second)
+    first, second = across(normals)
+    turned = unit(normals - slope[:, :1] * first - slope[:, 1:] * second)
     return Planes(turned, (turned * centre).sum(axis=1)), group
 
 
@@ -247,10 +248,10 @@ def _split(contacts: Contacts, planes: Planes, group: Index) -> Planes:
         better = decrease > gain
         gain[better], angle[better], bend[better] = decrease[better], direction, product[better] / square[better]
     divided = (gain > _GAIN) & (np.bincount(group, minlength=count) >= 2 * _HALF)
-    first, second = _across(planes.normals)
+    first, second = across(planes.normals)
     direction = (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)[divided]
     step = np.minimum(-bend[divided], _LARGEST_TURN)[:, None] * direction
-    halves = _unit(np.concatenate([planes.normals[divided] - step, planes.normals[divided] + step]))
+    halves = unit(np.concatenate([planes.normals[divided] - step, planes.normals[divided] + step]))
     offsets = (halves * np.tile(centre[divided], (2, 1))).sum(axis=1)
     return Planes(
         np.concatenate([planes.normals[~divided], halves]),
@@ -312,7 +313,7 @@ def _numbered(group: Index) -> Index:
 
 def _means(vectors: Array, group: Index) -> Array:
     """(k, 3) unit vectors along the means of unit vectors (n, 3) in groups (n,)."""
-    return _unit(_sums(group, np.ones(len(group)), vectors, int(group.max()) + 1))
+    return unit(_sums(group, np.ones(len(group)), vectors, int(group.max()) + 1))
 
 
 def _sums(group: Index, weight: Array, values: Array, count: int) -> Array:
@@ -324,16 +325,5 @@ def _sums(group: Index, weight: Array, values: Array, count: int) -> Array:
 
 def _local(vectors: Array, normals: Array, group: Index) -> Array:
     """(n, 3) components of vectors (n, 3) along two tangents and the normal of one plane each."""
-    first, second = _across(normals)
+    first, second = across(normals)
     return np.stack([(vectors * axis[group]).sum(axis=1) for axis in (first, second, normals)], axis=1)
-
-
-def _across(normals: Array) -> tuple[Array, Array]:
-    """Two unit vectors (k, 3) across each of the unit normals (k, 3) and across each other."""
-    first = _unit(np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)]))
-    return first, np.cross(normals, first)
-
-
-def _unit(vectors: Array) -> Array:
-    scaled: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return scaled

@@ -41,6 +41,7 @@ from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.normal_intervals import edges_of, normal_intervals
 from scan3d.geometry.support import inertia
+from scan3d.geometry.vectors import across, unit
 from scan3d.surfaces.confidence import sigmas
 from scan3d.surfaces.enclosures import Enclosure
 from scan3d.surfaces.tangent_planes import Apexes, best_apexes
@@ -234,8 +235,8 @@ class _TangentPlanes(NamedTuple):
         """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""
         inverse = np.linalg.inv(self.shape)
         planes = self.planes.select(np.arange(len(self.rows)))
-        middle = _unit(planes.middle @ inverse)
-        cosines = (_unit(planes.ends() @ inverse) * middle[:, None]).sum(axis=2)
+        middle = unit(planes.middle @ inverse)
+        cosines = (unit(planes.ends() @ inverse) * middle[:, None]).sum(axis=2)
         return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
 
 
@@ -245,7 +246,7 @@ def _tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> _TangentPlanes
     assert cloud.tangents is not None
     centre, shape = inertia(cloud.centre_points)
     to_frame = np.linalg.inv(shape)
-    points, tangents = (cloud.centre_points - centre) @ to_frame, _unit(cloud.tangents @ to_frame)
+    points, tangents = (cloud.centre_points - centre) @ to_frame, unit(cloud.tangents @ to_frame)
     rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
     # the map stretches errors by no more than its largest factor, and angles by no more than its condition
     stretched = errors * float(np.linalg.norm(to_frame, 2))
@@ -272,14 +273,8 @@ def _tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> _TangentPlanes
 def _table_plane(height: float, centre: Array, shape: Array) -> SupportingPlanes:
     """The plane at a height, below which nothing of the fattened body lies, in the frame of `_TangentPlanes`."""
     point = np.linalg.solve(shape, [0.0, 0.0, height - centre[2]])
-    normal = _unit(shape @ [0.0, 0.0, -1.0])
-    across = _unit(np.cross(normal, np.eye(3)[np.abs(normal).argmin()]))
-    return SupportingPlanes(point[None], normal[None], across[None], np.zeros(1))
-
-
-def _unit(vectors: Array) -> Array:
-    scaled: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return scaled
+    normal = unit(shape @ [0.0, 0.0, -1.0])
+    return SupportingPlanes(point[None], normal[None], across(normal[None])[0], np.zeros(1))
 
 
 def _best_apexes(tangent: _TangentPlanes, centre_hull: Any) -> Apexes | None:
