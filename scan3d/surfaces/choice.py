@@ -124,8 +124,9 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     # under noise the largest error is that of the noisiest contact
     name = "rms" if cloud.noise else "largest"
     regressed = errors.regression is not None and errors.regression.rms <= estimate.rms
-    # unlike the estimate, the regression hardly improves where all slices are used
-    other, gain = (errors.regression, 1.0) if regressed else (estimate, tuning.fit_gain)
+    other = errors.regression if regressed else estimate
+    assert other is not None
+    gain = _fit_gain(cloud, estimate, tuning, regressed=regressed)
     if errors.fit is not None and getattr(errors.fit, name) <= gain * getattr(other, name):
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out slices lie within {errors.fit.largest:.2g} {cloud.unit}"
@@ -137,6 +138,14 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         f"{cloud.unit}"
     )
     return _labelled(_between(cloud, bounds, best, tuning), "bracket", reason)
+
+
+def _fit_gain(cloud: Cloud, estimate: HeldOutError, tuning: Tuning, *, regressed: bool) -> float:
+    """The fraction of the other's error below which the fitted body is chosen.
+
+    The estimate between the bounds improves with all slices, but not where its error is that of noise, nor does the regression.
+    """
+    return 1.0 if regressed or cloud.noise > estimate.rms else tuning.fit_gain
 
 
 def _regression(cloud: Cloud, bounds: Enclosure, reason: str) -> Any:
@@ -163,8 +172,11 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
         return _proven(cloud, bounds)
     mesh, description, errors = best_estimate(cloud, with_fit=with_fit)
     regressed = description == REGRESSION
-    gain = 1.0 if regressed else tuning.fit_gain
-    fit_is_better = errors is not None and errors.fit is not None and errors.fit.rms <= gain * errors.estimate.rms
+    fit_is_better = (
+        errors is not None
+        and errors.fit is not None
+        and errors.fit.rms <= _fit_gain(cloud, errors.estimate, tuning, regressed=regressed) * errors.estimate.rms
+    )
     if errors is not None and errors.fit is not None and fit_is_better:
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
