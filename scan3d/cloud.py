@@ -17,6 +17,9 @@ from scan3d.shown import Shown
 # this fraction of the rod's length.  Larger, surfaces are drawn to places outside the body; smaller, more of the body is left
 # without contacts.
 _LIGHT, _NEGLIGIBLE = 4.0, 2e-5
+# Median standard deviation of a place, in rod lengths, from which on surfaces are fitted to contacts by their uncertainties.
+# Larger, surfaces follow the outermost contacts of less noisy recordings; smaller, rounding counts as noise.
+_NOISY = 1e-7
 # Least standard deviation of a contact in any direction by which it is weighted, in median ones of a place.  Larger, accurate
 # contacts count less; smaller, what the noise does not explain, as the facets of a fit, is drawn to the few most accurate ones.
 _FLOOR = 0.15
@@ -144,6 +147,11 @@ class Cloud(Shown):
         limit = max(_LIGHT * self.noise, _NEGLIGIBLE * self.rod_length)
         return self if (self.place_sd <= limit).all() else self.select(self.place_sd <= limit)
 
+    @property
+    def noisy(self) -> bool:
+        """Whether the contacts have errors that surfaces should not follow."""
+        return self.covariance is not None and self.noise > _NOISY * self.rod_length
+
     def least_variance(self) -> Array:
         """(n,) variances that are added to the covariances in every direction where contacts are weighted; for noisy data."""
         assert self.place_sd is not None
@@ -152,9 +160,10 @@ class Cloud(Shown):
         return variance
 
     def sd_along(self, directions: Array) -> Array | None:
-        """(n,) standard deviations of the places along unit vectors (n, 3), NaN where those are; None for exact data."""
-        if self.covariance is None:
+        """(n,) standard deviations of the places along unit vectors (n, 3), NaN where those are; None unless `noisy`."""
+        if not self.noisy:
             return None
+        assert self.covariance is not None
         variance = np.einsum("ni,nij,nj->n", directions, self.covariance, directions)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.least_variance()))
 

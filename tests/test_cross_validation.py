@@ -57,7 +57,7 @@ def contacts_at(points, normals=None, sd=None):
         return cloud
     place_sd = np.max(sd, axis=1)
     covariance = np.eye(3) * np.square(sd)[:, None]
-    return replace(cloud, covariance=covariance, place_sd=place_sd, noise=float(np.median(place_sd)), rod_length=1e9)
+    return replace(cloud, covariance=covariance, place_sd=place_sd, noise=float(np.median(place_sd)), rod_length=1e5)
 
 
 def test_noise_alone_is_no_error_of_the_true_surface_and_a_displaced_one_has_its_displacement():

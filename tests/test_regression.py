@@ -202,3 +202,12 @@ def test_a_plane_whose_contacts_lie_on_a_line_is_not_split_across_it():
     assert len(_split(contacts(line, 0.1), planes, np.zeros(50, dtype=int))) == 1  # without a warning
     bent = line - np.outer(np.abs(line[:, 0]), [0.0, 0.0, 0.2])
     assert len(_split(contacts(bent, 0.1), planes, np.zeros(50, dtype=int))) == 2
+
+
+def test_contacts_on_a_line_under_hardly_any_noise_determine_a_plane():
+    chance = np.random.default_rng(6)
+    points, normals = on_box(500, np.array([0.04, 0.03, 0.02]), chance)
+    points[:200] = np.linspace([-0.02, -0.015, 0.0], [0.02, -0.015, 0.0], 200)
+    planes = fit_planes(contacts(points, 1e-15), np.r_[np.zeros(200), 1 + normals[200:] @ [1, 2, 3]].astype(int))
+    assert np.isfinite(planes.normals).all()
+    assert np.abs(planes.heights(points, planes.highest(points)[:, 0])).max() < 1e-8

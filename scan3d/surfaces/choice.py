@@ -203,7 +203,7 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     bounds = slice_enclosure(kept, margin=0.0)
     estimates = {edges: error_of_surface(_between(kept, bounds, edges, tuning), held_out) for edges in Edges}
     fit = regressed = None
-    if with_fit and cloud.covariance is not None:
+    if with_fit and cloud.noisy:
         regressed = error_of_surface(regression(kept)[0], held_out)
     if with_fit and cloud.fit is not None:
         by_slices = with_slice_normals(kept)

@@ -68,7 +68,7 @@ def error_of_fit(fit: SupportFit, held_out: Cloud, start: Array) -> HeldOutError
     Under noise a body with edges may pass for smooth, and be fitted by a function that is no support function: it has points
     far out, which the hull of the fitted body shows.  Exact contacts are compared with the function, which has no facets.
     """
-    if held_out.covariance is not None:
+    if held_out.noisy:
         return error_of_surface(fitted_body(fit), held_out)
     normals = fit.normals(held_out.points, start)
     return _error(((held_out.points - fit.points(normals)) * normals).sum(axis=1), normals, held_out)

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from trimesh.creation import icosphere
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
@@ -41,6 +40,8 @@ _FEWEST = 4
 # Standard deviation of a plane's turn in one step, in radians.  It keeps planes whose contacts lie on a line from turning about
 # it.  Larger, it does so less; smaller, more steps are needed.
 _TURN = 0.3
+# Part of the normal equations that is rounding.
+_ROUNDING = 1e-12
 # Largest tangent of a turn in one step.
 _LARGEST_TURN = 0.5
 # Squared misfit from which on a contact is an outlier, where the median of the squared misfits is that of Gaussian errors.
@@ -138,6 +139,8 @@ def _contacts(cloud: Cloud) -> tuple[Contacts, Index]:
 
 def _groups(points: Array, normals: Array) -> Index:
     """(n,) numbers of the groups in which contacts are fitted first: those of like normals, or of like places where unknown."""
+    from trimesh.creation import icosphere
+
     known = np.isfinite(normals[:, 0])
     direction = np.where(known[:, None], normals, points - points.mean(axis=0))
     if known.any():
@@ -195,7 +198,9 @@ def _fitted(contacts: Contacts, normals: Array, group: Index) -> tuple[Planes, I
     centre = _sums(group, weight, contacts.points, count) / np.bincount(group, weight, count)[:, None]
     local = _local(contacts.points - centre[group], normals, group)
     flat, height = local[:, :2], local[:, 2]
-    matrix = _sums(group, weight, flat[:, :, None] * flat[:, None], count) + np.eye(2) / _TURN**2
+    matrix = _sums(group, weight, flat[:, :, None] * flat[:, None], count)
+    ridge = 1 / _TURN**2 + _ROUNDING * np.trace(matrix, axis1=1, axis2=2)
+    matrix += ridge[:, None, None] * np.eye(2)
     slope = np.linalg.solve(matrix, _sums(group, weight, flat * height[:, None], count)[..., None])[..., 0]
     slope *= (np.minimum(size := np.linalg.norm(slope, axis=1), _LARGEST_TURN) / np.maximum(size, 1e-300))[:, None]
     first, second = across(normals)

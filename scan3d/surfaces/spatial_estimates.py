@@ -73,7 +73,7 @@ def best_estimate(cloud: Cloud, *, with_fit: bool) -> tuple[Any, str, HeldOutErr
         return hull(cloud.points), "convex hull of the contacts", None
     kept, held_out = parts
     estimates = dict(_ESTIMATES)
-    if with_fit and cloud.covariance is not None:
+    if with_fit and cloud.noisy:
         estimates[REGRESSION] = _regression
     errors = {name: error_of_surface(estimate(kept), held_out) for name, estimate in estimates.items()}
     best = min(errors, key=lambda name: errors[name].rms)
