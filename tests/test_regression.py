@@ -138,7 +138,10 @@ def test_no_part_of_the_fitted_polytope_lies_outside_the_outer_body():
     assert (free.vertices @ outer[:, :3].T - outer[:, 3]).max() > 0.01
     found = surface(cloud, "regression", bounds=bounds)
     assert (found.vertices @ outer[:, :3].T - outer[:, 3]).max() < 1e-6
-    assert scan3d.compare(found, gem).hausdorff < scan3d.compare(free, gem).hausdorff
+    # the largest error may be one inside the outer body
+    cut, whole = scan3d.compare(found, gem), scan3d.compare(free, gem)
+    assert cut.hausdorff < whole.hausdorff + 1e-9
+    assert abs(cut.volume_error) < 0.9 * abs(whole.volume_error)
 
 
 @pytest.mark.slow
