@@ -12,7 +12,7 @@ from typing import Any
 
 from scan3d.choices import METHODS
 from scan3d.cli.settings import UsageError
-from scan3d.cli.terminal import printable_json, table
+from scan3d.cli.terminal import print_result, table
 
 EXAMPLES = """
   scan3d reconstruct sweep.csv
@@ -75,7 +75,6 @@ def reconstruct(arguments: Namespace) -> int:
     from scan3d.files.ownership import check_file
     from scan3d.files.recordings import sidecar
     from scan3d.files.sweeps import contacts_csv, read_sweep
-    from scan3d.files.text import to_json
     from scan3d.pictures.one_sweep import sweep_picture
     from scan3d.reconstruction.one_sweep import reconstruct_sweep
     from scan3d.rods import parse_rod
@@ -93,11 +92,7 @@ def reconstruct(arguments: Namespace) -> int:
             sweep_picture(found, path)
         write_atomic(contacts, contacts_csv(found))
     data = _data(found) | {"files": [str(contacts), str(picture)]}
-    if arguments.json:
-        print(printable_json(to_json(data).decode()), end="")
-    elif not arguments.quiet:
-        print(table("", _rows(data), sys.stdout))
-    return 0
+    return print_result(arguments, data, table("", _rows(data), sys.stdout))
 
 
 def _paths(arguments: Namespace) -> tuple[Path, Path]:

@@ -150,10 +150,14 @@ def _fit_gain(cloud: Cloud, estimate: HeldOutError, tuning: Tuning, *, regressed
 
 def _regression(cloud: Cloud, bounds: Enclosure, reason: str) -> Any:
     mesh, planes = regression(cloud)
+    reason = f"{planes} planes, fitted to the contacts with their uncertainties: {reason}"
+    return _labelled(_inside(bounds, mesh), "regression", reason)
+
+
+def _inside(bounds: Enclosure, mesh: Any) -> Any:
+    """The part of a convex mesh that lies in the outer body."""
     outer = bounds.outer_planes()
-    if len(outer):
-        mesh = hull(clipped(mesh.vertices.view(np.ndarray), outer))
-    return _labelled(mesh, "regression", f"{planes} planes, fitted to the contacts with their uncertainties: {reason}")
+    return hull(clipped(mesh.vertices.view(np.ndarray), outer)) if len(outer) else mesh
 
 
 def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
@@ -181,8 +185,8 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
         return _labelled(fitted_body(cloud.fit), "support", reason)
-    if regressed and len(outer := bounds.outer_planes()):
-        mesh = hull(clipped(mesh.vertices.view(np.ndarray), outer))
+    if regressed:
+        mesh = _inside(bounds, mesh)
     convex = hull(cloud.points)
     if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
         reason = f"convex hull of the contacts, because the estimate, {description}, is bounded much less well"
