@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, largest_difference, random_polyhedron, spatial_cloud
 
 import scan3d
@@ -85,6 +87,15 @@ def test_contacts_that_the_rod_displaces_hide_no_face():
     well_placed = np.delete(np.arange(len(cloud)), rows)
     assert largest_difference(spatial_estimates._with_edges(unsure), body) < 1e-6 * body.size
     assert largest_difference(spatial_estimates._with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
+
+
+def test_nothing_is_curved_between_edges_of_the_body():
+    """A rod touches a facet's edges and vertices, with normals of all sides, and never its middle."""
+    polyhedron = Polyhedron(trimesh.creation.icosphere(1).vertices, faces=0.0, corners=1.0)
+    for body, least, most in ((polyhedron, 0.95, 1.0), (SMOOTH, 0.0, 0.0)):
+        cloud = spatial_cloud(body, 800, 3)
+        ends = ConvexHull(cloud.points).simplices[:, :2]
+        assert least <= spatial_estimates._between_edges(cloud, ends).mean() <= most
 
 
 def test_long_edges_of_a_capsule_are_straight():

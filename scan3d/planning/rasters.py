@@ -19,8 +19,8 @@ from scan3d.arrays import Array
 # Where along the rod, in its lengths, a place is touched that a sweep is aimed at.  Nearer to the tip, contacts are lighter;
 # nearer to the clamp, the clamp comes closer to the body.
 _TOUCHED = 0.6
-# Places that are aimed at in one round are farther apart than this many sizes of a facet.  Larger, some open places are left
-# for the next round; smaller, several sweeps go to one place.
+# Places that are aimed at in one round are farther apart than this many sizes of a facet, or their normals than the facet's
+# from those at its corners.  Larger, some open places are left for the next round; smaller, several sweeps go to one place.
 _APART = 1.0
 # Angles by which the directions are turned, in radians: any that belong to no symmetry.
 _ASKEW = (0.2, 0.37, 0.61)
@@ -106,6 +106,7 @@ def open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Arr
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(slope > 0, height / slope, np.inf).min(axis=1)
     room = np.clip(room, 0.0, size)
+    turn = np.where(slope > 0, slope, 0.0).min(axis=1)  # cosine of the largest angle to a corner's normal
     tree, taken = cKDTree(target), np.zeros(len(target), dtype=bool)
     chosen: list[int] = []
     for facet in np.argsort(-room, kind="stable"):
@@ -113,7 +114,8 @@ def open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Arr
             break
         if not taken[facet]:
             chosen.append(int(facet))
-            taken[tree.query_ball_point(target[facet], _APART * size[facet])] = True
+            near = np.array(tree.query_ball_point(target[facet], _APART * size[facet]))
+            taken[near[outward[near] @ outward[facet] >= turn[facet]]] = True
     return target[chosen], outward[chosen]
 
 

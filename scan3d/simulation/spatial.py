@@ -21,11 +21,15 @@ from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
 
-# Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what they left open, of all sweeps.
-# With these, a scan in space has about as many samples as a planar one of as many slices.
-_LINES_PER_SLICE, _AIMED = 0.6, 0.35
-# Rounds in which the aimed sweeps are made.
-_ROUNDS = 3
+# Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what is open, per sweep of the rasters.
+# With these, a scan in space has at most one and a half times as many samples as a planar one of as many slices.  More in the
+# rasters: the same samples leave more open, where bodies are small or curved; fewer: less of the surface's normals is seen.
+_LINES_PER_SLICE, _AIMED = 0.4, 3.5
+# Samples of an aimed sweep, as a part of those of another.  More: fewer places are aimed at with as many samples; fewer:
+# normals are less accurate.
+_AIMED_SAMPLES = 0.35
+# Rounds in which the aimed sweeps are made.  More take longer; fewer aim at places that neighbouring sweeps close as well.
+_ROUNDS = 5
 # How far a sweep goes on after the straight rod has passed the body, as a part of the path within it: the bent rod may follow.
 _BEYOND = 0.1
 # Arc length of a contact, in rod lengths, at which a sweep ends: the clamp comes close to the body, and the force grows without
@@ -100,7 +104,8 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
         return []
     begin, end = passage.begin[rows], passage.end[rows]
     # a sweep that is aimed at a place touches it at the beginning
-    spacing = np.linspace(0, 1, plan.samples) ** (_DENSE_AT_FIRST if number else 1)
+    samples = max(2, round(_AIMED_SAMPLES * plan.samples)) if number else plan.samples
+    spacing = np.linspace(0, 1, samples) ** (_DENSE_AT_FIRST if number else 1)
     distance = begin[:, None] - _BEFORE + ((1 + _BEYOND) * (end - begin))[:, None] * spacing
     position = (start[:, rows, None] - distance * x[:, rows, None]).transpose(1, 2, 0)
     # where rod and face are nearly parallel, the touch-down is found to some thousandths only, and may lie before the beginning
@@ -110,11 +115,11 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
     if not len(rows):
         return []
     low, high = plan.friction_range
-    friction = np.full((len(rows), plan.samples), low)
+    friction = np.full((len(rows), samples), low)
     if high > low:
         # a separate random stream for each sweep, so that its draws don't depend on the order of work
         draws = [np.random.default_rng([plan.seed, 3, number, int(row)]) for row in rows]
-        friction = np.array([draw.uniform(low, high, plan.samples) for draw in draws]).reshape(friction.shape)
+        friction = np.array([draw.uniform(low, high, samples) for draw in draws]).reshape(friction.shape)
     axes = lines.axes[rows]
     return [_Swept(position, axes, sweep(body, position, axes, friction, accuracy=plan.accuracy or None))]
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
@@ -37,7 +37,12 @@ _IN_FACES = 0.05
 # corners off; smaller, curved parts of bodies with edges are coarse.
 _WELL_KNOWN = 1e-3
 # Contacts whose tangent planes limit the estimate of a place.  More take longer; fewer leave it higher.
-_BESIDE = 12
+_BESIDE = 32
+# Where contacts beside the ends of an edge of the hull, nearer than the first part of its length, leave no more than the second
+# part of the turn from end to end, both lie on edges of the body.  Of a surface that curves evenly they leave as much as 1 less
+# twice the first part.  Larger second parts: curved bodies are taken for plane; smaller: planes between edges of the body are
+# taken for curved.  The third number is that of the contacts beside each end; more take longer.
+_AT_END, _AS_MUCH, _AROUND = 0.1, 0.5, 32
 # Tangent planes that are used at most.  More take longer; fewer leave curved parts of bodies with edges coarser.
 _TANGENT_PLANES = 6000
 # Sweeps with contacts that are needed before any is held out.  Larger, small scans are not judged by cross-validation;
@@ -134,10 +139,31 @@ def _curved(cloud: Cloud) -> Any:
     for face in plane:
         inside = (face[3] - points[ends] @ face[:3] <= _PLANE * _diagonal(cloud)).all(axis=1)
         rise[inside] = 0.0
+    rise[_between_edges(cloud, ends)] = 0.0
     curved = rise > 0
     middle, outward = points[ends].mean(axis=1)[curved], mean[curved] / length[curved, None]
     rise = np.minimum(rise[curved], _room(cloud, opposite[curved], middle, outward))
     return hull(np.concatenate([points, middle + rise[:, None] * outward]))
+
+
+def _between_edges(cloud: Cloud, ends: Index) -> Mask:
+    """Whether both ends (m, 2) of edges of the hull lie on edges of the body, so that it may be plane between them.
+
+    At an edge of the body, normals of many directions belong to one place: those of contacts beside an end turn along the chord
+    as much as from end to end, and say nothing of the surface in between.
+    """
+    points, normals = cloud.points, cloud.normals
+    chord = points[ends[:, 1]] - points[ends[:, 0]]
+    turn = ((normals[ends[:, 1]] - normals[ends[:, 0]]) * chord).sum(axis=1)
+    near_to = _AT_END * np.linalg.norm(chord, axis=1)[:, None]
+    known, end = np.unique(ends, return_inverse=True)
+    distance, near = cKDTree(points).query(points[known], k=np.arange(1, min(_AROUND, len(points)) + 1))
+    least = np.zeros(len(ends))
+    for rows, towards in zip(end.reshape(ends.shape).T, (-1, 1), strict=True):
+        along = towards * np.einsum("nkj,nj->nk", normals[near[rows]], chord)
+        least += np.where(distance[rows] <= near_to, along, np.inf).min(axis=1)  # the nearest is the end itself
+    between: Mask = least <= _AS_MUCH * turn
+    return between
 
 
 def _room(cloud: Cloud, opposite: Index, places: Array, outward: Array) -> Array:
