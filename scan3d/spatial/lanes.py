@@ -26,7 +26,7 @@ from scan3d.spatial.vectors import dot, unit
 _SOLVED = 1e-11
 # Steps of Newton's method before a step fails, on a smooth body, and on a polyhedron, where each ends at the border of a face,
 # an edge or a vertex.
-_PATIENCE, _PATIENCE_ON_FEATURES = 9, 40
+_PATIENCE, _PATIENCE_ON_FEATURES = 9, 25
 # Successive steps of Newton's method that would bend the rod the other way, after which a step fails.
 _LARGEST_STRAIGHTENED = 3
 # Smallest step, in samples, before the rod is taken to snap.
@@ -45,7 +45,7 @@ _SLIGHT = 1e-9
 _CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
 _ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
 # Steps of Newton's method from one sample to the next before a sweep is given up.
-_EFFORT = 800
+_EFFORT = 500
 # Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its limit.
 _DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
 # Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
