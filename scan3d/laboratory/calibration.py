@@ -1,4 +1,4 @@
-"""Calibration of a rig by touches of a reference sphere: the rod, its clamp and its sensor, with their uncertainties.
+"""Calibration of a rig by touches of a reference: the rod, its clamp and its sensor, with their uncertainties.
 
 The estimate is that of `calibration_fit`, from the equations of `calibration_model`.  Friction does not appear in them.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scan3d.arrays import Array, Mask
 from scan3d.choices import TARES
 from scan3d.errors import InputError
 from scan3d.laboratory import calibration_words as words
+from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_checks import Fitted
 from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem, adjusted, information, started
 from scan3d.laboratory.calibration_measured import FEWEST, Measured, by_parameter, measured
@@ -25,6 +26,7 @@ from scan3d.laboratory.calibration_model import (
     CLAMP,
     LENGTH,
     SENSOR,
+    SPIN,
     STIFFNESS,
     TARE,
     TILT,
@@ -34,17 +36,22 @@ from scan3d.laboratory.calibration_model import (
     bent,
     clamp_wrench,
 )
+from scan3d.laboratory.calibration_reference import Flat, Reference, Spherical
 from scan3d.laboratory.calibration_result import Calibration, of_fit
 from scan3d.laboratory.calibration_rows import far_kinds, kinds, likelier_kinds
 from scan3d.laboratory.calibration_start import first_rig
 from scan3d.recording import Recording
+from scan3d.units import UNITS_M
 
-# Standard deviation of a contact's place along the rod, over the sphere's radius, up to which a row is used.  Larger, the
-# sphere curves within the errors of a row, and the linearised equations bias the result; smaller, rows are lost.
+if TYPE_CHECKING:
+    import trimesh
+
+# Standard deviation of a contact's place along the rod, over the reference's size, up to which a row is used.  Larger, the
+# reference curves within the errors of a row, and the linearised equations bias the result; smaller, rows are lost.
 _ALONG = 0.12
 # Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.
-# The sphere's place and the tare have no nominal value.
-_FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, CENTRE: 0.0, LENGTH: 1.0, TARE: 0.0}
+# The reference's place and the tare have no nominal value.
+_FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, LENGTH: 1.0, TARE: 0.0}
 # Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
 # contacts' distance from the sphere depends on it to the second order only, and linear uncertainties do not hold.
 _ABOUT_ROD = 0.01
@@ -59,43 +66,67 @@ _MANY = 10_000
 # Relative error of the estimated noise of the poses.
 _PLACE_STEP = 1e-3
 # Noise of the poses in rod lengths: the first estimate, the bounds of the estimate, and the misfit beyond which the touches are
-# not those of this sphere.
-_PLACE, _PLACE_BOUNDS, _NO_SPHERE = 3e-4, (1e-9, 0.3), 0.01
+# not those of this reference.
+_PLACE, _PLACE_BOUNDS, _NO_FIT = 3e-4, (1e-9, 0.3), 0.01
 
 
 def calibrate(
-    recording: Recording, sphere: float, *, tare: str = "auto", pose_noise_m: float | None = None
+    recording: Recording,
+    reference: float | Literal["plane"] | trimesh.Trimesh,
+    *,
+    unit: str = "mm",
+    tare: str = "auto",
+    pose_noise_m: float | None = None,
 ) -> Calibration:
-    """The rig that has touched a reference sphere of the diameter `sphere` in m, at a place that need not be known.
+    """The rig that has touched a reference, which was at a place and in a pose that need not be known.
 
+    reference
+        the diameter of a sphere in m, ``"plane"``, or the `trimesh.Trimesh` of a closed and convex body.
+    unit
+        what the coordinates of the mesh mean.
     tare
         what the sensor shows in the air: ``constant``, ``linear`` (drifts steadily over the recording), ``sweep`` (a value
         for each sweep), or ``auto``: linear if the rows in the air allow it, else sweep.
     pose_noise_m
         standard deviation of each coordinate of the recorded places of the clamp; None estimates it.
 
-    The recording has six axes, or three for a rod in a plane, and the nominal rod; reactions are those of the sensor, neither
-    tared nor turned.  Raises InputError for impossible arguments and for touches that do not determine the rig.
+    The recording has six axes, or three for a rod in a plane past a sphere, and the nominal rod; reactions are those of the
+    sensor, neither tared nor turned.  Raises InputError for impossible arguments and for touches that do not determine the rig.
     """
-    if not (isinstance(sphere, (int, float)) and math.isfinite(sphere) and sphere > 0):
-        raise InputError(f"the reference sphere needs a diameter above 0, got {sphere!r}")
     if tare not in TARES:
         raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
     if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
         raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
+    touched = _touched(reference, unit, recording)
     place = None if pose_noise_m is None else pose_noise_m / recording.rod.length_m
-    return _fitted(measured(recording, sphere, tare), place, recording, sphere)
+    return _fitted(measured(recording, touched, tare), place, recording)
 
 
-def _fitted(measured: Measured, place: float | None, recording: Recording, sphere: float) -> Calibration:
+def _touched(given: object, unit: str, recording: Recording) -> Reference:
+    """The reference that was given."""
+    if isinstance(given, str) and given == Flat.kind:
+        return Flat(recording.rod)
+    if isinstance(given, (int, float)):
+        return Spherical(given, recording.rod)
+    if unit not in UNITS_M:
+        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    if hasattr(given, "vertices"):
+        return Body(given, unit, recording.rod)
+    raise InputError(
+        f"the reference sphere needs a diameter above 0, got {given!r}; other references are {Flat.kind!r} and the "
+        "trimesh.Trimesh of a convex body"
+    )
+
+
+def _fitted(measured: Measured, place: float | None, recording: Recording) -> Calibration:
     """The calibration; `place` is the noise of the poses in rod lengths, None to estimate it."""
     step = max(1, len(measured.rows) // _MANY)
     few = measured.thinned(step) if step > 1 else measured
-    problem, fit, noise = _first_fit(few, place, step, sphere)
+    problem, fit, noise = _first_fit(few, place, step)
     settled = _settled(few, problem, fit, noise, place is None, (_ROUNDS, _NOISE_ROUNDS))
     if step > 1:  # the fit of some rows is near that of all
         settled = _settled(measured, settled.problem, settled.fit, settled.noise, place is None, (0, 1))
-    _check(settled.fit, settled.problem, settled.noise, sphere, recording)
+    _check(settled.fit, settled.problem, settled.noise, recording)
     fit = settled.fit
     if not settled.problem.free[LENGTH]:  # the contacts at the tip may have turned out to be none
         fit = fit._replace(rig=replace(fit.rig, length=measured.nominal.length))
@@ -110,10 +141,10 @@ def _fitted(measured: Measured, place: float | None, recording: Recording, spher
         measured.colours,
         place is None,
     )
-    return of_fit(fitted, recording, sphere)
+    return of_fit(fitted, recording)
 
 
-def _first_fit(measured: Measured, place: float | None, step: int, sphere: float) -> tuple[Problem, Adjusted, Noise]:
+def _first_fit(measured: Measured, place: float | None, step: int) -> tuple[Problem, Adjusted, Noise]:
     """The fit of rows that they themselves choose, `step` times as few as there are, and the parameters that all determine."""
     nominal, sweep = measured.nominal, measured.sweep
     noise = Noise(
@@ -124,9 +155,9 @@ def _first_fit(measured: Measured, place: float | None, step: int, sphere: float
     first = first_rig(measured.problem, nominal, noise)
     strong = _strong(measured.problem, first, noise)
     if strong.sum() < FEWEST:
-        raise _no_sphere(
-            sphere,
-            f", or touch it too lightly: {strong.sum()} rows place the contact to a tenth of the sphere's radius, and a "
+        raise _no_fit(
+            measured.problem.reference,
+            f", or touch it too lightly: {strong.sum()} rows place the contact to a tenth of the {measured.problem.reference.extent}, and a "
             f"calibration needs {FEWEST}",
         )
     problem = replace(measured.problem, touches=measured.problem.touches.rows(strong))
@@ -138,7 +169,7 @@ def _first_fit(measured: Measured, place: float | None, step: int, sphere: float
     free = _determined(problem, step * information(problem, first, noise))
     if (free != problem.free).any():
         problem = replace(problem, free=free)
-        first = started(problem, _at_nominal(first, nominal, free), noise)[0]
+        first = started(problem, _at_nominal(first, nominal, problem), noise)[0]
     return problem, adjusted(problem, first, noise), noise
 
 
@@ -165,6 +196,9 @@ def _settled(
             break
     for _ in range(rounds[1] if estimate else 0):
         noise = noise._replace(place=_place_noise(fit, problem, noise))
+        if problem.free[LENGTH] and rounds[0]:
+            kind = likelier_kinds(problem, sweep, fit.rig, noise)
+            problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free)
         fit = adjusted(problem, fit.rig, noise)
     return _Settled(problem, fit, noise, chosen)
 
@@ -209,13 +243,14 @@ def _strong(problem: Problem, rig: Rig, noise: Noise) -> Mask:
     by_s1 = scale * bent(scale * force, scale * moment).by_s1
     deviation = np.repeat([noise.force, np.hypot(noise.moment, np.linalg.norm(rig.sensor) * noise.force)], 3)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.linalg.norm(by_s1 * deviation, axis=1) < _ALONG * problem.radius)
+        return np.asarray(np.linalg.norm(by_s1 * deviation, axis=1) < _ALONG * problem.reference.size)
 
 
 def _determined(problem: Problem, normal: Array) -> Mask:
     """The parameters (p,) that a normal matrix determines; of those it determines only together, some are left out."""
     free = problem.free.copy()
-    widths, order = problem.widths, by_parameter(_FIXED_FIRST, len(free))
+    first = _FIXED_FIRST | dict(zip((CENTRE, SPIN), problem.reference.pose_order, strict=True))
+    widths, order = problem.widths, by_parameter(first, len(free))
     while True:
         rows = np.flatnonzero(free)
         scaled = (normal * widths[:, None] * widths)[np.ix_(rows, rows)]
@@ -224,7 +259,7 @@ def _determined(problem: Problem, normal: Array) -> Mask:
             break
         part = np.abs(vectors[:, 0]) * order[rows]
         if part.max() < _PART:
-            raise InputError(f"the touches do not determine the sphere's place: {words.MORE_SWEEPS}")
+            raise InputError(f"the touches do not determine the {problem.reference.noun}'s place: {words.MORE_SWEEPS}")
         free[rows[np.argmax(part)]] = False
     about_rod = rows == TURN + 1
     if about_rod.any():
@@ -233,8 +268,9 @@ def _determined(problem: Problem, normal: Array) -> Mask:
     return free
 
 
-def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
+def _at_nominal(rig: Rig, nominal: Rig, problem: Problem) -> Rig:
     """The rig with the parameters that are not determined at their nominal values."""
+    free = problem.free
     return replace(
         rig,
         stiffness=rig.stiffness if free[STIFFNESS] else nominal.stiffness,
@@ -242,7 +278,8 @@ def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
         tilt=np.where(free[TILT:TURN], rig.tilt, nominal.tilt),
         turn=rig.turn if free[TURN:SENSOR].any() else nominal.turn,
         sensor=np.where(free[SENSOR:CENTRE], rig.sensor, nominal.sensor),
-        centre=np.where(free[CENTRE:LENGTH], rig.centre, nominal.centre),
+        # only a sphere has a nominal place, in the plane of all sweeps
+        centre=np.where(free[CENTRE:SPIN], rig.centre, nominal.centre) if problem.reference.kind == "sphere" else rig.centre,
         length=rig.length if free[LENGTH] else nominal.length,
     )
 
@@ -267,19 +304,19 @@ def _place_noise(fit: Adjusted, problem: Problem, noise: Noise) -> float:
     return math.exp(float(root))
 
 
-def _check(fit: Adjusted, problem: Problem, noise: Noise, sphere: float, recording: Recording) -> None:
+def _check(fit: Adjusted, problem: Problem, noise: Noise, recording: Recording) -> None:
     """Raise InputError for a fit that is none."""
-    if noise.place > _NO_SPHERE:
+    if noise.place > _NO_FIT:
         deviation = 1000 * noise.place * recording.rod.length_m
-        raise _no_sphere(sphere, f", from which they deviate by {deviation:.2g} mm")
+        raise _no_fit(problem.reference, f", from which they deviate by {deviation:.2g} mm")
     usable = fit.used[:, 2].sum() >= max(FEWEST, _USABLE * len(fit.used))
     known = np.isfinite(fit.normal).all() and (np.diag(fit.normal)[problem.free] > 0).all()
     if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
-        raise _no_sphere(sphere, "")
+        raise _no_fit(problem.reference, "")
 
 
-def _no_sphere(sphere: float, detail: str) -> InputError:
+def _no_fit(reference: Reference, detail: str) -> InputError:
     return InputError(
-        f"the touches do not fit a sphere of {1000 * sphere:g} mm{detail}: check the diameter and its unit, the rod, the units "
-        "and signs of forces and moments, that each sweep begins and ends in the air, and that the sphere did not move"
+        f"the touches do not fit {reference.title}{detail}: check {reference.check}, the rod, the units "
+        f"and signs of forces and moments, that each sweep begins and ends in the air, and that the {reference.noun} did not move"
     )

@@ -13,6 +13,7 @@ from scan3d.laboratory.calibration_air import Unloaded
 from scan3d.laboratory.calibration_colour import Colour
 from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem
 from scan3d.laboratory.calibration_model import TARE
+from scan3d.laboratory.calibration_reference import Spherical
 from scan3d.laboratory.calibration_residuals import Systematic, noise_covariance, systematic
 from scan3d.recording import Recording
 
@@ -128,13 +129,13 @@ def _deviations(
     spread = (fit.by_row[:, 2] ** 2 @ variances)[fit.used[:, 2]]
     length_mm = 1000 * recording.rod.length_m
     size = length_mm * float(np.sqrt(found.variance[1] * np.median(spread)))
-    radius, explained = _radius(fit, problem, inverse)
+    radius, explained = _radius(fit, problem, inverse) if isinstance(problem.reference, Spherical) else (0.0, 0.0)
     cause = "shape"
     if explained > _EXPLAINS * sum(found.square):
         cause = "diameter"
     elif problem.channels.all() and _in_plane(fitted):
         cause = "planar"
-    wanted = 1000 * (2 * recording.rod.length_m * (problem.radius + radius) - recording.rod.diameter_m)
+    wanted = 1000 * (2 * recording.rod.length_m * (problem.reference.radius + radius) - recording.rod.diameter_m)
     return (words.alike_in_contact(size, found.rows, cause, wanted, spoiled),)
 
 

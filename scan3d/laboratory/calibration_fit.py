@@ -14,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
+from scan3d.laboratory.calibration_reference import Reference
 from scan3d.laboratory.calibration_model import TARE, Equations, Kind, Rig, Touches, equations
 
 # Iterations at most, of the damped start and of the adjustment, and the steps in standard deviations at which they end.
 _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
+# Steps in standard deviations that do not fall any more, at which the adjustment to a body with edges ends: contacts at edges
+# and at faces next to them may alternate.
+_NEARLY = 0.05
 # Iterations of the adjusted values of a row for a rig that is known.
 _ROW_STEPS = 3
 # Damping of the first step and by how much it falls or rises, relative to the normal matrix's diagonal (Marquardt).
@@ -59,8 +63,7 @@ class Problem:
 
     touches: Touches
     air: Air
-    radius: float
-    """Of the sphere, with that of the rod."""
+    reference: Reference
     channels: Mask
     """(6,) which components of force and moment were measured."""
     free: Mask
@@ -124,16 +127,18 @@ def started(problem: Problem, rig: Rig, noise: Noise, steps: int = _START_STEPS)
 def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
     """The fit with errors in all measured values, from a rig nearby."""
     correction = None
-    at_rest = False
+    at_rest, before = False, np.inf
     for _ in range(_STEPS):
         state = _linearised(problem, rig, noise, correction)
         normal, gradient = _normal(problem, state)
         step = _solved(problem, normal, gradient, 0.0)
         rig = rig.moved(step)
         correction = _correction(problem, state, step, noise)
-        if float(step @ normal @ step) < _SMALL**2:
+        size = float(np.sqrt(step @ normal @ step))
+        if size < _SMALL or (not problem.reference.smooth and before / 2 < size < _NEARLY):
             at_rest = True
             break
+        before = size
     state = _linearised(problem, rig, noise, correction)
     normal, _ = _normal(problem, state)
     return Adjusted(
@@ -174,14 +179,14 @@ def _linearised(problem: Problem, rig: Rig, noise: Noise, correction: Array | No
         touches = touches._replace(
             wrench=touches.wrench + correction[:, :6], position=touches.position + correction[:, 6:]
         )
-    found = equations(rig, touches, problem.radius)
+    found = equations(rig, touches, problem.reference)
     good = _finite(found)
     if correction is not None and not good.all():  # there the adjusted values are left for the measured ones
         correction[~good] = 0
         touches = problem.touches._replace(
             wrench=problem.touches.wrench + correction[:, :6], position=problem.touches.position + correction[:, 6:]
         )
-        found = equations(rig, touches, problem.radius)
+        found = equations(rig, touches, problem.reference)
         good = _finite(found)
     used = good[:, None] & problem.applies & (found.by_row != 0).any(axis=2)
     value, by_rig, by_row = (np.where(used.reshape(*used.shape, *[1] * (part.ndim - 2)), part, 0) for part in found)

@@ -45,7 +45,7 @@ _GROUPS = {
 }
 
 
-def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str]) -> tuple[str, ...]:
+def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str], kind: str) -> tuple[str, ...]:
     """One sentence for each group of quantities that are poorly determined, with their uncertainties, or not determined."""
     result = []
     fixed_groups: dict[str, list[str]] = {}
