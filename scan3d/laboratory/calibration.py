@@ -35,6 +35,7 @@ from scan3d.laboratory.calibration_model import (
     Rig,
     bent,
     clamp_wrench,
+    placed,
 )
 from scan3d.laboratory.calibration_reference import Flat, Reference, Spherical
 from scan3d.laboratory.calibration_result import Calibration, of_fit
@@ -164,7 +165,7 @@ def _first_fit(measured: Measured, place: float | None, step: int) -> tuple[Prob
     sweep = sweep[strong]
     first = _refined(problem, sweep, first, noise)
     kind, length = kinds(problem, sweep, first, noise)
-    problem = _with_kinds(problem, kind, length, measured.problem.free)
+    problem = _with_kinds(problem, kind, length, measured.problem.free, first)
     first = first if length is None else replace(first, length=length)
     free = _determined(problem, step * information(problem, first, noise))
     if (free != problem.free).any():
@@ -190,7 +191,7 @@ def _settled(
     sweep, kind = measured.sweep[chosen], problem.touches.kind
     for _ in range(rounds[0] if problem.free[LENGTH] else 0):
         before, kind = kind, likelier_kinds(problem, sweep, fit.rig, noise)
-        problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free)
+        problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free, fit.rig)
         fit = adjusted(problem, fit.rig, noise)
         if (kind == before).all():
             break
@@ -198,7 +199,7 @@ def _settled(
         noise = noise._replace(place=_place_noise(fit, problem, noise))
         if problem.free[LENGTH] and rounds[0]:
             kind = likelier_kinds(problem, sweep, fit.rig, noise)
-            problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free)
+            problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free, fit.rig)
         fit = adjusted(problem, fit.rig, noise)
     return _Settled(problem, fit, noise, chosen)
 
@@ -208,12 +209,13 @@ def _refined(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise)
     kind = far_kinds(problem, sweep, rig, noise)
     if (kind == Kind.TANGENTIAL).sum() < max(FEWEST, _USABLE * len(kind)):
         return rig
-    fit = adjusted(_with_kinds(problem, kind, None, problem.free), rig, noise)
+    fit = adjusted(_with_kinds(problem, kind, None, problem.free, rig), rig, noise)
     return fit.rig if fit.at_rest and abs(fit.rig.stiffness) < _STIFFEST else rig
 
 
-def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, free: Mask) -> Problem:
-    """The problem with the kinds (n,) of its contacts; without tip contacts the free length is not sought."""
+def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, free: Mask, rig: Rig) -> Problem:
+    """The problem with the kinds (n,) of its contacts for a rig; without tip contacts the free length is not sought."""
+    kind = placed(rig, problem.touches, problem.reference, kind)
     free = free.copy()
     free[LENGTH] &= length is not None
     return replace(problem, touches=problem.touches._replace(kind=kind), free=free)
@@ -232,6 +234,7 @@ def _chosen_by_neighbours(
     else:
         kind = kinds(chosen, sweep, fit.rig, noise)[0]
         kind[kind == Kind.TIP] = Kind.UNSURE
+    kind = placed(fit.rig, chosen.touches, chosen.reference, kind)
     chosen = replace(chosen, touches=chosen.touches._replace(kind=kind))
     return chosen, strong, adjusted(chosen, fit.rig, noise)
 

@@ -22,10 +22,10 @@ from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 # Squared sine of the angle between rod and edge below which the edge does not tell the contact's place along the rod.
-_PARALLEL = 1e-3
-# Sine of the angle between the rod and the faces of an edge from which it does.  Smaller, the noise of the rod's direction would
-# put the contact on another edge, on the other side of a face or of a facet.
-_APART = 0.05
+_PARALLEL = 0.02
+# Angle in radians by which the rod may turn about the contact without being in contact elsewhere.  Smaller, the noise of the
+# rod's direction would put contacts on other edges; larger, more contacts are left out.
+_TURNED = 0.05
 # Distances in rod lengths below which a normal is that of the face.
 _TOUCHING = 1e-9
 
@@ -42,6 +42,8 @@ class _Line(NamedTuple):
     place_by_point: Array
     """(n, 3)"""
     place_by_tangent: Array
+    across: Mask
+    """(n,) whether the line is not along the edge that it passes."""
 
 
 class Body:
@@ -155,10 +157,21 @@ class Body:
         by_point = np.where(clipped[:, None], -t, (cosine[:, None] * e - t) / square[:, None])
         turned = ((on_edge[best] + 2 * cosine * place)[:, None] * e - w) / square[:, None]
         by_tangent = np.where(clipped[:, None], foot[:, None] * e - w, turned)
-        lying = (~clipped & (square < _PARALLEL)) | (np.minimum(first, second)[best] < _APART)
-        by_point[lying] = by_tangent[lying] = place[lying] = 0
         apart_by = np.where(inside, highest, np.where(clipped, distance[best], height[best]))
-        return _Line(apart_by, normal, place, by_point, by_tangent)
+        return _Line(apart_by, normal, place, by_point, by_tangent, clipped | (square > _PARALLEL))
+
+    def wander(self, point: Array, tangent: Array) -> Array:
+        result = np.full(len(point), np.inf)
+        rows = np.flatnonzero(np.isfinite(point).all(axis=1) & np.isfinite(tangent).all(axis=1))
+        if len(rows):
+            at, along = point[rows], tangent[rows]
+            line = self.lines(at, along)
+            # nearest to the contact is where the line turns about
+            at = at + line.place[:, None] * along
+            turned = [np.cos(_TURNED) * along + sign * np.sin(_TURNED) * line.normal for sign in (1, -1)]
+            one, other = (self.lines(at, direction) for direction in turned)
+            result[rows] = np.where(line.across, np.maximum(np.abs(one.place), np.abs(other.place)), np.inf)
+        return result
 
     def located(self, points: Array, outside: Array) -> Located:
         """The spheres nearest to the contacts: how nearly contacts are those of a compact body, whatever its shape."""

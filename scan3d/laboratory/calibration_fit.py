@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_reference import Reference
-from scan3d.laboratory.calibration_model import TARE, Equations, Kind, Rig, Touches, equations
+from scan3d.laboratory.calibration_model import TARE, Equations, Rig, Touches, equations
 
 # Iterations at most, of the damped start and of the adjustment, and the steps in standard deviations at which they end.
 _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
@@ -261,12 +261,14 @@ def information(problem: Problem, rig: Rig, noise: Noise) -> Array:
     return _normal(problem, _linearised(problem, rig, noise, None))[0]
 
 
-def misfits(problem: Problem, rig: Rig, noise: Noise, kind: Kind) -> Array:
-    """Sums of squares (n,) of the rows' corrections, in variances, if all rows were of one kind and the rig were known."""
-    everywhere = np.full(len(problem.touches.kind), kind, dtype=np.int8)
-    problem = replace(problem, touches=problem.touches._replace(kind=everywhere))
+def misfits(problem: Problem, rig: Rig, noise: Noise, kind: NDArray[np.int8]) -> Array:
+    """Sums of squares (n,) of the rows' corrections, in variances, beyond what is expected, for a rig that is known.
+
+    `kind` (n,) is that of the rows.
+    """
+    problem = replace(problem, touches=problem.touches._replace(kind=kind))
     state = _linearised(problem, rig, noise, None)
     for _ in range(_ROW_STEPS):
         state = _linearised(problem, rig, noise, _correction(problem, state, np.zeros(len(problem.free)), noise))
-    result: Array = (state.white**2).sum(axis=1)
+    result: Array = (state.white**2).sum(axis=1) - state.used.sum(axis=1)
     return result

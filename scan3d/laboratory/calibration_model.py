@@ -29,6 +29,9 @@ from scan3d.spatial.inverse import reconstruct
 
 # Contacts that the noise puts past the tip by nearly any part of the rod are still used: their places do not depend on the tip.
 PAST_TIP = 0.999
+# How far a tangential contact goes, in rod lengths, when the rod turns a little: less far it is at an edge, which tells its
+# place; farther, the rod may touch the other side of a face as well.
+_AT_EDGE, _ON_FACE = 2e-3, 0.03
 # Where the parameters stand in their vector; the tare follows them.
 STIFFNESS, CLAMP, TILT, TURN, SENSOR, CENTRE, SPIN, LENGTH, TARE = 0, 1, 4, 6, 9, 12, 15, 18, 19
 
@@ -42,6 +45,8 @@ class Kind(IntEnum):
     """Without equation 4, for a first estimate: errors along the rod move tangential contacts off the sphere, never into it."""
     UNSURE = 3
     """Near the transition: without equations 3 and 4."""
+    ACROSS = 4
+    """Tangential, but where along the rod is not told by the reference: without equation 4."""
 
 
 @dataclass(frozen=True)
@@ -232,17 +237,31 @@ def equations(rig: Rig, touches: Touches, reference: Reference) -> Equations:
 
 def _met(rig: Rig, touches: Touches, rod: Bent, reference: Reference) -> tuple[Array, Array, Met]:
     """Contacts (n, 3) and tangents (n, 3) in the frame of the reference, and how they meet it, 0 where that has no equation."""
-    clamp = rig.clamp_axes()[0]
-    outward = touches.position + np.einsum("nij,nj->ni", touches.frame, rig.clamp + rod.point @ clamp.T) - rig.centre
-    tangent = np.einsum("nij,nj->ni", touches.frame @ clamp, rod.tangent) @ rig.axes
+    point, tangent = _inner(rig, touches, rod)
     tangential, unsure = touches.kind == Kind.TANGENTIAL, touches.kind == Kind.UNSURE
-    point = outward @ rig.axes
-    met = reference.met(point, tangent, tangential)
+    met = reference.met(point, tangent, tangential | (touches.kind == Kind.ACROSS))
     for column in met[:3]:
         column[unsure] = 0
     for column in met[3:]:
         column[~tangential] = 0
     return point, tangent, met
+
+
+def _inner(rig: Rig, touches: Touches, rod: Bent) -> tuple[Array, Array]:
+    """Contacts (n, 3) and tangents (n, 3) in the frame of the reference."""
+    clamp = rig.clamp_axes()[0]
+    outward = touches.position + np.einsum("nij,nj->ni", touches.frame, rig.clamp + rod.point @ clamp.T) - rig.centre
+    return outward @ rig.axes, np.einsum("nij,nj->ni", touches.frame @ clamp, rod.tangent) @ rig.axes
+
+
+def placed(rig: Rig, touches: Touches, reference: Reference, kind: NDArray[np.int8]) -> NDArray[np.int8]:
+    """The kinds (n,) of contacts, those of tangential ones by whether the reference tells where along the rod they are."""
+    force, moment = clamp_wrench(rig, touches)
+    scale = np.exp(-rig.stiffness)
+    tangential = np.isin(kind, (Kind.TANGENTIAL, Kind.ACROSS))
+    wander = reference.wander(*_inner(rig, touches, bent(scale * force, scale * moment)))
+    told = np.where(wander < _AT_EDGE, Kind.TANGENTIAL, np.where(wander < _ON_FACE, Kind.ACROSS, Kind.UNSURE))
+    return np.where(tangential, told, kind).astype(np.int8)
 
 
 def _add_sensor(by_rig: Array, by_wrench: Array, rig: Rig, touches: Touches, force: Array, moment: Array) -> None:

@@ -73,6 +73,9 @@ class Reference(Protocol):
     def met(self, point: Array, tangent: Array, tangential: Mask) -> Met:
         """How contacts (n, 3) with tangents (n, 3), in its frame, meet it; `tangential` (n,) says for which the rod is tangent."""
 
+    def wander(self, point: Array, tangent: Array) -> Array:
+        """How far (n,) tangential contacts go along rods that turn a little, because of flat faces; 0 for smooth references."""
+
     def located(self, points: Array, outside: Array) -> Located:
         """Where it is nearest to sets (t, n, 3) of contacts; the point `outside` (3,) is."""
 
@@ -106,6 +109,9 @@ class Spherical:
         across = (tangent - cosine[:, None] * normal) / distance[:, None]
         return Met(distance - self.radius, normal, np.zeros_like(normal), cosine, across, normal.copy())
 
+    def wander(self, point: Array, tangent: Array) -> Array:
+        return np.zeros(len(point))
+
     def located(self, points: Array, outside: Array) -> Located:
         """The spheres of any radius nearest to the points, by linear least squares."""
         centre = nearest_sphere(points)
@@ -135,6 +141,9 @@ class Flat:
         normal[:, 2] = 1
         none = np.zeros_like(point)
         return Met(point[:, 2] - self.radius, normal, none, tangent[:, 2].copy(), none.copy(), normal.copy())
+
+    def wander(self, point: Array, tangent: Array) -> Array:
+        return np.zeros(len(point))
 
     def located(self, points: Array, outside: Array) -> Located:
         """The planes nearest to the points, through their middles."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_fit import Noise, Problem, misfits
-from scan3d.laboratory.calibration_model import Kind, Rig, Touches, equations
+from scan3d.laboratory.calibration_model import Kind, Rig, Touches, equations, placed
 
 # Neighbours on either side of a row that decide whether it is used.
 _NEIGHBOURS = 3
@@ -128,7 +128,9 @@ def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise
 def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
     """The kind of each contact (n,) of sweeps (n,) by that of its neighbours, for a rig whose length is known."""
     result = np.full(len(sweep), Kind.UNSURE, dtype=np.int8)
-    difference = misfits(problem, rig, noise, Kind.TANGENTIAL) - misfits(problem, rig, noise, Kind.TIP)
+    tangential, tip = (_all(problem.touches, kind).kind for kind in (Kind.TANGENTIAL, Kind.TIP))
+    tangential = placed(rig, problem.touches, problem.reference, tangential)
+    difference = misfits(problem, rig, noise, tangential) - misfits(problem, rig, noise, tip)
     for number in np.unique(sweep):
         rows = np.flatnonzero(sweep == number)
         before, after = _evidence(difference[rows]), _evidence(difference[rows][::-1])[::-1]

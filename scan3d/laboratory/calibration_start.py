@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_fit import Air, Noise, Problem, started
-from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench
+from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench, placed
 from scan3d.laboratory.calibration_pose import poses
 from scan3d.laboratory.calibration_reference import Reference
 from scan3d.spatial.inverse import reconstruct
@@ -30,8 +30,8 @@ _ALONG = np.linspace(-1.0, 1.0, 21)
 _STIFFNESS = np.log([0.5, 0.7, 1.0, 1.4, 2.0])
 # Starts from the grid that are tried, and those that are fitted to the end.
 _TRIED, _SHORT = 4, 12
-# Rigs of the grid for which the pose of a body is sought, and poses of each.
-_POSED, _POSES = 24, 2
+# Rigs of the grid for which the pose of a body is sought, poses of each, and starts that are tried of them all.
+_POSED, _POSES, _TRIED_POSES = 24, 2, 12
 # The second smallest singular value must exceed the smallest by this factor for the rod's direction to follow from the wrench.
 _DISTINCT = 3.0
 # Turns of a planar sensor about the normal of its plane, in radians.
@@ -63,9 +63,11 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
         for scored in _on_grid(replace(nominal, turn=frame, sensor=offset), searched, turns, problem.reference)
     ]
     grid.sort(key=lambda scored: scored[0])
+    count = _TRIED
     if isinstance(problem.reference, Body):
+        count = _TRIED_POSES
         grid = _posed([rig for _, rig in grid[:_POSED]] + [nominal], searched, problem.reference)
-    rigs = [rig for _, rig in grid[:_TRIED]]
+    rigs = [rig for _, rig in grid[:count]]
     rigs += [replace(nominal, centre=rig.centre, axes=rig.axes) for rig in rigs[:1]]
     if not rigs:
         return nominal
@@ -80,7 +82,7 @@ def _far_from_tip(problem: Problem, rig: Rig) -> Problem:
     force, moment = clamp_wrench(rig, problem.touches)
     s1 = reconstruct(scale * force, scale * moment, tolerance=PAST_TIP).s1
     far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
-    kind = np.where(far, Kind.TANGENTIAL, Kind.EITHER).astype(np.int8)
+    kind = placed(rig, problem.touches, problem.reference, np.where(far, Kind.TANGENTIAL, Kind.EITHER).astype(np.int8))
     return replace(problem, touches=problem.touches._replace(kind=kind))
 
 
