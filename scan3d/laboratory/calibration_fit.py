@@ -19,9 +19,9 @@ from scan3d.laboratory.calibration_model import TARE, Equations, Rig, Touches, e
 
 # Iterations at most, of the damped start and of the adjustment, and the steps in standard deviations at which they end.
 _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
-# Steps in standard deviations that do not fall any more, at which the adjustment to a body with edges ends: contacts at edges
-# and at faces next to them may alternate.
-_NEARLY = 0.05
+# For bodies with edges, where contacts may alternate between an edge and a face next to it: iterations after which the adjusted
+# values move by half of their steps, and steps in standard deviations that need not fall any more.
+_WHOLE, _NEARLY = 5, 0.05
 # Iterations of the adjusted values of a row for a rig that is known.
 _ROW_STEPS = 3
 # Damping of the first step and by how much it falls or rises, relative to the normal matrix's diagonal (Marquardt).
@@ -128,12 +128,14 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
     """The fit with errors in all measured values, from a rig nearby."""
     correction = None
     at_rest, before = False, np.inf
-    for _ in range(_STEPS):
+    for number in range(_STEPS):
         state = _linearised(problem, rig, noise, correction)
         normal, gradient = _normal(problem, state)
         step = _solved(problem, normal, gradient, 0.0)
         rig = rig.moved(step)
-        correction = _correction(problem, state, step, noise)
+        adjusted_by = _correction(problem, state, step, noise)
+        halved = correction is not None and number >= _WHOLE and not problem.reference.smooth
+        correction = (correction + adjusted_by) / 2 if halved else adjusted_by
         size = float(np.sqrt(step @ normal @ step))
         if size < _SMALL or (not problem.reference.smooth and before / 2 < size < _NEARLY):
             at_rest = True

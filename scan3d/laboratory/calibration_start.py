@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_fit import Air, Noise, Problem, started
-from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench, placed
+from scan3d.laboratory.calibration_model import LENGTH, PAST_TIP, Kind, Rig, Touches, clamp_wrench
 from scan3d.laboratory.calibration_pose import poses
 from scan3d.laboratory.calibration_reference import Reference
 from scan3d.spatial.inverse import reconstruct
@@ -71,18 +71,22 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     rigs += [replace(nominal, centre=rig.centre, axes=rig.axes) for rig in rigs[:1]]
     if not rigs:
         return nominal
-    tried = [started(_far_from_tip(coarse, rig), rig, noise, _SHORT) for rig in rigs]
+    far = Kind.TANGENTIAL if problem.reference.smooth else Kind.ACROSS
+    tried = [started(_far_from_tip(coarse, rig, far), rig, noise, _SHORT) for rig in rigs]
     best = min(tried, key=lambda pair: pair[1])[0]
-    return started(_far_from_tip(coarse, best), best, noise)[0]
+    return started(_far_from_tip(coarse, best, far), best, noise)[0]
 
 
-def _far_from_tip(problem: Problem, rig: Rig) -> Problem:
-    """The problem in which contacts that are certainly not at the tip are tangential."""
+def _far_from_tip(problem: Problem, rig: Rig, far_kind: Kind) -> Problem:
+    """The problem in which contacts that are certainly not at the tip are tangential, of a kind.
+
+    At edges a rough rig may put them on the wrong edge, and equation 4 would not let them leave it.
+    """
     scale = np.exp(-rig.stiffness)
     force, moment = clamp_wrench(rig, problem.touches)
     s1 = reconstruct(scale * force, scale * moment, tolerance=PAST_TIP).s1
     far = s1 < _FAR * np.nanquantile(s1, _FARTHEST) if np.isfinite(s1).any() else np.zeros(len(s1), dtype=bool)
-    kind = placed(rig, problem.touches, problem.reference, np.where(far, Kind.TANGENTIAL, Kind.EITHER).astype(np.int8))
+    kind = np.where(far, far_kind, Kind.EITHER).astype(np.int8)
     return replace(problem, touches=problem.touches._replace(kind=kind))
 
 
