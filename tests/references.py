@@ -1,6 +1,6 @@
 """Touches of a plane and of known bodies, for the rig of `tests.rigs`: exact sweeps, and where the reference is."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import trimesh
@@ -77,6 +77,15 @@ def at_body(truth):
     """The true quantities of a body."""
     named = {f"mesh_{axis}_mm": 1000 * value for axis, value in zip("xyz", truth.centre, strict=True)}
     return named | {f"mesh_turn_{axis}_deg": value for axis, value in zip("xyz", TURN, strict=True)}
+
+
+def of(kind, name, truth):
+    """What `scan3d.calibrate` is given, the exact sweeps, and the true quantities of a reference."""
+    if kind == "plane":
+        return "plane", plane, at_plane(truth)
+    if kind == "mesh":
+        return mesh(name), partial(body, name), at_body(truth)
+    return rigs.DIAMETER, rigs.swept, None
 
 
 def _swept(solid, position, axes, friction, length):

@@ -156,11 +156,7 @@ def _first_fit(measured: Measured, place: float | None, step: int) -> tuple[Prob
     first = first_rig(measured.problem, nominal, noise)
     strong = _strong(measured.problem, first, noise)
     if strong.sum() < FEWEST:
-        raise _no_fit(
-            measured.problem.reference,
-            f", or touch it too lightly: {strong.sum()} rows place the contact to a tenth of the {measured.problem.reference.extent}, and a "
-            f"calibration needs {FEWEST}",
-        )
+        raise _too_light(measured.problem.reference, int(strong.sum()))
     problem = replace(measured.problem, touches=measured.problem.touches.rows(strong))
     sweep = sweep[strong]
     first = _refined(problem, sweep, first, noise)
@@ -188,18 +184,16 @@ def _settled(
     """The fit of the rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
     free = problem.free
     problem, chosen, fit = _chosen_by_neighbours(measured, problem, fit, noise)
-    sweep, kind = measured.sweep[chosen], problem.touches.kind
+    sweep = measured.sweep[chosen]
     for _ in range(rounds[0] if problem.free[LENGTH] else 0):
-        before, kind = kind, likelier_kinds(problem, sweep, fit.rig, noise)
-        problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free, fit.rig)
+        before, problem = problem.touches.kind, _with_likelier_kinds(problem, sweep, fit.rig, noise, free)
         fit = adjusted(problem, fit.rig, noise)
-        if (kind == before).all():
+        if (problem.touches.kind == before).all():
             break
     for _ in range(rounds[1] if estimate else 0):
         noise = noise._replace(place=_place_noise(fit, problem, noise))
         if problem.free[LENGTH] and rounds[0]:
-            kind = likelier_kinds(problem, sweep, fit.rig, noise)
-            problem = _with_kinds(problem, kind, fit.rig.length if (kind == Kind.TIP).any() else None, free, fit.rig)
+            problem = _with_likelier_kinds(problem, sweep, fit.rig, noise, free)
         fit = adjusted(problem, fit.rig, noise)
     return _Settled(problem, fit, noise, chosen)
 
@@ -221,12 +215,20 @@ def _with_kinds(problem: Problem, kind: NDArray[np.int8], length: float | None, 
     return replace(problem, touches=problem.touches._replace(kind=kind), free=free)
 
 
+def _with_likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise, free: Mask) -> Problem:
+    """The problem with the kinds of contacts that their neighbours make likelier."""
+    kind = likelier_kinds(problem, sweep, rig, noise)
+    return _with_kinds(problem, kind, rig.length if (kind == Kind.TIP).any() else None, free, rig)
+
+
 def _chosen_by_neighbours(
     measured: Measured, problem: Problem, fit: Adjusted, noise: Noise
 ) -> tuple[Problem, Mask, Adjusted]:
     """The problem of the rows that their neighbours choose for a fitted rig, which these are, and its fit."""
     around = replace(measured.problem, touches=measured.problem.touches._replace(wrench=measured.around))
     strong = _strong(around, fit.rig, noise)
+    if strong.sum() < FEWEST:
+        raise _too_light(problem.reference, int(strong.sum()))
     sweep = measured.sweep[strong]
     chosen = replace(problem, touches=measured.problem.touches.rows(strong), air=measured.problem.air)
     if problem.free[LENGTH]:
@@ -316,6 +318,13 @@ def _check(fit: Adjusted, problem: Problem, noise: Noise, recording: Recording) 
     known = np.isfinite(fit.normal).all() and (np.diag(fit.normal)[problem.free] > 0).all()
     if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
         raise _no_fit(problem.reference, "")
+
+
+def _too_light(reference: Reference, count: int) -> InputError:
+    return _no_fit(
+        reference,
+        f", or touch it too lightly: {count} rows place the contact to {reference.extent}, and a calibration needs {FEWEST}",
+    )
 
 
 def _no_fit(reference: Reference, detail: str) -> InputError:

@@ -51,7 +51,9 @@ class Body:
 
     kind = "mesh"
     noun = "body"
-    extent, check = "body's inner radius", "the mesh and its unit"
+    extent, check = "a tenth of the body's inner radius", "the mesh and its unit"
+    sizes, unlike = "the size of the body and the rod's diameter", "a body that differs from its mesh, in shape or in size"
+    excluded = ""
     free = (True, True, True, True, True, True)
     pose_order = (0.01, 0.02)
     smooth = False
@@ -63,7 +65,9 @@ class Body:
         Raises InputError if it is not closed and convex.
         """
         check_body(mesh)
-        hull, scale = mesh.convex_hull, UNITS_M[unit] / rod.length_m
+        # the facets as they are, where they are a closed surface: a hull divides nearly flat faces otherwise
+        whole = mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
+        hull, scale = mesh if whole else mesh.convex_hull, UNITS_M[unit] / rod.length_m
         self.file = {key: str(mesh.metadata[key]) for key in ("file", "sha256") if key in mesh.metadata}
         self.title = f"the body of {self.file['file']}" if "file" in self.file else "the body of the mesh"
         self.radius = rod.diameter_m / 2 / rod.length_m

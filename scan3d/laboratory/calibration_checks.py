@@ -86,12 +86,13 @@ def check(fitted: Fitted, recording: Recording, jacobian: Array) -> Checked:
     place_mm = 1000 * noise.place * recording.rod.length_m
     rough = fitted.estimated and noise.place > _ROUGH
     stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
-    sentences: tuple[str, ...] = (words.rough_poses(place_mm),) if rough else ()
+    sentences: tuple[str, ...] = (words.rough_poses(place_mm, problem.reference),) if rough else ()
     sentences += words.premises(
         (chi2, np.inf if fitted.estimated else largest[0]),
         # the noise is not stated where it is that of the same rows
         (fitted.air.misfit, _largest(fit.air_residual.size) if stated else np.inf),
         (consistency, largest[1]),
+        problem.reference,
     )
     spoiled = bool(found) and (noise.place > _ROUGH or max(found.excess) > _SPOILED)
     if found:
@@ -136,7 +137,7 @@ def _deviations(
     elif problem.channels.all() and _in_plane(fitted):
         cause = "planar"
     wanted = 1000 * (2 * recording.rod.length_m * (problem.reference.radius + radius) - recording.rod.diameter_m)
-    return (words.alike_in_contact(size, found.rows, cause, wanted, spoiled),)
+    return (words.alike_in_contact(size, found.rows, cause, wanted, spoiled, problem.reference),)
 
 
 def _radius(fit: Adjusted, problem: Problem, inverse: Array) -> tuple[float, float]:

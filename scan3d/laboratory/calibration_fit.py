@@ -20,8 +20,9 @@ from scan3d.laboratory.calibration_model import TARE, Equations, Rig, Touches, e
 # Iterations at most, of the damped start and of the adjustment, and the steps in standard deviations at which they end.
 _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
 # For bodies with edges, where contacts may alternate between an edge and a face next to it: iterations after which the adjusted
-# values move by half of their steps, and steps in standard deviations that need not fall any more.
-_WHOLE, _NEARLY = 5, 0.05
+# values move by half of their steps; steps in standard deviations that need not fall any more; and the fraction to which a step
+# must fall.
+_WHOLE, _NEARLY, _FALLS = 5, 0.05, 0.8
 # Iterations of the adjusted values of a row for a rig that is known.
 _ROW_STEPS = 3
 # Damping of the first step and by how much it falls or rises, relative to the normal matrix's diagonal (Marquardt).
@@ -137,7 +138,7 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
         halved = correction is not None and number >= _WHOLE and not problem.reference.smooth
         correction = (correction + adjusted_by) / 2 if halved else adjusted_by
         size = float(np.sqrt(step @ normal @ step))
-        if size < _SMALL or (not problem.reference.smooth and before / 2 < size < _NEARLY):
+        if size < _SMALL or (not problem.reference.smooth and _FALLS * before < size < _NEARLY):
             at_rest = True
             break
         before = size

@@ -54,9 +54,15 @@ class Reference(Protocol):
     title: str
     """It with its size or its name."""
     extent: ClassVar[str]
-    """What its `size` is called."""
+    """How well the contact must be known along the rod, about a tenth of its `size`."""
     check: ClassVar[str]
     """What is to be checked about it where touches do not fit."""
+    sizes: ClassVar[str]
+    """What is to be checked where touches fit badly."""
+    unlike: ClassVar[str]
+    """How it may differ from what it is taken for."""
+    excluded: ClassVar[str]
+    """What is no such cause, or nothing."""
     free: ClassVar[tuple[bool, ...]]
     """(6,) which of its displacements along its axes, and turns about them, change where it is."""
     pose_order: ClassVar[tuple[float, float]]
@@ -84,7 +90,9 @@ class Spherical:
     """A sphere, with its radius and that of the rod."""
 
     kind = noun = "sphere"
-    extent, check = "sphere's radius", "the diameter and its unit"
+    extent, check = "a tenth of the sphere's radius", "the diameter and its unit"
+    sizes, unlike = "the diameters of sphere and rod", "a reference that is no sphere, such as one of facets"
+    excluded = "; a diameter that is wrong would not look like this"
     free = (True, True, True, False, False, False)
     pose_order = (0.0, 0.0)
     smooth = True
@@ -123,7 +131,9 @@ class Flat:
     """A plane, normal to the third of its axes, and the rod's radius."""
 
     kind = noun = "plane"
-    extent, check = "rod's length", "that only the plane was touched"
+    extent, check = "a thirtieth of the rod's length", "that only the plane was touched"
+    sizes, unlike = "the flatness of the plane", "a reference that is not flat, or whose border was touched"
+    excluded = ""
     title = "a plane"
     free = (False, False, True, True, True, False)
     pose_order = (0.0, 0.0)
