@@ -58,7 +58,16 @@ def mesh(name):
 
 
 @cache
-def body(name="cube.stl", samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=rigs.REACH, length=rigs.ROD.length_m):
+def body(
+    name="cube.stl",
+    samples=120,
+    friction=0.2,
+    sweeps=30,
+    directions=6,
+    rolls=5,
+    reach=rigs.REACH,
+    length=rigs.ROD.length_m,
+):
     """Exact sweeps past a body whose frame is that of its mesh, turned in the world."""
     axes = rigs.orientations(sweeps, directions, rolls)
     scaled = mesh(name).copy()
@@ -91,8 +100,18 @@ def of(kind, name, truth):
 def _swept(solid, position, axes, friction, length):
     """Sweeps past a polyhedron, turned into the world."""
     result = sweep(
-        RoundedPolyhedron(solid.vertices, solid.faces, rigs.ROD.diameter_m / 2 / length), position, axes, friction, substeps=2
+        RoundedPolyhedron(solid.vertices, solid.faces, rigs.ROD.diameter_m / 2 / length),
+        position,
+        axes,
+        friction,
+        substeps=2,
     )
     touching = np.isfinite(result.s1)[..., None]
     force, moment = np.where(touching, result.force, 0), np.where(touching, result.moment, 0)
-    return turned().apply(position.reshape(-1, 3)).reshape(position.shape), axes @ turned().as_matrix().T, force, moment, result
+    return (
+        turned().apply(position.reshape(-1, 3)).reshape(position.shape),
+        axes @ turned().as_matrix().T,
+        force,
+        moment,
+        result,
+    )

@@ -25,7 +25,12 @@ def deviations(found, truth, recording, kind, name="cube.stl", **raster):
     error = found.values - true
     kept = [k for k, title in enumerate(found.names) if not title.startswith("mesh_turn")]
     names = [found.names[k] for k in kept]
-    scale = np.array([1.0 if name.endswith(("_mm", "_deg")) else max(abs(true[k]), 1e-3) for k, name in zip(kept, names)])
+    scale = np.array(
+        [
+            1.0 if name.endswith(("_mm", "_deg")) else max(abs(true[k]), 1e-3)
+            for k, name in zip(kept, names, strict=True)
+        ]
+    )
     return dict(zip(names, np.abs(error[kept]) / scale, strict=True)), error[kept] / found.standard_deviations[kept]
 
 
@@ -127,13 +132,8 @@ def test_a_body_of_another_size_does_not_fit():
     recording = rigs.recorded(motion=references.body, samples=60)
     larger = references.mesh("cube.stl").copy()
     larger.apply_scale(1.1)
-    try:
-        found = scan3d.calibrate(recording, larger)
-    except InputError as error:
-        assert "do not fit the body of cube.stl" in str(error)
-    else:
-        assert not any(well for name, well in zip(found.names, found.well, strict=True) if name.startswith(("clamp", "len")))
-        assert any("differs from its mesh" in sentence for sentence in found.sentences)
+    with pytest.raises(InputError, match=r"do not fit the body of cube\.stl"):
+        scan3d.calibrate(recording, larger)
 
 
 @pytest.mark.parametrize("reference", ["plane", trimesh.creation.box((20, 20, 20))])

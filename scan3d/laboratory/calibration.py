@@ -284,7 +284,9 @@ def _at_nominal(rig: Rig, nominal: Rig, problem: Problem) -> Rig:
         turn=rig.turn if free[TURN:SENSOR].any() else nominal.turn,
         sensor=np.where(free[SENSOR:CENTRE], rig.sensor, nominal.sensor),
         # only a sphere has a nominal place, in the plane of all sweeps
-        centre=np.where(free[CENTRE:SPIN], rig.centre, nominal.centre) if problem.reference.kind == "sphere" else rig.centre,
+        centre=np.where(free[CENTRE:SPIN], rig.centre, nominal.centre)
+        if problem.reference.kind == "sphere"
+        else rig.centre,
         length=rig.length if free[LENGTH] else nominal.length,
     )
 
@@ -329,6 +331,6 @@ def _too_light(reference: Reference, count: int) -> InputError:
 
 def _no_fit(reference: Reference, detail: str) -> InputError:
     return InputError(
-        f"the touches do not fit {reference.title}{detail}: check {reference.check}, the rod, the units "
-        f"and signs of forces and moments, that each sweep begins and ends in the air, and that the {reference.noun} did not move"
+        f"the touches do not fit {reference.title}{detail}: check {reference.check}, the rod, the units and signs of forces "
+        f"and moments, that each sweep begins and ends in the air, and that the {reference.noun} did not move"
     )

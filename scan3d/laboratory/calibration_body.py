@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.meshes import check_body
-from scan3d.laboratory.calibration_reference import Located, Met, nearest_sphere
+from scan3d.laboratory.calibration_reference import Located, Met, Reference, nearest_sphere
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
@@ -46,13 +46,16 @@ class _Line(NamedTuple):
     """(n,) whether the line is not along the edge that it passes."""
 
 
-class Body:
+class Body(Reference):
     """A convex body in its own frame, whose origin is in the middle of it, and the rod's radius."""
 
     kind = "mesh"
     noun = "body"
     extent, check = "a tenth of the body's inner radius", "the mesh and its unit"
-    sizes, unlike = "the size of the body and the rod's diameter", "a body that differs from its mesh, in shape or in size"
+    sizes, unlike = (
+        "the size of the body and the rod's diameter",
+        "a body that differs from its mesh, in shape or in size",
+    )
     excluded = ""
     free = (True, True, True, True, True, True)
     pose_order = (0.01, 0.02)
@@ -80,6 +83,8 @@ class Body:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         self.offsets = (self.normals * corners[:, 0]).sum(axis=1)
+        # the radius of the largest sphere about the middle
+        self.size = float(self.offsets.min())
         self._edges()
 
     def _edges(self) -> None:
@@ -93,11 +98,6 @@ class Body:
         span = self.vertices[head[order[::2]]] - self.tail
         self.length = np.linalg.norm(span, axis=1)
         self.direction = span / self.length[:, None]
-
-    @property
-    def size(self) -> float:
-        """The radius of the largest sphere about the middle in the body."""
-        return float(self.offsets.min())
 
     @cached_property
     def _nearest(self) -> Any:
@@ -143,7 +143,9 @@ class Body:
         distance = np.linalg.norm(apart, axis=1)
         # the silhouette's outward normal is between those of the two faces, and normal to the line
         first, second = (np.abs(ahead[row, self.sides[edge, 1 - k]]) for k in (0, 1))
-        outward = first[:, None] * self.normals[self.sides[edge, 0]] + second[:, None] * self.normals[self.sides[edge, 1]]
+        outward = (
+            first[:, None] * self.normals[self.sides[edge, 0]] + second[:, None] * self.normals[self.sides[edge, 1]]
+        )
         size = np.linalg.norm(outward, axis=1, keepdims=True)
         outward = outward / np.maximum(size, 1e-300)
         height = np.where(size[:, 0] > 0, (outward * w).sum(axis=1), -np.inf)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
-from scan3d.laboratory.calibration_reference import Reference
 from scan3d.laboratory.calibration_model import TARE, Equations, Rig, Touches, equations
+from scan3d.laboratory.calibration_reference import Reference
 
 # Iterations at most, of the damped start and of the adjustment, and the steps in standard deviations at which they end.
 _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
@@ -127,7 +127,7 @@ def started(problem: Problem, rig: Rig, noise: Noise, steps: int = _START_STEPS)
 
 def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
     """The fit with errors in all measured values, from a rig nearby."""
-    correction = None
+    correction: Array | None = None
     at_rest, before = False, np.inf
     for number in range(_STEPS):
         state = _linearised(problem, rig, noise, correction)
@@ -135,8 +135,10 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
         step = _solved(problem, normal, gradient, 0.0)
         rig = rig.moved(step)
         adjusted_by = _correction(problem, state, step, noise)
-        halved = correction is not None and number >= _WHOLE and not problem.reference.smooth
-        correction = (correction + adjusted_by) / 2 if halved else adjusted_by
+        if correction is None or number < _WHOLE or problem.reference.smooth:
+            correction = adjusted_by
+        else:
+            correction = (correction + adjusted_by) / 2
         size = float(np.sqrt(step @ normal @ step))
         if size < _SMALL or (not problem.reference.smooth and _FALLS * before < size < _NEARLY):
             at_rest = True

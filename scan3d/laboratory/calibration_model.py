@@ -8,8 +8,8 @@ values of a row in contact:
 3. the rod's centre line touches the reference fattened by the rod's radius a: ``|r1 - c| = D/2 + a`` for a sphere,
 4. the rod is tangent to it in tangential contact: ``t1·(r1 - c) = 0`` for a sphere; and ``s1 = L`` where the tip touches.
 
-For other references than spheres see `calibration_reference`.  None of the equations refers to friction.  Lengths are in nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal
-rod.
+For other references than spheres see `calibration_reference`.  None of the equations refers to friction.  Lengths are in
+nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal rod.
 """
 
 from __future__ import annotations
@@ -85,7 +85,9 @@ class Rig:
             turn=Rotation.from_rotvec(step[TURN:SENSOR]).as_matrix() @ self.turn,
             sensor=self.sensor + step[SENSOR:CENTRE],
             centre=self.centre + self.axes @ step[CENTRE:SPIN],
-            axes=self.axes @ Rotation.from_rotvec(step[SPIN:LENGTH]).as_matrix() if step[SPIN:LENGTH].any() else self.axes,
+            axes=self.axes @ Rotation.from_rotvec(step[SPIN:LENGTH]).as_matrix()
+            if step[SPIN:LENGTH].any()
+            else self.axes,
             length=float(self.length + step[LENGTH]),
             tare=self.tare + step[TARE:].reshape(self.tare.shape),
         )
@@ -190,7 +192,7 @@ def equations(rig: Rig, touches: Touches, reference: Reference) -> Equations:
     scale = np.exp(-rig.stiffness)
     rod = bent(scale * force, scale * moment)
     n = len(force)
-    tangential, tip = touches.kind == Kind.TANGENTIAL, touches.kind == Kind.TIP
+    tip = touches.kind == Kind.TIP
     clamp, by_x, by_z = rig.clamp_axes()
     frame = touches.frame @ clamp
     point, tangent, met = _met(rig, touches, rod, reference)
@@ -273,7 +275,9 @@ def _add_sensor(by_rig: Array, by_wrench: Array, rig: Rig, touches: Touches, for
     by_rig[:, :, TURN:SENSOR] = np.cross(force[:, None], turning) + np.cross(own[:, None], by_moment)
     by_rig[:, :, SENSOR:CENTRE] = np.cross(force[:, None], by_moment)
     by_channel = -(by_wrench @ _to_clamp(rig))
-    by_rig[:, :, TARE:] = (by_channel[:, :, :, None] * touches.basis[:, None, None]).reshape(*by_rig.shape[:2], rig.tare.size)
+    by_rig[:, :, TARE:] = (by_channel[:, :, :, None] * touches.basis[:, None, None]).reshape(
+        *by_rig.shape[:2], rig.tare.size
+    )
 
 
 def _to_clamp(rig: Rig) -> Array:

@@ -45,7 +45,9 @@ def spread_rotations(count: int) -> Array:
     number = np.arange(count) + 0.5
     inner, outer = np.sqrt(number / count), np.sqrt(1 - number / count)
     one, other = 2 * np.pi * number / _FIRST, 2 * np.pi * number / _SECOND
-    quaternion = np.column_stack([inner * np.sin(one), inner * np.cos(one), outer * np.sin(other), outer * np.cos(other)])
+    quaternion = np.column_stack(
+        [inner * np.sin(one), inner * np.cos(one), outer * np.sin(other), outer * np.cos(other)]
+    )
     return np.asarray(Rotation.from_quat(quaternion).as_matrix())
 
 

@@ -79,14 +79,16 @@ def _of_reference(rig: Rig, mm: float, reference: Reference, world: Array) -> Ro
         slopes = {CENTRE + 2: mm, SPIN: float(lever[0]), SPIN + 1: float(lever[1])}
         return [*rows, ("plane_offset_mm", mm * float(normal @ rig.centre), slopes)]
     if isinstance(reference, Body):
-        turn, x, y, z = rig.axes, *reference.middle
+        turn, (x, y, z) = rig.axes, reference.middle
         by_turn = turn @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         place, angles, by_angle = rig.centre - turn @ reference.middle, euler(turn), _euler_slopes(turn) @ turn
         rows = [
             (f"mesh_{axis}_mm", mm * place[j], _by_pose(mm * turn[j], mm * by_turn[j])) for j, axis in enumerate("xyz")
         ]
         none = np.zeros(3)
-        return rows + [(f"mesh_turn_{axis}_deg", angles[j], _by_pose(none, by_angle[j])) for j, axis in enumerate("xyz")]
+        return rows + [
+            (f"mesh_turn_{axis}_deg", angles[j], _by_pose(none, by_angle[j])) for j, axis in enumerate("xyz")
+        ]
     centre = world.T @ rig.centre
     return [
         (f"sphere_{axis}_mm", mm * centre[j], {CENTRE + i: mm * world[i, j] for i in range(3) if world[i, j] != 0})

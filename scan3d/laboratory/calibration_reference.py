@@ -8,7 +8,8 @@ Lengths are in nominal lengths of the rod.
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Located(NamedTuple):
     misfit: Array
 
 
-class Reference(Protocol):
+class Reference(ABC):
     """A surface that is touched."""
 
     kind: ClassVar[str]
@@ -72,21 +73,23 @@ class Reference(Protocol):
     inward: ClassVar[int]
     """The equation whose value for a tangential contact is negative where the rod points into the reference: 2 or 3."""
 
-    @property
-    def size(self) -> float:
-        """The length over which the surface curves, or ends."""
+    size: float
+    """The length over which the surface curves, or ends."""
 
+    @abstractmethod
     def met(self, point: Array, tangent: Array, tangential: Mask) -> Met:
-        """How contacts (n, 3) with tangents (n, 3), in its frame, meet it; `tangential` (n,) says for which the rod is tangent."""
+        """How contacts (n, 3) with tangents (n, 3), in its frame, meet it; in the rows `tangential` (n,) the rod is tangent."""
 
+    @abstractmethod
     def wander(self, point: Array, tangent: Array) -> Array:
         """How far (n,) tangential contacts go along rods that turn a little, because of flat faces; 0 for smooth references."""
 
+    @abstractmethod
     def located(self, points: Array, outside: Array) -> Located:
         """Where it is nearest to sets (t, n, 3) of contacts; the point `outside` (3,) is."""
 
 
-class Spherical:
+class Spherical(Reference):
     """A sphere, with its radius and that of the rod."""
 
     kind = noun = "sphere"
@@ -103,12 +106,8 @@ class Spherical:
         if not (isinstance(diameter_m, (int, float)) and math.isfinite(diameter_m) and diameter_m > 0):
             raise InputError(f"the reference sphere needs a diameter above 0, got {diameter_m!r}")
         self.diameter_m = diameter_m
-        self.radius = (diameter_m + rod.diameter_m) / 2 / rod.length_m
+        self.size = self.radius = (diameter_m + rod.diameter_m) / 2 / rod.length_m
         self.title = f"a sphere of {1000 * diameter_m:g} mm"
-
-    @property
-    def size(self) -> float:
-        return self.radius
 
     def met(self, point: Array, tangent: Array, tangential: Mask) -> Met:
         distance = np.linalg.norm(point, axis=1)
@@ -127,11 +126,11 @@ class Spherical:
         return Located(centre, np.broadcast_to(np.eye(3), (len(points), 3, 3)), misfit)
 
 
-class Flat:
+class Flat(Reference):
     """A plane, normal to the third of its axes, and the rod's radius."""
 
     kind = noun = "plane"
-    extent, check = "a thirtieth of the rod's length", "that only the plane was touched"
+    extent, check = "a fiftieth of the rod's length", "that only the plane was touched"
     sizes, unlike = "the flatness of the plane", "a reference that is not flat, or whose border was touched"
     excluded = ""
     title = "a plane"
@@ -140,7 +139,7 @@ class Flat:
     smooth = True
     inward = 3
     # contacts anywhere along the rod are as far from a plane as the rod is straight
-    size = 0.25
+    size = 0.15
 
     def __init__(self, rod: Rod) -> None:
         """A plane that is touched with a rod."""

@@ -92,7 +92,9 @@ def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str], kind: str) 
     for group, names in fixed_groups.items():
         title, touches = _TITLES[group], needed[group].format(noun=noun)
         if group == kind:
-            result.append(f"These touches do not determine {title}: {', '.join(names)} are estimates. It needs {touches}.")
+            result.append(
+                f"These touches do not determine {title}: {', '.join(names)} are estimates. It needs {touches}."
+            )
             continue
         stays = "stays at its nominal value" if len(names) == 1 else "stay at their nominal values"
         result.append(f"These touches do not determine {title}: {', '.join(names)} {stays}. It needs {touches}.")
@@ -109,8 +111,8 @@ def _group(name: str) -> str:
 def rough_poses(deviation_mm: float, reference: Reference) -> str:
     """The sentence for an estimated noise of the poses that is larger than that of robots."""
     return (
-        f"The contacts deviate from the {reference.noun} as if the poses scattered by {deviation_mm:.2g} mm, which is more than "
-        f"those of a robot do: check {reference.sizes}, and that the {reference.noun} did not move."
+        f"The contacts deviate from the {reference.noun} as if the poses scattered by {deviation_mm:.2g} mm, which is more "
+        f"than those of a robot do: check {reference.sizes}, and that the {reference.noun} did not move."
     )
 
 
