@@ -22,7 +22,5 @@ EXPORTS = ("surface", "cloud")
 """What can be exported of a scan; the first is the default where a file can contain either."""
 TARES = ("auto", "constant", "linear", "sweep")
 """Models of what a sensor shows in the air; the first is the default."""
-REFERENCES = ("sphere", "plane", "mesh")
-"""What a rig touches to be calibrated."""
 SHELLS = ("bash", "zsh", "fish")
 """Shells for which there is a completion script."""

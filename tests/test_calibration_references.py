@@ -128,12 +128,15 @@ def test_a_known_body_determines_every_parameter_without_noise(name, most):
     assert found.sentences == ()
 
 
-def test_a_body_of_another_size_does_not_fit():
+def test_a_body_of_another_size_withdraws_what_is_well_determined():
     recording = rigs.recorded(motion=references.body, samples=60)
     larger = references.mesh("cube.stl").copy()
-    larger.apply_scale(1.1)
-    with pytest.raises(InputError, match=r"do not fit the body of cube\.stl"):
-        scan3d.calibrate(recording, larger)
+    larger.apply_scale(1.02)
+    found = scan3d.calibrate(recording, larger)
+    rig = [well for name, well in zip(found.names, found.well, strict=True) if not name.startswith(("tare", "drift"))]
+    assert not any(rig)
+    assert np.abs(deviations(found, rigs.Truth(), recording, "mesh", samples=60)[1]).max() < 2
+    assert "a body that differs from its mesh, in shape or in size" in found.sentences[-1]
 
 
 @pytest.mark.parametrize("reference", ["plane", trimesh.creation.box((20, 20, 20))])
@@ -180,7 +183,7 @@ def test_lines_past_a_body_against_a_search_along_them(solid):
     angle = np.linspace(0, 2 * np.pi, 5001)
     directions = np.cos(angle)[:, None, None] * across[:, 0] + np.sin(angle)[:, None, None] * across[:, 1]
     height = (directions * point).sum(axis=2) - (directions @ body.vertices.T).max(axis=2)
-    assert np.abs(line.distance - height.max(axis=0))[~outside].max() < 1e-4
+    assert np.abs(line.distance - height.max(axis=0))[~outside].max() < 1e-3
 
 
 def test_derivatives_of_lines_against_difference_quotients():

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import Array
-from scan3d.choices import REFERENCES
 from scan3d.errors import InputError
 from scan3d.files.atomic import folder, write_atomic
 from scan3d.files.ownership import Inputs, check_file
 from scan3d.files.reading import did_you_mean, read_toml
 from scan3d.files.text import to_toml
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR
+from scan3d.laboratory.calibration_reference import KINDS
 from scan3d.laboratory.calibration_result import Calibration
 from scan3d.rods import Rod
 
@@ -29,7 +29,7 @@ _SECTIONS = (
     "sensor",
     "clamp",
     "tare",
-    *REFERENCES,
+    *KINDS,
     "noise",
     "fit",
     "quantities",
@@ -179,7 +179,7 @@ def _reference(rig: Calibration) -> dict[str, Any]:
 
 def _read_reference(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """What was touched, of the first of its sections."""
-    for kind in REFERENCES:
+    for kind in KINDS:
         if parts[kind]:
             section, found = parts[kind], {"kind": kind}
             for name, value in section.items():

@@ -17,6 +17,9 @@ from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.rods import Rod
 
+KINDS = ("sphere", "plane", "mesh")
+"""Kinds of references, by which the files of rigs name them."""
+
 
 class Met(NamedTuple):
     """How rows (n,) meet a reference, with derivatives by contacts and by tangents, in the frame of the reference.
@@ -47,7 +50,7 @@ class Reference(ABC):
     """A surface that is touched."""
 
     kind: ClassVar[str]
-    """One of `scan3d.choices.REFERENCES`."""
+    """One of `KINDS`."""
     noun: ClassVar[str]
     """What it is called in messages."""
     radius: float
