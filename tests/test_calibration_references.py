@@ -139,6 +139,15 @@ def test_a_body_of_another_size_withdraws_what_is_well_determined():
     assert "a body that differs from its mesh, in shape or in size" in found.sentences[-1]
 
 
+@pytest.mark.slow
+def test_a_mesh_of_a_smooth_body_is_refused_under_noise():
+    recording = rigs.recorded(motion=references.body, name="cylinder.off", samples=60)
+    with pytest.raises(
+        InputError, match=r"the body of cylinder\.off does not come to rest.* calibrate with a body of flat faces"
+    ):
+        scan3d.calibrate(recording, references.mesh("cylinder.off"))
+
+
 @pytest.mark.parametrize("reference", ["plane", trimesh.creation.box((20, 20, 20))])
 def test_a_rod_in_a_plane_needs_a_sphere(reference):
     with pytest.raises(InputError, match=r"all six components; with three, touch a sphere"):

@@ -318,7 +318,14 @@ def _check(fit: Adjusted, problem: Problem, noise: Noise, recording: Recording) 
         raise _no_fit(problem.reference, f", from which they deviate by {deviation:.2g} mm")
     usable = fit.used[:, 2].sum() >= max(FEWEST, _USABLE * len(fit.used))
     known = np.isfinite(fit.normal).all() and (np.diag(fit.normal)[problem.free] > 0).all()
-    if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
+    plausible = usable and known and abs(fit.rig.stiffness) < _STIFFEST
+    if plausible and not fit.at_rest and not problem.reference.smooth:
+        raise InputError(
+            f"the fit to {problem.reference.title} does not come to rest, because within their noise the contacts pass from "
+            "facet to facet of the mesh: calibrate with a body of flat faces and sharp edges, a plane, or a sphere by its "
+            "diameter"
+        )
+    if not (fit.at_rest and plausible):
         raise _no_fit(problem.reference, "")
 
 
