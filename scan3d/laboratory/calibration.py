@@ -192,7 +192,7 @@ def _settled(
             break
     for _ in range(rounds[1] if estimate else 0):
         noise = noise._replace(place=_place_noise(fit, problem, noise))
-        if problem.free[LENGTH] and rounds[0]:
+        if problem.reference.abrupt and problem.free[LENGTH] and rounds[0]:
             problem = _with_likelier_kinds(problem, sweep, fit.rig, noise, free)
         fit = adjusted(problem, fit.rig, noise)
     return _Settled(problem, fit, noise, chosen)

@@ -59,7 +59,7 @@ class Body(Reference):
     excluded = ""
     free = (True, True, True, True, True, True)
     pose_order = (0.01, 0.02)
-    smooth = False
+    smooth, abrupt = False, True
     inward = 2
 
     def __init__(self, mesh: Any, unit: str, rod: Rod) -> None:

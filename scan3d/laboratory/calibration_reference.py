@@ -73,6 +73,8 @@ class Reference(ABC):
     """How soon a displacement or a turn of it is fixed where it is not determined; 0 for never."""
     smooth: ClassVar[bool]
     """Whether its normal changes steadily."""
+    abrupt: ClassVar[bool]
+    """Whether contacts pass between the tip and the rest of the rod within few rows, and the rod's tangent with them."""
     inward: ClassVar[int]
     """The equation whose value for a tangential contact is negative where the rod points into the reference: 2 or 3."""
 
@@ -101,7 +103,7 @@ class Spherical(Reference):
     excluded = "; a diameter that is wrong would not look like this"
     free = (True, True, True, False, False, False)
     pose_order = (0.0, 0.0)
-    smooth = True
+    smooth, abrupt = True, False
     inward = 3
 
     def __init__(self, diameter_m: float, rod: Rod) -> None:
@@ -139,7 +141,7 @@ class Flat(Reference):
     title = "a plane"
     free = (False, False, True, True, True, False)
     pose_order = (0.0, 0.0)
-    smooth = True
+    smooth, abrupt = True, True
     inward = 3
     # contacts anywhere along the rod are as far from a plane as the rod is straight
     size = 0.15

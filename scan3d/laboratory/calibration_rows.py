@@ -103,8 +103,8 @@ def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) ->
             return result, None
         length = float(np.average(s1[tip], weights=1 / s1_sd[tip] ** 2))
         near: Mask = s1 > length - _SIGMAS * s1_sd - _COSINE
-    # averages over a transition are those of neither kind
-    near |= _summed(near.astype(float), sweep) > 0
+    if problem.reference.abrupt:  # averages over the transition are those of neither kind
+        near |= _summed(near.astype(float), sweep) > 0
     result[near] = Kind.UNSURE
     result[near & tip] = Kind.TIP
     return result, length
@@ -131,14 +131,18 @@ def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: 
     tangential, tip = (_all(problem.touches, kind).kind for kind in (Kind.TANGENTIAL, Kind.TIP))
     tangential = placed(rig, problem.touches, problem.reference, tangential)
     difference = misfits(problem, rig, noise, tangential) - misfits(problem, rig, noise, tip)
-    for number in np.unique(sweep):
-        rows = np.flatnonzero(sweep == number)
-        before, after = _evidence(difference[rows]), _evidence(difference[rows][::-1])[::-1]
-        result[rows[before + after < -_LIKELIER]] = Kind.TANGENTIAL
-        result[rows[before + after > _LIKELIER]] = Kind.TIP
-    # a contact may be of another kind than all others around it
-    contradicts = np.where(result == Kind.TIP, -difference, difference)
-    result[contradicts > _CONTRADICTS] = Kind.UNSURE
+    if problem.reference.abrupt:
+        together = np.zeros(len(sweep))
+        for number in np.unique(sweep):
+            rows = np.flatnonzero(sweep == number)
+            together[rows] = _evidence(difference[rows]) + _evidence(difference[rows][::-1])[::-1]
+    else:
+        together = _summed(difference, sweep, own=False)
+    result[together < -_LIKELIER] = Kind.TANGENTIAL
+    result[together > _LIKELIER] = Kind.TIP
+    if not problem.reference.smooth:  # at an edge a single contact may be of another kind than those around it
+        contradicts = np.where(result == Kind.TIP, -difference, difference)
+        result[contradicts > _CONTRADICTS] = Kind.UNSURE
     return result
 
 
@@ -155,9 +159,9 @@ def _evidence(difference: Array) -> Array:
     return result
 
 
-def _summed(values: Array, sweep: NDArray[np.int64]) -> Array:
-    """Sums (n,) over a row and its neighbours in the same sweep."""
-    result = values.copy()
+def _summed(values: Array, sweep: NDArray[np.int64], own: bool = True) -> Array:
+    """Sums (n,) over neighbours in the same sweep, with the row's own value or without it."""
+    result = values.copy() if own else np.zeros(len(values))
     for number in np.unique(sweep):
         rows = np.flatnonzero(sweep == number)
         result[rows] += _around(values[rows, None], max(len(rows) // _WINDOWS, 1))[:, 0]
