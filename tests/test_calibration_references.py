@@ -125,7 +125,8 @@ def test_a_known_body_determines_every_parameter_without_noise(name, most):
     recording = rigs.recorded(rigs.EXACT, motion=references.body, name=name, samples=60)
     found = scan3d.calibrate(recording, references.mesh(name))
     assert max(deviations(found, rigs.EXACT, recording, "mesh", name, samples=60)[0].values()) < most
-    assert found.sentences == ()
+    assert found.details["pose_noise"] == "estimated"
+    assert found.pose_noise_m < 1e-8
 
 
 def test_a_body_of_another_size_withdraws_what_is_well_determined():
