@@ -169,6 +169,8 @@ def test_wrong_references_have_a_sentence(reference, sentence):
 
 
 def test_a_wrong_unit_has_a_sentence():
+    with pytest.raises(InputError, match="give either a reference or the diameter"):
+        scan3d.calibrate(rigs.recorded(), "plane", sphere=0.03)
     with pytest.raises(InputError, match="unit must be one of"):
         scan3d.calibrate(rigs.recorded(), trimesh.creation.box((20, 20, 20)), unit="ell")
     with pytest.raises(InputError, match="do not fit the body of the mesh"):

@@ -73,8 +73,9 @@ _PLACE, _PLACE_BOUNDS, _NO_FIT = 3e-4, (1e-9, 0.3), 0.01
 
 def calibrate(
     recording: Recording,
-    reference: float | Literal["plane"] | trimesh.Trimesh,
+    reference: float | Literal["plane"] | trimesh.Trimesh | None = None,
     *,
+    sphere: float | None = None,
     unit: str = "mm",
     tare: str = "auto",
     pose_noise_m: float | None = None,
@@ -83,6 +84,8 @@ def calibrate(
 
     reference
         the diameter of a sphere in m, ``"plane"``, or the `trimesh.Trimesh` of a closed and convex body.
+    sphere
+        the diameter of a sphere, in the place of `reference`.
     unit
         what the coordinates of the mesh mean.
     tare
@@ -98,7 +101,9 @@ def calibrate(
         raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
     if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
         raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
-    touched = _touched(reference, unit, recording)
+    if reference is not None and sphere is not None:
+        raise InputError("give either a reference or the diameter of a sphere")
+    touched = _touched(sphere if reference is None else reference, unit, recording)
     place = None if pose_noise_m is None else pose_noise_m / recording.rod.length_m
     return _fitted(measured(recording, touched, tare), place, recording)
 
