@@ -83,12 +83,12 @@ def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REA
     return position, axes, np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
 
 
-def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, **raster):
+def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=swept, **raster):
     """The recording of a rig, as it logs without knowing of its faults; `pink` is the fraction of its noise's variance with
-    the spectrum 1/f."""
+    the spectrum 1/f, and `motion` gives the exact sweeps."""
     truth = Truth() if truth is None else truth
     rng = np.random.default_rng(seed)
-    position, axes, force, moment, _ = swept(length=truth.length, **raster)
+    position, axes, force, moment, _ = motion(length=truth.length, **raster)
     m, n, _ = position.shape
     position = position.reshape(-1, 3) * truth.length + truth.centre
     axes = np.repeat(axes, n, axis=0)
@@ -125,9 +125,9 @@ def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, **raster
     )
 
 
-def truth_of(calibration, truth, recording, *, length=ROD.length_m, **raster):
-    """The true values of the quantities of a calibration, by its names."""
-    _, _, force, moment, _ = swept(length=truth.length, **raster)
+def truth_of(calibration, truth, recording, *, motion=swept, reference=None, **raster):
+    """The true values of the quantities of a calibration, by its names; those of the `reference` if it is no sphere."""
+    _, _, force, moment, _ = motion(length=truth.length, **raster)
     force = force.reshape(-1, 3) * truth.stiffness / truth.length**2
     moment = moment.reshape(-1, 3) * truth.stiffness / truth.length - np.cross(truth.sensor, force)
     largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
@@ -139,6 +139,7 @@ def truth_of(calibration, truth, recording, *, length=ROD.length_m, **raster):
     channels = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
     values |= {f"tare_{name}": part * size for name, part, size in zip(channels, truth.bias, largest, strict=True)}
     values |= {f"drift_{name}": part * size for name, part, size in zip(channels, truth.drift, largest, strict=True)}
+    values |= reference or {}
     return np.array([values[name] for name in calibration.names])
 
 

@@ -16,20 +16,27 @@ from scan3d.units import UNITS_M
 
 EXAMPLES = """\
   scan3d calibrate touches.csv --sphere 30 --out rig.toml
-  scan3d calibrate touches.csv --sphere 30 --out rig.toml --pose-noise 0.02 --json"""
+  scan3d calibrate touches.csv --plane --out rig.toml --pose-noise 0.02 --json
+  scan3d calibrate touches.csv --mesh gauge_block.stl --out rig.toml"""
 
 
 def add(commands: Any, add_overwrite: Callable[[Any], None], add_output: Callable[[Any], None]) -> None:
     """Add the command to the others."""
     calibrate = commands.add_parser(
         "calibrate",
-        help="rod, clamp and sensor of a rig, from touches of a reference sphere",
+        help="rod, clamp and sensor of a rig, from touches of a sphere, a plane or a known body",
         description="The rod's stiffness and length, the clamp's offset and turn, the sensor's place and turn and its tare,\n"
-        "with uncertainties, from sweeps over a sphere of known diameter at an unknown place.",
+        "with uncertainties, from sweeps over a reference: a sphere of known diameter, a plane, or a convex body whose mesh\n"
+        "is known. Where the reference is need not be known.",
     )
     calibrate.add_argument("recording", metavar="REC", help="the .csv of a recording; its .toml is in the same folder")
-    calibrate.add_argument(
-        "--sphere", required=True, type=float, metavar="D", help="diameter of the reference sphere, in mm or in --unit"
+    reference = calibrate.add_mutually_exclusive_group(required=True)
+    reference.add_argument(
+        "--sphere", type=float, metavar="D", help="the reference is a sphere of this diameter, in mm or in --unit"
+    )
+    reference.add_argument("--plane", action="store_true", help="the reference is flat, such as a surface plate")
+    reference.add_argument(
+        "--mesh", metavar="MESH", help="the reference is the convex body of this mesh file, with coordinates in --unit"
     )
     calibrate.add_argument("--out", required=True, metavar="FILE", help="the rig, a .toml")
     calibrate.add_argument(
@@ -37,7 +44,7 @@ def add(commands: Any, add_overwrite: Callable[[Any], None], add_output: Callabl
         default="mm",
         choices=tuple(UNITS_M),
         metavar="UNIT",
-        help="unit of --sphere and --pose-noise (default mm)",
+        help="unit of --sphere, --mesh and --pose-noise (default mm)",
     )
     calibrate.add_argument(
         "--tare",
@@ -73,12 +80,16 @@ def calibrate(arguments: argparse.Namespace) -> int:
     from scan3d.laboratory.rigged import not_rigged
 
     inputs = {"recording": arguments.recording, "TOML file of the recording": sidecar(arguments.recording)}
+    if arguments.mesh is not None:
+        inputs["mesh"] = arguments.mesh
     check_path(arguments.out, inputs, arguments.overwrite)
     scale = UNITS_M[arguments.unit]
     noise = None if arguments.pose_noise is None else scale * arguments.pose_noise
     recording = read_recording(arguments.recording)
     not_rigged(recording.source, "the recording")
-    found = calibrate_rig(recording, scale * arguments.sphere, tare=arguments.tare, pose_noise_m=noise)
+    found = calibrate_rig(
+        recording, _reference(arguments), unit=arguments.unit, tare=arguments.tare, pose_noise_m=noise
+    )
     write_rig(found, arguments.out, overwrite=True)  # checked above
     if arguments.json:
         print(printable_json(to_json(sections(found)).decode()), end="")
@@ -88,6 +99,17 @@ def calibrate(arguments: argparse.Namespace) -> int:
         for sentence in found.sentences:
             print(f"scan3d: {one_line(sentence)}", file=sys.stderr)
     return 0
+
+
+def _reference(arguments: argparse.Namespace) -> Any:
+    """What was touched, as `scan3d.calibrate` takes it."""
+    if arguments.plane:
+        return "plane"
+    if arguments.mesh is None:
+        return UNITS_M[arguments.unit] * arguments.sphere
+    from scan3d.simulation.bodies import load_mesh
+
+    return load_mesh(arguments.mesh)
 
 
 def rigged(recording: Any, rig: str | None) -> Any:

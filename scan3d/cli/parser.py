@@ -23,7 +23,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d scan part.stl --out out --friction 0.0:0.4        the friction is drawn separately for every sample
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
   scan3d reconstruct log.csv --out out --truth part.stl    only the reconstruction, compared with the true body
-  scan3d calibrate touches.csv --sphere 30 --out rig.toml  rod, clamp and sensor, from touches of a reference sphere
+  scan3d calibrate touches.csv --sphere 30 --out rig.toml  rod, clamp and sensor, from touches of a reference
   scan3d import raw.csv --map rig.toml --out log.csv       a laboratory's table becomes a recording
   scan3d compare out/surface.ply part.stl                  Hausdorff distance of two meshes
   scan3d show out                                          an interactive window; --html and --screenshot write files

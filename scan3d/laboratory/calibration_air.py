@@ -85,7 +85,7 @@ def unloaded(
     if air.sum() < _FEWEST:
         raise InputError(
             f"the recording has {air.sum()} rows in the air, and a calibration needs {_FEWEST}: let each sweep begin and end "
-            "some rows before and after the rod touches the sphere"
+            "some rows before and after the rod touches the reference"
         )
     known = np.repeat(noise, 3)
     least = np.maximum(_EXACT * largest, _TINY)

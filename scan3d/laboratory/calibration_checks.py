@@ -13,6 +13,7 @@ from scan3d.laboratory.calibration_air import Unloaded
 from scan3d.laboratory.calibration_colour import Colour
 from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem
 from scan3d.laboratory.calibration_model import TARE
+from scan3d.laboratory.calibration_reference import Spherical
 from scan3d.laboratory.calibration_residuals import Systematic, noise_covariance, systematic
 from scan3d.recording import Recording
 
@@ -85,12 +86,13 @@ def check(fitted: Fitted, recording: Recording, jacobian: Array) -> Checked:
     place_mm = 1000 * noise.place * recording.rod.length_m
     rough = fitted.estimated and noise.place > _ROUGH
     stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
-    sentences: tuple[str, ...] = (words.rough_poses(place_mm),) if rough else ()
+    sentences: tuple[str, ...] = (words.rough_poses(place_mm, problem.reference),) if rough else ()
     sentences += words.premises(
         (chi2, np.inf if fitted.estimated else largest[0]),
         # the noise is not stated where it is that of the same rows
         (fitted.air.misfit, _largest(fit.air_residual.size) if stated else np.inf),
         (consistency, largest[1]),
+        problem.reference,
     )
     spoiled = bool(found) and (noise.place > _ROUGH or max(found.excess) > _SPOILED)
     if found:
@@ -128,14 +130,14 @@ def _deviations(
     spread = (fit.by_row[:, 2] ** 2 @ variances)[fit.used[:, 2]]
     length_mm = 1000 * recording.rod.length_m
     size = length_mm * float(np.sqrt(found.variance[1] * np.median(spread)))
-    radius, explained = _radius(fit, problem, inverse)
+    radius, explained = _radius(fit, problem, inverse) if isinstance(problem.reference, Spherical) else (0.0, 0.0)
     cause = "shape"
     if explained > _EXPLAINS * sum(found.square):
         cause = "diameter"
     elif problem.channels.all() and _in_plane(fitted):
         cause = "planar"
-    wanted = 1000 * (2 * recording.rod.length_m * (problem.radius + radius) - recording.rod.diameter_m)
-    return (words.alike_in_contact(size, found.rows, cause, wanted, spoiled),)
+    wanted = 1000 * (2 * recording.rod.length_m * (problem.reference.radius + radius) - recording.rod.diameter_m)
+    return (words.alike_in_contact(size, found.rows, cause, wanted, spoiled, problem.reference),)
 
 
 def _radius(fit: Adjusted, problem: Problem, inverse: Array) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from scan3d.files.ownership import Inputs, check_file
 from scan3d.files.reading import did_you_mean, read_toml
 from scan3d.files.text import to_toml
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR
+from scan3d.laboratory.calibration_reference import KINDS
 from scan3d.laboratory.calibration_result import Calibration
 from scan3d.rods import Rod
 
@@ -28,7 +29,7 @@ _SECTIONS = (
     "sensor",
     "clamp",
     "tare",
-    "sphere",
+    *KINDS,
     "noise",
     "fit",
     "quantities",
@@ -76,7 +77,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
             "drift_force_N": _numbers(rig.drift[:3]),
             "drift_moment_Nm": _numbers(rig.drift[3:]),
         },
-        "sphere": {"diameter_mm": 1000 * rig.diameter_m, "position_mm": _numbers(1000 * rig.sphere_m)},
+        **_reference(rig),
         "noise": {"force_N": rig.noise_force_N, "moment_Nm": rig.noise_moment_Nm, "pose_m": rig.pose_noise_m},
         "fit": {
             "chi2_per_freedom": rig.chi2,
@@ -151,7 +152,6 @@ def _calibration(parts: Mapping[str, Mapping[str, Any]]) -> Calibration:
         clamp_euler_deg=_three("clamp", parts["clamp"], "euler_deg"),
         tare=np.concatenate([_three("tare", parts["tare"], key) for key in ("force_N", "moment_Nm")]),
         drift=np.concatenate([_three("tare", parts["tare"], key) for key in ("drift_force_N", "drift_moment_Nm")]),
-        sphere_m=_three("sphere", parts["sphere"], "position_mm") / 1000,
         names=names,
         values=values,
         standard_deviations=deviations,
@@ -164,12 +164,32 @@ def _calibration(parts: Mapping[str, Mapping[str, Any]]) -> Calibration:
         pose_noise_m=_number("noise", noise, "pose_m", 0.0),
         noise_force_N=_number("noise", noise, "force_N", 0.0),
         noise_moment_Nm=_number("noise", noise, "moment_Nm", 0.0),
-        diameter_m=_number("sphere", parts["sphere"], "diameter_mm", math.nan) / 1000,
+        reference=_read_reference(parts),
         details=details,
         map_frames={
             title: _table("[map]", parts["map"], title) for title in ("sensor", "clamp") if title in parts["map"]
         },
     )
+
+
+def _reference(rig: Calibration) -> dict[str, Any]:
+    """The section of what was touched."""
+    return {rig.reference["kind"]: {k: v for k, v in rig.reference.items() if k != "kind"}} if rig.reference else {}
+
+
+def _read_reference(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """What was touched, of the first of its sections."""
+    for kind in KINDS:
+        if parts[kind]:
+            section, found = parts[kind], {"kind": kind}
+            for name, value in section.items():
+                if name in ("position_mm", "euler_deg", "normal"):
+                    _three(kind, section, name)
+                elif name in ("diameter_mm", "offset_mm"):
+                    _number(kind, section, name)
+                found[name] = value
+            return found
+    return {}
 
 
 def _matrix(rows: Any) -> Array:

@@ -14,10 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
-from scan3d.laboratory.calibration_model import TARE, Equations, Kind, Rig, Touches, equations
+from scan3d.laboratory.calibration_model import TARE, Equations, Rig, Touches, equations
+from scan3d.laboratory.calibration_reference import Reference
 
 # Iterations at most, of the damped start and of the adjustment, and the steps in standard deviations at which they end.
 _START_STEPS, _STEPS, _ENOUGH, _SMALL = 60, 30, 0.05, 1e-4
+# For bodies with edges, where contacts may alternate between an edge and a face next to it: iterations after which the adjusted
+# values move by half of their steps; steps in standard deviations that need not fall any more; and the fraction to which a step
+# must fall.
+_WHOLE, _NEARLY, _FALLS = 5, 0.05, 0.8
 # Iterations of the adjusted values of a row for a rig that is known.
 _ROW_STEPS = 3
 # Damping of the first step and by how much it falls or rises, relative to the normal matrix's diagonal (Marquardt).
@@ -59,8 +64,7 @@ class Problem:
 
     touches: Touches
     air: Air
-    radius: float
-    """Of the sphere, with that of the rod."""
+    reference: Reference
     channels: Mask
     """(6,) which components of force and moment were measured."""
     free: Mask
@@ -123,17 +127,23 @@ def started(problem: Problem, rig: Rig, noise: Noise, steps: int = _START_STEPS)
 
 def adjusted(problem: Problem, rig: Rig, noise: Noise) -> Adjusted:
     """The fit with errors in all measured values, from a rig nearby."""
-    correction = None
-    at_rest = False
-    for _ in range(_STEPS):
+    correction: Array | None = None
+    at_rest, before = False, np.inf
+    for number in range(_STEPS):
         state = _linearised(problem, rig, noise, correction)
         normal, gradient = _normal(problem, state)
         step = _solved(problem, normal, gradient, 0.0)
         rig = rig.moved(step)
-        correction = _correction(problem, state, step, noise)
-        if float(step @ normal @ step) < _SMALL**2:
+        adjusted_by = _correction(problem, state, step, noise)
+        if correction is None or number < _WHOLE or problem.reference.smooth:
+            correction = adjusted_by
+        else:
+            correction = (correction + adjusted_by) / 2
+        size = float(np.sqrt(step @ normal @ step))
+        if size < _SMALL or (not problem.reference.smooth and _FALLS * before < size < _NEARLY):
             at_rest = True
             break
+        before = size
     state = _linearised(problem, rig, noise, correction)
     normal, _ = _normal(problem, state)
     return Adjusted(
@@ -174,14 +184,14 @@ def _linearised(problem: Problem, rig: Rig, noise: Noise, correction: Array | No
         touches = touches._replace(
             wrench=touches.wrench + correction[:, :6], position=touches.position + correction[:, 6:]
         )
-    found = equations(rig, touches, problem.radius)
+    found = equations(rig, touches, problem.reference)
     good = _finite(found)
     if correction is not None and not good.all():  # there the adjusted values are left for the measured ones
         correction[~good] = 0
         touches = problem.touches._replace(
             wrench=problem.touches.wrench + correction[:, :6], position=problem.touches.position + correction[:, 6:]
         )
-        found = equations(rig, touches, problem.radius)
+        found = equations(rig, touches, problem.reference)
         good = _finite(found)
     used = good[:, None] & problem.applies & (found.by_row != 0).any(axis=2)
     value, by_rig, by_row = (np.where(used.reshape(*used.shape, *[1] * (part.ndim - 2)), part, 0) for part in found)
@@ -256,12 +266,14 @@ def information(problem: Problem, rig: Rig, noise: Noise) -> Array:
     return _normal(problem, _linearised(problem, rig, noise, None))[0]
 
 
-def misfits(problem: Problem, rig: Rig, noise: Noise, kind: Kind) -> Array:
-    """Sums of squares (n,) of the rows' corrections, in variances, if all rows were of one kind and the rig were known."""
-    everywhere = np.full(len(problem.touches.kind), kind, dtype=np.int8)
-    problem = replace(problem, touches=problem.touches._replace(kind=everywhere))
+def misfits(problem: Problem, rig: Rig, noise: Noise, kind: NDArray[np.int8]) -> Array:
+    """Sums of squares (n,) of the rows' corrections, in variances, beyond what is expected, for a rig that is known.
+
+    `kind` (n,) is that of the rows.
+    """
+    problem = replace(problem, touches=problem.touches._replace(kind=kind))
     state = _linearised(problem, rig, noise, None)
     for _ in range(_ROW_STEPS):
         state = _linearised(problem, rig, noise, _correction(problem, state, np.zeros(len(problem.free)), noise))
-    result: Array = (state.white**2).sum(axis=1)
+    result: Array = (state.white**2).sum(axis=1) - state.used.sum(axis=1)
     return result

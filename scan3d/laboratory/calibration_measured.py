@@ -18,6 +18,7 @@ from scan3d.laboratory.calibration_model import (
     CLAMP,
     LENGTH,
     SENSOR,
+    SPIN,
     STIFFNESS,
     TARE,
     TILT,
@@ -26,6 +27,7 @@ from scan3d.laboratory.calibration_model import (
     Rig,
     Touches,
 )
+from scan3d.laboratory.calibration_reference import Reference, Spherical
 from scan3d.laboratory.calibration_rows import neighbours
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
@@ -36,7 +38,8 @@ FEWEST = 30
 _FELT = 20.0
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
 # Of the stiffness's logarithm, lengths in rod lengths, angles in radians, and the tare in EI/L² and EI/L.
-_WIDTHS = {STIFFNESS: 0.5, CLAMP: 0.1, TILT: 0.3, TURN: 0.5, SENSOR: 0.3, CENTRE: 1.0, LENGTH: 0.1, TARE: 1.0}
+_WIDTHS = {STIFFNESS: 0.5, CLAMP: 0.1, TILT: 0.3, TURN: 0.5, SENSOR: 0.3, CENTRE: 1.0, SPIN: 0.5}
+_WIDTHS |= {LENGTH: 0.1, TARE: 1.0}
 # Spread of the planes of planar sweeps, over the sphere's radius, up to which they count as one plane through the centre.
 _PLANE = 0.1
 
@@ -72,10 +75,15 @@ class Measured(NamedTuple):
         )
 
 
-def measured(recording: Recording, sphere: float, tare: str) -> Measured:
+def measured(recording: Recording, reference: Reference, tare: str) -> Measured:
     """The rows in contact and in the air, dimensionless."""
     rod, known = recording.rod, noise_of(recording)
     channels = np.full(6, recording.six_axis)
+    if not recording.six_axis and not isinstance(reference, Spherical):
+        raise InputError(
+            f"a calibration by touches of {reference.title} needs forces and moments with all six components; with three, "
+            "touch a sphere"
+        )
     if recording.six_axis:
         wrench = np.hstack(recording.wrench())
     else:
@@ -92,7 +100,7 @@ def measured(recording: Recording, sphere: float, tare: str) -> Measured:
     if len(rows) < FEWEST:
         raise InputError(
             f"the recording has {len(rows)} rows in contact that stand out from the noise, and a calibration needs {FEWEST}: "
-            "touch the sphere in more sweeps, and bend the rod more"
+            f"touch the {reference.noun} in more sweeps, and bend the rod more"
         )
     # sweeps in a plane do not determine how far the sphere's centre is from it: the plane's normal is one of the axes
     world = np.eye(3) if recording.six_axis else recording.axes()[rows[0]]
@@ -105,19 +113,21 @@ def measured(recording: Recording, sphere: float, tare: str) -> Measured:
     )
     k = found.basis.shape[1]
     free = np.ones(TARE + 6 * k, dtype=bool)
+    free[CENTRE:LENGTH] = reference.free
     if not recording.six_axis:
         free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
         free[TARE:] = np.repeat(channels, k)
-        free[CENTRE + 2] = np.ptp(touches.position[:, 2]) > _PLANE * sphere / 2 / rod.length_m
+        free[CENTRE + 2] = np.ptp(touches.position[:, 2]) > _PLANE * reference.size
     problem = Problem(
         touches,
         Air(wrench[found.air], found.basis[found.air], np.flatnonzero(found.air)),
-        (sphere + rod.diameter_m) / 2 / rod.length_m,
+        reference,
         channels,
         free,
         by_parameter(_WIDTHS, len(free)),
     )
-    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), touches.position.mean(axis=0), 1.0, found.tare)
+    middle = touches.position.mean(axis=0)
+    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), middle, np.eye(3), 1.0, found.tare)
     colours = (
         colour(wrench, found, channels, slice(0, 3), found.force_noise),
         colour(wrench, found, channels, slice(3, 6), found.moment_noise),

@@ -1,15 +1,15 @@
-"""The equations between a touched sphere and the rod, the clamp and the sensor that touch it, with their derivatives.
+"""The equations between a touched reference and the rod, the clamp and the sensor that touch it, with their derivatives.
 
 A row measures nine values: force and moment in the sensor's frame, and the place of the pose.  Four equations hold for the true
 values of a row in contact:
 
 1. ``m0·t0 = 0`` and
 2. ``m0·f0 = 0`` (S4), the internal consistency of the six reactions,
-3. ``|r1 - c| = D/2 + a``: the rod's centre line touches the sphere fattened by the rod's radius a,
-4. ``t1·(r1 - c) = 0`` in tangential contact, and ``s1 = L`` where the tip touches.
+3. the rod's centre line touches the reference fattened by the rod's radius a: ``|r1 - c| = D/2 + a`` for a sphere,
+4. the rod is tangent to it in tangential contact: ``t1·(r1 - c) = 0`` for a sphere; and ``s1 = L`` where the tip touches.
 
-None of them refers to friction.  Lengths are in nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal
-rod.
+For other references than spheres see `calibration_reference`.  None of the equations refers to friction.  Lengths are in
+nominal lengths L, forces in ``EI/L²`` and moments in ``EI/L`` of the nominal rod.
 """
 
 from __future__ import annotations
@@ -24,12 +24,16 @@ from scipy.spatial.transform import Rotation
 
 import planar
 from scan3d.arrays import Array
+from scan3d.laboratory.calibration_reference import Met, Reference
 from scan3d.spatial.inverse import reconstruct
 
 # Contacts that the noise puts past the tip by nearly any part of the rod are still used: their places do not depend on the tip.
 PAST_TIP = 0.999
+# How far a tangential contact goes, in rod lengths, when the rod turns a little: less far it is at an edge, which tells its
+# place; farther, the rod may touch the other side of a face as well.
+_AT_EDGE, _ON_FACE = 2e-3, 0.03
 # Where the parameters stand in their vector; the tare follows them.
-STIFFNESS, CLAMP, TILT, TURN, SENSOR, CENTRE, LENGTH, TARE = 0, 1, 4, 6, 9, 12, 15, 16
+STIFFNESS, CLAMP, TILT, TURN, SENSOR, CENTRE, SPIN, LENGTH, TARE = 0, 1, 4, 6, 9, 12, 15, 18, 19
 
 
 class Kind(IntEnum):
@@ -41,11 +45,13 @@ class Kind(IntEnum):
     """Without equation 4, for a first estimate: errors along the rod move tangential contacts off the sphere, never into it."""
     UNSURE = 3
     """Near the transition: without equations 3 and 4."""
+    ACROSS = 4
+    """Tangential, but where along the rod is not told by the reference: without equation 4."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A rod, its clamp and its sensor, dimensionless, with the sphere that they touch."""
+    """A rod, its clamp and its sensor, dimensionless, with the place of the reference that they touch."""
 
     stiffness: float
     """Logarithm of the bending stiffness over the nominal one."""
@@ -58,14 +64,19 @@ class Rig:
     sensor: Array
     """(3,) place of the sensor's frame in the clamp's."""
     centre: Array
-    """(3,) centre of the sphere in the world."""
+    """(3,) place of the reference in the world: a sphere's centre."""
+    axes: Array
+    """(3, 3) its axes in the world, as columns."""
     length: float
     """Free length of the rod."""
     tare: Array
     """(6, k) force and moment that the sensor shows in the air, as coefficients of the basis of the tare."""
 
     def moved(self, step: Array) -> Rig:
-        """The rig after a step (p,) of its parameters; that of the sensor's turn is a rotation vector in the clamp's frame."""
+        """The rig after a step (p,) of its parameters.
+
+        The step of the sensor's turn is a rotation vector in the clamp's frame, those of the reference are in its own frame.
+        """
         return replace(
             self,
             stiffness=float(self.stiffness + step[STIFFNESS]),
@@ -73,7 +84,10 @@ class Rig:
             tilt=self.tilt + step[TILT:TURN],
             turn=Rotation.from_rotvec(step[TURN:SENSOR]).as_matrix() @ self.turn,
             sensor=self.sensor + step[SENSOR:CENTRE],
-            centre=self.centre + step[CENTRE:LENGTH],
+            centre=self.centre + self.axes @ step[CENTRE:SPIN],
+            axes=self.axes @ Rotation.from_rotvec(step[SPIN:LENGTH]).as_matrix()
+            if step[SPIN:LENGTH].any()
+            else self.axes,
             length=float(self.length + step[LENGTH]),
             tare=self.tare + step[TARE:].reshape(self.tare.shape),
         )
@@ -169,8 +183,8 @@ def bent(force: Array, moment: Array) -> Bent:
     return Bent(found.point, found.tangent, found.s1, point, tangent, s1)
 
 
-def equations(rig: Rig, touches: Touches, radius: float) -> Equations:
-    """The four equations at each row for a sphere whose radius with that of the rod is `radius`.
+def equations(rig: Rig, touches: Touches, reference: Reference) -> Equations:
+    """The four equations at each row for a reference.
 
     Rows without a rod have NaN; equations that do not apply to the kind of a row are 0 with derivatives 0.
     """
@@ -178,56 +192,78 @@ def equations(rig: Rig, touches: Touches, radius: float) -> Equations:
     scale = np.exp(-rig.stiffness)
     rod = bent(scale * force, scale * moment)
     n = len(force)
+    tip = touches.kind == Kind.TIP
     clamp, by_x, by_z = rig.clamp_axes()
     frame = touches.frame @ clamp
-    outward = touches.position + np.einsum("nij,nj->ni", touches.frame, rig.clamp + rod.point @ clamp.T) - rig.centre
-    distance = np.linalg.norm(outward, axis=1)
-    normal = outward / distance[:, None]
-    tangent = np.einsum("nij,nj->ni", frame, rod.tangent)
-    cosine = (tangent * normal).sum(axis=1)
-    across = (tangent - cosine[:, None] * normal) / distance[:, None]  # derivative of equation 4 by r1
-    tangential, tip = touches.kind == Kind.TANGENTIAL, touches.kind == Kind.TIP
-    across[~tangential] = 0
+    point, tangent, met = _met(rig, touches, rod, reference)
 
     value = np.zeros((n, 4))
     value[:, 0], value[:, 1] = moment[:, 1], (moment * force).sum(axis=1)
-    value[:, 2] = distance - radius
-    value[touches.kind == Kind.UNSURE, 2] = 0
-    value[tangential, 3] = cosine[tangential]
+    value[:, 2], value[:, 3] = met.gap, met.along
     value[tip, 3] = rod.s1[tip] - rig.length
 
     # by force and moment at the clamp, (n, 4, 6)
     by_wrench = np.zeros((n, 4, 6))
     by_wrench[:, 0, 4] = 1
     by_wrench[:, 1, :3], by_wrench[:, 1, 3:] = moment, force
-    local = [np.einsum("nij,ni->nj", frame, vector) for vector in (normal, across)]
-    by_wrench[:, 2] = scale * np.einsum("ni,nij->nj", local[0], rod.by_point)
-    by_wrench[touches.kind == Kind.UNSURE, 2] = 0
-    turned = np.einsum("ni,nij->nj", local[0], rod.by_tangent)
-    fourth = scale * (np.einsum("ni,nij->nj", local[1], rod.by_point) + turned)
-    by_wrench[tangential, 3] = fourth[tangential]
-    by_wrench[tip, 3] = scale * rod.by_s1[tip]
-
     by_rig = np.zeros((n, 4, TARE + rig.tare.size))
+    by_row = np.zeros((n, 4, 9))
+    parts = (
+        (2, met.gap_by_point, met.gap_by_tangent),
+        (3, met.along_by_point, met.along_by_tangent),
+    )
+    for row, inner_point, inner_tangent in parts:
+        by_point, by_tangent = inner_point @ rig.axes.T, inner_tangent @ rig.axes.T
+        local = [np.einsum("nij,ni->nj", frame, vector) for vector in (by_point, by_tangent)]
+        moved, turned = (
+            np.einsum("ni,nij->nj", vector, part)
+            for vector, part in zip(local, (rod.by_point, rod.by_tangent), strict=True)
+        )
+        by_wrench[:, row] = scale * (moved + turned)
+        in_pose = [np.einsum("nij,ni->nj", touches.frame, vector) for vector in (by_point, by_tangent)]
+        by_rig[:, row, CLAMP:TILT] = in_pose[0]
+        for column, turn in enumerate((by_x, by_z)):
+            by_rig[:, row, TILT + column] = (in_pose[0] * (rod.point @ turn.T)).sum(axis=1)
+            by_rig[:, row, TILT + column] += (in_pose[1] * (rod.tangent @ turn.T)).sum(axis=1)
+        by_rig[:, row, CENTRE:SPIN] = -inner_point
+        by_rig[:, row, SPIN:LENGTH] = -np.cross(point, inner_point) - np.cross(tangent, inner_tangent)
+        by_row[:, row, 6:] = by_point
+    by_wrench[tip, 3] = scale * rod.by_s1[tip]
     both = np.column_stack([force, moment])
     by_rig[:, 2:, STIFFNESS] = -np.einsum("nkj,nj->nk", by_wrench[:, 2:], both)
-    outwards = np.where((touches.kind == Kind.UNSURE)[:, None], 0.0, normal)
-    for row, by_point in ((2, outwards), (3, across)):
-        in_pose = np.einsum("nij,ni->nj", touches.frame, by_point)
-        by_rig[:, row, CLAMP:TILT] = in_pose
-        by_rig[:, row, CENTRE:LENGTH] = -by_point
-        for column, turn in enumerate((by_x, by_z)):
-            by_rig[:, row, TILT + column] = (in_pose * (rod.point @ turn.T)).sum(axis=1)
-    in_pose = np.einsum("nij,ni->nj", touches.frame[tangential], normal[tangential])
-    for column, turn in enumerate((by_x, by_z)):
-        by_rig[tangential, 3, TILT + column] += (in_pose * (rod.tangent[tangential] @ turn.T)).sum(axis=1)
     by_rig[tip, 3, LENGTH] = -1
     _add_sensor(by_rig, by_wrench, rig, touches, force, moment)
-
-    by_row = np.empty((n, 4, 9))
     by_row[:, :, :6] = by_wrench @ _to_clamp(rig)
-    by_row[:, :, 6:] = by_rig[:, :, CENTRE:LENGTH] * -1
     return Equations(value, by_rig, by_row)
+
+
+def _met(rig: Rig, touches: Touches, rod: Bent, reference: Reference) -> tuple[Array, Array, Met]:
+    """Contacts (n, 3) and tangents (n, 3) in the frame of the reference, and how they meet it, 0 where that has no equation."""
+    point, tangent = _inner(rig, touches, rod)
+    tangential, unsure = touches.kind == Kind.TANGENTIAL, touches.kind == Kind.UNSURE
+    met = reference.met(point, tangent, tangential | (touches.kind == Kind.ACROSS))
+    for column in met[:3]:
+        column[unsure] = 0
+    for column in met[3:]:
+        column[~tangential] = 0
+    return point, tangent, met
+
+
+def _inner(rig: Rig, touches: Touches, rod: Bent) -> tuple[Array, Array]:
+    """Contacts (n, 3) and tangents (n, 3) in the frame of the reference."""
+    clamp = rig.clamp_axes()[0]
+    outward = touches.position + np.einsum("nij,nj->ni", touches.frame, rig.clamp + rod.point @ clamp.T) - rig.centre
+    return outward @ rig.axes, np.einsum("nij,nj->ni", touches.frame @ clamp, rod.tangent) @ rig.axes
+
+
+def placed(rig: Rig, touches: Touches, reference: Reference, kind: NDArray[np.int8]) -> NDArray[np.int8]:
+    """The kinds (n,) of contacts, those of tangential ones by whether the reference tells where along the rod they are."""
+    force, moment = clamp_wrench(rig, touches)
+    scale = np.exp(-rig.stiffness)
+    tangential = np.isin(kind, (Kind.TANGENTIAL, Kind.ACROSS))
+    wander = reference.wander(*_inner(rig, touches, bent(scale * force, scale * moment)))
+    told = np.where(wander < _AT_EDGE, Kind.TANGENTIAL, np.where(wander < _ON_FACE, Kind.ACROSS, Kind.UNSURE))
+    return np.where(tangential, told, kind).astype(np.int8)
 
 
 def _add_sensor(by_rig: Array, by_wrench: Array, rig: Rig, touches: Touches, force: Array, moment: Array) -> None:
@@ -239,7 +275,9 @@ def _add_sensor(by_rig: Array, by_wrench: Array, rig: Rig, touches: Touches, for
     by_rig[:, :, TURN:SENSOR] = np.cross(force[:, None], turning) + np.cross(own[:, None], by_moment)
     by_rig[:, :, SENSOR:CENTRE] = np.cross(force[:, None], by_moment)
     by_channel = -(by_wrench @ _to_clamp(rig))
-    by_rig[:, :, TARE:] = (by_channel[:, :, :, None] * touches.basis[:, None, None]).reshape(*by_rig.shape[:2], -1)
+    by_rig[:, :, TARE:] = (by_channel[:, :, :, None] * touches.basis[:, None, None]).reshape(
+        *by_rig.shape[:2], rig.tare.size
+    )
 
 
 def _to_clamp(rig: Rig) -> Array:

@@ -6,8 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
+from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_fit import Noise, Problem
-from scan3d.laboratory.calibration_model import CENTRE, CLAMP, LENGTH, SENSOR, STIFFNESS, TARE, TILT, TURN, Rig
+from scan3d.laboratory.calibration_model import CENTRE, CLAMP, LENGTH, SENSOR, SPIN, STIFFNESS, TARE, TILT, TURN, Rig
+from scan3d.laboratory.calibration_reference import Flat, Reference
 from scan3d.rods import Rod
 
 COVERAGE_FACTOR = 2.0
@@ -20,14 +22,16 @@ EULER = "xyz"
 _WELL = {"stiffness": 0.01, "length": 0.005, "turn": 0.3, "tare": 1.0}
 # Step of the difference quotients of Euler angles, in radians.
 _STEP = 1e-6
-# Derivatives of Euler angles, in degrees, that are those of rounding.
+# Derivatives of Euler angles, in degrees, and of places, in mm, that are those of rounding.
 _NOTHING = 1e-4
 
 
-def quantities(
-    rig: Rig, nominal: Rod, model: str, centre: Array, world: Array
-) -> list[tuple[str, float, dict[int, float]]]:
-    """Names, values and derivatives by the parameters, by number."""
+Rows = list[tuple[str, float, dict[int, float]]]
+"""Names, values, and derivatives by the parameters, by number."""
+
+
+def quantities(rig: Rig, nominal: Rod, model: str, reference: Reference, world: Array) -> Rows:
+    """The quantities of a rig that has touched a reference."""
     k = rig.tare.shape[1]
     stiffness, mm, degrees = (
         nominal.bending_stiffness_Nm2 * float(np.exp(rig.stiffness)),
@@ -35,7 +39,7 @@ def quantities(
         180 / np.pi,
     )
     slopes, angles = _euler_slopes(rig.turn), euler(rig.turn)
-    rows: list[tuple[str, float, dict[int, float]]] = [
+    rows: Rows = [
         ("bending_stiffness_Nm2", stiffness, {STIFFNESS: stiffness}),
         ("length_m", nominal.length_m * rig.length, {LENGTH: nominal.length_m}),
     ]
@@ -50,10 +54,7 @@ def quantities(
         )
         for j, axis in enumerate("xyz")
     ]
-    rows += [
-        (f"sphere_{axis}_mm", mm * centre[j], {CENTRE + i: mm * world[i, j] for i in range(3) if world[i, j] != 0})
-        for j, axis in enumerate("xyz")
-    ]
+    rows += _of_reference(rig, mm, reference, world)
     units = np.repeat([nominal.force_unit_N, nominal.moment_unit_Nm], 3)
     for j, (name, unit) in enumerate(zip(CHANNELS, units, strict=True)):
         numbers = range(TARE + j * k, TARE + (j + 1) * k)
@@ -63,6 +64,42 @@ def quantities(
             titles = ("tare", "drift")[:k]
             rows += [(f"{title}_{name}", unit * rig.tare[j, i], {numbers[i]: unit}) for i, title in enumerate(titles)]
     return rows
+
+
+def _of_reference(rig: Rig, mm: float, reference: Reference, world: Array) -> Rows:
+    """Where the reference is; `mm` is the rod's length in mm, `world` (3, 3) from the world to the frame of the equations."""
+    if isinstance(reference, Flat):
+        normal = rig.axes[:, 2]
+        by_turn = np.column_stack([-rig.axes[:, 1], rig.axes[:, 0]])
+        rows: Rows = [
+            (f"plane_normal_{axis}", float(normal[j]), {SPIN: by_turn[j, 0], SPIN + 1: by_turn[j, 1]})
+            for j, axis in enumerate("xyz")
+        ]
+        lever = mm * rig.centre @ by_turn
+        slopes = {CENTRE + 2: mm, SPIN: float(lever[0]), SPIN + 1: float(lever[1])}
+        return [*rows, ("plane_offset_mm", mm * float(normal @ rig.centre), slopes)]
+    if isinstance(reference, Body):
+        turn, (x, y, z) = rig.axes, reference.middle
+        by_turn = turn @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        place, angles, by_angle = rig.centre - turn @ reference.middle, euler(turn), _euler_slopes(turn) @ turn
+        rows = [
+            (f"mesh_{axis}_mm", mm * place[j], _by_pose(mm * turn[j], mm * by_turn[j])) for j, axis in enumerate("xyz")
+        ]
+        none = np.zeros(3)
+        return rows + [
+            (f"mesh_turn_{axis}_deg", angles[j], _by_pose(none, by_angle[j])) for j, axis in enumerate("xyz")
+        ]
+    centre = world.T @ rig.centre
+    return [
+        (f"sphere_{axis}_mm", mm * centre[j], {CENTRE + i: mm * world[i, j] for i in range(3) if world[i, j] != 0})
+        for j, axis in enumerate("xyz")
+    ]
+
+
+def _by_pose(by_place: Array, by_turn: Array) -> dict[int, float]:
+    """Derivatives (3,) by the place and the turn of a reference, by the number of the parameter, without those of rounding."""
+    both = np.concatenate([by_place, by_turn])
+    return {CENTRE + k: float(slope) for k, slope in enumerate(both) if abs(slope) > _NOTHING}
 
 
 def measured(name: str, problem: Problem) -> bool:
@@ -97,5 +134,7 @@ def limit(name: str, nominal: Rod, noise: Noise) -> float:
         return _WELL["length"] * 1000 * nominal.length_m
     if name.endswith("_deg"):
         return _WELL["turn"]
+    if name.startswith("plane_normal"):
+        return float(np.radians(_WELL["turn"]))
     unit = nominal.force_unit_N * noise.force if name.endswith("_N") else nominal.moment_unit_Nm * noise.moment
     return _WELL["tare"] * unit

@@ -13,13 +13,17 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory import calibration_words as words
 from scan3d.laboratory.calibration_air import unloaded
+from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_checks import Fitted, check
 from scan3d.laboratory.calibration_colour import WHITE
 from scan3d.laboratory.calibration_model import CENTRE, TURN, Kind
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, EULER, euler, limit, measured, quantities
+from scan3d.laboratory.calibration_reference import Reference, Spherical
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+
+_PLACE, _TURN = ("x_mm", "y_mm", "z_mm"), ("turn_x_deg", "turn_y_deg", "turn_z_deg")
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,6 @@ class Calibration:
     """(6,) what the sensor shows in the air, in the middle of the recording; N and N·m."""
     drift: Array
     """(6,) its change over the recording."""
-    sphere_m: Array
-    """(3,) centre of the sphere in the world."""
     names: tuple[str, ...]
     """The quantities, with their units."""
     values: Array
@@ -63,8 +65,12 @@ class Calibration:
     pose_noise_m: float
     noise_force_N: float
     noise_moment_Nm: float
-    diameter_m: float
-    """Of the reference sphere."""
+    reference: Mapping[str, Any] = field(default_factory=dict)
+    """What was touched, and where it was: `kind`, one of ``sphere``, ``plane`` and ``mesh``, and
+
+    of a sphere `diameter_mm` and `position_mm`, of its centre in the world;
+    of a plane `normal`, outward, and `offset_mm`, its distance from the world's origin along the normal;
+    of a mesh `position_mm` and `euler_deg` of its frame in the world, and `file` and `sha256` where they are known."""
     details: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of rows, and how the tare was modelled."""
     map_frames: Mapping[str, Any] = field(default_factory=dict)
@@ -74,6 +80,20 @@ class Calibration:
     def expanded(self) -> Array:
         """(k,) expanded uncertainties, with the coverage factor 2."""
         return COVERAGE_FACTOR * self.standard_deviations
+
+    @property
+    def sphere_m(self) -> Array:
+        """(3,) centre of the reference sphere in the world; NaN for other references."""
+        return np.array(self.reference.get("position_mm", [np.nan] * 3)) / 1000 if self._sphere else np.full(3, np.nan)
+
+    @property
+    def diameter_m(self) -> float:
+        """Diameter of the reference sphere; NaN for other references."""
+        return float(self.reference.get("diameter_mm", np.nan)) / 1000 if self._sphere else np.nan
+
+    @property
+    def _sphere(self) -> bool:
+        return self.reference.get("kind") == Spherical.kind
 
     def applied(self, recording: Recording, tare: str = "auto") -> Recording:
         """A recording of this rig, as `calibrate` takes it, with poses and reactions of the true clamp, and the true rod.
@@ -120,13 +140,12 @@ class Calibration:
         )
 
 
-def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
+def of_fit(fitted: Fitted, recording: Recording) -> Calibration:
     """The calibration of a fitted rig."""
     fit, problem, noise, air = fitted.fit, fitted.problem, fitted.noise, fitted.air
     nominal, rig = recording.rod, fit.rig
     length = nominal.length_m * rig.length
-    centre = fitted.world.T @ rig.centre
-    names, values, known, jacobian = _estimates(fitted, nominal, centre)
+    names, values, known, jacobian = _estimates(fitted, nominal)
     checked = check(fitted, recording, jacobian)
     covariance = checked.covariance
     covariance[~known] = covariance[:, ~known] = 0
@@ -146,7 +165,6 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
         clamp_euler_deg=np.degrees([rig.tilt[0], 0.0, rig.tilt[1]]),
         tare=tare.mean(axis=1) if air.model == "sweep" else tare[:, 0],
         drift=tare[:, 1] if air.model == "linear" else np.ptp(tare, axis=1),
-        sphere_m=nominal.length_m * centre,
         names=names,
         values=values,
         standard_deviations=deviations,
@@ -159,7 +177,7 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
         pose_noise_m=nominal.length_m * noise.place,
         noise_force_N=nominal.force_unit_N * noise.force,
         noise_moment_Nm=nominal.moment_unit_Nm * noise.moment,
-        diameter_m=sphere,
+        reference=_reference(problem.reference, dict(zip(names, values, strict=True))),
         details={
             "contacts": len(problem.touches.kind),
             "tip_contacts": int((problem.touches.kind == Kind.TIP).sum()),
@@ -173,6 +191,18 @@ def of_fit(fitted: Fitted, recording: Recording, sphere: float) -> Calibration:
     )
 
 
+def _reference(reference: Reference, found: dict[str, float]) -> dict[str, Any]:
+    """What was touched, and where it was by the quantities that were found."""
+    if isinstance(reference, Spherical):
+        position = [float(found[f"sphere_{axis}_mm"]) for axis in "xyz"]
+        return {"kind": reference.kind, "diameter_mm": 1000 * reference.diameter_m, "position_mm": position}
+    if isinstance(reference, Body):
+        position, turn = ([float(found[f"mesh_{axis}"]) for axis in axes] for axes in (_PLACE, _TURN))
+        return {"kind": reference.kind, **reference.file, "position_mm": position, "euler_deg": turn}
+    normal = [float(found[f"plane_normal_{axis}"]) for axis in "xyz"]
+    return {"kind": reference.kind, "normal": normal, "offset_mm": float(found["plane_offset_mm"])}
+
+
 def _map_frames(recording: Recording) -> dict[str, Any]:
     """The frames of the map with which a recording was imported."""
     map = recording.source.get("map", {})
@@ -184,11 +214,13 @@ def _map_frames(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _estimates(fitted: Fitted, nominal: Rod, centre: Array) -> tuple[tuple[str, ...], Array, Mask, Array]:
+def _estimates(fitted: Fitted, nominal: Rod) -> tuple[tuple[str, ...], Array, Mask, Array]:
     """Names, values (k,), which of them were determined, and their derivatives (k, p) by the parameters."""
     fit, problem = fitted.fit, fitted.problem
     rows = [
-        row for row in quantities(fit.rig, nominal, fitted.air.model, centre, fitted.world) if measured(row[0], problem)
+        row
+        for row in quantities(fit.rig, nominal, fitted.air.model, problem.reference, fitted.world)
+        if measured(row[0], problem)
     ]
     jacobian = np.zeros((len(rows), len(problem.free)))
     known = np.zeros(len(rows), dtype=bool)
@@ -212,4 +244,5 @@ def _sentences(
         if not spoiled and np.isfinite(deviation) and COVERAGE_FACTOR * deviation > limit
     ]
     fixed = [name for name, is_known in zip(names, known, strict=True) if not is_known]
-    return words.sentences(poor, fixed) + (() if fitted.problem.free[CENTRE + 2] else (words.PLANE,))
+    planes = isinstance(fitted.problem.reference, Spherical) and not fitted.problem.free[CENTRE + 2]
+    return words.sentences(poor, fixed, fitted.problem.reference.kind) + ((words.PLANE,) if planes else ())

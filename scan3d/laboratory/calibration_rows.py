@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_fit import Noise, Problem, misfits
-from scan3d.laboratory.calibration_model import Kind, Rig, Touches, equations
+from scan3d.laboratory.calibration_model import Kind, Rig, Touches, equations, placed
 
 # Neighbours on either side of a row that decide whether it is used.
 _NEIGHBOURS = 3
 # Standard deviations beyond which a row is taken for a tip contact or a tangential one, and the cosine between tangent and
 # normal from which it is a tip contact, whatever the noise.
 _SIGMAS, _COSINE = 4.0, 0.01
-# Difference of the sums of squares of both kinds over a window from which the kind of its middle is certain.
+# Difference of the sums of squares of both kinds over the rows before and after a row from which its kind is certain.
 _LIKELIER = 12.0
+# The same difference of a single row with which it contradicts its neighbours.  Smaller, rows would be chosen by their noise.
+_CONTRADICTS = 30.0
 # Standard deviation of s1, in rod lengths, from which a contact shows how long the rod is, and the windows of the averages in
 # half a sweep.
 _SURE, _WINDOWS = 0.02, 10
@@ -78,11 +80,14 @@ def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) ->
     """
     touches, variances = problem.touches, noise.variances(problem.channels)
     n = len(touches.kind)
-    as_tangential = equations(rig, touches._replace(kind=np.full(n, Kind.TANGENTIAL, dtype=np.int8)), problem.radius)
-    as_tip = equations(rig, touches._replace(kind=np.full(n, Kind.TIP, dtype=np.int8)), problem.radius)
+    as_tangential = equations(rig, touches._replace(kind=np.full(n, Kind.TANGENTIAL, dtype=np.int8)), problem.reference)
+    as_tip = equations(rig, touches._replace(kind=np.full(n, Kind.TIP, dtype=np.int8)), problem.reference)
     result = np.full(n, Kind.TANGENTIAL, dtype=np.int8)
     with np.errstate(invalid="ignore", divide="ignore"):
-        cosine, cosine_sd = _averaged(as_tangential.value[:, 3], (as_tangential.by_row[:, 3] ** 2) @ variances, sweep)
+        inward = problem.reference.inward
+        cosine, cosine_sd = _averaged(
+            as_tangential.value[:, inward], (as_tangential.by_row[:, inward] ** 2) @ variances, sweep
+        )
         s1, s1_sd = _averaged(as_tip.value[:, 3] + rig.length, (as_tip.by_row[:, 3] ** 2) @ variances, sweep)
         sure = s1_sd < _SURE
         if not sure.any():
@@ -98,6 +103,8 @@ def kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) ->
             return result, None
         length = float(np.average(s1[tip], weights=1 / s1_sd[tip] ** 2))
         near: Mask = s1 > length - _SIGMAS * s1_sd - _COSINE
+    if problem.reference.abrupt:  # averages over the transition are those of neither kind
+        near |= _summed(near.astype(float), sweep) > 0
     result[near] = Kind.UNSURE
     result[near & tip] = Kind.TIP
     return result, length
@@ -110,7 +117,7 @@ def _all(touches: Touches, kind: Kind) -> Touches:
 
 def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
     """Contacts (n,) that are certainly not at the tip are tangential; for a rig that is too rough for more."""
-    as_tip = equations(rig, _all(problem.touches, Kind.TIP), problem.radius)
+    as_tip = equations(rig, _all(problem.touches, Kind.TIP), problem.reference)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = (as_tip.by_row[:, 3] ** 2) @ noise.variances(problem.channels)
         s1, _ = _averaged(as_tip.value[:, 3] + rig.length, variance, sweep)
@@ -121,10 +128,34 @@ def far_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise
 def likelier_kinds(problem: Problem, sweep: NDArray[np.int64], rig: Rig, noise: Noise) -> NDArray[np.int8]:
     """The kind of each contact (n,) of sweeps (n,) by that of its neighbours, for a rig whose length is known."""
     result = np.full(len(sweep), Kind.UNSURE, dtype=np.int8)
-    difference = misfits(problem, rig, noise, Kind.TANGENTIAL) - misfits(problem, rig, noise, Kind.TIP)
-    together = _summed(difference, sweep, own=False)
+    tangential, tip = (_all(problem.touches, kind).kind for kind in (Kind.TANGENTIAL, Kind.TIP))
+    tangential = placed(rig, problem.touches, problem.reference, tangential)
+    difference = misfits(problem, rig, noise, tangential) - misfits(problem, rig, noise, tip)
+    if problem.reference.abrupt:
+        together = np.zeros(len(sweep))
+        for number in np.unique(sweep):
+            rows = np.flatnonzero(sweep == number)
+            together[rows] = _evidence(difference[rows]) + _evidence(difference[rows][::-1])[::-1]
+    else:
+        together = _summed(difference, sweep, own=False)
     result[together < -_LIKELIER] = Kind.TANGENTIAL
     result[together > _LIKELIER] = Kind.TIP
+    if not problem.reference.smooth:  # at an edge a single contact may be of another kind than those around it
+        contradicts = np.where(result == Kind.TIP, -difference, difference)
+        result[contradicts > _CONTRADICTS] = Kind.UNSURE
+    return result
+
+
+def _evidence(difference: Array) -> Array:
+    """What the rows before each row (n,) say of its kind: by how much one kind costs more than the other.
+
+    Contacts change their kind now and then.  A change costs as much as the evidence that makes a kind certain, so that no more
+    than this is handed on from row to row (the Viterbi algorithm for two states).
+    """
+    result, total = np.zeros(len(difference)), 0.0
+    for row, value in enumerate(difference):
+        result[row] = total
+        total = min(max(total + float(value), -_LIKELIER), _LIKELIER)
     return result
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from scan3d.laboratory.calibration_reference import Reference
+
 MORE_SWEEPS = (
     "sweep it in more directions of the rod, with the clamp turned about the rod's axis, and bend the rod more"
 )
@@ -18,36 +20,62 @@ _FITS_NOT = {
         "those of deviations that are alike in all rows"
     ),
 }
-# What a group of quantities is called, and which touches determine it, by the beginning of their names.
-_GROUPS = {
-    "bending_stiffness": ("the bending stiffness", "sweeps that bend the rod more, past the middle of the sphere"),
-    "length": (
-        "the free length",
-        "tip contacts: sweeps whose clamp is farther from the sphere, so that the rod leaves it over its tip",
-    ),
-    "clamp_turn": (
-        "the clamp's turn",
-        "sweeps that touch the sphere near the clamp and near the tip, with the clamp turned about the rod's axis",
-    ),
-    "clamp_y": (
-        "the clamp's offset along the rod",
-        "sweeps with the rod in other directions, such as from the opposite side",
-    ),
-    "clamp": (
-        "the clamp's offset across the rod",
-        "sweeps with the clamp turned about the rod's axis by 90 degrees and more",
-    ),
-    "sensor_turn": ("the sensor's turn", "sweeps that bend the rod more, and a sphere with more friction"),
-    "sensor": ("the sensor's place", "sweeps that bend the rod more, and to several sides of the clamp"),
-    "sphere": ("the sphere's place", "sweeps with the rod in more directions"),
-    "tare": ("the tare", "more rows in the air, before and after each touch"),
-    "drift": ("the drift", "more rows in the air at the beginning and the end of the recording"),
+# What a group of quantities is called, by the beginning of their names.
+_TITLES = {
+    "bending_stiffness": "the bending stiffness",
+    "length": "the free length",
+    "clamp_turn": "the clamp's turn",
+    "clamp_y": "the clamp's offset along the rod",
+    "clamp": "the clamp's offset across the rod",
+    "sensor_turn": "the sensor's turn",
+    "sensor": "the sensor's place",
+    "sphere": "the sphere's place",
+    "plane": "the plane's place",
+    "mesh": "the body's place and turn",
+    "tare": "the tare",
+    "drift": "the drift",
 }
+_TIP = "tip contacts: sweeps whose clamp is farther from the {noun}, so that the rod leaves it over its tip"
+# Which touches determine a group of quantities, whatever the reference, and for each of them.
+_TOUCHES = {
+    "clamp": "sweeps with the clamp turned about the rod's axis by 90 degrees and more",
+    "sensor_turn": "sweeps that bend the rod more, and a {noun} with more friction",
+    "sensor": "sweeps that bend the rod more, and to several sides of the clamp",
+    "clamp_turn": "sweeps that touch the {noun} near the clamp and near the tip, with the clamp turned about the rod's axis",
+    "tare": "more rows in the air, before and after each touch",
+    "drift": "more rows in the air at the beginning and the end of the recording",
+}
+_TOUCHES_OF = {
+    "sphere": {
+        "bending_stiffness": "sweeps that bend the rod more, past the middle of the sphere",
+        "length": _TIP,
+        "clamp_y": "sweeps with the rod in other directions, such as from the opposite side",
+        "sphere": "sweeps with the rod in more directions",
+    },
+    "plane": {
+        "bending_stiffness": "sweeps that press the rod on until it lies along the plane",
+        "length": "tip contacts: sweeps that press the rod less, so that its tip slides on the plane",
+        "clamp_y": "sweeps with the rod at several inclinations to the plane",
+        "plane": "sweeps with the rod in more directions, and all over the plane",
+    },
+    "mesh": {
+        "bending_stiffness": "sweeps that bend the rod more, over edges of the body",
+        "length": _TIP,
+        "clamp_y": "sweeps with the rod in other directions, such as from the opposite side",
+        "mesh": "sweeps over more of its sides. A body of revolution has no turn about its axis, and no other quantity depends "
+        "on it",
+    },
+}
+_NOUNS = {"sphere": "sphere", "plane": "plane", "mesh": "body"}
 
 
-def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str]) -> tuple[str, ...]:
-    """One sentence for each group of quantities that are poorly determined, with their uncertainties, or not determined."""
+def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str], kind: str) -> tuple[str, ...]:
+    """One sentence for each group of quantities that are poorly determined, with their uncertainties, or not determined.
+
+    `kind` is that of the reference.
+    """
     result = []
+    noun, needed = _NOUNS[kind], _TOUCHES | _TOUCHES_OF[kind]
     fixed_groups: dict[str, list[str]] = {}
     poor_groups: dict[str, list[str]] = {}
     for name in fixed:
@@ -58,33 +86,38 @@ def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str]) -> tuple[st
         names = fixed_groups.pop("sensor_turn") + fixed_groups.pop("sensor", [])
         result.append(
             f"These touches do not determine the sensor's turn about the rod: {', '.join(names)} are a first estimate, which "
-            "may be wrong by some degrees. It needs a sphere with more friction, because without friction contacts stay on the "
-            "sphere when they turn about the rod; and sweeps that bend the rod more."
+            "may be wrong by some degrees. It needs a {noun} with more friction, because without friction contacts stay on the "
+            f"{noun} when they turn about the rod; and sweeps that bend the rod more."
         )
     for group, names in fixed_groups.items():
-        title, touches = _GROUPS[group]
+        title, touches = _TITLES[group], needed[group].format(noun=noun)
+        if group == kind:
+            result.append(
+                f"These touches do not determine {title}: {', '.join(names)} are estimates. It needs {touches}."
+            )
+            continue
         stays = "stays at its nominal value" if len(names) == 1 else "stay at their nominal values"
         result.append(f"These touches do not determine {title}: {', '.join(names)} {stays}. It needs {touches}.")
     for group, names in poor_groups.items():
-        title, touches = _GROUPS[group]
+        title, touches = _TITLES[group], needed[group].format(noun=noun)
         result.append(f"These touches determine {title} poorly ({', '.join(names)}). It needs {touches}.")
     return tuple(result)
 
 
 def _group(name: str) -> str:
-    return max((group for group in _GROUPS if name.startswith(group)), key=len)
+    return max((group for group in _TITLES if name.startswith(group)), key=len)
 
 
-def rough_poses(deviation_mm: float) -> str:
+def rough_poses(deviation_mm: float, reference: Reference) -> str:
     """The sentence for an estimated noise of the poses that is larger than that of robots."""
     return (
-        f"The contacts deviate from the sphere as if the poses scattered by {deviation_mm:.2g} mm, which is more than "
-        "those of a robot do: check the diameters of sphere and rod, and that the sphere did not move."
+        f"The contacts deviate from the {reference.noun} as if the poses scattered by {deviation_mm:.2g} mm, which is more "
+        f"than those of a robot do: check {reference.sizes}, and that the {reference.noun} did not move."
     )
 
 
 def premises(
-    contacts: tuple[float, float], air: tuple[float, float], consistency: tuple[float, float]
+    contacts: tuple[float, float], air: tuple[float, float], consistency: tuple[float, float], reference: Reference
 ) -> tuple[str, ...]:
     """One sentence for each test of the premises that fails: mean squares in variances, each with its largest value."""
     result = []
@@ -101,28 +134,30 @@ def premises(
         )
     if contacts[0] > contacts[1]:
         result.append(
-            f"The contacts deviate from the sphere by {contacts[0] ** 0.5:.2f} times what the noise explains: check the "
-            "diameters of sphere and rod, the noise of the poses, and that the sphere did not move."
+            f"The contacts deviate from the {reference.noun} by {contacts[0] ** 0.5:.2f} times what the noise explains: check "
+            f"{reference.sizes}, the noise of the poses, and that the {reference.noun} did not move."
         )
     return tuple(result)
 
 
-def alike_in_contact(size_mm: float, rows: float, cause: str, diameter_mm: float, spoiled: bool) -> str:
-    """The sentence on contacts that deviate from the sphere systematically, and the likeliest cause."""
+def alike_in_contact(
+    size_mm: float, rows: float, cause: str, diameter_mm: float, spoiled: bool, reference: Reference
+) -> str:
+    """The sentence on contacts that deviate from the reference systematically, and the likeliest cause."""
     causes = {
         "diameter": f"The likeliest cause is the diameter: one of {diameter_mm:.4g} mm would fit better.",
         "planar": (
             "The likeliest cause is a log whose forces lie in one plane, of a planar model or of a sensor with three channels; "
-            "a rod that slides sideways over a sphere has none such."
+            f"a rod that slides sideways over a {reference.noun} has none such."
         ),
         "shape": (
-            "The likeliest causes are a reference that is no sphere, such as one of facets, a second contact, a rod that "
-            "sticks, and poses that deviate from the clamp's path; a diameter that is wrong would not look like this."
+            f"The likeliest causes are {reference.unlike}, a second contact, a rod that "
+            f"sticks, and poses that deviate from the clamp's path{reference.excluded}."
         ),
     }
     return (
-        f"The contacts deviate from the sphere, or the rod from its tangent, as by {size_mm:.2g} mm{_rows(rows)}, which noise "
-        f"does not explain: {_FITS_NOT[spoiled]}. {causes[cause]}"
+        f"The contacts deviate from the {reference.noun}, or the rod from its tangent, as by {size_mm:.2g} mm{_rows(rows)}, "
+        f"which noise does not explain: {_FITS_NOT[spoiled]}. {causes[cause]}"
     )
 
 

@@ -62,7 +62,8 @@ class Paths:
         return np.asarray(straight & (self._turn is None)), place
 
     def _step(self, progress: Array) -> tuple[Index, Array]:
-        number = np.minimum(progress.astype(np.intp), self.samples - 2)
+        # Newton's method may try places far off the path, such as of a straight rod along a face that it crosses
+        number = np.clip(progress, 0, self.samples - 2).astype(np.intp)
         return number, progress - number
 
 

@@ -1,6 +1,8 @@
-"""Rigs that touch a reference sphere, each seed with other noise: do the stated intervals of a calibration hold?
+"""Rigs that touch a reference, each seed with other noise: do the stated intervals of a calibration hold?
 
-    python -m tests.robustness.calibrations [--count 200] [--first 0] [--samples 120] [--pink 0.5]
+    python -m tests.robustness.calibrations [--reference sphere] [--count 200] [--first 0] [--samples 120] [--pink 0.5]
+
+The reference is a sphere, a plane, or a mesh: the cube of 22 mm of `tests.references`, or the body of another file of meshes.
 
 The rig is that of `tests.rigs.Truth`: 30 sweeps, force noise of 0.2 % of the largest force, a sensor turned by 30° and 20 mm
 away, a bias of 5 % and a drift of 1 %, pose jitter of 20 µm.
@@ -18,11 +20,13 @@ import time
 import numpy as np
 
 import scan3d
-from tests import rigs
+from tests import references, rigs
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reference", default="sphere", choices=("sphere", "plane", "mesh"), help="what is touched")
+    parser.add_argument("--mesh", default="cube.stl", help="the body, a file of meshes (default cube.stl)")
     parser.add_argument("--count", type=int, default=200, help="seeds (default 200)")
     parser.add_argument("--samples", type=int, default=120, help="rows in a sweep (default 120)")
     parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
@@ -31,18 +35,23 @@ def main() -> int:
     )
     arguments = parser.parse_args()
     truth, deviations, errors, warned = rigs.Truth(), [], [], 0
+    touched, motion, reference = references.of(arguments.reference, arguments.mesh, truth)
     start = time.process_time()
     for seed in range(arguments.first, arguments.first + arguments.count):
         # the noise of a sensor with 1/f noise is not known beforehand
         recording = rigs.recorded(
-            truth, seed, samples=arguments.samples, pink=arguments.pink, stated=not arguments.pink
+            truth, seed, motion=motion, samples=arguments.samples, pink=arguments.pink, stated=not arguments.pink
         )
-        found = scan3d.calibrate(recording, rigs.DIAMETER)
+        found = scan3d.calibrate(recording, touched)
         warned += any("noise" in sentence for sentence in found.sentences)
         # where each sweep has a tare of its own, it has no true value to compare with
-        kept = [k for k, name in enumerate(found.names) if not (arguments.pink and name.startswith(("tare", "drift")))]
+        left_out = (("tare", "drift") if arguments.pink else ()) + ("mesh_turn",)  # bodies may be symmetric
+        kept = [k for k, name in enumerate(found.names) if not name.startswith(left_out)]
         names = tuple(found.names[k] for k in kept)
-        true = rigs.truth_of(dataclasses.replace(found, names=names), truth, recording, samples=arguments.samples)
+        found_names = dataclasses.replace(found, names=names)
+        true = rigs.truth_of(
+            found_names, truth, recording, motion=motion, reference=reference, samples=arguments.samples
+        )
         deviations.append(found.standard_deviations[kept])
         errors.append(found.values[kept] - true)
     seconds = (time.process_time() - start) / arguments.count
