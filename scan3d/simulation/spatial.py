@@ -38,6 +38,9 @@ _NEAREST = 0.2
 # Exponent by which the samples of aimed sweeps are denser at the touch-down.  Larger, the first contacts are lighter; smaller,
 # they lie farther from the place.
 _DENSE_AT_FIRST = 2
+# Steps of Newton's method from one sample to the next before a sweep is given up.  More take longer, for a few sweeps that go on
+# after a snap; fewer end sweeps early.
+_EFFORT = 400
 # Path before the touch-down, in rod lengths, at which a sweep begins.
 _BEFORE = 1e-6
 
@@ -121,7 +124,8 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
         draws = [np.random.default_rng([plan.seed, 3, number, int(row)]) for row in rows]
         friction = np.array([draw.uniform(low, high, samples) for draw in draws]).reshape(friction.shape)
     axes = lines.axes[rows]
-    return [_Swept(position, axes, sweep(body, position, axes, friction, accuracy=plan.accuracy or None))]
+    result = sweep(body, position, axes, friction, accuracy=plan.accuracy or None, effort=_EFFORT)
+    return [_Swept(position, axes, result)]
 
 
 def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length: float) -> Recording:

@@ -44,8 +44,8 @@ _SLIGHT = 1e-9
 # places in samples, q², samples, places in samples, and q².
 _CLEAR, _NEARLY_STRAIGHT, _SHORT = 0.02, 0.1, 0.25
 _ALMOST_CLEAR, _STRAIGHTENED = 1.0, 0.02
-# Steps of Newton's method from one sample to the next before a sweep is given up.
-_EFFORT = 500
+# Steps of Newton's method from one sample to the next before a sweep is given up, if nothing else is asked for.
+EFFORT = 800
 # Drag at the beginning of a snap, in unit forces per rod length; its factor where a step of the flow fails, and its limit.
 _DRAG, _MORE_DRAG, _LARGEST_DRAG = 0.3, 4.0, 1e4
 # Path of the clamp, in samples, by which the flow of a snap is beyond the fold, so that it is not slow there.
@@ -65,10 +65,10 @@ _ROUNDING = 1e-9
 class Lanes:
     """Sweeps past `body` on `paths` with coefficients of friction (m, n), in steps of one sample over `substeps`."""
 
-    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int) -> None:
+    def __init__(self, body: Body, paths: Paths, friction: Array, substeps: int, effort: int) -> None:
         self.body, self.paths, self.friction = body, paths, friction
         self.results = Results(*friction.shape)
-        self._longest = 1.0 / substeps
+        self._longest, self._effort = 1.0 / substeps, effort
         self._last = paths.samples - 1
         self._patience = _PATIENCE if body.smooth else _PATIENCE_ON_FEATURES
         self._lanes: LaneStates
@@ -147,7 +147,7 @@ class Lanes:
         if failed.any():
             self._fail(np.flatnonzero(failed))
         lanes.effort += 1
-        self._finish(np.flatnonzero(lanes.effort > _EFFORT), End.LOST)
+        self._finish(np.flatnonzero(lanes.effort > self._effort), End.LOST)
         kept = lanes.number >= 0
         if not kept.all():
             lanes.keep(kept)

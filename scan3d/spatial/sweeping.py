@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 import planar
 from scan3d.arrays import Array, Index
 from scan3d.spatial.bodies import Body
-from scan3d.spatial.lanes import Lanes
+from scan3d.spatial.lanes import EFFORT, Lanes
 from scan3d.spatial.paths import Paths
 from scan3d.spatial.results import End, Results
 from scan3d.spatial.touches import first_touches, later_touches
@@ -69,6 +69,7 @@ def sweep(
     *,
     substeps: int = 1,
     accuracy: float | None = None,
+    effort: int = EFFORT,
 ) -> Sweeps:
     """Sweeps of a round rod of length 1 past a convex body.
 
@@ -85,6 +86,8 @@ def sweep(
     accuracy
         largest `Sweeps.step_error` that is wanted: sweeps with friction are repeated with half the steps until halving them
         changes no more than that, or the steps are 64 times smaller than at first.
+    effort
+        steps of Newton's method from one sample to the next before a sweep is given up (`End.LOST`), as happens at snaps.
 
     A rod that has lost contact touches again where its path leads it back.  Raises ValueError for arrays of other shapes, for
     coefficients below zero, and for paths that begin in the body.
@@ -92,7 +95,7 @@ def sweep(
     place, turn, mu = _checked(position, axes, friction)
     if substeps < 1:
         raise ValueError(f"substeps must be at least 1, got {substeps}")
-    swept = _swept(body, place, turn, mu, substeps)
+    swept = _swept(body, place, turn, mu, substeps, effort)
     if accuracy is None:
         return swept
     if not accuracy > 0:
@@ -102,16 +105,16 @@ def sweep(
         rows = np.flatnonzero(swept.step_error > accuracy)
         if not len(rows):
             break
-        finer = _swept(body, place[rows], turn[rows], mu[rows], substeps * 2**halving)
+        finer = _swept(body, place[rows], turn[rows], mu[rows], substeps * 2**halving, effort)
         error = _difference(finer, swept, rows)
         for column in fields(Sweeps):
             getattr(swept, column.name)[rows] = error if column.name == "step_error" else getattr(finer, column.name)
     return swept
 
 
-def _swept(body: Body, position: Array, axes: Array, friction: Array, substeps: int) -> Sweeps:
+def _swept(body: Body, position: Array, axes: Array, friction: Array, substeps: int, effort: int) -> Sweeps:
     paths = Paths(position, axes)
-    lanes = Lanes(body, paths, friction, substeps)
+    lanes = Lanes(body, paths, friction, substeps, effort)
     touch = first_touches(body, paths)
     while len(touch.number):
         touch = later_touches(body, paths, *lanes.run(touch))
