@@ -54,7 +54,7 @@ def test_points_in_one_plane_span_no_body(thickness, shift):
 @pytest.mark.parametrize("shift", [0.0, 1000.0, 1e6])
 @pytest.mark.parametrize("thickness", [[1, 1, 1e-13], [1, 1e-13, 1e-13]])
 def test_points_in_a_plane_up_to_rounding_span_no_body(thickness, shift):
-    """Qhull makes a body of 1e-13, which is what rounding leaves of points in a plane that is turned and far from the origin."""
+    """Qhull makes a body of 1e-13, which is what rounding leaves of a plane that is turned and far from the origin."""
     points = (RNG.standard_normal((40, 3)) * thickness) @ TURN.T + shift
     with pytest.raises(InputError, match="the 40 contacts span no body"):
         hull(points)
