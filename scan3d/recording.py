@@ -133,7 +133,9 @@ class Recording(Shown):
         if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
         if max(noises) > _LARGEST_NOISE:
-            raise InputError(f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N or N m")
+            raise InputError(
+                f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N or N m"
+            )
         if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
 
