@@ -166,9 +166,11 @@ def reconstruct(
         raise ValueError(f"tolerance must lie between 0 and 1, got {given}")
     zeta = None
     if friction is not None:
-        zeta = np.arctan(np.asarray(friction, dtype=float))
-        if zeta.shape not in ((), reactions.x0.shape) or not (np.isfinite(zeta).all() and (zeta >= 0).all()):
-            raise ValueError("friction must be one number >= 0 or one for each sample")
+        mu = np.asarray(friction, dtype=float)
+        if mu.shape not in ((), reactions.x0.shape) or not (np.isfinite(mu).all() and (mu >= 0).all()):
+            given = np.array2string(mu, threshold=6, precision=6)
+            raise ValueError(f"friction must be one number >= 0 or one for each sample, got {given}")
+        zeta = np.arctan(mu)
 
     contacts = _empty(len(reactions.x0))
     for first in range(0, len(contacts), _BLOCK):

@@ -27,6 +27,8 @@ from scan3d.units import UNITS_M
 # Largest error of a quaternion's length.  Larger, errors in a log would be taken for rounding; smaller, quaternions written
 # with three digits would be refused.
 _QUATERNION_TOLERANCE = 1e-3
+# Standard deviations in N or N·m that are no numbers of a measurement.  Larger, their squares are no numbers of a computer.
+_LARGEST_NOISE = 1e60
 SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
 """The columns of a recording that six-axis data have beside those of the plane."""
 
@@ -130,6 +132,10 @@ class Recording(Shown):
         noises = (self.noise_force_N, self.noise_moment_Nm)
         if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
+        if max(noises) > _LARGEST_NOISE:
+            raise InputError(
+                f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N or N m"
+            )
         if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
 

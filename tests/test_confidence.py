@@ -9,6 +9,7 @@ import trimesh
 
 import scan3d
 from scan3d.geometry.distance import nearest
+from scan3d.geometry.hulls import hull
 from scan3d.geometry.polygons import beyond, polygon_of_lines
 from scan3d.geometry.sections import slice_polygons
 from scan3d.reconstruction.contacts import contacts
@@ -176,9 +177,9 @@ def test_an_enclosure_allows_for_the_clouds_own_noise():
     """The bound that ignores the noise is smaller than the truth."""
     mesh, _, cloud = scanned("cube.stl", 1e-3, slices=48)
     diagonal = np.linalg.norm(mesh.extents)
-    hull = surface(cloud, "hull")
-    truth = scan3d.compare(hull, mesh).hausdorff
-    own, ignored = (certificate(enclosure(cloud, margin), hull).bound for margin in (None, 0.0))
+    convex = surface(cloud, "hull")
+    truth = scan3d.compare(convex, mesh).hausdorff
+    own, ignored = (certificate(enclosure(cloud, margin), convex).bound for margin in (None, 0.0))
     assert ignored < truth < own < 0.05 * diagonal
     assert enclosure(cloud).confidence == 0.95
     assert enclosure(cloud, confidence=0.5).bound < enclosure(cloud).bound < enclosure(cloud, confidence=0.999).bound
@@ -231,6 +232,22 @@ def test_inner_body_outer_body_volume_and_certificate_hold(name, noise, slices):
     analysis = analyse(recording, mesh)
     truth = analysis.comparison.hausdorff
     assert truth <= analysis.certificate.bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "noise"), [("cube.stl", 1e-3), ("egg.stl", 1e-4)])
+def test_the_bound_is_at_most_five_times_the_least_one_that_holds(name, noise):
+    """The hull of the true contacts is a body with the same contacts, so that the surface may lie as far from the body as from
+    that hull, however close to the body it does lie."""
+    mesh, recording, _ = scanned(name, noise, slices=10)
+    touched = hull(scanned(name, 0.0, slices=10)[2].points)
+    analysis = analyse(recording, mesh)
+    bounds, bound, truth = analysis.bounds, analysis.certificate.bound, analysis.comparison.hausdorff
+    least = float(nearest(np.asarray(analysis.surface.vertices), touched)[0].max())
+    assert max(least, truth) <= bound <= 5 * max(least, truth)
+    assert bounds.bound <= 5 * nearest(np.asarray(mesh.vertices), bounds.inner)[0].max()
+    # five times the truth itself would be less than the least bound
+    assert least > 5 * truth
 
 
 @pytest.mark.parametrize("axis", ["xyz"])

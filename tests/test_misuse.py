@@ -79,6 +79,8 @@ def test_what_is_no_mesh_is_not_compared(mesh):
         ("unit", lambda a: ["mm"], "unit must be one of"),
         ("noise_force_N", lambda a: "0", "must be numbers >= 0"),
         ("noise_moment_Nm", lambda a: 1j, "must be numbers >= 0"),
+        # its square is no number of a computer: a calibration ended in an OverflowError
+        ("noise_moment_Nm", lambda a: 1e300, r"a standard deviation of the noise is 1e\+300; check its unit"),
     ],
 )
 def test_columns_that_are_no_real_numbers(recording, field, value, sentence):

@@ -251,6 +251,7 @@ def test_elastic_lines_of_straight_rods_and_of_impossible_reactions():
         (dict(tolerance=np.nan), "tolerance must lie between 0 and 1, got nan"),
         (dict(friction=-0.1), "friction must be one number >= 0"),
         (dict(friction=np.nan), "friction must be one number >= 0"),
+        (dict(friction=np.inf), "friction must be one number >= 0 .*, got inf"),
         (dict(friction=[0.1, 0.2]), "friction must be one number >= 0 or one for each"),
     ],
 )

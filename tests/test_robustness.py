@@ -1,10 +1,12 @@
 """Odd files and options: the commands answer in a sentence, with the right exit code, in time and without warnings."""
 
 import random
+import shutil
 from pathlib import Path
 
 import pytest
 
+from scan3d.cli.verbs import VERBS
 from tests.robustness import corpus, fuzz, runner
 
 # Every so many cases run in the fast lane, and in all tests; `make trust` runs every case.
@@ -66,6 +68,19 @@ def test_random_changes_of_files_and_options(tmp_path, count):
         if outcome.fault:
             faults.append((number, argv, outcome.fault, outcome.err, outcome.trace))
     assert faults == []
+
+
+@pytest.mark.slow
+def test_random_changes_are_made_for_every_command(tmp_path):
+    source = tmp_path / "source"
+    source.mkdir()
+    fuzz.prepare(source)
+    tried = set()
+    for number in range(250):
+        folder = tmp_path / "attempt"
+        tried.add(fuzz.attempt(random.Random(f"command:{number}"), source, folder)[0])
+        shutil.rmtree(folder)
+    assert tried == {*VERBS} - {"doctor", "completion"}  # which read no files
 
 
 @pytest.mark.slow

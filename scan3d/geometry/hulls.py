@@ -15,6 +15,9 @@ from scan3d.geometry.triangles import mirrored_faces
 # Points whose root mean square distance from a plane is less than this fraction of their extent span no body.  Larger, thin
 # bodies would be refused; smaller, the hull of points in one plane would be made of rounding.
 _FLATTEST = 1e-9
+# A hull whose volume is less than this fraction of its area times the points' extent is one of points in a plane or on a line,
+# up to rounding, which is larger far from the origin.  Larger, thin bodies would be refused; smaller, rounding makes bodies.
+_THINNEST = 1e-12
 # Points closer than this fraction of their extent are merged if their hull is not a closed surface.  Larger, the hull loses
 # accuracy; smaller, it may stay open.
 _COINCIDENT = 1e-11
@@ -35,6 +38,9 @@ def hull(points: Array) -> Any:
             if np.linalg.svd(scaled - scaled.mean(axis=0), compute_uv=False)[-1] < _FLATTEST * np.sqrt(len(scaled)):
                 raise
             qhull = ConvexHull(scaled, qhull_options="Qt Q12")  # many nearly coplanar points make wide facets
+        rounding = 4 * np.finfo(float).eps * float(np.abs(points).max()) / size
+        if not qhull.volume > max(_THINNEST, rounding) * qhull.area:
+            raise QhullError
     except (QhullError, ValueError, IndexError):
         raise InputError(
             f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"

@@ -17,17 +17,17 @@ from pathlib import Path
 import numpy as np
 
 from scan3d.geometry.hulls import hull
-from tests.robustness import corpus, runner
+from tests.robustness import corpus, rig_inputs, runner
 
 NUMBERS = ("0", "-1", "1", "2", "3", "1e-300", "1e300", "-1e300", "nan", "inf", "-inf", "1e-9", "0.5", "1e9", "4294967296",
            "-2147483649", corpus.HUGE, "", "x", "\x1b[31m", "\u202e", "0x10", "1_0", "true", "null", "[]", "{}")  # fmt: skip
 MESHES = ("box.stl", "box.ply", "box.obj", "box.off", "box.glb", "text.stl", "ball.ply", "torus.stl")
 OPTIONS = ("slices", "samples", "sweeps", "friction", "clearance", "tolerance", "noise", "seed", "rod", "axis", "spacing",
-           "standoff", "unit", "method")  # fmt: skip
+           "standoff", "unit", "method", "model", "accuracy")  # fmt: skip
 WORDS = ("auto", "hull", "bracket", "support", "regression", "poisson", "adaptive", "uniform", "fixed", "xyz", "y", "1,1,0",
-         "0:0.4", "m", "um", "in", "steel:0.3x50", "nylon:1x20", "steel:0.01x2000")  # fmt: skip
+         "spatial", "0:0.4", "m", "um", "in", "steel:0.3x50", "nylon:1x20", "steel:0.01x2000")  # fmt: skip
 KINDS = ("mesh", "compare", "table", "rod", "options", "options", "config", "show", "show", "export", "body", "body", "columns",
-         "columns")  # fmt: skip
+         "columns", *rig_inputs.KINDS)  # fmt: skip
 METHODS = ("auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting")
 UNITS = ("mm", "m", "um", "in")
 SMALL = ("--slices=4", "--samples=20")
@@ -139,6 +139,8 @@ def attempt(chance, source, folder):
             path.write_bytes(mutated(path.read_bytes(), chance))
 
     kind = chance.choice(KINDS)
+    if kind in rig_inputs.KINDS:
+        return rig_inputs.attempt(kind, chance, folder, change, NUMBERS, columns)
     mesh = chance.choice(MESHES)
     hull = chance.choice(([], ["--hull"]))
     if kind in ("mesh", "compare", "options"):
@@ -198,6 +200,7 @@ def prepare(folder):
     (folder / "text.stl").write_text(box.export(file_type="stl_ascii"))
     trimesh.creation.icosphere(subdivisions=1, radius=9).export(folder / "ball.ply")
     trimesh.creation.torus(9, 3, major_sections=12, minor_sections=8).export(folder / "torus.stl")
+    rig_inputs.prepare(folder)
     chosen = "slices = 4\nsamples = 20\nclearance = 0.3\nnoise = 0.0\nseed = 0\nhull = false\n"
     named = 'spacing = "cosine"\naxis = "z"\nfriction = "0.3"\nrod = "auto"\n'
     (folder / "config.toml").write_text(chosen + named)
