@@ -38,8 +38,8 @@ _NEAREST = 0.2
 # Exponent by which the samples of aimed sweeps are denser at the touch-down.  Larger, the first contacts are lighter; smaller,
 # they lie farther from the place.
 _DENSE_AT_FIRST = 2
-# Steps of Newton's method from one sample to the next before a sweep is given up.  More take longer, for a few sweeps that go on
-# after a snap; fewer end sweeps early.
+# Steps of Newton's method from one sample to the next before a sweep is given up.  More take longer, for a few sweeps that go
+# on after a snap; fewer end sweeps early.
 _EFFORT = 400
 # Path before the touch-down, in rod lengths, at which a sweep begins.
 _BEFORE = 1e-6

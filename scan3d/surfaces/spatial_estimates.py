@@ -42,7 +42,7 @@ _BESIDE = 32
 # part of the turn from end to end, both lie on edges of the body.  Of a surface that curves evenly they leave as much as 1 less
 # twice the first part.  Larger second parts: curved bodies are taken for plane; smaller: planes between edges of the body are
 # taken for curved.  The third number is that of the contacts beside each end; more take longer.
-_AT_END, _AS_MUCH, _AROUND = 0.1, 0.5, 32
+_AT_END, _AS_MUCH, _AROUND = 0.2, 0.55, 32
 # Tangent planes that are used at most.  More take longer; fewer leave curved parts of bodies with edges coarser.
 _TANGENT_PLANES = 6000
 # Sweeps with contacts that are needed before any is held out.  Larger, small scans are not judged by cross-validation;
