@@ -124,6 +124,26 @@ def test_an_interruption_that_is_caught_is_repeated(monkeypatch, capsys):
         assert capsys.readouterr().err == "scan3d: terminated\n"
 
 
+def test_a_run_that_is_completed_though_it_was_interrupted_ends_at_once():
+    """A library that caught the interruption may crash when Python ends it."""
+    code = """
+import atexit, os, signal
+from scan3d.cli.interruptions import Interruptions
+atexit.register(os.abort)
+with Interruptions(ends_process=True) as context:
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        while True:
+            pass
+    except BaseException:
+        pass
+    print("complete")
+    context.code = 3
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "complete\n", "")
+
+
 def test_the_code_of_a_library_is_not_interrupted(monkeypatch, capsys):
     """Unless it takes long."""
     monkeypatch.setattr(interruptions, "_TRIALS", 30)

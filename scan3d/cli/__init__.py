@@ -19,5 +19,5 @@ def main(argv: Sequence[str] | None = None) -> int:
         # imported here, so that Ctrl-C during the import is handled as well
         from scan3d.cli.command import run
 
-        return run(argv)
+        interruptions.code = run(argv)
     return interruptions.code

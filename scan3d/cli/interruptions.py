@@ -38,7 +38,7 @@ class Terminated(BaseException):
 
 
 class Interruptions:
-    """A context in which signals unwind the run; afterwards `code` is the exit code of a run that was interrupted."""
+    """A context in which signals unwind the run; `code` is the exit code, which the run sets unless it is interrupted."""
 
     def __init__(self, *, ends_process: bool) -> None:
         """`ends_process` states whether the process ends afterwards: nothing is left to interrupt then."""
@@ -89,6 +89,12 @@ class Interruptions:
             signal.signal(number, signal.SIG_IGN if self._ends_process else handler)
         # a library may turn the interruption into an error of its own
         is_interruption = isinstance(error, (KeyboardInterrupt, Terminated)) or self._received is not None
+        if error is None and self._received is not None and self._ends_process:
+            # the run was completed although a library caught the interruption
+            for stream in (sys.stdout, sys.stderr):
+                if stream is not None:
+                    stream.flush()
+            os._exit(self.code)
         if error is None or not is_interruption or isinstance(error, SystemExit):
             return False
         number = self._received or signal.SIGINT
@@ -98,7 +104,7 @@ class Interruptions:
             print(f"{newline}scan3d: {_WORDS[signal.Signals(number).name]}", file=sys.stderr)
             sys.stderr.flush()
         self.code = 128 + number
-        if self._ends_process:  # at once: a library that was interrupted may crash when Python ends it
+        if self._ends_process:  # at once, as above: a library that was interrupted may crash when Python ends it
             os._exit(self.code)
         return True
 
