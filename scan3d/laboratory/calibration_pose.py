@@ -13,8 +13,8 @@ from scan3d.arrays import Array
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_reference import Located, nearest_sphere
 
-# Contacts, planes of the body, and starting rotations that the search uses.  Fewer rotations may miss a body's pose.
-_CONTACTS, _PLANES, _ROTATIONS = 60, 150, 72
+# Contacts, planes of the body, and starting rotations that the search uses.  Fewer contacts or rotations may miss its pose.
+_CONTACTS, _PLANES, _ROTATIONS = 200, 150, 72
 # Steps of each pose; most poses are at rest by then.
 _STEPS = 15
 # Damping of a step, relative to the sizes of the body.
