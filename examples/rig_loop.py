@@ -52,11 +52,11 @@ def log(body: Path, poses: PoseList, folder: Path, seed: int) -> tuple[Path, Pat
     return folder / "raw.csv", folder / "raw_map.toml"
 
 
-def calibrated(folder: Path) -> scan3d.Calibration:
+def calibrated(folder: Path, seed: int = 1) -> scan3d.Calibration:
     """The rig, from touches of a sphere of 30 mm by rods in several directions."""
     trimesh.creation.icosphere(5, 15.0).export(folder / "sphere.stl")
     poses = plan_poses(RigPlan(parse_envelope("sphere:30"), "spatial", rod=ROD, sweeps=3))
-    return scan3d.calibrate(scan3d.import_table(*log(folder / "sphere.stl", poses, folder, seed=1)), 0.030)
+    return scan3d.calibrate(scan3d.import_table(*log(folder / "sphere.stl", poses, folder, seed)), 0.030)
 
 
 def loop(touch: Touch, batches: int, truth: trimesh.Trimesh) -> np.ndarray:

@@ -72,6 +72,23 @@ def test_a_slice_that_proves_no_point_is_left_out():
     assert np.isinf(certificate(enclosure(uncertain), surface(cloud, "hull")).bound)
 
 
+@pytest.mark.parametrize("name", BODIES)
+def test_a_slice_whose_contacts_prove_little_leaves_the_bound_to_the_slices_beside_it(name):
+    """More touches do not widen a bound: of the uppermost slice, or of one in the middle, no support line is certain."""
+    _, _, cloud = scanned(name, 1e-4)
+    (stack,) = stacks(cloud)
+    for number in (len(stack.slices) - 1, len(stack.slices) // 2):
+        rows = stack.slices[number].rows
+        normal_sd = cloud.normal_sd.copy()
+        normal_sd[rows] = 1.0
+        without = np.delete(np.arange(len(cloud)), rows)
+        found = enclosure(dataclasses.replace(cloud, normal_sd=normal_sd)).bound
+        # beside the empty slice above it, the slice that is left out is empty as well
+        if number < len(stack.slices) - 1:
+            assert found <= 1.01 * enclosure(cloud.select(without)).bound
+        assert np.isfinite(found)
+
+
 def test_support_lines_that_do_not_close_prove_nothing():
     """Sweeps from one side only: the lines of the far side are those of the rectangle, which is not known to hold the body."""
     _, _, cloud = scanned("egg.stl", 1e-4, sweeps=1)

@@ -400,3 +400,18 @@ def test_a_convention_with_which_some_sweeps_are_found_is_doubted(tmp_path, spat
     found = imported(tmp_path / "log.csv", columns, map_of(spatial.rod, EXACT, euler="zyx")).summary
     assert 2 <= found.sweeps <= right.sum()
     assert 'nearly all do if the convention is "ZYX": check [columns] orientation' in found.notes[0]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar, seed):
+    """A few rows of noise, of more than four standard deviations, are no contact."""
+    log = track(planar)
+    nothing = log._replace(wrench=np.zeros_like(log.wrench))
+    columns = table(nothing, EXACT)
+    random = np.random.default_rng(seed)
+    for name in ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"):
+        columns[name] = 1e-4 * random.standard_normal(len(log.time))
+    columns["Fx"][[700, 3000, 9000]] = 5.5e-4
+    found = imported(tmp_path / "log.csv", columns, map_of(planar.rod, EXACT))
+    assert found.summary.sweeps == len(np.unique(planar.sweep))
+    assert found.summary.sweeps_with_contact == 0

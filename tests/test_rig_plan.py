@@ -176,6 +176,12 @@ def test_the_thinner_rod_of_the_message_is_thin_enough():
         ({"floor": 90.0}, "floor must be a height from 0 to less than that of the bounding body, 90 mm, got 90"),
         ({"model": "magic"}, "model must be one of planar, spatial, got 'magic'"),
         ({"unit": "parsec"}, "unit must be one of"),
+        (
+            {"sweeps": 10**130},
+            r"a plan of 6e\+130 sweeps with 9 poses needs more memory than any machine has, .* choose fewer",
+        ),
+        ({"slices": 10**9, "samples": 10**4}, r"a plan of 4e\+09 sweeps with 1e\+04 poses needs about .* TB"),
+        ({"slices": 10**400, "model": "spatial"}, r"a plan of inf sweeps"),
     ],
 )
 def test_plans_that_cannot_be_made_say_why(settings, sentence):

@@ -277,7 +277,7 @@ def _without_transfers(
     touched = stands_out(wrench[:, :3], noise)
     within = segments.with_rows(sweep, touched)
     left = segments.transfers(sweep, within, position, quaternion, map.rod.length_m)
-    if not len(left) or not touched.any():
+    if not len(left) or not len(within):
         return sweep, []
     kept = np.where(np.isin(sweep, left), -1, sweep)
     numbers = np.unique(kept[kept >= 0])

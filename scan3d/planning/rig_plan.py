@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Index
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
+from scan3d.files.reading import to_float
 from scan3d.geometry.sections import slice_frame
+from scan3d.memory import check_memory
 from scan3d.planning.envelopes import Envelope
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import Plan
@@ -38,6 +40,10 @@ _FLOOR, _FLOOR_DIAMETERS = 0.02, 2.0
 _SIDES = 4
 # Lines from each direction in space, per slice of the plan, as in the scan of a known body.
 _LINES_PER_SLICE = 0.6
+# Directions of the rasters in space that lie above the table.
+_DIRECTIONS = 6
+# Bytes that a pose takes while it is planned, and poses between two sweeps.
+_MEMORY_PER_POSE, _POSES_BETWEEN = 420, 6
 # Digits to which lengths in messages are rounded up.
 _DIGITS = 3
 
@@ -144,6 +150,7 @@ def plan_poses(plan: RigPlan) -> PoseList:
     Each sweep begins and ends where neither the straight rod nor a bent one can touch the bounding body.  Raises InputError if
     the rod does not reach into the bounding body, if it is too stiff for the force, or if the clamp would leave the workspace.
     """
+    _check_size(plan)
     space = plan.space()
     sweeps = _slices(plan, space) if plan.model == "planar" else _rasters(plan, space)
     if not sweeps:
@@ -151,6 +158,18 @@ def plan_poses(plan: RigPlan) -> PoseList:
             f"no sweep from above the table reaches into {plan.around}; choose a longer rod or less clearance"
         )
     return pose_list(sweeps, plan)
+
+
+def _check_size(plan: RigPlan) -> None:
+    """Raise InputError if the poses of a plan need more memory than there is."""
+    planar = plan.model == "planar"
+    lines = plan.slices * (plan.sweeps or _SIDES) if planar else _DIRECTIONS * (plan.sweeps or plan.slices)
+    count, samples = to_float(lines), to_float(plan.samples)
+    check_memory(
+        _MEMORY_PER_POSE * count * (samples + _POSES_BETWEEN),
+        f"a plan of {count:.4g} sweeps with {samples:.4g} poses",
+        "choose fewer slices, sweeps or samples",
+    )
 
 
 def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:

@@ -16,6 +16,10 @@ Let s be the true slope of a half-space that begins at ``z_i + d``, with d betwe
 exceeded by at most e times the steeper of the secants from behind and from ahead, between which s lies; the half-spaces
 are moved outwards by this.  Past an end slice, and where all slices ahead are nearer than 4e, no secant from ahead
 is known, but there the slab before reaches to ``z_i + e``, beyond which the half-space holds.
+
+The half-spaces hold beyond the next slices as well.  With exact contacts those of the nearest slice are the tightest; where
+contacts are uncertain, a slab is also bounded by those of slices farther away, so that a slice that is known poorly, as
+one near the end of a body, does not widen the outer body.
 """
 
 from __future__ import annotations
@@ -37,6 +41,9 @@ _IN_PLANE = 1e-9
 # Errors of heights that two slices lie apart at least for a secant between them.  At 2 its slope is infinite; larger, slices
 # near the ends of a body are not used.
 _APART = 4.0
+# Slices on each side of a slab that bound it where they are uncertain: the nearest may have few contacts, or light ones.  More
+# take longer; with one the bound of a noisy body grows without limit when slices are added near its ends.
+_ANCHORS = 4
 # Corners farther than this many widths of the slices belong to half-spaces that do not close.  Smaller, very oblique but
 # closed slabs would count as unbounded; larger, corners that rounding has brought back from infinity would be believed.
 _FAR = 1e6
@@ -152,16 +159,16 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     slices, count = stack.slices, len(stack.slices)
     below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
     planes, side, straight = [np.empty((0, 4))], [np.empty(0)], [np.empty(0, dtype=bool)]
-    for slice_, behind, ahead, number in (
-        (below, slices[:i][::-1], slices[i:], 0.0),
-        (above, slices[i:], slices[:i][::-1], 1.0),
-    ):
-        secants_from = _secants_from(stack, behind[1:], slice_)
-        if slice_ is not None and secants_from:
-            ahead_from = _secants_from(stack, ahead, slice_)
-            planes.append(_half_spaces(slice_, secants_from, margin, stack.height_error, ahead_from))
-            side.append(np.full(len(planes[-1]), number))
-            straight.append(_goes_on_straight(behind, above if slice_ is below else below))
+    for behind, ahead, number in ((slices[:i][::-1], slices[i:], 0.0), (slices[i:], slices[:i][::-1], 1.0)):
+        for k in range(min(len(behind), _anchors(stack))):
+            # from slice k behind the slab; between it and the slab lie k others
+            secants_from = _secants_from(stack, behind[k + 1 :], behind[k])
+            if secants_from:
+                ahead_from = _secants_from(stack, behind[:k][::-1] + ahead, behind[k])
+                planes.append(_half_spaces(behind[k], secants_from, margin, stack.height_error, ahead_from))
+                side.append(np.full(len(planes[-1]), number))
+                nearest = _goes_on_straight(behind, ahead[0] if ahead else None)
+                straight.append(nearest if k == 0 else np.zeros(len(planes[-1]), dtype=bool))
     if stack.table is not None:
         planes.append(stack.table[None])
         side.append(np.array([-1.0]))
@@ -175,12 +182,20 @@ def _half_spaces_of_slab(stack: SliceStack, i: int, low: float, high: float, mar
     )
 
 
-def _secants_from(stack: SliceStack, behind: tuple[Slice, ...], slice_: Slice | None) -> tuple[Slice, ...]:
+def _anchors(stack: SliceStack) -> int:
+    """Slices on each side of a slab whose support lines bound it.
+
+    If everything is exact, by concavity those of the nearest do so most tightly.
+    """
+    return _ANCHORS if stack.confident or stack.height_error else 1
+
+
+def _secants_from(stack: SliceStack, behind: tuple[Slice, ...], slice_: Slice) -> tuple[Slice, ...]:
     """Those of the slices behind a slab's slice, from the nearest, that secants are taken from.
 
     If everything is exact, by concavity the nearest has the tightest.
     """
-    if slice_ is None or not (stack.confident or stack.height_error):
+    if not (stack.confident or stack.height_error):
         return behind[:1]
     return tuple(b for b in behind if abs(b.height - slice_.height) > _APART * stack.height_error)
 
