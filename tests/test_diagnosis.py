@@ -2,6 +2,7 @@
 
 import functools
 import json
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -175,6 +176,40 @@ def test_a_turn_says_what_to_state():
     assert "euler_deg = [0, 3" in message
     message = diagnosed(changed(in_space(), moved([3, -20, 4]))).message
     assert "position_mm = [3, -20" in message or "position_mm = [3.0" in message
+
+
+FRAMES = {
+    "as in the rig of the manual": ((0, 30, 0), (0, -20, 0)),
+    "about several axes": ((-20, 0, 40), (3, 25, -30)),
+    "a quarter turn": ((0, 0, 90), (0, 0, 30)),
+}
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("recording", [in_space, lambda: in_space(1e-4), cube_in_space], ids=["exact", "noise", "cube"])
+def test_a_sensor_that_is_turned_and_beside_the_clamp_is_named(frame, recording):
+    """Neither of the two faults alone explains it; under noise the estimate is good to some degrees."""
+    angles, place = FRAMES[frame]
+    turn = Rotation.from_euler("xyz", angles, degrees=True)
+    found = diagnosed(
+        changed(
+            recording(), lambda f, m: (turn.inv().apply(f), turn.inv().apply(m - np.cross(np.array(place) / 1000, f)))
+        )
+    )
+    assert found.fault == "turned-and-moved", found
+    assert found.value == pytest.approx(np.degrees(turn.magnitude()), abs=3)
+    euler, position = (json.loads(part) for part in re.findall(r"= (\[.*?\])", found.message)[:2])
+    assert euler == pytest.approx(angles, abs=6)
+    assert position == pytest.approx(place, abs=4)
+
+
+def test_forces_too_small_to_be_felt_do_not_explain_a_contradiction():
+    """Forces over 1000 are below the noise, and no row contradicts another; that does not mean that they are in mN."""
+    right, largest = in_space(1e-4), 0.03
+    tilted = Rotation.from_euler("xyz", (25, 30, 60), degrees=True)
+    noise = dict(noise_force_N=largest * right.rod.force_unit_N / 8, noise_moment_Nm=1e-3 * right.rod.moment_unit_Nm)
+    found = diagnose(replace(changed(right, lambda f, m: (tilted.apply(f), m)), **noise), "spatial")
+    assert found.fault != "force-unit", found
 
 
 def test_a_second_contact_is_named():

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from scan3d.arrays import Array, Index
 from scan3d.reconstruction.faults import Fault, Hypothesis, hypotheses
 from scan3d.reconstruction.misfits import LARGEST, Reactions, Touches, felt, noise, reactions_of, touches_of
+from scan3d.reconstruction.sensor_frames import FRAME_CODES, TURNED_AND_MOVED, frame_faults
 from scan3d.recording import Recording
 
 # A fault is named if its correction removes at least this part of the root mean square misfit.  Smaller, wrong faults are named
@@ -23,8 +24,8 @@ _EXPLAINS = 0.8
 _ALIKE = 4.0
 # What each estimated number must lower the mean square misfit by, as a factor.
 _PER_NUMBER = 2.0
-# Mean square misfit that counts as none.
-_NONE = 1e-12
+# Mean square misfit that counts as none, and one below which noise hides differences.
+_NONE, _HIDDEN = 1e-12, 1e-5
 # Hypotheses that are refined, starts of each, and evaluations of a refinement.
 _REFINED, _STARTS, _EVALUATIONS = 4, 2, 12
 # Runs of rows that repeat others of which each is tried.
@@ -69,6 +70,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     few = touches_of(recording, model, stuck, few=True)
     before = _mean_square(touches.misfit(_of_rows(measured, touches.rows)))
     candidates = hypotheses(recording, model, measured, _contradicting(stuck, measured, touches))
+    candidates += frame_faults(recording, model, measured)
     if before <= _NONE:
         return _unknown(0.0)
     trials = _searched(candidates, measured, few)
@@ -81,10 +83,14 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     fault = best_trial.hypothesis.fault(best_trial.numbers)
     # a fault of several numbers that contains the best one is no alternative to it
     others: dict[str, Fault] = {}
+    hidden = _HIDDEN if max(noise(recording)) else _NONE
     for trial in named[1:]:
         other = trial.hypothesis.fault(trial.numbers)
-        alike = trial.misfit + _NONE < _ALIKE * (best_trial.misfit + _NONE)
-        if alike and other.code != fault.code and trial.hypothesis.cost <= best_trial.hypothesis.cost:
+        alike = trial.misfit + hidden < _ALIKE * (best_trial.misfit + hidden)
+        simple = trial.hypothesis.cost <= best_trial.hypothesis.cost
+        # a frame that nobody stated is as likely as any simpler fault, unless that is one of the frame
+        unstated = other.code == TURNED_AND_MOVED and not fault.code.startswith(FRAME_CODES)
+        if alike and other.code != fault.code and (simple or unstated):
             others.setdefault(other.code, other)
     message = f"most likely {fault.message}"
     if others:
@@ -186,7 +192,7 @@ def _second_contact(touches: Touches, measured: Reactions, model: str, explains:
     if model != "spatial":
         return None
     about_rod, along_force, _ = touches.misfit(_of_rows(measured, touches.rows)).reshape(3, -1)
-    if _mean_square(along_force) < _BY_SKEW * _mean_square(np.hypot(about_rod, along_force)):
+    if _mean_square(along_force) <= _BY_SKEW * _mean_square(np.hypot(about_rod, along_force)):
         return None
     fraction = float((along_force > 0).sum() / max(len(along_force), 1))
     return Diagnosis(

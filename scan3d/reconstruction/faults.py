@@ -6,25 +6,18 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index
 from scan3d.reconstruction.misfits import Reactions
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
-# Starts of the search: factors of scales, angles in degrees, and distances in rod lengths.
+# Starts of the search: factors of scales.
 _SCALES = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, 1.5, 2.0, 3.0)
 # Largest logarithm of a scale.  With larger ones the noise, which is not scaled, hides any misfit.
 _LARGEST_SCALE = 1.4
-_ANGLES = (-165, -135, -110, -90, -70, -50, -35, -25, -15, -7, -2, 2, 7, 15, 25, 35, 50, 70, 90, 110, 135, 165)
 # Contacts near the tip count as tip contacts, so that the misfit is one of steps in the length: those of the starts are finer.
 _LENGTHS = np.linspace(0.7, 1.4, 47)
-_DISTANCES = (0.03, 0.1, 0.25, 0.5)
-# Parts of the largest axis of a turn below which the others are not named.
-_ABOUT_ONE = 0.15
-_AXES = ("x", "y", "z")
-_ABOUT = ("about the clamp's x axis", "about the rod (the clamp's y axis)", "about the clamp's z axis")
 
 
 class Fault(NamedTuple):
@@ -51,14 +44,18 @@ class Hypothesis(NamedTuple):
 
 
 def hypotheses(recording: Recording, model: str, measured: Reactions, stuck: Index) -> list[Hypothesis]:
-    """All faults that a recording of the model may have; `measured` are its reactions, `stuck` rows that repeat others."""
+    """Faults that a recording of the model may have but for those of the sensor's frame.
+
+    measured
+        its reactions.
+    stuck
+        rows that repeat others.
+    """
     found = [
         *_signs(model),
         *_zeros(recording, model, measured),
         *_scales(),
         *_gains(model),
-        *_turns(model),
-        _offset(recording, model),
     ]
     if len(stuck):
         found.append(_stuck(stuck))
@@ -94,7 +91,8 @@ def _signs(model: str) -> list[Hypothesis]:
         changes["fx-mz-sign", "fx and mz have the opposite signs"] = (x, z)
 
     def scaled(force: Array, moment: Array) -> Callable[[Reactions, Index, Array], Reactions]:
-        return lambda r, rows, numbers: Reactions(r.force * force, r.moment * moment)
+        gain = float(np.abs(force).max()), float(np.abs(moment).max())
+        return lambda r, rows, numbers: Reactions(r.force * force, r.moment * moment, r.length, gain)
 
     def named(code: str, text: str) -> Callable[[Array], Fault]:
         return lambda numbers: Fault(code, None, "", text)
@@ -245,71 +243,6 @@ def _gains(model: str) -> list[Hypothesis]:
     if model == "spatial":
         channels += [("fz", 0, 2), ("mx", 1, 0), ("mz", 1, 2)]
     return [of_channel(*channel) for channel in channels]
-
-
-def _turns(model: str) -> list[Hypothesis]:
-    """Sensors that are turned about one axis, and in space about any."""
-    angles = np.radians(_ANGLES)[:, None]
-
-    def turned(r: Reactions, vector: Array) -> Reactions:
-        turn = Rotation.from_rotvec(vector).as_matrix()
-        return Reactions(r.force @ turn.T, r.moment @ turn.T)
-
-    def about(axis: int) -> Hypothesis:
-        unit = np.eye(3)[axis]
-        return Hypothesis(angles, lambda r, rows, n: turned(r, n[0] * unit), lambda n: _turned_fault(n[0] * unit), 1)
-
-    if model != "spatial":
-        return [about(2)]
-    small = np.radians([[2, 2, 2], [10, 0, 10], [10, 0, -10], [20, 5, 5], [-10, 20, 5], [5, -20, -10]])
-    anywhere = Hypothesis(small, lambda r, rows, n: turned(r, n), lambda n: _turned_fault(n), 3)
-    return [about(0), about(1), about(2), anywhere]
-
-
-def _turned_fault(vector: Array) -> Fault:
-    angle = float(np.degrees(np.linalg.norm(vector)))
-    axis = int(np.argmax(np.abs(vector)))
-    others = np.delete(np.abs(vector), axis)
-    single = bool(others.max() <= _ABOUT_ONE * np.abs(vector[axis]))
-    angles = np.degrees(vector) if single else Rotation.from_rotvec(vector).as_euler("xyz", degrees=True)
-    euler = ", ".join(f"{value:.3g}" for value in angles + 0.0)
-    signed = float(np.degrees(vector[axis])) if single else angle
-    where = _ABOUT[axis] if single else "about an axis across several of the clamp's"
-    return Fault(
-        f"turned-{_AXES[axis]}" if single else "turned",
-        signed,
-        "deg",
-        f"the sensor is turned by {signed:.3g}° {where}: state euler_deg = [{euler}] under [sensor], or calibrate",
-    )
-
-
-def _offset(recording: Recording, model: str) -> Hypothesis:
-    """The moment about a point beside the clamp; numbers are its place in the clamp's frame, in rod lengths."""
-    count = 3 if model == "spatial" else 2
-    starts = np.concatenate([sign * distance * np.eye(count) for distance in _DISTANCES for sign in (-1, 1)])
-
-    def place(numbers: Array) -> Array:
-        return np.append(numbers, np.zeros(3 - count))
-
-    return Hypothesis(
-        starts,
-        lambda r, rows, n: Reactions(r.force, r.moment + np.cross(place(n), r.force)),
-        lambda n: _offset_fault(place(n), recording.rod),
-        count,
-    )
-
-
-def _offset_fault(place: Array, rod: Rod) -> Fault:
-    millimetres = 1000 * rod.length_m * place
-    distance = float(np.linalg.norm(millimetres))
-    where = ", ".join(f"{value:.3g}" for value in millimetres)
-    return Fault(
-        "moment-not-moved",
-        distance,
-        "mm",
-        f"the moment was not moved to the clamp: it refers to a point {distance:.3g} mm from it; state position_mm = "
-        f"[{where}] under [sensor], or calibrate",
-    )
 
 
 def _stuck(stuck: Index) -> Hypothesis:

@@ -45,6 +45,8 @@ class Reactions(NamedTuple):
     """(n, 3)"""
     length: float = 1.0
     """The rod's length over the stated one."""
+    gain: tuple[float, float] = (1.0, 1.0)
+    """What force and moment were multiplied by, and their noise with them."""
 
 
 class Touches(Protocol):
@@ -82,6 +84,16 @@ def noise(recording: Recording) -> tuple[float, float]:
     return known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
 
 
+def _with_gain(deviation: tuple[float, float], reactions: Reactions) -> tuple[float, float]:
+    """The standard deviations of reactions that were multiplied."""
+    return deviation[0] * reactions.gain[0], deviation[1] * reactions.gain[1]
+
+
+def _rescaled(reactions: Reactions) -> bool:
+    """Whether reactions were multiplied: of rows in contact, they cannot have become too small to be felt."""
+    return reactions.gain != (1.0, 1.0)
+
+
 def felt(force: Array, deviation: tuple[float, float]) -> Mask:
     """(n,) whether forces (n, 3) stand out from the noise and from rounding."""
     size = np.linalg.norm(force, axis=1)
@@ -114,19 +126,19 @@ class _InPlane:
         self._axes = axes[self.rows]
 
     def misfit(self, reactions: Reactions) -> Array:
-        force, moment, length = reactions
-        force, moment = force * length**2, moment * length
+        length, noise = reactions.length, _with_gain(self._noise, reactions)
+        force, moment = reactions.force * length**2, reactions.moment * length
         fx, fy, mz = force[:, 0], force[:, 1], moment[:, 2]
         with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
-            error = errors_in_plane(fx, fy, mz, *self._noise)
+            error = errors_in_plane(fx, fy, mz, *noise)
             found = planar.reconstruct(np.zeros(len(fx)), fx, fy, mz, tolerance=np.maximum(error.tolerance, _TIP))
             turn = np.nan_to_num(_SIGMAS * error.slope, posinf=1.0)
         sure = error.largest < max(4 * float(np.median(error.largest)), 1e-3)
-        pressed, known = felt(force, self._noise), found.phase != planar.Phase.NONE
+        pressed, known = felt(force, noise), found.phase != planar.Phase.NONE
         point = self._position + length * np.einsum("ni,nij->nj", found.point, self._axes[:, :2])
         normal = np.einsum("ni,nij->nj", found.normal, self._axes[:, :2])
         own = _SIGMAS * error.largest
-        result = np.where(pressed & ~known, LARGEST, 0.0)
+        result = np.where((pressed | _rescaled(reactions)) & ~(pressed & known), LARGEST, 0.0)
         for part in self._parts:
             usable = part[known[part] & pressed[part] & sure[part]]
             lines = usable[found.phase[usable] == planar.Phase.TANGENTIAL]
@@ -154,20 +166,20 @@ class _InSpace:
     def misfit(self, reactions: Reactions) -> Array:
         length, n = reactions.length, len(self.rows)
         force, moment = reactions.force * length**2, reactions.moment * length
-        sigma_f, sigma_m = self._noise
+        sigma_f, sigma_m = noise = _with_gain(self._noise, reactions)
         with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
-            error = errors(force, moment, self._noise) if max(self._noise) else None
+            error = errors(force, moment, noise) if max(noise) else None
             s1 = np.zeros(n) if error is None else np.nan_to_num(error.s1, posinf=0.0)
             tolerance = np.clip(5 * s1, _TIP, 0.5)
-            found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=self._noise if error else None)
+            found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise if error else None)
             f, m = np.linalg.norm(force, axis=1), np.hypot(moment[:, 0], moment[:, 2])
             about_rod = np.abs(found.torsion) / m - _SIGMAS * sigma_m / m - self._radius * f / m
             along_force = np.abs(found.skew) / (f * m) - _SIGMAS * np.hypot(sigma_m / m, sigma_f / f)
-        pressed, known = felt(force, self._noise), found.status == inverse.Status.OK
+        pressed, known = felt(force, noise), found.status == inverse.Status.OK
         result = np.zeros((3, n))
         for k, values in enumerate((about_rod, along_force)):
             result[k, pressed] = np.clip(np.nan_to_num(values[pressed], nan=LARGEST), 0.0, LARGEST)
-        result[2, pressed & ~known] = LARGEST
+        result[2, (pressed | _rescaled(reactions)) & ~(pressed & known)] = LARGEST
         usable = pressed & known
         place, turn = np.zeros(n), np.zeros(n)
         if error is not None:
