@@ -112,3 +112,21 @@ def test_a_body_that_is_no_ellipsoid_is_found_with_its_degree():
     fitted = fit_support(pillow(normals), normals, 8)
     off = ((pillow(normals) - fitted.points(normals)) * normals).sum(axis=1)
     assert fitted.rms == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.2)
+
+
+@pytest.mark.parametrize("table", [-0.06, 0.0, 5.0])
+def test_a_body_stands_on_its_table(table):
+    """An ellipsoid whose foot was not touched, with errors in its contacts: the table says where it ends."""
+    semi_axes, lowest = np.array([20.0, 15.0, 25.0]), 0.15
+    rng = np.random.default_rng(2)
+    normals = rng.normal(size=(4000, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    scaled = normals * semi_axes**2
+    points = scaled / np.sqrt((normals * scaled).sum(axis=1))[:, None] + [0.0, 0.0, 25.0 + table]
+    felt = points[:, 2] > table + lowest * 50.0
+    touched = points[felt] + 0.3 * rng.standard_normal((felt.sum(), 1)) * normals[felt]
+    free, standing = (fit_support(touched, normals[felt], 8, table=known) for known in (None, table))
+    down = np.array([[0.0, 0.0, -1.0]])
+    assert standing.points(down)[0, 2] == pytest.approx(table, abs=1e-4)
+    assert abs(free.points(down)[0, 2] - table) > 1e-3
+    assert np.abs(standing.points(normals) - points).max() < np.abs(free.points(normals) - points).max()

@@ -43,6 +43,9 @@ _TURNS, _DAMPING = 3, 0.8
 # normals are rough, and later.  Larger, errors of the position along the surface, which say little, distort the fit; smaller,
 # rough normals do.
 _POSITION_WEIGHT = (0.1, 0.02)
+# Weight of the table on which a body stands, relative to that of all contacts together.  Larger, rounding counts; smaller,
+# contacts far from the table move the fitted body off it.
+_TABLE_WEIGHT = 1e3
 # Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
 # of the facets by four and multiplies the number of vertices by four; one fewer does the opposite.
 _SUBDIVISIONS = 6
@@ -82,12 +85,16 @@ class SupportFit:
         return np.concatenate([np.tensordot(self.coefficients, harmonics(part, self.degree)[1], 1).T for part in parts])
 
 
-def fit_support(points: Array, normals: Array, degree: int, sd: Array | None = None) -> SupportFit:
+def fit_support(
+    points: Array, normals: Array, degree: int, sd: Array | None = None, table: float | None = None
+) -> SupportFit:
     """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`.
 
     sd
         (n,) standard deviations of the contacts along their normals, by whose inverses they are weighted; equal weights by
         default.
+    table
+        height z of the plane on which the body stands, if it is known: no contact tells where the body ends there.
     """
     center, shape = inertia(points)
     # exact contacts say no more if they are many
@@ -111,12 +118,24 @@ def fit_support(points: Array, normals: Array, degree: int, sd: Array | None = N
                 aims = [root[part] * aim for aim in aims]
             normal_matrix += rows @ rows.T
             right += rows @ np.concatenate(aims)
+        if table is not None:
+            row, aim = _standing(center, shape, degree, table)
+            heavy = _TABLE_WEIGHT * np.trace(normal_matrix) / float(row @ row)
+            normal_matrix += heavy * np.outer(row, row)
+            right += heavy * aim * row
         normal_matrix.flat[:: len(right) + 1] += _RIDGE * np.trace(normal_matrix) / len(right)
         coefficients = cho_solve(cho_factor(normal_matrix), right)
         fitted = SupportFit(degree, center, shape, coefficients, 0.0)
         directions = _follow(fitted._gradient, mapped, directions)
     off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
     return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
+
+
+def _standing(center: Array, shape: Array, degree: int, table: float) -> tuple[Array, float]:
+    """The harmonics (c,) in the mapped direction downwards, and the support function there of a body on a table."""
+    down = np.array([[0.0, 0.0, -1.0]]) @ shape
+    value: Array = harmonics(unit(down), degree)[0][:, 0]
+    return value, float(center[2] - table) / float(np.linalg.norm(down))
 
 
 def fitted_body(fit: SupportFit) -> Any:

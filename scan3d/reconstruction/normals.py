@@ -63,7 +63,7 @@ def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
     for degree in DEGREES:
         if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
             break
-        fitted = fit_support(cloud.points[used], cloud.normals[used], degree, sd)
+        fitted = fit_support(cloud.points[used], cloud.normals[used], degree, sd, cloud.table)
         error = held_out_error(fitted, cloud.points[held_out], cloud.normals[held_out])
         if best is not None and not error < DEGREE_GAIN * best[1]:
             break

@@ -65,7 +65,8 @@ def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
     fit_error = error * mean_radius(fitted)
     if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
-        fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree, cloud.sd_along(normals))
+        sd_along = cloud.sd_along(normals)
+        fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree, sd_along, cloud.table)
     friction = np.where(slides, np.tan(angles(normals, direction)), np.nan)
     return replace(
         cloud,

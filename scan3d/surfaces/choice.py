@@ -215,7 +215,7 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
         points, normals = kept.points[known], by_slices.normals[known]
         sd = kept.select(known).sd_along(normals)
         near = cKDTree(points).query(held_out.points)[1]
-        fit = error_of_fit(fit_support(points, normals, cloud.fit.degree, sd), held_out, normals[near])
+        fit = error_of_fit(fit_support(points, normals, cloud.fit.degree, sd, cloud.table), held_out, normals[near])
     return _CrossValidation(estimates, fit, regressed)
 
 
