@@ -45,7 +45,6 @@ class Workers(Executor):
         self._idle: SimpleQueue[_Process] = SimpleQueue()
         for process in self._all:
             self._idle.put(process)
-        self._is_killed = False
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """As `Executor.submit`."""
@@ -54,8 +53,6 @@ class Workers(Executor):
     def _call(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         process = self._idle.get()
         try:
-            if self._is_killed:
-                raise BrokenExecutor("the workers have been ended")
             return process.call(fn, args, kwargs)
         finally:
             self._idle.put(process)
@@ -69,7 +66,6 @@ class Workers(Executor):
 
     def kill(self) -> None:
         """End all processes at once; calls that are running or waiting raise `BrokenExecutor`."""
-        self._is_killed = True
         for process in self._all:
             process.kill()
 
@@ -87,6 +83,7 @@ class _Process:
     def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
         self._pid: int | None = None
+        self._is_killed = False
 
     def call(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         if self._pool is None:
@@ -96,6 +93,8 @@ class _Process:
         try:
             if self._pid is None:
                 self._pid = self._pool.submit(os.getpid).result()
+            if self._is_killed:  # while it was being started
+                raise BrokenExecutor("the workers have been ended")
             return self._pool.submit(fn, *args, **kwargs).result()
         except BrokenExecutor:
             self.close()
@@ -107,6 +106,7 @@ class _Process:
             pool.shutdown()
 
     def kill(self) -> None:
+        self._is_killed = True
         pid = self._pid
         if pid is not None:
             with suppress(OSError):  # it has just ended

@@ -25,6 +25,7 @@ from scan3d.batches.meshes import mesh_files
 from scan3d.batches.names import body_names, run_name
 from scan3d.cli import batch as command
 from scan3d.cli import main
+from scan3d.files.journal import claim
 from scan3d.pictures import rendering
 
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
@@ -470,8 +471,6 @@ def test_files_of_others_are_replaced_only_if_asked_to(again, call):
 
 
 def test_a_folder_in_which_another_batch_runs_is_refused(tmp_path):
-    from scan3d.files.journal import claim
-
     work = claim(tmp_path)
     try:
         with pytest.raises(scan3d.InputError, match=r"is being written by another run"):
@@ -489,6 +488,23 @@ def test_the_place_of_a_mesh_is_stated_if_asked_for(tmp_path):
 
 
 # --- failures ---
+
+
+def test_a_run_waits_for_another_process_with_the_same_results(again, monkeypatch):
+    out, meshes = again
+    monkeypatch.setattr(runs, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(runs, "_PATIENCE_S", 0.05)
+    run = runs.runs_of(meshes[:1], [({}, run_settings())], out)[0]
+    work = claim(out / "egg")
+    try:
+        assert re.search(r"egg is being written by another run .*; wait until it has ended", runs.perform(run).error)
+    finally:
+        work.release()
+    assert runs.perform(run).error == ""
+    # what another process has made in the meantime is not made again
+    before = stamps(out)
+    assert runs.perform(run, 2).error == ""
+    assert stamps(out) == before
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,16 @@ def test_an_exception_ends_the_workers_at_once():
 
 
 @pytest.mark.slow
+def test_workers_that_are_just_starting_compute_nothing(tmp_path):
+    workers = Workers(1)
+    future = workers.submit((tmp_path / "computed").touch)
+    workers.kill()
+    workers.shutdown()
+    assert isinstance(future.exception(), BrokenExecutor)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_workers_end_with_a_process_that_is_killed():
     code = (

@@ -7,7 +7,7 @@ import hashlib
 import logging
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from scan3d import scans
 from scan3d.batches.names import body_names, distinct, run_name
 from scan3d.errors import InputError
+from scan3d.files.journal import BusyError
 from scan3d.files.ownership import read_report, unchanged
 from scan3d.settings import Settings
 
@@ -50,6 +51,9 @@ COLUMNS: dict[str, type] = {
 # Scans of one process are made one after the other: a scheduler may give a process several threads, and libraries that read and
 # draw meshes are not made for that.
 _ONE_AT_A_TIME = threading.Lock()
+# Seconds for which a run waits for another process that writes the same results, and between two looks at it.  Workers of a
+# cluster go on with what they compute when a batch is interrupted, and the same batch may be started again in the meantime.
+_PATIENCE_S, _AGAIN_S = 600.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -148,14 +152,7 @@ def perform(run: Run, attempt: int = 1) -> Outcome:
     with _ONE_AT_A_TIME:
         start = time.perf_counter()
         try:
-            scans.perform(
-                run.path,
-                run.settings,
-                run.folder,
-                overwrite=run.overwrite,
-                mesh_path=run.mesh_path,
-                notify=notices.append,
-            )
+            _scan(run, notices.append)
             error = ""
         except InputError as refusal:
             error = str(refusal)
@@ -168,6 +165,26 @@ def perform(run: Run, attempt: int = 1) -> Outcome:
             logging.getLogger("scan3d").debug("run %s", run.name, exc_info=True)
             error = f"the program has failed: {type(failure).__name__}: {failure}"
         return Outcome(" ".join(error.split()), round(time.perf_counter() - start, 3), tuple(notices))
+
+
+def _scan(run: Run, notify: Callable[[str], None]) -> None:
+    """Make a run, unless another process has made it; one that is just making it is waited for."""
+    end = time.monotonic() + _PATIENCE_S
+    while not run.is_done():
+        try:
+            scans.perform(
+                run.path,
+                run.settings,
+                run.folder,
+                overwrite=run.overwrite,
+                mesh_path=run.mesh_path,
+                notify=notify,
+            )
+            return
+        except BusyError:
+            if time.monotonic() > end:
+                raise
+        time.sleep(_AGAIN_S)
 
 
 def _numbers(report: Mapping[str, Any]) -> Row:
