@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
-from queue import SimpleQueue
+from queue import LifoQueue
 from types import TracebackType
 from typing import Any
 
@@ -42,7 +42,8 @@ class Workers(Executor):
             raise InputError(f"jobs must be a whole number of at least 1, got {jobs!r}")
         self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="scan3d-worker")
         self._all = [_Process() for _ in range(jobs)]
-        self._idle: SimpleQueue[_Process] = SimpleQueue()
+        # the process that was used last is used first: fewer are started than are allowed, if there are few calls
+        self._idle: LifoQueue[_Process] = LifoQueue()
         for process in self._all:
             self._idle.put(process)
 

@@ -266,6 +266,7 @@ def test_the_base_of_results_has_no_scene():
         scans.results._Result()._scene()
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_results_show_themselves(made, tmp_path, monkeypatch):
     folder, result = made
