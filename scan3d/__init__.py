@@ -20,6 +20,7 @@ TYPE_CHECKING = False  # that of `typing`, whose import would be the longest par
 if TYPE_CHECKING:
     from typing import Any
 
+    from scan3d.batches import Batch, batch
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison, compare
     from scan3d.errors import InputError
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from scan3d.reconstruction import reconstruct
     from scan3d.recording import Recording
     from scan3d.rods import Rod
+    from scan3d.scans import Scan, StoredScan, open, scan
     from scan3d.session import Session
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
+    "Batch": "batches",
     "Calibration": "laboratory.calibration_result",
     "Cloud": "cloud",
     "Comparison": "comparison",
@@ -47,15 +50,20 @@ _HOME = {
     "Plan": "planning.plan",
     "Recording": "recording",
     "Rod": "rods",
+    "Scan": "scans",
     "Session": "session",
+    "StoredScan": "scans",
+    "batch": "batches",
     "calibrate": "laboratory.calibration",
     "compare": "comparison",
     "import_table": "laboratory.importing",
     "load_mesh": "simulation.bodies",
+    "open": "scans",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
     "read_rig": "laboratory.calibration_file",
     "reconstruct": "reconstruction.models",
+    "scan": "scans",
     "simulate": "simulation.scan",
     "surface": "surfaces.choice",
     "write_recording": "files.recordings",
@@ -63,6 +71,7 @@ _HOME = {
 }
 
 __all__ = [
+    "Batch",
     "Calibration",
     "Cloud",
     "Comparison",
@@ -70,15 +79,20 @@ __all__ = [
     "Plan",
     "Recording",
     "Rod",
+    "Scan",
     "Session",
+    "StoredScan",
+    "batch",
     "calibrate",
     "compare",
     "import_table",
     "load_mesh",
+    "open",
     "plot",
     "read_recording",
     "read_rig",
     "reconstruct",
+    "scan",
     "simulate",
     "surface",
     "write_recording",
@@ -94,3 +108,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(import_module(f"scan3d.{_HOME[name]}"), name)
     raise AttributeError(f"module 'scan3d' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

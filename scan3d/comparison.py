@@ -79,9 +79,13 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     weights = [sample.weights for sample in samples]
     deviations = [_deviations(*pair, sample) for pair, sample in zip(pairs, samples, strict=True)]
     distances, angles = zip(*deviations, strict=True)
-    means = [float(w @ d) for w, d in zip(weights, distances, strict=True)]
-    squares = [float(w @ d**2) for w, d in zip(weights, distances, strict=True)]
-    within = [float(w @ (d * scale <= F_SCORE_RADIUS * diagonal)) for w, d in zip(weights, distances, strict=True)]
+    # sums of numpy, as products of BLAS depend on its number of threads
+    means = [float((w * d).sum()) for w, d in zip(weights, distances, strict=True)]
+    squares = [float((w * d**2).sum()) for w, d in zip(weights, distances, strict=True)]
+    within = [
+        min(1.0, float(w[d * scale <= F_SCORE_RADIUS * diagonal].sum()))
+        for w, d in zip(weights, distances, strict=True)
+    ]
     weight = np.concatenate(weights)
     return Comparison(
         hausdorff=worst.lower * scale,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -95,6 +95,7 @@ def report(
         "contact_error": _contact_error(analysis),
         "friction": _friction(cloud, friction_set),
         "hausdorff": _hausdorff(comparison, unit),
+        "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
         "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate),
         "warnings": [warning._asdict() for warning in analysis.warnings],

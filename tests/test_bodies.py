@@ -33,6 +33,7 @@ def test_formats_agree(tmp_path, kind, upper):
         "dent": pytest.approx(0, abs=1e-15),
         "dent_relative": pytest.approx(0, abs=1e-15),
         "hull": False,
+        "geometry_sha256": hashlib.sha256(np.array(body.vertices, dtype=float).tobytes()).hexdigest(),
     }
     assert len(load_mesh(str(path)).vertices) == len(body.vertices)
 

@@ -9,8 +9,8 @@ import pytest
 from scan3d import Plan, choices, surfaces
 from scan3d.cli.completion import script
 from scan3d.cli.parser import VALUES, one_of, parser
-from scan3d.cli.settings import Settings
 from scan3d.files import exports
+from scan3d.settings import Settings
 from scan3d.units import UNITS_M
 
 ROOT = Path(__file__).parents[1]

@@ -19,9 +19,9 @@ import trimesh
 
 from scan3d import InputError, choices, read_recording, surfaces
 from scan3d.cli import main
-from scan3d.cli.settings import Settings, settings
 from scan3d.files import journal
 from scan3d.pictures import rendering
+from scan3d.settings import Settings, settings
 
 MESHES = Path(__file__).parents[1] / "meshes"
 CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"

@@ -10,7 +10,7 @@ from scan3d.choices import SHELLS
 from scan3d.cli import main
 from scan3d.cli.completion import script
 from scan3d.cli.parser import VALUES, parser
-from scan3d.cli.settings import Settings
+from scan3d.settings import Settings
 
 
 def test_the_shell_offers_the_values_of_the_settings():

@@ -14,9 +14,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 from scan3d.cli.parser import parser
-from scan3d.cli.settings import UsageError
 from scan3d.cli.terminal import one_line
 from scan3d.errors import InputError
+from scan3d.settings import UsageError
 
 
 def run(argv: Sequence[str] | None = None) -> int:

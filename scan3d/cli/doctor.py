@@ -21,6 +21,7 @@ OPTIONAL = {
     "imageio-ffmpeg": "movies as .mp4",
     "pyarrow": "recordings and tables as Parquet",
     "rosbags": "the import of ROS bags",
+    "distributed": "batches on a Dask cluster",
 }
 # Endings of recordings that are tried; those that this version does not know are left out of the result.
 _RECORDINGS = (".csv", ".parquet")

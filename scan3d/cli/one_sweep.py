@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from scan3d.choices import METHODS
-from scan3d.cli.settings import UsageError
 from scan3d.cli.terminal import print_result, table
+from scan3d.settings import UsageError
 
 EXAMPLES = """
   scan3d reconstruct sweep.csv

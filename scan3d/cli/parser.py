@@ -11,9 +11,9 @@ from dataclasses import fields
 from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import calibration, laboratory_parser, one_sweep, rig_parser
-from scan3d.cli.settings import Settings
+from scan3d.cli import batch, calibration, laboratory_parser, one_sweep, rig_parser
 from scan3d.cli.terminal import one_line
+from scan3d.settings import Settings
 from scan3d.units import UNITS_M
 
 _DESCRIPTION = """\
@@ -30,6 +30,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d export out --to part.glb                          the surface for other programs
   scan3d plan --around cylinder:80x120 --out poses.csv     poses of a robot for an unknown body
   scan3d next out --out further.csv                        poses of further sweeps, where most room is left
+  scan3d batch meshes --out study --jobs 2                 many bodies, or many settings, with one summary
   scan3d doctor                                            what works on this machine, and how to install the rest
 
 'scan3d COMMAND --help' describes each command.
@@ -265,9 +266,14 @@ def parser() -> argparse.ArgumentParser:
     completion.add_argument("shell", metavar="SHELL", choices=SHELLS, help=one_of(SHELLS))
     completion.set_defaults(command="completion")
 
+    many = batch.add_batch(commands)
+    _add_settings(many)
+    _add_mesh_path(many)
+    _add_overwrite(many)
+
     rig_parser.add_rig_commands(commands, _add_overwrite, _add_output)
 
-    for name, text in (_EXAMPLES | rig_parser.EXAMPLES | laboratory_parser.EXAMPLES).items():
+    for name, text in (_EXAMPLES | batch.EXAMPLES | rig_parser.EXAMPLES | laboratory_parser.EXAMPLES).items():
         commands.choices[name].epilog = f"examples:\n{text}"
         commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter
     return top

@@ -7,10 +7,10 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan3d.cli.settings import Settings, UsageError
 from scan3d.cli.terminal import printable
 from scan3d.errors import InputError
 from scan3d.rods import parse_rod
+from scan3d.settings import Settings, UsageError
 
 if TYPE_CHECKING:
     from scan3d.simulation.rig import RawLog

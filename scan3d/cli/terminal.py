@@ -103,3 +103,11 @@ def print_result(arguments: Namespace, data: Any, text: str) -> int:
     elif not arguments.quiet:
         print(text)
     return 0
+
+
+def print_settings(values: Mapping[str, Any]) -> int:
+    """Print settings as a TOML file; the exit code."""
+    from scan3d.files.text import to_toml
+
+    print(printable_json(to_toml(values)), end="")
+    return 0

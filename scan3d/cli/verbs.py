@@ -15,42 +15,32 @@ from pathlib import Path
 from typing import Any
 
 from scan3d.cli import one_sweep, rig
+from scan3d.cli.batch import batch
 from scan3d.cli.calibration import calibrate, rigged
 from scan3d.cli.laboratory import import_
-from scan3d.cli.settings import Settings, settings
-from scan3d.cli.terminal import is_terminal, one_line, print_result, printable, printable_json, table
+from scan3d.cli.terminal import is_terminal, one_line, print_result, print_settings, printable, printable_json, table
 from scan3d.errors import InputError
+from scan3d.settings import Settings, settings
 from scan3d.units import UNITS_M
 
 
 def scan(arguments: Namespace) -> int:
     """All steps, with the results written into a folder."""
-    from scan3d import workflow
-    from scan3d.files.results import opened
-    from scan3d.simulation.bodies import load_mesh
-    from scan3d.simulation.scan import simulate as simulate_scan
+    from scan3d import scans
 
     chosen = _settings(arguments)
     if arguments.print_config:
-        return _print_config(chosen)
-    plan = chosen.plan()
-    start = time.perf_counter()
-    body = load_mesh(arguments.mesh, hull=chosen.hull)
-    loaded = time.perf_counter()
-    inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
-    with opened(arguments.out, with_recording=True, inputs=inputs, overwrite=arguments.overwrite) as result:
-        recording = _with_origin(simulate_scan(body, plan, _progress(arguments)), body)
-        seconds = {"load": loaded - start, "simulate": time.perf_counter() - loaded}
-        analysis = workflow.analyse(recording, body, chosen.method)
-        data = workflow.write(
-            analysis,
-            result,
-            settings=dataclasses.asdict(chosen),
-            with_recording=True,
-            seconds=seconds,
-            notify=_say,
-            mesh_path=arguments.mesh_path,
-        )
+        return print_settings(dataclasses.asdict(chosen))
+    _, data = scans.perform(
+        arguments.mesh,
+        chosen,
+        arguments.out,
+        inputs={"file of settings": arguments.config},
+        overwrite=arguments.overwrite,
+        mesh_path=arguments.mesh_path,
+        progress=_progress(arguments),
+        notify=_say,
+    )
     return _print_report(arguments, data)
 
 
@@ -61,13 +51,14 @@ def simulate(arguments: Namespace) -> int:
     from scan3d.files.atomic import folder
     from scan3d.files.ownership import check_recording
     from scan3d.files.recordings import check_path, sidecar, write_recording
+    from scan3d.scans import with_origin
     from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
     rig.check_rig_options(arguments)
     chosen = _settings(arguments)
     if arguments.print_config:
-        return _print_config(chosen)
+        return print_settings(dataclasses.asdict(chosen))
     if arguments.poses:
         return _printed(arguments, *rig.simulate_rig(arguments, chosen))
     check_path(arguments.out)
@@ -77,7 +68,7 @@ def simulate(arguments: Namespace) -> int:
     body = load_mesh(arguments.mesh, hull=chosen.hull)
     with folder(Path(arguments.out).parent):
         recording = simulate_scan(body, plan, _progress(arguments))
-        write_recording(_with_origin(recording, body), arguments.out, overwrite=True)  # checked above
+        write_recording(with_origin(recording, body), arguments.out, overwrite=True)  # checked above
     data = {
         "recording": str(arguments.out),
         "samples": len(recording),
@@ -269,6 +260,7 @@ def completion(arguments: Namespace) -> int:
 
 VERBS: dict[str, Callable[[Namespace], int]] = {
     "scan": scan,
+    "batch": batch,
     "simulate": simulate,
     "plan": lambda arguments: _printed(arguments, *rig.plan(arguments)),
     "next": lambda arguments: _printed(arguments, *rig.further(arguments)),
@@ -287,19 +279,6 @@ def _settings(arguments: Namespace) -> Settings:
     names = {field.name for field in dataclasses.fields(Settings)}
     given = {name: value for name, value in vars(arguments).items() if name in names}
     return settings(given, arguments.config)
-
-
-def _with_origin(recording: Any, body: Any) -> Any:
-    """The recording, with the file name and the hash of its mesh added to the source."""
-    origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
-    return dataclasses.replace(recording, source={**recording.source, **origin})
-
-
-def _print_config(chosen: Settings) -> int:
-    from scan3d.files.text import to_toml
-
-    print(printable_json(to_toml(dataclasses.asdict(chosen))), end="")
-    return 0
 
 
 def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:

@@ -56,7 +56,7 @@ def in_a_sentence(path: Path, option: str) -> Iterator[None]:
     try:
         yield
     except BusyError as error:
-        raise InputError(f"{error}, or choose another place with {option}") from None
+        raise BusyError(f"{error}, or choose another place with {option}") from None
     except OSError as error:
         raise InputError(f"can't write {path}: {error.strerror or error}; choose another place with {option}") from None
 

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from scan3d.errors import InputError
 from scan3d.files.journal import digest, locate
@@ -21,6 +21,20 @@ REPORT = "report.json"
 RECORDING = ("recording.csv", "recording.toml")
 RESULTS = ("cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
 """The files of a result in the order in which they appear; the report, which names the others, is the last."""
+
+
+class Kind(NamedTuple):
+    """A kind of result: a folder's report, which names the other files with their SHA-256."""
+
+    report: str
+    results: tuple[str, ...]
+    """The files in the order in which they appear, with the report as the last."""
+    further: tuple[str, ...] = ()
+    """Files that only some results of this kind have."""
+
+
+SCAN = Kind(REPORT, RESULTS, RECORDING)
+BATCH = Kind("batch.json", ("summary.csv", "summary.parquet", "index.html", "batch.json"))
 Inputs = Mapping[str, str | Path | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""
 
@@ -46,25 +60,25 @@ _MARKS = {
 _PAGE = rb"\A<!DOCTYPE html>\n<html[^>]*><head>[^\n]*scan3d</title>"
 
 
-def earlier_files(folder: Path) -> dict[str, str | None]:
+def earlier_files(folder: Path, kind: Kind = SCAN) -> dict[str, str | None]:
     """Names of the files that the report in a folder says were written, with their SHA-256 where it is stated.
 
     Empty if the folder has no report, or one of another program.
     """
     try:
-        data: Any = json.loads(locate(folder / REPORT, "").read_text(encoding="utf-8"))
-        if REPORT not in data["files"] or "scan3d" not in data["versions"]:
+        data: Any = json.loads(locate(folder / kind.report, "").read_text(encoding="utf-8"))
+        if kind.report not in data["files"] or "scan3d" not in data["versions"]:
             return {}
         sha256 = data.get("sha256") or {}
-        return {name: sha256.get(name) for name in data["files"] if name in RESULTS + RECORDING}
+        return {name: sha256.get(name) for name in data["files"] if name in kind.results + kind.further}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
 
 
-def unchanged(folder: Path) -> dict[str, str]:
+def unchanged(folder: Path, kind: Kind = SCAN) -> dict[str, str]:
     """The files of the result in a folder that are as the program wrote them, with their SHA-256."""
     found = {}
-    for name, sha256 in earlier_files(folder).items():
+    for name, sha256 in earlier_files(folder, kind).items():
         with suppress(OSError):
             now = digest(folder / name)
             if sha256 in (None, now):
@@ -72,14 +86,16 @@ def unchanged(folder: Path) -> dict[str, str]:
     return found
 
 
-def check_result(folder: Path, names: Iterable[str], inputs: Inputs, overwrite: bool, option: str = "--out") -> None:
+def check_result(
+    folder: Path, names: Iterable[str], inputs: Inputs, overwrite: bool, option: str = "--out", kind: Kind = SCAN
+) -> None:
     """Raise InputError if a result in the folder would replace a file that it must not."""
-    ours = unchanged(folder)
+    ours = unchanged(folder, kind)
     for name in names:
         path = folder / name
         check_path(path, inputs, option)
         if path.exists() and name not in ours and not overwrite:
-            since = " or was changed since" if name in earlier_files(folder) else ""
+            since = " or was changed since" if name in earlier_files(folder, kind) else ""
             raise InputError(f"{path} was not written by scan3d{since}; {_ASK} {option}")
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from scan3d.files.atomic import folder, in_a_sentence
 from scan3d.files.journal import Work, digest, sweep, work_in
-from scan3d.files.ownership import RECORDING, REPORT, RESULTS, Inputs, check_result, unchanged
+from scan3d.files.ownership import RECORDING, SCAN, Inputs, Kind, check_result, unchanged
 from scan3d.files.text import to_json
 
 
@@ -23,6 +23,7 @@ class Result:
     work: Work
     inputs: Inputs
     option: str
+    kind: Kind = SCAN
 
     def put(self, name: str, data: bytes) -> None:
         """Add a file to the result; it appears in the folder with all others."""
@@ -36,17 +37,18 @@ class Result:
         not read by this run.
         """
         with in_a_sentence(self.folder, self.option):
-            earlier = unchanged(self.folder)
+            report_name = self.kind.report
+            earlier = unchanged(self.folder, self.kind)
             kept = self._kept()
             data = {
                 **report,
-                "files": [*(name for name in kept if name in earlier), *self.work.sha256, REPORT],
+                "files": [*(name for name in kept if name in earlier), *self.work.sha256, report_name],
                 "sha256": {**kept, **self.work.sha256},
             }
             obsolete = {
-                name: earlier[name] for name in earlier.keys() - self.work.sha256.keys() - kept.keys() - {REPORT}
+                name: earlier[name] for name in earlier.keys() - self.work.sha256.keys() - kept.keys() - {report_name}
             }
-            self.work.put(REPORT, to_json(data))
+            self.work.put(report_name, to_json(data))
             self.work.commit({name: sha256 for name, sha256 in obsolete.items() if not self._is_input(name)})
         return data
 
@@ -70,6 +72,7 @@ def opened(
     inputs: Inputs | None = None,
     overwrite: bool = False,
     option: str = "--out",
+    kind: Kind = SCAN,
 ) -> Iterator[Result]:
     """A result to be written into a folder, which is created if it is missing.
 
@@ -79,14 +82,16 @@ def opened(
         what the run reads, which is not overwritten.
     overwrite
         whether files that the program did not write may be replaced.
+    kind
+        what is written: the results of a scan, or those of a batch.
 
     Raises InputError if the folder can't be written into, if another run is writing there, and if a file would be replaced that
     must not be.
     """
-    names = (*(RECORDING if with_recording else ()), *RESULTS)
+    names = (*(RECORDING if with_recording else ()), *kind.results)
     with folder(path, option) as place, ExitStack() as stack:
         with in_a_sentence(place, option):
             work = stack.enter_context(work_in(place))
             sweep(place)
-        check_result(place, names, inputs or {}, overwrite, option)
-        yield Result(place, work, inputs or {}, option)
+        check_result(place, names, inputs or {}, overwrite, option, kind)
+        yield Result(place, work, inputs or {}, option, kind)

@@ -73,9 +73,9 @@ def plot(
     if unit not in UNITS_M:
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
     if isinstance(what, Recording | Cloud):
-        return _scene_image(_scene(what, truth), view or "cloud", color or "force")
+        return scene_image(_scene(what, truth), view or "cloud", color or "force")
     if isinstance(what, trimesh.Trimesh):
-        return _scene_image(Scene("the surface", unit, surface=what, truth=truth), view or "surface", color or "force")
+        return scene_image(Scene("the surface", unit, surface=what, truth=truth), view or "surface", color or "force")
     raise InputError(
         f"only a recording, a cloud, a surface (trimesh.Trimesh) or a comparison can be plotted, got a {type(what).__name__}"
     )
@@ -92,7 +92,8 @@ def _scene(result: Recording | Cloud, truth: Any) -> Scene:
                     recording=recording)  # fmt: skip
 
 
-def _scene_image(scene: Scene, view: str, color: str) -> Image:
+def scene_image(scene: Scene, view: str, color: str) -> Image:
+    """A picture of a scene, drawn off screen; `view` and `color` as in `plot`."""
     with quiet():
         return _image(views.figure(scene, view, color))
 
@@ -167,6 +168,13 @@ def _slices(cloud: Cloud) -> Rows:
     if cloud.model == "spatial":
         return [("model", "spatial: the rod may leave the plane of its sweep")]
     return [("slices", f"{len(np.unique(cloud.slice))} with contacts of {len(cloud.slice_height)}")]
+
+
+def scene_html(title: str, rows: Rows, scene: Scene) -> str:
+    """A table in HTML of rows (name, value), with a small picture of a scene where one can be rendered."""
+    if rendering.can_render():
+        return _html(title, rows, _small(scene_image(scene, "cloud" if scene.surface is None else "surface", "force")))
+    return _html(title, rows, note=rendering.NO_RENDERER)
 
 
 @to_html.register

@@ -7,6 +7,7 @@ import io
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -17,6 +18,7 @@ from scan3d.errors import InputError
 from scan3d.files.declared import shortfall
 from scan3d.files.reading import check_file
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_hull
+from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
 
@@ -45,42 +47,65 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Tr
     must be brought to unit size before they are computed.)
 
     Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in the file's
-    unit), `dent_relative` (to the diagonal of the bounding box) and `hull`.
+    unit), `dent_relative` (to the diagonal of the bounding box), `hull`, and `geometry_sha256` (of the vertices returned).
 
     Raises InputError if the file can't be read, has no triangles or coordinates that aren't finite, and if the body is flat,
     dented or open.
     """
     path = Path(path)
     data = _read(path)
-    triangles = _triangles(path, data)
+    body = _judged(path.name, _triangles(path, data), hull)
+    body.metadata.update(file=path.name, path=str(path.resolve()), sha256=hashlib.sha256(data).hexdigest())
+    return body
+
+
+def judge_mesh(mesh: Any, *, hull: bool = False) -> trimesh.Trimesh:
+    """The convex body of a `trimesh.Trimesh`, judged and returned as by `load_mesh`.
+
+    A body of `load_mesh` that was not changed since keeps its `metadata`.  Of others, `metadata` has no `file`, and `sha256` is
+    that of the vertices returned.  Raises InputError for another type, and as `load_mesh`.
+    """
+    bounding_box(mesh, "body")
+    if "geometry_sha256" in mesh.metadata and mesh.metadata["geometry_sha256"] == _geometry(mesh):
+        return mesh
+    body = _judged("the mesh", np.asarray(mesh.triangles, dtype=float), hull)
+    body.metadata.update(sha256=body.metadata["geometry_sha256"])
+    return body
+
+
+def _geometry(mesh: trimesh.Trimesh) -> str:
+    """The SHA-256 of the vertices of a mesh."""
+    return hashlib.sha256(np.ascontiguousarray(mesh.vertices, dtype=float).tobytes()).hexdigest()
+
+
+def _judged(name: str, triangles: Array, hull: bool) -> trimesh.Trimesh:
+    """The convex body of triangles (t, 3, 3), as `load_mesh` describes it; `name` is that of the mesh in messages."""
     first, inverse = distinct_rows(triangles.reshape(-1, 3))
     vertices = triangles.reshape(-1, 3)[first]
     if len(vertices) < 4:
-        raise InputError(f"{path.name} has only {len(vertices)} distinct vertices, where a body needs at least 4")
+        raise InputError(f"{name} has only {len(vertices)} distinct vertices, where a body needs at least 4")
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = (high - low).max()
     diagonal = float(extent * np.linalg.norm((high - low) / extent))  # squares of very small numbers would vanish
     center = low + (high - low) / 2
     points = (vertices - center) / diagonal
-    _check_thickness(path.name, _thickness(points), diagonal)
+    _check_thickness(name, _thickness(points), diagonal)
 
     outer, faces = outward_hull(points), inverse.reshape(-1, 3)
     dent, deepest = deepest_dent(points[faces], outer)
     if not hull:
-        _check_convex(path.name, dent, diagonal, center + diagonal * deepest)
-        _check_closed(path.name, areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
+        _check_convex(name, dent, diagonal, center + diagonal * deepest)
+        _check_closed(name, areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
 
     used, facets = np.unique(outer.facets, return_inverse=True)
     body = trimesh.Trimesh(vertices=vertices[used], faces=facets.reshape(-1, 3), process=False)
     body.metadata.update(
-        file=path.name,
-        path=str(path.resolve()),
-        sha256=hashlib.sha256(data).hexdigest(),
         file_faces=len(faces),
         dent=dent * diagonal,
         dent_relative=dent,
         hull=hull,
+        geometry_sha256=_geometry(body),
     )
     return body
 

@@ -177,7 +177,9 @@ def attempt(chance, source, folder):
         return chance.choice((reconstruct, reconstruct, ["show", "log.csv", "--html", "o.html"]))
     if kind == "config":
         change("config.toml")
-        return ["simulate", "box.stl", "--out", "o.csv", "--config", "config.toml"]
+        simulate = ["simulate", "box.stl", "--out", "o.csv", "--config", "config.toml"]
+        # a file of settings is also a grid with one value of each
+        return chance.choice((simulate, ["batch", "box.stl", "--out", "o", "--grid", "config.toml"]))
     if kind == "show":
         files = ("report.json", "report.json", "cloud.ply", "surface.ply", "recording.csv", "recording.toml")
         change(f"scan/{chance.choice(files)}")

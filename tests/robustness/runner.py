@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 import traceback
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,11 +86,14 @@ def _child(argv, folder, writer, draw):
     os.dup2(descriptor, 2)
     os.dup2(descriptor, 1)
     os.chdir(folder)
+    from scan3d import workers
     from scan3d.cli import main
     from scan3d.pictures import rendering
 
     if not draw:
         rendering.can_render = lambda: False
+    # the runs of a batch are made in this process, whose limits and warnings are seen
+    workers.Workers = ThreadPoolExecutor
     outcome = Outcome()
     handler = logging.Handler()
     handler.emit = lambda record: outcome.warnings.append(record.getMessage()[:300])

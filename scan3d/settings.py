@@ -1,11 +1,11 @@
-"""Settings of the commands.
+"""Settings of a scan, as text and numbers: those of the commands, of `scan3d.scan` and of `scan3d.batch`.
 
 Settings from a TOML file take precedence over the defaults, and those of the command line over the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: 
 
 
 class UsageError(InputError):
-    """An option with a value that can't be used.  The command line exits with 2, as for an option that it does not know."""
+    """A setting with a value that can't be used.  The command line exits with 2, as for an option that it does not know."""
 
 
 @dataclass(frozen=True)
@@ -76,32 +76,68 @@ class Settings:
         )
 
 
-def settings(given: Mapping[str, Any], config: str | Path | None = None) -> Settings:
+def settings(given: Mapping[str, Any], config: str | Path | None = None, source: str = "the command line") -> Settings:
     """The defaults, replaced by the settings of the file `config` and then by those in `given`.
+
+    `source` is where those were given, for messages.
 
     Raises InputError for a file that cannot be read, for unknown settings and for values of the wrong type or out of range;
     UsageError if the file is not at fault.
     """
+    file = {} if config is None else _read(config)
     try:
-        chosen = _merged(given, config)
+        chosen = _merged((str(config), file), (source, given))
         chosen.plan()
     except InputError as error:
         if config is not None:
-            _merged({}, config).plan()
+            _merged((str(config), file)).plan()
         raise UsageError(str(error)) from None
     return chosen
 
 
-def _merged(given: Mapping[str, Any], config: str | Path | None) -> Settings:
+def varied_settings(
+    given: Mapping[str, Any],
+    grid: Sequence[Mapping[str, Any]],
+    config: str | Path | None = None,
+    source: str = "the command line",
+    grid_source: str = "the grid",
+) -> list[Settings]:
+    """The settings of each combination of a grid, which take precedence over those in `given` and in the file `config`.
+
+    Raises InputError as `settings`, and for values of the grid; UsageError for a setting that is given and in the grid.
+    """
+    file = {} if config is None else _read(config)
+    _merged((str(config), file))
+    try:
+        _merged((source, given))
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    found = []
+    for values in grid:
+        twice = sorted(given.keys() & values.keys())
+        if twice:
+            raise UsageError(f"{twice[0]} is given by {source} and by {grid_source}; leave one of them out")
+        chosen = _merged((str(config), file), (source, given), (grid_source, values))
+        try:
+            chosen.plan()
+        except InputError as error:
+            named = ", ".join(f"{name} = {value!r}" for name, value in values.items())
+            raise InputError(f"{grid_source}, {named}: {error}") from None
+        found.append(chosen)
+    return found
+
+
+def _merged(*layers: tuple[str, Mapping[str, Any]]) -> Settings:
+    """The defaults, replaced by the settings of each layer, which is a pair of its source and its values by name."""
     merged: Settings = Settings()
     known = {field.name: type(field.default) for field in fields(Settings)}
-    for source, values in ((config, {} if config is None else _read(config)), ("the command line", given)):
+    for source, values in layers:
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise InputError(
                 f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}{did_you_mean(unknown, known)}"
             )
-        merged = replace(merged, **{name: _typed(str(source), name, values[name], known[name]) for name in values})
+        merged = replace(merged, **{name: _typed(source, name, values[name], known[name]) for name in values})
     return merged
 
 
@@ -115,8 +151,10 @@ def _read(path: str | Path) -> dict[str, Any]:
 
 
 def _typed(source: str, name: str, value: Any, kind: type) -> Any:
-    """A file's value in the type of the setting; a list becomes text as on the command line."""
-    if kind is str and isinstance(value, list):
+    """A value of a file or a program in the type of the setting; a list becomes text as on the command line."""
+    if hasattr(value, "tolist"):  # a number or an array of numpy
+        value = value.tolist()
+    if kind is str and isinstance(value, (list, tuple)):
         value = (":" if name == "friction" else ",").join(str(item) for item in value)
     if kind is str and isinstance(value, (int, float)) and not isinstance(value, bool):
         value = str(value)

@@ -1,0 +1,148 @@
+"""The page of a batch: all its bodies as small pictures, the best, the median and the worst run, and the failures.
+
+`overview.html` beside this module is the page without runs: ``@NAME@`` and the like are filled in here.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import re
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from scan3d.files.journal import locate
+from scan3d.pictures.words import unit_symbol
+
+# Pictures are reduced by this factor, to 350 pixels: those of 200 bodies take 3 MB, and the scales stay legible.
+_REDUCTION, _QUALITY = 4, 85
+_FAILED = "failed"
+# What the cards can be sorted by: the attribute, with a second word if the largest comes first, and its name.
+_ORDERS = (
+    ("number", "order of the runs"),
+    ("error", "Hausdorff distance, best first"),
+    ("error worst", "Hausdorff distance, worst first"),
+    ("certified worst", "certified bound, largest first"),
+    ("seconds longest", "time, longest first"),
+)
+
+
+def overview(folder: Path, rows: Sequence[Mapping[str, Any]], ranked: Mapping[str, str | None]) -> bytes:
+    """The page (HTML, UTF-8) of a batch, which needs no network.
+
+    folder
+        that of the batch; each run has a folder in it, with its picture.
+    rows
+        of the summary, by column.
+    ranked
+        the names of the best, the median and the worst run, or None.
+
+    Besides the times, the same results give the same bytes.
+    """
+    failed = [row for row in rows if row["status"] == _FAILED]
+    marks = {run: mark for mark, run in reversed([*ranked.items()]) if run is not None}
+    varied = _varied(rows)
+    filled = {
+        "NAME": html.escape(f"Batch {folder.resolve().name}"),
+        "COUNTS": f"{len(rows)} runs: {len(rows) - len(failed)} done, {len(failed)} failed",
+        "RANKED": _ranked(rows, ranked),
+        "FAILURES": _failures(failed),
+        "ORDERS": "".join(f'<option value="{value}">{name}</option>' for value, name in _ORDERS),
+        "CARDS": "\n".join(
+            _card(number, folder, row, marks.get(row["run"], ""), varied) for number, row in enumerate(rows)
+        ),
+    }
+    blank = files("scan3d.pictures").joinpath("overview.html").read_text(encoding="utf-8")
+    return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], blank).encode(errors="replace")
+
+
+def _varied(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The settings that differ between the runs."""
+    names = [*rows[0]] if rows else []
+    settings = names[names.index("mesh_sha256") + 1 : names.index("status")] if names else []
+    return [name for name in settings if len({row[name] for row in rows}) > 1]
+
+
+def _ranked(rows: Sequence[Mapping[str, Any]], ranked: Mapping[str, str | None]) -> str:
+    by_name = {row["run"]: row for row in rows}
+    parts = [
+        f"{mark}: {_percent(by_name[run]['hausdorff_relative'])} ({_link(run)})"
+        for mark, run in ranked.items()
+        if run is not None
+    ]
+    return f"Hausdorff distance to the mesh, of its bounding box's diagonal – {', '.join(parts)}" if parts else ""
+
+
+def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
+    if not failed:
+        return ""
+    rows = "".join(f"<tr><th>{html.escape(row['run'])}</th><td>{html.escape(row['error'])}</td></tr>" for row in failed)
+    return f"<h2>Failures</h2>\n<table>{rows}</table>"
+
+
+def _card(number: int, folder: Path, row: Mapping[str, Any], mark: str, varied: Sequence[str]) -> str:
+    is_failed = row["status"] == _FAILED
+    label = f'<span class="mark{" bad" if is_failed else ""}">{"failed" if is_failed else mark}</span>'
+    values = {
+        "number": number,
+        "error": row["hausdorff_relative"],
+        "certified": row["certificate_relative"],
+        "seconds": row["seconds"],
+    }
+    data = " ".join(f'data-{name}="{"" if value is None else value}"' for name, value in values.items())
+    cells = _cells([(name, str(row[name])) for name in varied])
+    cells += "" if is_failed else _cells(_figures(row), ' class="figure"')
+    name = html.escape(row["run"]) if is_failed else _link(row["run"])
+    shown = f'<div class="none">{html.escape(row["error"])}</div>' if is_failed else _picture(folder / row["run"])
+    return (
+        f'<div class="card{" failed" if is_failed else ""}" {data}>{label if is_failed or mark else ""}<h3>{name}</h3>'
+        f"{shown}<table>{cells}</table></div>"
+    )
+
+
+def _cells(figures: Sequence[tuple[str, str]], kind: str = "") -> str:
+    return "".join(
+        f"<tr{kind}><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in figures
+    )
+
+
+def _figures(row: Mapping[str, Any]) -> list[tuple[str, str]]:
+    unit = unit_symbol(row["unit"])
+    certified = "nothing"
+    if row["certificate"] is not None:
+        certified = f"{row['certificate']:.3g} {unit} ({_percent(row['certificate_relative'])})"
+    figures = [("certified within", certified), ("contacts", f"{row['contacts']:.0f}")]
+    if row["hausdorff"] is not None:
+        distance = f"{row['hausdorff']:.3g} {unit} ({_percent(row['hausdorff_relative'])})"
+        figures.insert(0, ("Hausdorff distance", distance))
+    figures += [("surface", row["surface_method"] or ""), ("time", f"{row['seconds']:.3g} s")]
+    if row["warnings"]:
+        figures.append(("warnings", f"{row['warnings']:.0f}"))
+    return figures
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None else f"{100 * value:.2g} %"
+
+
+def _link(run: str) -> str:
+    return f'<a href="{html.escape(quote(run, safe=""))}/view.html">{html.escape(run)}</a>'
+
+
+def _picture(folder: Path) -> str:
+    """An <img> that contains the picture of a run, reduced, or a remark where there is none."""
+    from PIL import Image
+
+    try:
+        with Image.open(locate(folder / "surface.png", "")) as picture:
+            small, file = picture.convert("RGB").reduce(_REDUCTION), io.BytesIO()
+    except OSError:  # of a machine that can't render
+        return '<div class="none">no picture</div>'
+    small.save(file, "JPEG", quality=_QUALITY)
+    data = base64.b64encode(file.getvalue()).decode()
+    size = f'width="{small.width}" height="{small.height}"'
+    return f'<img {size} loading="lazy" alt="{html.escape(folder.name)}" src="data:image/jpeg;base64,{data}">'

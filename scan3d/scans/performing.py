@@ -1,0 +1,83 @@
+"""A whole scan in one function: what the command ``scan3d scan``, `scan3d.scan` and the runs of a batch have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from scan3d import workflow
+from scan3d.files.ownership import Inputs
+from scan3d.files.results import opened
+from scan3d.recording import Recording
+from scan3d.report import Analysis, report
+from scan3d.settings import Settings
+from scan3d.simulation.bodies import judge_mesh, load_mesh
+from scan3d.simulation.scan import Progress, simulate
+
+
+def perform(
+    mesh: Any,
+    chosen: Settings,
+    out: str | Path | None = None,
+    *,
+    inputs: Inputs | None = None,
+    overwrite: bool = False,
+    mesh_path: bool = False,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = lambda _: None,
+) -> tuple[Analysis, dict[str, Any]]:
+    """Simulate a scan of a mesh, analyse it, and write the results into the folder `out`: the analysis and its report.
+
+    mesh
+        path of a mesh file, or a `trimesh.Trimesh`.
+    out
+        the folder; None: nothing is written.
+    inputs, overwrite, mesh_path, notify
+        as in `workflow.write` and `files.results.opened`: what the run reads besides the mesh, whether files that the program
+        did not write may be replaced, whether the report states where the mesh lies, and what is called with a sentence if
+        pictures cannot be rendered.
+    progress
+        called with the numbers of slices that are done and of all slices.
+
+    Raises InputError as `load_mesh`, `simulate`, `workflow.analyse` and `workflow.write`.
+    """
+    plan, start = chosen.plan(), time.perf_counter()
+    is_path = isinstance(mesh, (str, os.PathLike))
+    body = load_mesh(mesh, hull=chosen.hull) if is_path else judge_mesh(mesh, hull=chosen.hull)
+    seconds = {"load": time.perf_counter() - start}
+
+    def analysed() -> Analysis:
+        begin = time.perf_counter()
+        recording = with_origin(simulate(body, plan, progress), body)
+        seconds["simulate"] = time.perf_counter() - begin
+        return workflow.analyse(recording, body, chosen.method)
+
+    values = dataclasses.asdict(chosen)
+    if out is None:
+        analysis = analysed()
+        times = {**seconds, **analysis.seconds}
+        return analysis, report(analysis, settings=values, friction_set=chosen.friction, timings_s=times)
+    read = {**({"mesh": mesh} if is_path else {}), **(inputs or {})}
+    with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result:
+        analysis = analysed()
+        return analysis, workflow.write(
+            analysis,
+            result,
+            settings=values,
+            with_recording=True,
+            seconds=seconds,
+            notify=notify,
+            mesh_path=mesh_path,
+        )
+
+
+def with_origin(recording: Recording, body: Any) -> Recording:
+    """The recording, with the hash of its mesh, and the name of its file if there is one, added to the source."""
+    origin = {"mesh_sha256": body.metadata["sha256"]}
+    if "file" in body.metadata:
+        origin = {"mesh": body.metadata["file"], **origin}
+    return dataclasses.replace(recording, source={**recording.source, **origin})

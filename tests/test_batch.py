@@ -1,0 +1,867 @@
+"""Batches: meshes, grids and names; failures, repetition and continuation; the same results wherever they are computed."""
+
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+from small_scans import CUBE, EGG, FEW, FOLDER
+
+import scan3d
+from scan3d import workers
+from scan3d.batches import running, runs, scheduler, summary
+from scan3d.batches.grid import combinations, read_grid
+from scan3d.batches.meshes import mesh_files
+from scan3d.batches.names import body_names, run_name
+from scan3d.cli import batch as command
+from scan3d.cli import main
+from scan3d.files.journal import claim
+from scan3d.pictures import rendering
+
+SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
+"""Those of `FEW`, as keywords."""
+THREE = (EGG, CUBE, FOLDER / "gem.glb")
+SUMMARIES = {"summary.csv", "summary.parquet", "index.html", "batch.json"}
+
+
+@pytest.fixture(autouse=True)
+def without_renderer(request, monkeypatch):
+    """No pictures, which take longer than everything else, in this process and in its children."""
+    if "rendering" not in request.keywords:
+        monkeypatch.setattr(rendering, "can_render", lambda: False)
+        monkeypatch.setenv(rendering.WINDOW, "vtkXOpenGLRenderWindow")
+        monkeypatch.delenv("DISPLAY", raising=False)
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    """Three bodies, one of them bad, scanned one after the other in this process."""
+    place = tmp_path_factory.mktemp("serial")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendering, "can_render", lambda: False)
+        return place / "out", scan3d.batch([*THREE, bad_mesh(place)], place / "out", **SETTINGS)
+
+
+def bad_mesh(place):
+    path = place / "bad.stl"
+    path.write_text("solid bad\nendsolid bad\n")
+    return path
+
+
+class Inline(Executor):
+    """An executor that computes at once, in place of processes; `jobs` as those."""
+
+    def __init__(self, jobs=1):
+        self.jobs = jobs
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@pytest.fixture
+def call(capsys, monkeypatch):
+    """Run the command without further processes: (exit code, stdout, stderr)."""
+    monkeypatch.setattr(workers, "Workers", Inline)
+
+    def run(*arguments):
+        try:
+            code = main(["batch", *map(str, arguments)])
+        except SystemExit as leaving:
+            code = leaving.code
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def rows_of(folder, *, times=False, meshes=True):
+    """The rows of a summary, without the times unless asked for, and without the places of the meshes."""
+    with open(folder / "summary.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        if not times:
+            del row["seconds"]
+        if not meshes:
+            del row["mesh"]
+    return rows
+
+
+def results_of(folder):
+    """The files of all runs, without the times in their reports."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.parent != folder:
+            found[str(path.relative_to(folder))] = path.read_bytes()
+            if path.name == "report.json":
+                report = json.loads(path.read_bytes())
+                del report["timings_s"]
+                found[str(path.relative_to(folder))] = report
+    return found
+
+
+# --- the meshes that are meant ---
+
+
+def test_meshes_are_files_folders_patterns_and_lists(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a/one.stl", "a/two.PLY", "a/notes.txt", "b/c/three.off"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    Path("b/list.txt").write_text("# the rest\n\nc/*.off\n../a\n")
+    one, two, three = Path("a/one.stl"), Path("a/two.PLY"), Path("b/c/three.off")
+    assert mesh_files(["a"]) == [one, two]
+    assert mesh_files(["**/*.off"]) == [three]
+    assert [path.resolve() for path in mesh_files(["@b/list.txt"])] == [path.resolve() for path in (three, one, two)]
+    # each once, in the order in which it is first given; a file need not exist
+    assert mesh_files([two, "a", "./a/one.stl", Path("missing.stl")]) == [two, one, Path("missing.stl")]
+    Path("@odd.stl").touch()
+    Path("[1].stl").touch()
+    assert mesh_files(["@odd.stl", "[1].stl"]) == [Path("@odd.stl"), Path("[1].stl")]
+
+
+def test_what_a_scan_has_written_is_no_mesh(serial, tmp_path):
+    out, _ = serial
+    shutil.copytree(out / "egg", tmp_path / "egg")
+    (tmp_path / "egg" / "mine.stl").touch()
+    assert mesh_files([tmp_path / "egg"]) == [tmp_path / "egg" / "mine.stl"]
+    assert mesh_files([f"{tmp_path}/**/*.[ps][lt][yl]"]) == [tmp_path / "egg" / "mine.stl"]
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ([], r"there is no mesh to scan; name mesh files"),
+        (["empty"], r"the folder empty has no mesh file; expected files that end with \.stl, \.ply"),
+        (["*.stl"], r"the pattern \*\.stl has no mesh file"),
+        (["@none.txt"], r"can't read the list none\.txt: No such file"),
+        (["@binary.txt"], r"can't read the list binary\.txt: it is not text in UTF-8"),
+        (["@blank.txt"], r"the list blank\.txt is empty; expected a mesh in each line"),
+    ],
+)
+def test_meshes_that_are_not_there(tmp_path, monkeypatch, given, sentence):
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    Path("binary.txt").write_bytes(b"\xff\xfe\x00")
+    Path("blank.txt").write_text("\n# nothing\n")
+    with pytest.raises(scan3d.InputError, match=sentence):
+        scan3d.batch(given, "out")
+    assert not Path("out").exists()
+
+
+# --- names ---
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["x/egg.stl", "x/cube.stl"], ["egg", "cube"]),
+        (["x/egg.stl", "x/egg.ply"], ["egg-stl", "egg-ply"]),
+        (["x/egg.stl", "y/egg.stl"], ["x-egg", "y-egg"]),
+        (["x/egg.stl", "y/Egg.stl", "z/rod.stl"], ["x-egg", "y-Egg", "rod"]),
+        (["a/x/egg.stl", "b/x/egg.stl"], ["a-x-egg", "b-x-egg"]),
+        (["x-a/b.stl", "x/a-b.stl", "y/b.stl"], ["x-a-b", "a-b", "y-b"]),
+        (["index.html.stl", "summary.csv.ply", "aux.stl"], ["index.html-2", "summary.csv-2", "aux-body"]),
+        (["..stl", "a b:c?.stl", "été.stl"], ["body", "a-b-c", "été"]),
+    ],
+)
+def test_names_of_bodies(paths, names):
+    assert body_names([Path(path) for path in paths]) == names
+
+
+def test_names_are_distinct_and_not_too_long():
+    long = [Path("x" * 200 + f"{k}.stl") for k in range(3)]
+    names = [*body_names(long), *body_names([Path("a/b.stl"), Path("a/b.stl"), Path("a/B.stl")])]
+    assert len({name.casefold() for name in names}) == 6
+    assert max(map(len, names)) <= 100
+    assert run_name("egg", {"friction": "0.0:0.4", "axis": [1, 1, 0]}) == "egg_friction=0.0-0.4_axis=1,1,0"
+
+
+# --- grids ---
+
+
+def test_a_grid_is_the_product_of_its_lists(tmp_path):
+    grid = tmp_path / "grid.toml"
+    grid.write_text('slices = 8\nfriction = [0.0, "0.1:0.4"]\naxis = ["x", [1, 1, 0]]\n')
+    assert read_grid(grid) == [
+        {"slices": 8, "friction": friction, "axis": axis} for friction in (0.0, "0.1:0.4") for axis in ("x", [1, 1, 0])
+    ]
+    # several tables one after the other, with the values outside
+    grid.write_text('noise = [0.0, 1e-4]\n[plane]\nslices = [8, 16]\n[space]\nmodel = "spatial"\n')
+    assert read_grid(grid) == [
+        *({"noise": noise, "slices": slices} for noise in (0.0, 1e-4) for slices in (8, 16)),
+        *({"noise": noise, "model": "spatial"} for noise in (0.0, 1e-4)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (None, r"can't read the grid .*grid\.toml: No such file"),
+        ("slices = ", r"grid\.toml is not a TOML file of a grid: "),
+        ("", r"grid\.toml has no settings; expected lists of values"),
+        ("slices = []", r"grid\.toml: the list of values for slices is empty"),
+        ("[a.b]\nslices = [1]", r"grid\.toml: \[a\.b\] is a table in a table"),
+        ("slices = [1]\n[a]\nslices = [2]", r"grid\.toml: slices stands in \[a\] and outside"),
+        (f"slices = {[*range(400)]}\nseed = {[*range(400)]}", r"has 160000 combinations, where 100000 are allowed"),
+        ("slises = [1]", r"grid\.toml: unknown setting slises; .*did you mean slices"),
+        ("slices = ['many']", r"grid\.toml: slices must be a whole number, got 'many'"),
+        ("slices = [8, 0]", r"grid\.toml, slices = 0: slices must be a whole number of at least 1"),
+    ],
+)
+def test_grids_that_can_not_be_used(call, tmp_path, text, sentence):
+    path = tmp_path / "grid.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(scan3d.InputError, match=sentence):
+        scan3d.batch(EGG, tmp_path / "out", grid=path)
+    code, stdout, stderr = call(EGG, "--out", tmp_path / "out", "--grid", path)
+    assert (code, stdout) == (1, "")
+    assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_setting_is_given_once(call, tmp_path):
+    (tmp_path / "grid.toml").write_text("slices = [4, 8]\n")
+    code, _, stderr = call(EGG, "--out", tmp_path / "out", "--grid", tmp_path / "grid.toml", "--slices", 4)
+    assert code == 2
+    assert "slices is given by the command line and by " in stderr
+    with pytest.raises(scan3d.InputError, match=r"noise is given by scan3d\.batch and by the grid; leave one"):
+        scan3d.batch(EGG, tmp_path / "out", grid={"noise": [0.0]}, noise=0.0)
+    with pytest.raises(scan3d.InputError, match=r"scan3d\.batch: slices must be a whole number"):
+        scan3d.batch(EGG, tmp_path / "out", grid={"noise": [0.0]}, slices="many")
+    with pytest.raises(scan3d.InputError, match=r"scan3d\.batch: unknown setting slises"):
+        scan3d.batch(EGG, tmp_path / "out", slises=4)
+
+
+def test_a_grid_takes_precedence_over_the_file_of_settings(call, tmp_path):
+    (tmp_path / "grid.toml").write_text("samples = [8, 10]\nslices = 4\n")
+    (tmp_path / "settings.toml").write_text("samples = 12\nsweeps = 4\n")
+    options = ("--grid", tmp_path / "grid.toml", "--config", tmp_path / "settings.toml", "--quiet")
+    code, stdout, _ = call(CUBE, "--out", tmp_path / "out", *options)
+    assert (code, stdout) == (0, "")
+    found = rows_of(tmp_path / "out")
+    assert [(row["run"], row["samples"], row["sweeps"], row["slices"]) for row in found] == [
+        ("cube_samples=8_slices=4", "8", "4", "4"),
+        ("cube_samples=10_slices=4", "10", "4", "4"),
+    ]
+    for row in found:
+        report = scan3d.open(tmp_path / "out" / row["run"]).report
+        assert str(report["settings"]["samples"]) == row["samples"]
+
+
+def test_no_combination_is_computed_twice(tmp_path):
+    done = scan3d.batch(CUBE, tmp_path, grid={"friction": [0.3, "0.3"]}, **SETTINGS)
+    assert [row["run"] for row in done.rows] == ["cube_friction=0.3"]
+
+
+# --- what a batch writes ---
+
+
+def test_the_summary_has_a_row_for_each_run(serial):
+    out, done = serial
+    assert isinstance(done, scan3d.Batch)
+    assert {path.name for path in out.iterdir()} == {"egg", "cube", "gem", *SUMMARIES}
+    found = rows_of(out, times=True)
+    assert list(found[0]) == list(runs.COLUMNS)
+    assert [(row["run"], row["status"]) for row in found] == [
+        ("egg", "done"),
+        ("cube", "done"),
+        ("gem", "done"),
+        ("bad", "failed"),
+    ]
+    for row, mesh in zip(found, THREE, strict=False):
+        report = json.loads((out / row["run"] / "report.json").read_text())
+        assert row["mesh"] == str(mesh)
+        assert float(row["hausdorff_relative"]) == report["hausdorff"]["relative"]
+        assert float(row["certificate_relative"]) == report["certificate"]["relative"]
+        assert int(row["contacts"]) == report["counts"]["contacts"]
+        assert row["surface_method"] == report["surface"]["method"]
+        assert float(row["seconds"]) == pytest.approx(sum(report["timings_s"].values()), abs=1e-3)
+        assert row["error"] == ""
+    assert re.match(r"bad\.stl has no triangles", found[3]["error"])
+    assert found[3]["hausdorff_relative"] == ""
+    assert repr(done) == f"Batch of 4 runs, 1 failed, in {out}"
+
+
+def test_the_summary_as_parquet_has_the_same_values(serial):
+    from pyarrow import parquet
+
+    out, done = serial
+    table = parquet.read_table(out / "summary.parquet").to_pylist()
+    assert [row["run"] for row in table] == ["egg", "cube", "gem", "bad"]
+    assert table[0]["hausdorff_relative"] == done.rows[0]["hausdorff_relative"]
+    assert table[3]["hausdorff_relative"] != table[3]["hausdorff_relative"]  # NaN
+    assert (table[0]["slices"], table[0]["hull"], table[0]["error"]) == (4, False, "")
+
+
+def test_without_pyarrow_there_is_no_parquet(tmp_path, monkeypatch):
+    scan3d.batch(CUBE, tmp_path, **SETTINGS)
+    assert (tmp_path / "summary.parquet").exists()
+    monkeypatch.setattr(summary, "find_spec", lambda name: None)
+    scan3d.batch(CUBE, tmp_path, **SETTINGS)
+    # an earlier table, which does not belong to this summary, is removed
+    assert {path.name for path in tmp_path.iterdir()} == {"cube", *SUMMARIES} - {"summary.parquet"}
+
+
+def test_best_median_and_worst(serial):
+    out, done = serial
+    ordered = sorted(done.rows[:3], key=lambda row: row["hausdorff_relative"])
+    assert list(done.ranks) == ordered
+    data = json.loads((out / "batch.json").read_text())
+    assert [data[name] for name in ("best", "median", "worst")] == [row["run"] for row in ordered]
+    assert data["counts"] == {"runs": 4, "done": 3, "failed": 1}
+    assert set(data["files"]) == SUMMARIES
+    even = [*done.rows[:3], {**done.rows[0], "hausdorff_relative": 2.0}]
+    assert summary.ranks(even).median == ordered[1]
+    assert summary.ranks(done.failures) == (None, None, None)
+
+
+def test_the_results_of_a_run_are_opened_by_its_name(serial):
+    _, done = serial
+    assert done.open("egg").report["mesh"]["file"] == "egg.stl"
+    with pytest.raises(scan3d.InputError, match=r"the run bad has failed: bad\.stl has no triangles"):
+        done.open("bad")
+    with pytest.raises(scan3d.InputError, match=r"there is no folder"):
+        done.open("eggs")
+
+
+def test_meshes_of_one_stem_have_folders_of_their_own(tmp_path):
+    for name, mesh in (("left", EGG), ("right", CUBE)):
+        (tmp_path / name).mkdir()
+        shutil.copy(mesh, tmp_path / name / "part.stl")
+    scan3d.batch([tmp_path / "left" / "part.stl", tmp_path / "right" / "part.stl"], tmp_path / "out", **SETTINGS)
+    first, second = rows_of(tmp_path / "out")
+    assert (first["run"], second["run"]) == ("left-part", "right-part")
+    assert first["mesh_sha256"] != second["mesh_sha256"]
+    for row in (first, second):
+        assert scan3d.open(tmp_path / "out" / row["run"]).report["mesh"]["sha256"] == row["mesh_sha256"]
+
+
+def test_the_page_is_one_file_with_all_runs(serial):
+    text = (serial[0] / "index.html").read_text(encoding="utf-8")
+    assert not re.findall(r"(?:src|href)=\"(?!data:|\w+/view\.html\")[^\"]*\"", text)
+    for name in ("egg", "cube", "gem"):
+        assert f'<a href="{name}/view.html">{name}</a>' in text
+    assert "4 runs: 3 done, 1 failed" in text
+    assert text.count("bad.stl has no triangles") == 2  # among the failures, and on its card
+    for mark in ("best", "median", "worst"):
+        assert f'<span class="mark">{mark}</span>' in text
+    assert text.count("no picture") == 3
+
+
+def test_the_page_escapes_names(tmp_path):
+    mesh = tmp_path / "<b>&amp.stl"
+    mesh.write_bytes(b"<i>")
+    scan3d.batch(mesh, tmp_path / "out")
+    text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "<b>&amp" not in text
+    assert "<i>" not in text
+
+
+@pytest.mark.slow
+@pytest.mark.rendering
+def test_the_page_has_the_pictures_of_the_runs(tmp_path):
+    scan3d.batch(CUBE, tmp_path, **SETTINGS)
+    text = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert text.count('src="data:image/jpeg;base64,') == 1
+    assert len(text) < 100_000
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+def test_the_cards_are_sorted_in_a_browser(serial, tmp_path, browser_path):
+    out, done = serial
+    page = tmp_path / "index.html"
+    text = (out / "index.html").read_text(encoding="utf-8")
+    click = "const by = document.getElementById('by'); by.value = 'error worst'; by.dispatchEvent(new Event('change'));"
+    page.write_text(text.replace("</script></body>", f"{click}</script></body>"), encoding="utf-8")
+    dump = [browser_path, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", page.as_uri()]
+    shown = subprocess.run(dump, capture_output=True, text=True, check=True, timeout=120).stdout
+    order = re.findall(r'data-number="(\d)"', shown)
+    rows = [*sorted(range(3), key=lambda k: -done.rows[k]["hausdorff_relative"]), 3]
+    assert order == [str(number) for number in rows]
+
+
+# --- what is done is not repeated ---
+
+
+def stamps(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("report.json")}
+
+
+@pytest.fixture
+def again(serial, tmp_path):
+    """A copy of a batch's folder, and the meshes."""
+    shutil.copytree(serial[0], tmp_path / "out")
+    return tmp_path / "out", [*THREE, serial[0].parent / "bad.stl"]
+
+
+def test_what_is_done_is_not_repeated(again, serial):
+    out, meshes = again
+    before = stamps(out)
+    done = scan3d.batch(meshes, out, **SETTINGS)
+    # the failure is tried again
+    assert done.computed == 1
+    assert stamps(out) == before
+    assert rows_of(out) == rows_of(serial[0])
+    assert done.rows[0] == serial[1].rows[0]
+
+
+@pytest.mark.slow
+def test_other_meshes_settings_and_versions_are_computed(again, monkeypatch):
+    out, meshes = again
+    assert scan3d.batch(meshes[:3], out, **SETTINGS).computed == 0
+    assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 3
+    assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 0
+    copy = out.parent / "egg.stl"
+    copy.write_bytes(CUBE.read_bytes())
+    assert scan3d.batch([copy, *meshes[1:3]], out, **SETTINGS | {"seed": 1}).computed == 1
+    monkeypatch.setattr(runs, "version", lambda name: "0.0.1")
+    assert not any(run.is_done() for run in runs.runs_of(meshes[:3], [({}, run_settings())], out))
+
+
+def run_settings(**more):
+    from scan3d.settings import settings
+
+    return settings({**SETTINGS, "seed": 1, **more})
+
+
+@pytest.mark.parametrize("change", ["a file is missing", "a file was changed", "the report is damaged"])
+def test_a_result_that_is_not_whole_is_computed_again(again, change):
+    out, meshes = again
+    if change == "a file is missing":
+        (out / "egg" / "surface.ply").unlink()
+    elif change == "a file was changed":
+        (out / "egg" / "surface.ply").write_bytes(b"ply")
+    else:
+        (out / "egg" / "report.json").write_text("{")
+    done = scan3d.batch(meshes[:2], out, overwrite=True, **SETTINGS)
+    assert done.computed == 1
+    assert scan3d.open(out / "egg").surface.is_watertight
+
+
+def test_files_of_others_are_replaced_only_if_asked_to(again, call):
+    out, meshes = again
+    (out / "egg" / "surface.ply").write_bytes(b"mine")
+    done = scan3d.batch(meshes[:2], out, **SETTINGS)
+    assert [row["status"] for row in done.rows] == ["failed", "done"]
+    assert re.search(r"surface\.ply was not written by scan3d or was changed since", done.rows[0]["error"])
+    assert (out / "egg" / "surface.ply").read_bytes() == b"mine"
+    # the summary itself is looked at before any work
+    (out / "summary.csv").write_text("mine")
+    code, _, stderr = call(*meshes[:2], "--out", out, *FEW)
+    assert code == 1
+    assert re.search(r"summary\.csv was not written by scan3d or was changed since; give --overwrite", stderr)
+    assert (out / "summary.csv").read_text() == "mine"
+    assert call(*meshes[:2], "--out", out, *FEW, "--overwrite")[0] == 0
+    assert [row["status"] for row in rows_of(out)] == ["done", "done"]
+
+
+def test_a_folder_in_which_another_batch_runs_is_refused(tmp_path):
+    work = claim(tmp_path)
+    try:
+        with pytest.raises(scan3d.InputError, match=r"is being written by another run"):
+            scan3d.batch(EGG, tmp_path, **SETTINGS)
+    finally:
+        work.release()
+
+
+def test_the_place_of_a_mesh_is_stated_if_asked_for(tmp_path):
+    assert scan3d.batch(CUBE, tmp_path, **SETTINGS).computed == 1
+    assert scan3d.batch(CUBE, tmp_path, mesh_path=True, **SETTINGS).computed == 1
+    report = scan3d.open(tmp_path / "cube").report
+    assert (tmp_path / "cube" / report["mesh"]["path"]).resolve() == CUBE.resolve()
+    assert scan3d.batch(CUBE, tmp_path, mesh_path=True, **SETTINGS).computed == 0
+
+
+# --- failures ---
+
+
+def test_a_run_waits_for_another_process_with_the_same_results(again, monkeypatch):
+    out, meshes = again
+    monkeypatch.setattr(runs, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(runs, "_PATIENCE_S", 0.05)
+    run = runs.runs_of(meshes[:1], [({}, run_settings())], out)[0]
+    work = claim(out / "egg")
+    try:
+        assert re.search(r"egg is being written by another run .*; wait until it has ended", runs.perform(run).error)
+    finally:
+        work.release()
+    assert runs.perform(run).error == ""
+    # what another process has made in the meantime is not made again
+    before = stamps(out)
+    assert runs.perform(run, 2).error == ""
+    assert stamps(out) == before
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (MemoryError(), r"there is not enough memory for this scan"),
+        (PermissionError(13, "Permission denied", "egg.stl"), r"Permission denied \(egg\.stl\)"),
+        (OSError("odd"), r"odd"),
+        (ZeroDivisionError("in\na library"), r"the program has failed: ZeroDivisionError: in a library"),
+    ],
+)
+def test_whatever_goes_wrong_is_a_row(tmp_path, monkeypatch, error, sentence):
+    real = runs.scans.perform
+
+    def fail(mesh, *rest, **more):
+        if mesh == str(EGG):
+            raise error
+        return real(mesh, *rest, **more)
+
+    monkeypatch.setattr(runs.scans, "perform", fail)
+    first, second = scan3d.batch([EGG, CUBE], tmp_path, **SETTINGS).rows
+    assert first["status"] == "failed"
+    assert re.fullmatch(f"{sentence}.*", first["error"])
+    assert second["status"] == "done"
+
+
+def test_results_that_vanish_are_a_failure(tmp_path, monkeypatch):
+    real = runs.scans.perform
+
+    def vanish(mesh, chosen, out, **more):
+        real(mesh, chosen, out, **more)
+        (Path(out) / "report.json").unlink()
+
+    monkeypatch.setattr(runs.scans, "perform", vanish)
+    (row,) = scan3d.batch(CUBE, tmp_path, **SETTINGS).rows
+    assert (row["status"], row["error"][:26]) == ("failed", "its results can't be read:")
+
+
+class Fails(Inline):
+    """An executor whose first calls raise an error, when they are submitted or when they run."""
+
+    def __init__(self, error, times, *, at_once=False):
+        super().__init__()
+        self.error, self.times, self.at_once, self.calls = error, times, at_once, 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.calls += 1
+        if self.calls > self.times:
+            return super().submit(fn, *args, **kwargs)
+        if self.at_once:
+            raise self.error
+        future = Future()
+        future.set_exception(self.error)
+        return future
+
+
+def test_a_lost_run_is_tried_a_second_time(tmp_path):
+    executor = Fails(RuntimeError("the worker is gone"), 1)
+    assert [row["status"] for row in scan3d.batch([EGG, CUBE], tmp_path, executor, **SETTINGS).rows] == ["done"] * 2
+    assert executor.calls == 3
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_run_that_is_lost_again_is_a_failure(tmp_path, at_once):
+    error = RuntimeError("the worker\nis gone")
+    executor = Fails(error, 1 if at_once else 3, at_once=at_once)
+    first, second = scan3d.batch([EGG, CUBE], tmp_path, executor, **SETTINGS).rows
+    lost = r"its worker was lost 2 times \(RuntimeError: the worker is gone\)"
+    assert re.fullmatch(lost, first["error"])
+    assert second["status"] == ("done" if at_once else "failed" if executor.calls < 4 else "done")
+
+
+def test_a_worker_that_writes_elsewhere_is_a_failure(tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(running, "perform", lambda run, attempt: runs.Outcome("", 1.0))
+    (row,) = scan3d.batch(EGG, tmp_path, Inline(), **SETTINGS).rows
+    assert "workers on other machines need a folder that all of them share" in row["error"]
+
+
+def test_interruptions_leave_what_is_done(again):
+    """Ctrl-C ends the batch; what was finished is there, and the summary is the earlier one."""
+    out, meshes = again
+    before = (out / "summary.csv").read_bytes()
+
+    def interrupt(progress):
+        if progress.done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        scan3d.batch(meshes[:3], out, progress=interrupt, **SETTINGS | {"seed": 1})
+    assert (out / "summary.csv").read_bytes() == before
+    assert not list(out.rglob(".scan3d-run"))
+    assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 1
+
+
+# --- the command ---
+
+
+def test_the_command_prints_a_table(call, serial, tmp_path):
+    code, stdout, stderr = call(*THREE, serial[0].parent / "bad.stl", "--out", tmp_path / "out", *FEW[:-1])
+    lines = stdout.splitlines()
+    assert code == 1
+    assert re.fullmatch(r"4 runs: 3 done, 1 failed, in \d+ s", lines[0])
+    for line, name in zip(lines[1:4], ("best", "median", "worst"), strict=True):
+        assert re.fullmatch(rf"{name} +\S+ of the diagonal, certified \S+ \(\w+\)", line)
+    assert lines[4].startswith("failed             bad: bad.stl has no triangles")
+    assert lines[5] == f"written to         {tmp_path / 'out'}"
+    assert "1 of 4 runs failed; summary.csv in " in stderr.splitlines()[-1]
+    # the sentence about pictures once, not for every run
+    assert stderr.count("no pictures") == 1
+    assert rows_of(tmp_path / "out") == rows_of(serial[0])
+    assert results_of(tmp_path / "out") == results_of(serial[0])
+    code, stdout, _ = call(*THREE, "--out", tmp_path / "out", *FEW[:-1], "--json")
+    data = json.loads(stdout)
+    assert (code, data["computed"], data["counts"]["failed"]) == (0, 0, 0)
+    assert [row["run"] for row in data["runs"]] == ["egg", "cube", "gem"]
+    code, stdout, _ = call(*THREE, "--out", tmp_path / "out", *FEW[:-1])
+    assert stdout.startswith("3 runs, 3 of them by an earlier call: 3 done, 0 failed")
+
+
+def test_many_failures_are_counted(call, tmp_path):
+    for number in range(22):
+        (tmp_path / f"{number}.stl").touch()
+    code, stdout, _ = call(tmp_path, "--out", tmp_path / "out")
+    assert code == 1
+    assert stdout.count("failed   ") == 21
+    assert "and 2 more, which summary.csv names" in stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--jobs", "0"], r"--jobs must be a whole number of at least 1, got 0; see 'scan3d batch --help'"),
+        (["--jobs", "x"], r"argument --jobs: invalid int value: 'x'"),
+        (["--jobs", "2", "--scheduler", "x"], r"argument --scheduler: not allowed with argument --jobs"),
+        (["--slices", "0"], r"slices must be a whole number of at least 1"),
+        (["--grid", "grid.toml", "--print-config"], r"--print-config prints one setting; leave out --grid"),
+    ],
+)
+def test_wrong_usage(call, tmp_path, monkeypatch, options, sentence):
+    monkeypatch.chdir(tmp_path)
+    Path("grid.toml").write_text("slices = [4]\n")
+    code, stdout, stderr = call(EGG, "--out", "out", *options)
+    assert (code, stdout) == (2, "")
+    assert re.search(sentence, stderr)
+    assert not Path("out").exists()
+
+
+def test_the_settings_are_printed(call, tmp_path):
+    code, stdout, _ = call(EGG, "--out", tmp_path / "out", "--slices", "7", "--print-config")
+    assert code == 0
+    assert "slices = 7" in stdout
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(12.3, "12 s"), (59.7, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")]
+)
+def test_durations(seconds, text):
+    assert command._duration(seconds) == text
+
+
+def test_the_time_left_is_shown_on_a_terminal(monkeypatch, capsys):
+    from argparse import Namespace
+
+    monkeypatch.setattr(command, "is_terminal", lambda stream: True)
+    show = command._progress(Namespace(quiet=False))
+    show(running.BatchProgress(1, 4, 0, None))
+    show(running.BatchProgress(2, 4, 1, 61.0))
+    show(running.BatchProgress(4, 4, 1, 0.0))
+    shown = [line.strip() for line in capsys.readouterr().err.split("\r")]
+    assert shown[1:4] == [
+        "batch 1/4 runs",
+        "batch 2/4 runs, 1 failed, 1 min 1 s left",
+        "batch 4/4 runs, 1 failed, 0 s left",
+    ]
+    assert shown[-1] == ""
+    command._progress(Namespace(quiet=True))(running.BatchProgress(1, 4, 0, None))
+    assert capsys.readouterr().err == ""
+
+
+def test_progress_counts_all_runs(again):
+    out, meshes = again
+    seen = []
+    scan3d.batch(meshes, out, progress=seen.append, **SETTINGS)
+    assert seen[0] == (3, 4, 0, None)
+    assert seen[-1][:3] == (4, 4, 1)
+    assert seen[-1].seconds_left == 0
+
+
+# --- other processes ---
+
+
+@pytest.mark.slow
+def test_threads_take_turns(serial, tmp_path):
+    with ThreadPoolExecutor(2) as executor:
+        scan3d.batch([*THREE, serial[0].parent / "bad.stl"], tmp_path, executor, **SETTINGS)
+    assert rows_of(tmp_path) == rows_of(serial[0])
+    assert results_of(tmp_path) == results_of(serial[0])
+
+
+class Killer(threading.Thread):
+    """Kills the process that computes a run, as soon as it has begun, so many times."""
+
+    def __init__(self, folder, times=1):
+        super().__init__(daemon=True)
+        self.lock, self.times, self.killed, self.is_over = folder / ".scan3d-run" / ".scan3d-lock", times, [], False
+
+    def run(self):
+        while len(self.killed) < self.times and not self.is_over:
+            try:
+                pid = int(self.lock.read_text().split()[1])
+            except (OSError, IndexError, ValueError):
+                pid = None
+            if pid and pid not in self.killed and pid != os.getpid():
+                os.kill(pid, signal.SIGKILL)
+                self.killed.append(pid)
+            time.sleep(0.002)
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self.is_over = True
+        self.join()
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_bytes_though_a_worker_is_killed(serial, tmp_path):
+    with workers.Workers(2) as executor, Killer(tmp_path / "cube") as killer:
+        scan3d.batch([*THREE, serial[0].parent / "bad.stl"], tmp_path, executor, **SETTINGS)
+    assert len(killer.killed) == 1
+    assert rows_of(tmp_path) == rows_of(serial[0])
+    assert results_of(tmp_path) == results_of(serial[0])
+
+
+@pytest.mark.slow
+def test_a_run_that_ends_every_worker_is_a_failure(serial, tmp_path):
+    with workers.Workers(1) as executor, Killer(tmp_path / "cube", times=2) as killer:
+        done = scan3d.batch(THREE, tmp_path, executor, **SETTINGS)
+    assert len(killer.killed) == 2
+    assert [row["status"] for row in done.rows] == ["done", "failed", "done"]
+    assert re.match(r"its worker was lost 2 times \(the operating system may have", done.rows[1]["error"])
+    # the same call makes what is missing
+    assert scan3d.batch(THREE, tmp_path, **SETTINGS).computed == 1
+    assert rows_of(tmp_path) == rows_of(serial[0])[:3]
+
+
+@pytest.mark.slow
+def test_a_broken_pool_of_the_caller_is_replaced(serial, tmp_path):
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor, Killer(tmp_path / "egg"):
+        scan3d.batch(THREE, tmp_path, executor, **SETTINGS)
+    assert rows_of(tmp_path) == rows_of(serial[0])[:3]
+    assert results_of(tmp_path) == results_of(serial[0])
+
+
+def started(*arguments):
+    # as in an installation, but with the packages of this test
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def waited_for(condition, seconds=120):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_batch_that_is_interrupted_continues(serial, tmp_path, number):
+    meshes = [*THREE, serial[0].parent / "bad.stl"]
+    arguments = ["-m", "scan3d", "batch", *meshes, "--out", tmp_path / "out", *FEW]
+    with started(*arguments) as first:
+        waited_for(lambda: (tmp_path / "out" / "cube" / ".scan3d-run").exists() or first.poll() is not None)
+        assert first.poll() is None
+        first.send_signal(number)
+        _, stderr = first.communicate(timeout=120)
+    assert first.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
+    if number == signal.SIGINT:
+        assert stderr == "scan3d: interrupted\n"
+        assert not list((tmp_path / "out").rglob(".scan3d-run"))
+    assert not (tmp_path / "out" / "summary.csv").exists()
+    before = stamps(tmp_path / "out")
+    assert (tmp_path / "out" / "egg" / "report.json") in before
+    with started(*arguments) as second:
+        _, stderr = second.communicate(timeout=300)
+    assert second.returncode == 1
+    assert "1 of 4 runs failed" in stderr
+    after = stamps(tmp_path / "out")
+    assert {path: after[path] for path in before} == before
+    assert rows_of(tmp_path / "out") == rows_of(serial[0])
+    assert results_of(tmp_path / "out") == results_of(serial[0])
+
+
+# --- Dask ---
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
+def test_a_dask_cluster_gives_the_same_summary_though_a_worker_is_killed(serial, tmp_path, capsys):
+    pytest.importorskip("distributed")
+    address = tmp_path / "scheduler.json"
+    local = ["--host", "127.0.0.1", "--scheduler-file", address, "--no-dashboard"]
+    one_thread = [*local, "--nworkers", "1", "--nthreads", "1", "--local-directory", tmp_path]
+    cluster = [started("-m", "distributed.cli.dask_scheduler", *local, "--port", "0")]
+    try:
+        waited_for(address.exists)
+        cluster += [started("-m", "distributed.cli.dask_worker", *one_thread) for _ in range(2)]
+        url = json.loads(address.read_text())["address"]
+        meshes = [str(mesh) for mesh in (*THREE, serial[0].parent / "bad.stl")]
+        with Killer(tmp_path / "out" / "cube") as killer:
+            code = main(["batch", *meshes, "--out", str(tmp_path / "out"), *FEW, "--scheduler", url])
+    finally:
+        for process in reversed(cluster):
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+    assert code == 1  # one of the meshes is bad
+    assert len(killer.killed) == 1
+    assert rows_of(tmp_path / "out") == rows_of(serial[0])
+    assert results_of(tmp_path / "out") == results_of(serial[0])
+    lines = capsys.readouterr().err.splitlines()
+    assert "1 of 4 runs failed" in lines[-1]
+    # Dask says nothing of its own
+    assert all(line.startswith("scan3d: ") for line in lines)
+
+
+def test_without_dask_the_message_says_how_to_install_it(call, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    code, stdout, stderr = call(EGG, "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:1")
+    assert (code, stdout) == (1, "")
+    assert stderr == "scan3d: a scheduler needs dask.distributed: pip install 'scan3d[cluster]'\n"
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
+def test_a_scheduler_that_does_not_answer(call, tmp_path, monkeypatch, address):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(scheduler, "_TIMEOUT_S", 1)
+    code, stdout, stderr = call(EGG, "--out", tmp_path / "out", "--scheduler", address)
+    assert (code, stdout) == (1, "")
+    assert re.fullmatch(
+        rf"scan3d: no Dask scheduler answers at {address} \(.*; start one with 'dask scheduler', .*\n", stderr
+    )
+
+
+def test_combinations_of_a_program():
+    assert combinations({"slices": (4, 8), "noise": 0.0}) == [{"slices": 4, "noise": 0.0}, {"slices": 8, "noise": 0.0}]

@@ -1,0 +1,290 @@
+"""`scan3d.scan` and `scan3d.open`: the results of the command, in Python, and read back from a folder."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+from small_scans import CUBE, EGG, FEW
+
+import scan3d
+from scan3d import scans
+from scan3d.cli import main
+from scan3d.files.text import to_json
+from scan3d.pictures import rendering
+
+SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
+"""Those of `FEW`, as keywords."""
+
+
+@pytest.fixture(autouse=True)
+def without_renderer(request, monkeypatch):
+    """No pictures, which take longer than everything else."""
+    if "rendering" not in request.keywords:
+        monkeypatch.setattr(rendering, "can_render", lambda: False)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A scan of an egg in a folder, and its result."""
+    folder = tmp_path_factory.mktemp("scans") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendering, "can_render", lambda: False)
+        return folder, scan3d.scan(EGG, folder, **SETTINGS)
+
+
+def contents(folder):
+    """The files in a folder; of the report without the times."""
+    found = {path.name: path.read_bytes() for path in folder.iterdir()}
+    report = json.loads(found.pop("report.json"))
+    del report["timings_s"]
+    return found, report
+
+
+def test_the_public_names_are_listed():
+    assert {"scan", "open", "batch", "Session", "__version__"} <= set(dir(scan3d))
+    assert set(scan3d.__all__) <= set(dir(scan3d))
+
+
+def test_scan_writes_what_the_command_writes(made, tmp_path):
+    folder, result = made
+    assert main(["scan", str(EGG), "--out", str(tmp_path / "out"), *FEW]) == 0
+    assert contents(folder) == contents(tmp_path / "out")
+    assert json.loads(to_json(result.report)) == json.loads((folder / "report.json").read_text())
+
+
+def test_the_result_has_all_that_was_computed(made):
+    _, result = made
+    assert isinstance(result, scan3d.Scan)
+    assert len(result.recording) == result.report["counts"]["samples"]
+    assert len(result.cloud) == result.report["counts"]["contacts"]
+    assert result.surface.is_watertight
+    assert result.comparison.hausdorff <= result.certificate.bound
+    assert result.recording.source["mesh"] == "egg.stl"
+
+
+def test_a_folder_gives_the_result_back(made):
+    folder, result = made
+    stored = scan3d.open(folder)
+    assert isinstance(stored, scan3d.StoredScan)
+    for name in ("points", "normals", "row", "force_N", "slice_height"):
+        np.testing.assert_array_equal(getattr(stored.cloud, name), getattr(result.cloud, name), err_msg=name)
+    np.testing.assert_array_equal(stored.recording.force_N, result.recording.force_N)
+    np.testing.assert_array_equal(stored.surface.vertices, result.surface.vertices)
+    np.testing.assert_array_equal(stored.surface.faces, result.surface.faces)
+    assert stored.surface.metadata["method"] == result.surface.metadata["method"]
+    assert stored.certificate.bound == result.certificate.bound
+    # surface.ply has the local bounds in float32
+    np.testing.assert_allclose(stored.certificate.at_vertices, result.certificate.at_vertices, rtol=1e-7)
+    for field in dataclasses.fields(stored.comparison):
+        np.testing.assert_array_equal(
+            getattr(stored.comparison, field.name), getattr(result.comparison, field.name), err_msg=field.name
+        )
+    assert repr(stored) == repr(result)
+    assert repr(stored).startswith("Scan of egg.stl: ")
+    assert len(repr(stored).splitlines()) < 10
+
+
+def test_save_writes_the_same_files(made, tmp_path):
+    folder, result = made
+    result.save(tmp_path / "first")
+    assert contents(tmp_path / "first") == contents(folder)
+    scan3d.open(folder).save(tmp_path / "second")
+    for path in folder.iterdir():
+        assert (tmp_path / "second" / path.name).read_bytes() == path.read_bytes()
+    # a file of somebody else
+    (tmp_path / "second" / "cloud.ply").write_text("mine")
+    with pytest.raises(scan3d.InputError, match=r"cloud\.ply was not written by scan3d or was changed since"):
+        scan3d.open(folder).save(tmp_path / "second")
+    scan3d.open(folder).save(tmp_path / "second", overwrite=True)
+    assert (tmp_path / "second" / "cloud.ply").read_bytes() == (folder / "cloud.ply").read_bytes()
+
+
+def test_scan_writes_nothing_unless_asked_to(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    result = scan3d.scan(CUBE, **SETTINGS, friction=(0.1, 0.3), axis=[0, 0, 1])
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+    assert result.report["settings"]["friction"] == "0.1:0.3"
+    assert result.report["friction"]["set"] == "0.1:0.3"
+    assert result.report["settings"]["axis"] == "0,0,1"
+    assert set(result.report["timings_s"]) >= {"load", "simulate", "reconstruct", "compare"}
+
+
+def test_numbers_of_numpy_are_settings():
+    result = scan3d.scan(CUBE, slices=np.int64(4), sweeps=4, samples=8, friction=np.array([0.1, 0.25]))
+    assert result.report["settings"]["slices"] == 4
+    assert result.report["settings"]["friction"] == "0.1:0.25"
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"slises": 4}, r"scan3d\.scan: unknown setting slises; .*did you mean slices"),
+        ({"slices": "many"}, r"scan3d\.scan: slices must be a whole number, got 'many'"),
+        ({"friction": -1.0}, r"friction must be a number >= 0"),
+        ({"rod": scan3d.Rod(0.05, 1e-4)}, r"scan3d\.scan: rod must be text"),
+        ({"method": "magic"}, r"method must be one of"),
+    ],
+)
+def test_settings_that_can_not_be_used(settings, sentence):
+    with pytest.raises(scan3d.InputError, match=sentence):
+        scan3d.scan(EGG, **settings)
+
+
+# --- meshes of a program ---
+
+
+def test_a_mesh_in_memory_is_scanned_as_its_file():
+    from_file, in_memory = scan3d.scan(CUBE, **SETTINGS), scan3d.scan(scan3d.load_mesh(CUBE), **SETTINGS)
+    without_times = [{**result.report, "timings_s": None} for result in (from_file, in_memory)]
+    np.testing.assert_equal(*without_times)
+
+
+def test_a_mesh_that_was_changed_is_no_longer_that_of_its_file():
+    mesh = scan3d.load_mesh(CUBE)
+    mesh.apply_scale(2.0)
+    result = scan3d.scan(mesh, **SETTINGS)
+    assert result.report["mesh"]["file"] is None
+    assert result.report["mesh"]["sha256"] != scan3d.load_mesh(CUBE).metadata["sha256"]
+    assert "mesh" not in result.recording.source
+    assert result.report["mesh"]["extents"][0] == pytest.approx(2 * scan3d.load_mesh(CUBE).extents[0])
+    assert repr(result).startswith("Scan: ")
+
+
+def test_a_mesh_of_trimesh_is_judged_and_stored(tmp_path):
+    result = scan3d.scan(trimesh.creation.box((20, 30, 40)), tmp_path / "out", **SETTINGS)
+    assert result.comparison.relative < 0.05
+    assert scan3d.open(tmp_path / "out").report["mesh"]["file"] is None
+    torus = trimesh.creation.torus(3.0, 1.0)
+    with pytest.raises(scan3d.InputError, match=r"the mesh isn't convex: .*hull=True"):
+        scan3d.scan(torus)
+    assert scan3d.scan(torus, hull=True, **SETTINGS).report["mesh"]["hull"]
+
+
+@pytest.mark.parametrize(
+    ("mesh", "sentence"),
+    [
+        (None, r"the body must be a trimesh\.Trimesh, got NoneType"),
+        (trimesh.Trimesh(), r"the body should have at least one triangle"),
+        (
+            trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False),
+            r"the mesh has only 3 distinct",
+        ),
+        ("nowhere.stl", r"there is no mesh file nowhere\.stl"),
+    ],
+)
+def test_what_is_no_body(mesh, sentence):
+    with pytest.raises(scan3d.InputError, match=sentence):
+        scan3d.scan(mesh)
+
+
+# --- folders that lack something ---
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    """A copy of the folder of a scan, which a test may change."""
+    shutil.copytree(made[0], tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def edit(folder, **sections):
+    path = folder / "report.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **sections}))
+
+
+def test_a_folder_without_a_scan(tmp_path):
+    with pytest.raises(scan3d.InputError, match=r"there is no folder .*nowhere"):
+        scan3d.open(tmp_path / "nowhere")
+    with pytest.raises(scan3d.InputError, match=r"holds no report\.json, so it is no scan"):
+        scan3d.open(tmp_path)
+
+
+def test_a_folder_of_a_reconstruction_has_no_recording(made, tmp_path):
+    log = str(made[0] / "recording.csv")
+    assert main(["reconstruct", log, "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    stored = scan3d.open(tmp_path / "out")
+    assert stored.surface.is_watertight
+    assert np.isfinite(stored.certificate.bound)
+    assert stored.comparison is None
+    for name in ("recording", "cloud"):
+        with pytest.raises(scan3d.InputError, match=r"has no recording\.csv: .*scan3d\.read_recording"):
+            getattr(stored, name)
+    stored.save(tmp_path / "copy")
+    assert {path.name for path in (tmp_path / "copy").iterdir()} == set(stored.report["files"])
+
+
+def test_a_recording_of_another_run_is_refused(copy):
+    log = copy / "recording.csv"
+    log.write_text(log.read_text().replace("\n0,", "\n7,", 1))
+    with pytest.raises(scan3d.InputError, match=r"recording\.csv is not the file that report\.json beside it names"):
+        _ = scan3d.open(copy).recording
+
+
+def test_contacts_that_the_recording_does_not_give_are_refused(copy):
+    report = json.loads((copy / "report.json").read_text())
+    # as if another version had computed them: the report names no hashes of earlier versions
+    lines = (copy / "recording.csv").read_text().splitlines()
+    (copy / "recording.csv").write_text("\n".join(lines[: len(lines) // 2]) + "\n")
+    edit(copy, sha256=None, versions={**report["versions"], "scan3d": "0.0.1"})
+    with pytest.raises(scan3d.InputError, match=r"gives other contacts than cloud\.ply has, .* scan3d 0\.0\.1; run"):
+        _ = scan3d.open(copy).cloud
+
+
+def test_files_that_are_missing_are_named(copy):
+    (copy / "surface.ply").unlink()
+    stored = scan3d.open(copy)
+    with pytest.raises(scan3d.InputError, match=r"has no surface\.ply"):
+        _ = stored.surface
+    with pytest.raises(scan3d.InputError, match=r"lacks surface\.ply, which its report\.json names"):
+        stored.save(copy.parent / "other")
+    assert not (copy.parent / "other").exists()
+
+
+def test_a_report_of_an_earlier_version_has_no_comparison(copy):
+    report = json.loads((copy / "report.json").read_text())
+    del report["comparison"]
+    (copy / "report.json").write_text(json.dumps(report))
+    with pytest.raises(scan3d.InputError, match=r"does not hold the comparison with the mesh: an earlier version"):
+        _ = scan3d.open(copy).comparison
+
+
+def test_what_is_not_certified_is_infinite(copy):
+    report = json.loads((copy / "report.json").read_text())
+    edit(copy, certificate={**report["certificate"], "bound": None})
+    assert scan3d.open(copy).certificate.bound == np.inf
+
+
+# --- pictures ---
+
+
+def test_the_base_of_results_has_no_scene():
+    with pytest.raises(NotImplementedError):
+        scans.results._Result()._scene()
+
+
+@pytest.mark.slow
+@pytest.mark.rendering
+def test_results_show_themselves(made, tmp_path, monkeypatch):
+    folder, result = made
+    monkeypatch.chdir(tmp_path)  # where the mesh is not found
+    stored = scan3d.open(folder)
+    first, second = result.plot(view="cloud"), stored.plot(view="cloud")
+    assert first.size == second.size
+    with pytest.raises(scan3d.InputError, match=r"the true body of egg is not known"):
+        stored.plot(view="compare")
+    assert stored.plot(scan3d.load_mesh(EGG), view="compare").size[0] > 100
+    assert "Scan of egg.stl" in result._repr_html_()
+    assert "<img" in result._repr_html_()
+
+
+def test_the_table_without_a_renderer_says_why(made):
+    assert rendering.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
+
+
+def test_a_truth_in_the_folder_is_found(copy):
+    shutil.copy(EGG, copy)
+    assert scan3d.open(copy)._scene().truth is not None
