@@ -78,9 +78,10 @@ def test_contacts_move_as_predicted(request, model, name):
     three_channels = model == "planar" and name in ("sensor_z_m", "sensor_turn_x_rad", "sensor_turn_y_rad")
     assert (size == 0) == three_channels
     # what is left is of the second order, and larger where the rod is about to leave the body
-    assert np.percentile(np.linalg.norm(difference - predicted, axis=1), 99) <= 0.02 * size
-    columns = touched(stated, model=model).calibration
-    assert columns.place_sd.max() == pytest.approx(size, rel=1e-6)
+    assert np.percentile(np.linalg.norm(difference - predicted, axis=1), 99) <= 0.02 * size + 2e-4
+    cloud = touched(stated, model=model)
+    found = cloud.calibration.place_sd[np.isin(cloud.row, before.row[one])]
+    assert found.max() == pytest.approx(size, rel=1e-6)
 
 
 def test_the_length_moves_contacts_to_the_tip_only(flat):
