@@ -31,6 +31,7 @@ inside may differ in height from points of the body by the largest error of a co
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -188,17 +189,25 @@ def _inner_polygon(
     u = _directions(angle)
     proven = reach(u)
     support = proven.max(axis=1)
-    # Between two neighbouring directions the polygon's support function is at most the interpolation of g, and g is at least
-    # that of one contact's reach: of the contact that reaches farthest halfway, or at one of the two.
-    each = np.arange(len(angle))
+    excess = _excess(u, reach, proven)
+    corners = polygon_of_lines(u, support - np.maximum(excess, np.roll(excess, 1)), inside)
+    return None if corners is None else corners[0]
+
+
+def _excess(u: Array, reach: Callable[[Array], Array], proven: Array) -> Array:
+    """(d,) by how much the polygon of the reaches (d, n) in directions u may exceed them between each one and the next.
+
+    Between two neighbouring directions the polygon's support function is at most the interpolation of g, and g is at least
+    that of one contact's reach: of the contact that reaches farthest halfway, or at one of the two.
+    """
+    support, each = proven.max(axis=1), np.arange(len(u))
     after = np.roll(each, -1)
     halfway = u + u[after]
     halfway /= np.linalg.norm(halfway, axis=1)[:, None]
     farthest = proven.argmax(axis=1)
     candidates = np.stack([farthest, farthest[after], reach(halfway).argmax(axis=1)])
-    excess = np.maximum(support - proven[each, candidates], support[after] - proven[after, candidates]).min(axis=0)
-    corners = polygon_of_lines(u, support - np.maximum(excess, np.roll(excess, 1)), inside)
-    return None if corners is None else corners[0]
+    ends = support - proven[each, candidates], support[after] - proven[after, candidates]
+    return np.asarray(np.maximum(*ends).min(axis=0))
 
 
 def _directions(angle: Array) -> Array:
