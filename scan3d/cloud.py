@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
+from scan3d.rigs import RigErrors
 from scan3d.shown import Shown
 
 # A contact's place is much less certain than most if its standard deviation is more than this many times the median, and than
@@ -137,6 +138,8 @@ class Cloud(Shown):
     slip_to_path: Array | None = None
     """(n,) angle in radians between the normals from slip and path, where both are known to a degree, else NaN (spatial model).
     Without isotropic Coulomb friction it is not small."""
+    calibration: RigErrors | None = None
+    """Standard deviations by the uncertainty of the rig's calibration, which are not part of the others; None without it."""
     independent: bool = True
     """Whether the errors of successive contacts are independent, as those of noise are; those of rounding alone are not."""
 
@@ -178,7 +181,9 @@ class Cloud(Shown):
     def select(self, rows: Mask | Index) -> Cloud:
         """A cloud of some of the contacts, selected by (n,) booleans or by indices; slices, fit and settings stay the same."""
         columns = {name: getattr(self, name) for name in _PER_CONTACT}
-        return replace(self, **{name: column[rows] for name, column in columns.items() if column is not None})
+        selected = {name: column[rows] for name, column in columns.items() if column is not None}
+        calibration = None if self.calibration is None else self.calibration.select(rows)
+        return replace(self, **selected, calibration=calibration)
 
 
 _PER_CONTACT = (

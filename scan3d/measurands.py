@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.cloud import Cloud
-from scan3d.surfaces import Certificate, Enclosure, sigmas
+from scan3d.surfaces import Certificate, Enclosure, allowed
 
 _AXES = "xyz"
 
@@ -32,12 +32,14 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
         1 for exact contacts; 0 where the recording contradicts the model, so that nothing is stated.
     coverage_factor
         the number of standard deviations of each contact that the interval allows for, which is larger than 2 because it
-        holds for all contacts at once; None for exact contacts.
+        holds for all contacts at once; None for exact contacts.  Where the reactions are exact, and the rig's calibration is
+        not, the number of standard deviations of the calibration.
 
     All intervals hold together, under the premises of the certificate.
     """
     unit, probability = cloud.unit, bounds.confidence
-    factor = sigmas(len(cloud), probability) if 0 < probability < 1 else None
+    allow = allowed(cloud, probability) if 0 < probability < 1 else None
+    factor = None if allow is None else allow.kappa or allow.factor
 
     def measured(quantity: str, value: float, low: float, high: float, power: str = "") -> dict[str, Any]:
         return {

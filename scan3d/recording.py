@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Rod
 from scan3d.shown import Shown
 from scan3d.units import UNITS_M
@@ -93,6 +94,9 @@ class Recording(Shown):
     """Height z of the table on which the body stands: nothing of the body lies below.  None if no table is known."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """Where the data came from, for the report."""
+    rig: RigUncertainty | None = None
+    """What is not known exactly of the calibrated rig that corrected poses, wrenches and rod; None if that is not known, or if
+    there is nothing of the kind."""
 
     def __post_init__(self) -> None:
         columns = ["sweep", "position_m", "quaternion", "force_N", "moment_Nm"]
@@ -138,6 +142,8 @@ class Recording(Shown):
             )
         if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
+        if self.rig is not None and not isinstance(self.rig, RigUncertainty):
+            raise InputError(f"recording: rig must be a scan3d.rigs.RigUncertainty, got {type(self.rig).__name__}")
 
     def __len__(self) -> int:
         return len(self.sweep)
@@ -163,7 +169,7 @@ class Recording(Shown):
 def joined(recordings: Sequence[Recording]) -> Recording:
     """Several recordings as one, their sweeps numbered one after the other; six-axis if all of them are.
 
-    Raises InputError for recordings with different rods, units or tables.
+    Raises InputError for recordings with different rods, units, tables or calibrations.
     """
     last = recordings[-1]
     if len(recordings) == 1:
@@ -195,4 +201,5 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         unit=last.unit,
         table_m=last.table_m,
         source=last.source,
+        rig=one_rig([recording.rig for recording in recordings]),
     )

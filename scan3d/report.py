@@ -12,13 +12,14 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
+from scan3d.budget import calibration_numbers, calibration_off, calibration_rows, noise_off
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.coverage import coverage
 from scan3d.measurands import measurands
 from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure, sigmas
+from scan3d.surfaces import Certificate, Enclosure
 
 SCHEMA = 1
 # What the parts of an enclosure's bound are called in the error budget.
@@ -101,6 +102,7 @@ def report(
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": _noise(analysis),
+        **calibration_numbers(recording, cloud),
         "error_budget": _budget(analysis),
         "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate),
         "surface": {
@@ -184,17 +186,9 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "hull_bound": bounds.bound,
         "confidence": bounds.confidence,
         "table": cloud.table,
-        "parts": bounds.parts() | {"noise": _contacts_off(analysis)},
+        "parts": bounds.parts() | {"noise": noise_off(cloud, bounds)} | calibration_off(cloud, bounds),
         "volume": list(bounds.volume),
     }
-
-
-def _contacts_off(analysis: Analysis) -> float:
-    """The largest error of a contact that the certificate allows for."""
-    cloud, bounds = analysis.cloud, analysis.bounds
-    if cloud.place_sd is None or not 0 < bounds.confidence < 1:
-        return bounds.margin
-    return bounds.margin + sigmas(len(cloud), bounds.confidence) * float(cloud.place_sd.max())
 
 
 def _noise(analysis: Analysis) -> dict[str, float]:
@@ -212,7 +206,7 @@ def _noise(analysis: Analysis) -> dict[str, float]:
 def _budget(analysis: Analysis) -> dict[str, Any]:
     """The error of each step: its certified upper bound, and its actual value where the truth is known."""
     bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
-    parts = bounds.parts()
+    parts, calibration = bounds.parts(), calibration_off(analysis.cloud, bounds)
     causes = [_CAUSES[name] for name in parts]
 
     def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
@@ -220,7 +214,11 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
 
     return {
         "unit": analysis.cloud.unit,
-        "contacts_off": step(_contacts_off(analysis), None if contact_error is None else float(contact_error.max())),
+        "contacts_off": step(
+            noise_off(analysis.cloud, bounds) + sum(calibration.values()),
+            None if contact_error is None else float(contact_error.max()),
+        ),
+        **{name: step(size, None) for name, size in calibration.items()},
         **{_CAUSES[name]: step(gap, None) for name, gap in parts.items()},
         "hull": step(bounds.bound, analysis.hull_error),
         "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
@@ -282,6 +280,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
         left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
         moved = f"contacts moved by {radius['moved']:.3g} {unit} from the rod's centre line"
         rows.append(("rod's radius", f"{moved}, which leaves errors up to {left:.1g} {unit}"))
+    rows += calibration_rows(data)
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
     rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))

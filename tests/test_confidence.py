@@ -15,8 +15,9 @@ from scan3d.geometry.sections import slice_polygons
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import certificate, enclosure, surface
+from scan3d.surfaces.allowances import allowed, sigmas
 from scan3d.surfaces.averages import AVERAGED, averages_of
-from scan3d.surfaces.confidence import confident, sigmas
+from scan3d.surfaces.confidence import confident
 from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[1] / "meshes"
@@ -38,7 +39,7 @@ def scanned(name, noise, seed=1, slices=16, **plan):
 def test_the_section_lies_between_the_polygons(name, noise):
     mesh, _, cloud = scanned(name, noise)
     (stack,) = stacks(cloud)
-    proven = confident(stack, cloud, sigmas(len(cloud)))
+    proven = confident(stack, cloud, allowed(cloud))
     assert proven.confident
     assert len(proven.slices) >= len(stack.slices) - 2
     contours = slice_polygons(mesh, stack.frame, proven.heights)
@@ -54,7 +55,7 @@ def test_the_section_lies_between_the_polygons(name, noise):
 def test_small_errors_leave_the_contours_almost_as_they_are():
     _, _, cloud = scanned("egg.stl", 1e-9)
     (stack,) = stacks(cloud)
-    proven = confident(stack, cloud, sigmas(len(cloud)))
+    proven = confident(stack, cloud, allowed(cloud))
     for exact, slice_ in zip(stack.slices, proven.slices, strict=True):
         normals = np.stack([np.cos(exact.angle), np.sin(exact.angle)], axis=1)
         lost = exact.support_of_contacts(normals) - slice_.support_of_contacts(normals)
@@ -67,7 +68,7 @@ def test_a_slice_that_proves_no_point_is_left_out():
     _, _, cloud = scanned("egg.stl", 1e-3)
     (stack,) = stacks(cloud)
     uncertain = dataclasses.replace(cloud, covariance=1e8 * cloud.covariance)
-    assert not confident(stack, uncertain, sigmas(len(cloud))).slices
+    assert not confident(stack, uncertain, allowed(uncertain)).slices
     assert np.isinf(enclosure(uncertain).bound)
     assert np.isinf(certificate(enclosure(uncertain), surface(cloud, "hull")).bound)
 
@@ -93,7 +94,7 @@ def test_support_lines_that_do_not_close_prove_nothing():
     """Sweeps from one side only: the lines of the far side are those of the rectangle, which is not known to hold the body."""
     _, _, cloud = scanned("egg.stl", 1e-4, sweeps=1)
     (stack,) = stacks(cloud)
-    assert all(len(slice_.angle) == 0 for slice_ in confident(stack, cloud, sigmas(len(cloud))).slices)
+    assert all(len(slice_.angle) == 0 for slice_ in confident(stack, cloud, allowed(cloud)).slices)
     assert np.isinf(enclosure(cloud).bound)
 
 

@@ -2,7 +2,7 @@
 
 The table is CSV, or Parquet where pyarrow is installed.  Six-axis data have the columns `SIX_AXES` as well.
 
-The TOML file contains the rod, the noise and the source of the data.
+The TOML file contains the rod, the noise, what is not known exactly of a calibrated rig, and the source of the data.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from scan3d.files.reading import check_file, did_you_mean, read_toml, to_float
 from scan3d.files.text import to_toml
 from scan3d.poses import Move
 from scan3d.recording import Recording
+from scan3d.rigs import RigUncertainty
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
@@ -44,10 +45,11 @@ _SWEEP_LIMIT = 2**31
 # Number of the format of the TOML file.
 _SCHEMA = 1
 # Names in the TOML file and in its sections; the section [source] may hold any.
-_NAMES = ("schema", "unit", TABLE, "rod", "noise", "source")
+_NAMES = ("schema", "unit", TABLE, "rod", "noise", "rig", "source")
 _SECTIONS = {
     "rod": ("length_m", "bending_stiffness_Nm2", "diameter_m", "modulus_Pa"),
     "noise": ("force_N", "moment_Nm"),
+    "rig": ("quantities", "covariance", "exact"),
 }
 # Memory per byte of a table, of which a number takes eight bytes or more, while it is read.
 _MEMORY_PER_BYTE = 8
@@ -94,9 +96,16 @@ def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
         **({} if recording.table_m is None else {TABLE: recording.table_m}),
         "rod": rod,
         "noise": {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm},
+        **_rig_section(recording.rig),
         "source": dict(recording.source),
     }
     return {sidecar(name).name: to_toml(meta).encode(errors="replace"), name: table}
+
+
+def _rig_section(rig: RigUncertainty | None) -> dict[str, Any]:
+    if rig is None:
+        return {}
+    return {"rig": {"quantities": rig.names, "covariance": rig.covariance.tolist(), "exact": rig.exact}}
 
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -141,7 +150,7 @@ def read_recording(path: str | Path) -> Recording:
     path = Path(path)
     table = _read_table(path)
     meta = _read_sidecar(path)
-    rod, noise, source = (_section(path, meta, name) for name in ("rod", "noise", "source"))
+    rod, noise, rig, source = (_section(path, meta, name) for name in ("rod", "noise", "rig", "source"))
     _check_names(path, meta)
     unit = meta.get("unit", "mm")
     if not isinstance(unit, str):
@@ -160,6 +169,7 @@ def read_recording(path: str | Path) -> Recording:
             unit=unit,
             table_m=number_of(meta, TABLE) if TABLE in meta else None,
             source=source,
+            rig=_rig_of(rig) if "rig" in meta else None,
         )
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
@@ -299,6 +309,14 @@ def rod_of(meta: Mapping[str, Any]) -> Rod:
     if all(name in meta for name in ("length_m", "diameter_m", "modulus_Pa")):
         return Rod.wire(number_of(meta, "length_m"), number_of(meta, "diameter_m"), number_of(meta, "modulus_Pa"))
     raise InputError("[rod] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
+
+
+def _rig_of(meta: Mapping[str, Any]) -> RigUncertainty:
+    lists = {name: meta.get(name, []) for name in _SECTIONS["rig"]}
+    for name, value in lists.items():
+        if not isinstance(value, list):
+            raise InputError(f"[rig] {name} must be a list, got {value!r}")
+    return RigUncertainty(lists["quantities"], lists["covariance"], lists["exact"])
 
 
 def number_of(section: Mapping[str, Any], name: str, default: float = float("nan")) -> float:

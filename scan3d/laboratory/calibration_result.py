@@ -19,6 +19,7 @@ from scan3d.laboratory.calibration_colour import WHITE
 from scan3d.laboratory.calibration_model import CENTRE, TURN, Kind
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, EULER, euler, limit, measured, quantities
 from scan3d.laboratory.calibration_reference import Reference, Spherical
+from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -137,6 +138,7 @@ class Calibration:
             noise_force_N=force_noise,
             noise_moment_Nm=float(np.sqrt(moment_noise**2 + lever * force_noise**2)),
             source={**recording.source, "calibrated": True},
+            rig=rig_uncertainty(self),
         )
 
 

@@ -86,8 +86,8 @@ def sentences(poor: Iterable[tuple[str, str]], fixed: Iterable[str], kind: str) 
         names = fixed_groups.pop("sensor_turn") + fixed_groups.pop("sensor", [])
         result.append(
             f"These touches do not determine the sensor's turn about the rod: {', '.join(names)} are a first estimate, which "
-            "may be wrong by some degrees. It needs a {noun} with more friction, because without friction contacts stay on the "
-            f"{noun} when they turn about the rod; and sweeps that bend the rod more."
+            f"may be wrong by some degrees. It needs a {noun} with more friction, because without friction contacts stay on "
+            f"the {noun} when they turn about the rod; and sweeps that bend the rod more."
         )
     for group, names in fixed_groups.items():
         title, touches = _TITLES[group], needed[group].format(noun=noun)

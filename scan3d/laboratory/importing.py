@@ -322,6 +322,7 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
         unit=map.unit,
         table_m=map.table_m,
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
+        rig=map.uncertainty,
     )
     if not six_axis:
         return recording

@@ -19,6 +19,7 @@ from scan3d.files.reading import read_toml
 from scan3d.files.recordings import TABLE
 from scan3d.laboratory.entries import Entries
 from scan3d.laboratory.quantities import factor
+from scan3d.rigs import RigUncertainty
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
@@ -134,6 +135,8 @@ class Map:
     """The contents of the file, for the recording's source."""
     rig: Mapping[str, Any] = field(default_factory=dict)
     """The calibrated rig whose frames and rod these are, for the recording's source; empty if there is none."""
+    uncertainty: RigUncertainty | None = None
+    """What is not known exactly of that rig."""
 
 
 ROS_COLUMNS: dict[str, Any] = {

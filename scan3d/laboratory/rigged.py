@@ -18,6 +18,7 @@ from scan3d.errors import InputError
 from scan3d.laboratory.calibration_file import read_rig
 from scan3d.laboratory.calibration_quantities import EULER, euler
 from scan3d.laboratory.calibration_result import Calibration
+from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from scan3d.laboratory.maps import Frame, Map, read_frame
 
 
@@ -35,7 +36,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     clamp = composed(clamp_before, _frame(found.clamp_position_m, found.clamp_euler_deg))
     used: dict[str, Any] = {"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name}
     used |= {"sensor": _section(sensor), "clamp": _section(clamp)}
-    return replace(map, sensor=sensor, clamp=clamp, rod=found.rod, rig=used)
+    return replace(map, sensor=sensor, clamp=clamp, rod=found.rod, rig=used, uncertainty=rig_uncertainty(found))
 
 
 def composed(outer: Frame, inner: Frame) -> Frame:

@@ -17,6 +17,7 @@ from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.contradiction import Contradiction
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
 from scan3d.reconstruction.resolution import LARGEST_OVER_SD, noise_of, rounding_sd
+from scan3d.reconstruction.rig_effects import with_rig_errors
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.reconstruction.spatial import readings, without_normals
 from scan3d.reconstruction.spatial_consistency import spatial_contradictions
@@ -141,7 +142,8 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
     between the secants to the neighbouring slices, is allowed for, and end slices are left out.
     """
     kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
-    rounding = _ROUNDING * cloud.rod_length + 2 * cloud.pose_error
+    off, turned = _by_calibration(cloud)
+    rounding = _ROUNDING * cloud.rod_length + 2 * (cloud.pose_error + off)
     worst = 0.0, rounding
     for stack in stacks(cloud):
         for number, slice_ in enumerate(stack.slices):
@@ -153,6 +155,8 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
             place, normals = slice_.points[lines], slice_.normals[np.searchsorted(slice_.tangential, lines)]
             beyond = normals @ slice_.points[points].T - (normals * place).sum(axis=1)[:, None]
             allowed = np.full(beyond.shape, rounding)
+            if turned:
+                allowed += turned * float(np.linalg.norm(np.ptp(slice_.points, axis=0)))
             if cloud.tilt is not None:
                 allowed += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
             if cloud.covariance is not None and cloud.normal_sd is not None:
@@ -176,6 +180,15 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
             if ratio[i] > worst[0] / worst[1]:
                 worst = float(beyond[i]), float(allowed[i])
     return worst
+
+
+def _by_calibration(cloud: Cloud) -> tuple[float, float]:
+    """By how much contacts, and angles of tangents, can be off by the uncertainty of the rig's calibration."""
+    rig = cloud.calibration
+    if rig is None or not len(cloud):
+        return 0.0, 0.0
+    factor = rig.factor(_FALSE_ALARM)
+    return factor * float(rig.place_sd.max()), factor * float(rig.tilt_sd.max())
 
 
 def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
@@ -204,6 +217,8 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
         return []
     kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
     allowed = np.full(len(cloud), _ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
+    if (rig := cloud.calibration) is not None:
+        allowed += rig.factor(_FALSE_ALARM) * rig.place_sd
     if cloud.centre_points is not None:  # of a rod that touches the body from below the table
         heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
     else:
@@ -266,7 +281,9 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     lost = 1 - len(here) / len(spatial)
     distance = np.linalg.norm(cloud.points[here] - spatial.points[there], axis=1)
     error = float(np.percentile(distance, 95)) if len(here) else np.inf
-    if lost <= _WITHOUT_CONTACT and error <= _ROUNDING * cloud.rod_length + _OUT_OF_PLANE_SIGMAS * spatial.noise:
+    allowed = _ROUNDING * cloud.rod_length + _OUT_OF_PLANE_SIGMAS * spatial.noise
+    allowed += _by_calibration(with_rig_errors(spatial, recording))[0]
+    if lost <= _WITHOUT_CONTACT and error <= allowed:
         return []
     size = f"contacts are off by up to {error:.3g} {cloud.unit}" if len(here) else "all of its contacts are lost"
     return [

@@ -12,6 +12,7 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError
 from scan3d.reconstruction.planes import planes
 from scan3d.reconstruction.resolution import noise_of
+from scan3d.reconstruction.rig_effects import tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
@@ -47,14 +48,15 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
     error = errors_in_plane(fx, fy, moment, *noise)
     columns = np.zeros(len(moment)), fx, fy, moment
-    in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance)
     felt = np.hypot(fx, fy) > FORCE_SIGMAS * max(noise)
+    tolerance = tip_tolerance(recording, felt, error.tolerance, "planar")
+    in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance)
     touching = felt & (in_plane.phase != planar.Phase.NONE)
     light = touching & error.light(touching)
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise))
     if common is not None:
-        in_plane = planar.reconstruct(*columns, method=method, tolerance=error.tolerance, friction=common)
+        in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common)
     rows = _rows(touching)
     axes = recording.axes()
     scale = UNITS_M[recording.unit]

@@ -8,6 +8,7 @@ from scan3d.choices import MODELS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.reconstruction.normals import planar_contacts
+from scan3d.reconstruction.rig_effects import with_rig_errors
 from scan3d.reconstruction.spatial import spatial_contacts
 from scan3d.recording import SIX_AXES, Recording
 
@@ -41,9 +42,9 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
         if largest > _LARGEST:
             raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
     if model == "planar" or (model is None and not recording.six_axis):
-        return planar_contacts(recording, method)
+        return with_rig_errors(planar_contacts(recording, method), recording)
     if method != "closed-form":
         raise InputError(
             f"the spatial model has the method closed-form only, got {method!r}; or choose the planar model"
         )
-    return spatial_contacts(recording)
+    return with_rig_errors(spatial_contacts(recording), recording)

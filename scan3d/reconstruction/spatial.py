@@ -17,6 +17,7 @@ from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
 from scan3d.reconstruction.resolution import noise_of
+from scan3d.reconstruction.rig_effects import tip_tolerance
 from scan3d.reconstruction.spatial_fit import EXACT, with_fit
 from scan3d.reconstruction.spatial_hull import hull_normals
 from scan3d.recording import Recording
@@ -64,8 +65,9 @@ def readings(recording: Recording) -> Readings:
     if error is not None:
         s1 = np.where(np.isfinite(error.s1), error.s1, 0.0)
         tolerance = np.clip(_TIP_SIGMAS * s1, planar.TOLERANCE, _LARGEST_TOLERANCE)
-    found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise)
     felt: Mask = np.linalg.norm(force, axis=1) > FORCE_SIGMAS * max(noise)
+    tolerance = tip_tolerance(recording, felt, tolerance, "spatial")
+    found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise)
     touching = felt & (found.status == inverse.Status.OK)
     light = np.zeros_like(touching)
     if error is not None and touching.any():

@@ -17,6 +17,7 @@ import planar
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
 from scan3d.reconstruction.contradiction import Contradiction
+from scan3d.reconstruction.rig_effects import torsion_sd
 from scan3d.reconstruction.spatial import Readings, readings
 from scan3d.recording import Recording
 
@@ -103,7 +104,9 @@ def _tests(recording: Recording, known: Readings, cloud: Cloud) -> _Found:
     sigma_f, sigma_m = known.noise
     # friction across the rod acts at the rod's radius
     radius = cloud.rod_radius / cloud.rod_length
-    twisted = torsion > _SIGMAS * sigma_m + _ROUNDING_RESIDUAL * (m + f) + radius * f
+    twisted = torsion > _SIGMAS * sigma_m + _ROUNDING_RESIDUAL * (m + f) + radius * f + _by_calibration(
+        recording, cloud
+    )
     skewed = skew > _SIGMAS * np.hypot(f * sigma_m, m * sigma_f) + _ROUNDING_RESIDUAL * f * (m + f)
     angle = np.degrees(np.arcsin(np.minimum(skew / (f * np.hypot(m, torsion)), 1.0)))
     return _Found(
@@ -114,6 +117,12 @@ def _tests(recording: Recording, known: Readings, cloud: Cloud) -> _Found:
         float(np.percentile(torsion / m, 95)),
         *_inside_hull(cloud, known),
     )
+
+
+def _by_calibration(recording: Recording, cloud: Cloud) -> Array | float:
+    """(n,) moments about the rod that the uncertainty of the rig's calibration makes."""
+    rig = cloud.calibration
+    return 0.0 if rig is None else rig.factor(_FALSE_ALARM) * torsion_sd(recording, cloud.row)
 
 
 def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
@@ -133,6 +142,9 @@ def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
     place, turn = np.zeros(len(points)), np.zeros(len(points))
     if known.error is not None and cloud.place_sd is not None:
         place, turn = kappa * cloud.place_sd, kappa * known.error.tangent[cloud.row]
+    if (rig := cloud.calibration) is not None:
+        factor = rig.factor(_FALSE_ALARM)
+        place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
     of_facet = place[of_hull][hull.simplices].max(axis=1)
 
     def worst(rows: Index, at: Array, arm: Array) -> tuple[float, float]:

@@ -1,9 +1,9 @@
 """The second half of step 2: closed surfaces from contacts, with certified bounds of their distance to the body."""
 
 from scan3d.choices import METHODS
+from scan3d.surfaces.allowances import Allowed, allowed, sigmas
 from scan3d.surfaces.bounds import certificate, enclosure, withdrawn
 from scan3d.surfaces.choice import surface
-from scan3d.surfaces.confidence import sigmas
 from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.slabs import Gap
 from scan3d.surfaces.spatial_bounds import SpatialEnclosure
@@ -11,12 +11,14 @@ from scan3d.surfaces.tuning import Tuning
 
 __all__ = [
     "METHODS",
+    "Allowed",
     "Certificate",
     "Enclosure",
     "Gap",
     "SliceEnclosure",
     "SpatialEnclosure",
     "Tuning",
+    "allowed",
     "certificate",
     "enclosure",
     "sigmas",

@@ -27,7 +27,8 @@ from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.planes import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.surfaces.confidence import CONFIDENCE, confident, sigmas
+from scan3d.surfaces.allowances import CONFIDENCE, Allowed, allowed
+from scan3d.surfaces.confidence import confident
 from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.slabs import Gap, Slab, slabs
 from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate, spatial_enclosure
@@ -94,36 +95,48 @@ def _distances(points: Array, stack: SliceStack, tilt: Tilt) -> Array:
 def _by_slices(cloud: Cloud, margin: float | None, confidence: float, widened: float = 1.0) -> SliceEnclosure:
     """The enclosure by contacts in slices, of a body that lies in a cylinder `widened` times as wide as the contacts."""
     by_axis = stacks(cloud)
+    inner = hull(cloud.points)
+    excess = 0.0
     if margin is None:
         off = [_height_error(stack, cloud) for stack in by_axis]
+        allow = allowed(cloud, confidence)
+        confidence = allow.confidence
         by_axis = [
-            replace(stack, height_error=max(error, _tilt_error(stack, cloud, widened)))
+            replace(stack, height_error=max(error, _tilt_error(stack, cloud, widened)) + allow.height)
             for stack, error in zip(by_axis, off, strict=True)
         ]
-    inner = hull(cloud.points)
-    if margin is None and cloud.covariance is not None:
-        confident_stacks = [confident(stack, cloud, sigmas(len(cloud), confidence)) for stack in by_axis]
-        proven = _proven_hull(confident_stacks)
-        if proven is None:
-            return _unbounded(inner, by_axis[0], confidence)
-        by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
-    else:
-        confidence = 1.0
-    if margin is None:
+        if cloud.covariance is not None or allow.factor:
+            confident_stacks = [confident(stack, cloud, allow) for stack in by_axis]
+            proven = _proven_hull(confident_stacks)
+            if proven is None:
+                return _unbounded(inner, by_axis[0], confidence)
+            by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
+            excess = _excess(cloud, allow, by_axis)
         margin = max(off)
         shrunk = _shrunk(inner, margin) if margin else inner
         if shrunk is None:
             return _unbounded(inner, by_axis[0], confidence)
         inner = shrunk
+    else:
+        confidence = 1.0
     outer = [slabs(stack, margin) for stack in by_axis]
     if len(by_axis) > 1 and cloud.tilt is None:
         # another stack may bound the height of a stack more tightly than its empty slices do
         by_axis = [_bounded_by_others(k, by_axis, outer) for k in range(len(by_axis))]
         outer = [slabs(stack, margin) for stack in by_axis]
     candidates = [
-        _of_stack(inner, stack, parts, margin, confidence) for stack, parts in zip(by_axis, outer, strict=True)
+        _of_stack(inner, stack, parts, (margin, excess), confidence)
+        for stack, parts in zip(by_axis, outer, strict=True)
     ]
     return min(candidates, key=lambda candidate: candidate.bound)
+
+
+def _excess(cloud: Cloud, allow: Allowed, by_axis: list[SliceStack]) -> float:
+    """How far the proven points may stick out of the body, because the heights of contacts depend on the calibration."""
+    if cloud.calibration is None:
+        return 0.0
+    along = [np.einsum("i,nij,j->n", stack.frame[2], cloud.calibration.covariance, stack.frame[2]) for stack in by_axis]
+    return allow.factor * float(np.sqrt(max(np.max(variance, initial=0.0) for variance in along)))
 
 
 def _proven_hull(by_axis: list[SliceStack]) -> Any:
@@ -192,12 +205,17 @@ def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
     return nothing, Certificate(np.inf, np.full(len(surface.vertices), np.inf))
 
 
-def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float, confidence: float) -> SliceEnclosure:
-    """The enclosure by the slabs of one stack."""
+def _of_stack(
+    inner: Any, stack: SliceStack, parts: list[Slab], errors: tuple[float, float], confidence: float
+) -> SliceEnclosure:
+    """The enclosure by the slabs of one stack; `errors` are the margin, and how far the inner body may stick out."""
     corners = np.concatenate([part.corners for part in parts])
     gap = np.full(len(corners), np.inf)
     bounded = np.isfinite(corners).all(axis=1)
     gap[bounded] = outside(corners[bounded], inner)
+    margin, excess = errors
+    within = _shrunk(inner, excess) if excess else inner
+    least = 0.0 if within is None else within.volume
     return SliceEnclosure(
         inner=inner,
         corners=corners,
@@ -206,10 +224,11 @@ def _of_stack(inner: Any, stack: SliceStack, parts: list[Slab], margin: float, c
         straight=np.concatenate([part.straight for part in parts]),
         slab=np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts]),
         stack=stack,
-        bound=float(gap.max()) + margin,
+        bound=max(float(gap.max()), excess) + margin,
         margin=margin,
-        volume=(inner.volume, max(sum(part.volume for part in parts), inner.volume)),
+        volume=(least, max(sum(part.volume for part in parts), least)),
         confidence=confidence,
+        excess=excess,
     )
 
 
@@ -229,7 +248,7 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
         bound, local = spatial_certificate(bounds, surface)
         return Certificate(bound + deviation, local + deviation)
     assert isinstance(bounds, SliceEnclosure)
-    local = outside(vertices, bounds.inner)
+    local = outside(vertices, bounds.inner) + bounds.excess
     bounded = np.isfinite(bounds.corners).all(axis=1)
     signed, face, _ = nearest(bounds.corners[bounded], surface)
     distance = np.maximum(signed, 0.0)

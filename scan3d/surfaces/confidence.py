@@ -22,26 +22,30 @@ extents enclose a polygon in the rectangle's interior, then K lies in that polyg
 Averages.  The mean of several points of K lies in K, and the mean of several of these inequalities holds for all x of K.  Means
 over successive rows of a sweep have smaller errors and lie a little inside or outside; the polygons take both.  Errors of
 rounding alone are not independent, but within √3 of their standard deviations; there are no averages then.
+
+Calibration.  Where a calibrated rig corrected the poses and reactions, its errors are the same in all contacts, and no average
+reduces them.  They are p normal numbers; to the first order the errors of all contacts are linear functions of these, and with
+the factor ``√χ²_p`` all hold at once (Scheffé).  Within the plane, reaches and lines allow for them as for noise.  A polygon
+inside may differ in height from points of the body by the largest error of a contact's height.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
-from scipy.stats import chi2
 
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
 from scan3d.geometry.polygons import beyond, polygon_of_lines
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces.averages import AVERAGED, Averages, averages_of
+from scan3d.surfaces.allowances import Allowed
+from scan3d.surfaces.averages import Averages, averages_of
 
-CONFIDENCE = 0.95
-"""Probability with which the bounds hold under noise."""
 # Directions, beside the contacts' normals, in which the contacts are searched that bound the inner polygon.  More take longer;
 # fewer make it smaller.
 _DIRECTIONS = 90
@@ -63,30 +67,24 @@ _SINGLE = 1000
 _OUTER_DIRECTIONS = 90
 
 
-def sigmas(count: int, confidence: float = CONFIDENCE) -> float:
-    """The number of standard deviations κ within which all linear functions of the errors of `count` contacts stay.
-
-    Averages are counted as well, two for every run of rows, once for the inner and once for the outer polygon.
-    """
-    events = max(count, 1) * (1 + 4 * sum(1 / size for size in AVERAGED))
-    return float(np.sqrt(chi2.isf((1 - confidence) / events, 3)))
-
-
-def confident(stack: SliceStack, cloud: Cloud, kappa: float) -> SliceStack:
+def confident(stack: SliceStack, cloud: Cloud, allow: Allowed) -> SliceStack:
     """The stack with slices whose points lie in the body's section, and whose support lines enclose it.
 
-    Slices whose contacts prove no point of the body are left out.  Points and lines allow for noise; a margin of the stack's
-    `height_error` allows for the poses.
+    Slices whose contacts prove no point of the body are left out.  Points and lines allow for noise and, within the slices'
+    planes, for the calibration; a margin of the stack's `height_error` allows for the poses.
     """
-    assert cloud.covariance is not None
-    assert cloud.normal_sd is not None
-    slices = (_confident_slice(slice_, stack, cloud, kappa) for slice_ in stack.slices)
+    if cloud.covariance is None:  # exact reactions of a rig that is not known exactly
+        cloud = replace(
+            cloud, covariance=np.zeros((len(cloud), 3, 3)), normal_sd=np.zeros(len(cloud)), independent=False
+        )
+    slices = (_confident_slice(slice_, stack, cloud, allow) for slice_ in stack.slices)
     return replace(stack, slices=tuple(slice_ for slice_ in slices if slice_ is not None), confident=True)
 
 
-def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, kappa: float) -> Slice | None:
+def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allowed) -> Slice | None:
     assert cloud.covariance is not None
     assert cloud.normal_sd is not None
+    kappa = allow.kappa or 0.0
     order = np.lexsort((cloud.row[slice_.rows], cloud.sweep[slice_.rows]))
     rows, frame = slice_.rows[order], stack.frame
     covariance = np.einsum("ij,njk,lk->nil", frame[:2], cloud.covariance[rows], frame[:2])
@@ -98,7 +96,11 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, kappa: floa
     lines = (known & (kappa * cloud.normal_sd[slice_.rows] < _LARGEST_TILT))[order]
     measured = np.arctan2(normals[order][lines, 1], normals[order][lines, 0])
     sweep = cloud.sweep[rows] if cloud.independent else None
-    inner = _inner_polygon(points, covariance, sweep, measured, kappa, cloud.rod_length)
+    rig = np.zeros_like(covariance)
+    if cloud.calibration is not None:
+        of_rig = cloud.calibration.covariance[rows]
+        rig = allow.factor**2 * np.einsum("ij,njk,lk->nil", frame[:2], of_rig, frame[:2])
+    inner = _inner_polygon(points, (covariance, rig), sweep, measured, kappa, cloud.rod_length)
     if inner is None:
         return None
     # poses that are off move the lines outwards as well, and the corners of their polygon by more than the lines
@@ -109,6 +111,7 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, kappa: floa
         covariance[lines],
         cloud.normal_sd[rows][lines],
         cloud.rod_length,
+        *(np.broadcast_to(column, len(cloud))[rows][lines] for column in (allow.across, allow.tilt)),
     )
     between = 0 if stack.height_error else _OUTER_DIRECTIONS
     angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa, between)
@@ -134,15 +137,23 @@ def _bias(covariance: Array, length: float) -> Array:
 
 
 def _inner_polygon(
-    points: Array, covariance: Array, sweep: NDArray[np.int32] | None, measured: Array, kappa: float, length: float
+    points: Array,
+    covariances: tuple[Array, Array],
+    sweep: NDArray[np.int32] | None,
+    measured: Array,
+    kappa: float,
+    length: float,
 ) -> Array | None:
     """Corners (v, 2), in order, of a polygon inside the section; None if the contacts prove no point of it.
 
+    covariances (n, 2, 2)
+        by the noise, and by the calibration times the square of its factor.
     sweep (n,)
         number of each contact's sweep; None if the errors of successive rows are not independent.
     measured (k,)
         angles of the contacts' normals, in whose directions those contacts are likely to reach farthest.
     """
+    covariance, rig = covariances
     smallest = np.linalg.eigvalsh(covariance)[:, 0]
     averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
     bias = _bias(covariance, length)
@@ -150,6 +161,9 @@ def _inner_polygon(
     place = np.concatenate([points[single], averages.mean(points)])
     spread = np.concatenate([covariance[single], averages.variance(covariance)])
     entries = np.stack([spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]], axis=1)
+    # the largest error of a mean by the calibration is at most the root of the mean square
+    shifts = np.concatenate([rig[single], averages.mean(rig)])
+    of_rig = np.stack([shifts[:, 0, 0], shifts[:, 0, 1], shifts[:, 1, 1]], axis=1) if rig.any() else None
     biased = np.concatenate([bias[single], averages.mean(bias)])
     sigma = np.concatenate([np.full(len(single), kappa), averages.kappa])
 
@@ -157,7 +171,7 @@ def _inner_polygon(
         """(d, n) how far in the directions (d, 2) each contact and average proves the body to reach."""
         quadratic = np.stack([u[:, 0] ** 2, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1)
         proven: Array = u @ place.T - sigma * np.sqrt(np.maximum(quadratic @ entries.T, 0.0)) - biased
-        return proven
+        return proven if of_rig is None else proven - np.sqrt(np.maximum(quadratic @ of_rig.T, 0.0))
 
     inside = points.mean(axis=0)
     # First directions that are evenly spread, and the normals; then those of the sides that join the points which these prove:
@@ -175,17 +189,25 @@ def _inner_polygon(
     u = _directions(angle)
     proven = reach(u)
     support = proven.max(axis=1)
-    # Between two neighbouring directions the polygon's support function is at most the interpolation of g, and g is at least
-    # that of one contact's reach: of the contact that reaches farthest halfway, or at one of the two.
-    each = np.arange(len(angle))
+    excess = _excess(u, reach, proven)
+    corners = polygon_of_lines(u, support - np.maximum(excess, np.roll(excess, 1)), inside)
+    return None if corners is None else corners[0]
+
+
+def _excess(u: Array, reach: Callable[[Array], Array], proven: Array) -> Array:
+    """(d,) by how much the polygon of the reaches (d, n) in directions u may exceed them between each one and the next.
+
+    Between two neighbouring directions the polygon's support function is at most the interpolation of g, and g is at least
+    that of one contact's reach: of the contact that reaches farthest halfway, or at one of the two.
+    """
+    support, each = proven.max(axis=1), np.arange(len(u))
     after = np.roll(each, -1)
     halfway = u + u[after]
     halfway /= np.linalg.norm(halfway, axis=1)[:, None]
     farthest = proven.argmax(axis=1)
     candidates = np.stack([farthest, farthest[after], reach(halfway).argmax(axis=1)])
-    excess = np.maximum(support - proven[each, candidates], support[after] - proven[after, candidates]).min(axis=0)
-    corners = polygon_of_lines(u, support - np.maximum(excess, np.roll(excess, 1)), inside)
-    return None if corners is None else corners[0]
+    ends = support - proven[each, candidates], support[after] - proven[after, candidates]
+    return np.asarray(np.maximum(*ends).min(axis=0))
 
 
 def _directions(angle: Array) -> Array:
@@ -199,20 +221,31 @@ def _quadratic(directions: Array, covariance: Array) -> Array:
 
 
 class _Lines:
-    """Support lines (k,) of tangential contacts, with the errors across and along them."""
+    """Support lines (k,) of tangential contacts, with the errors across and along them, and those by the calibration."""
 
-    def __init__(self, points: Array, normals: Array, covariance: Array, normal_sd: Array, length: float) -> None:
+    def __init__(
+        self,
+        points: Array,
+        normals: Array,
+        covariance: Array,
+        normal_sd: Array,
+        length: float,
+        rig_across: Array,
+        rig_tilt: Array,
+    ) -> None:
         self.points, self.normals, self.normal_sd = points, normals, normal_sd
         self.tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
         self.offset = (normals * points).sum(axis=1)
         self.across, self.along = (np.sqrt(_quadratic(u, covariance)) for u in (normals, self.tangents))
         self.bias = _bias(covariance, length)
+        self.rig_across, self.rig_tilt = rig_across, rig_tilt
 
     def moved(self, corners: Array, rows: Index, kappa: float) -> Array:
         """(r,) values of some of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""
         normals, tangents, offset = self.normals[rows], self.tangents[rows], self.offset[rows]
         extent, _ = beyond(corners, self.points[rows], normals, tangents, offset)
-        across, tilt, along = kappa * self.across[rows], kappa * self.normal_sd[rows], kappa * self.along[rows]
+        across, along = kappa * self.across[rows] + self.rig_across[rows], kappa * self.along[rows]
+        tilt = kappa * self.normal_sd[rows] + self.rig_tilt[rows]
         moved: Array = offset + (across + tilt * (extent + along) + self.bias[rows]) / (1 - tilt**2)
         return moved
 
@@ -274,6 +307,11 @@ class _Averaged:
         self.arm, self.turn = (
             np.sqrt(np.bincount(group, (averages.weight * part) ** 2, len(self.kappa))) for part in (arm, turn)
         )
+        # errors of the calibration have the same sign in all lines
+        self.rig_tilt = averages.mean(lines.rig_tilt)
+        apart = np.abs((tangent * (self.points[group] - lines.points[row])).sum(axis=1))
+        arms = np.bincount(group, averages.weight * lines.rig_tilt[row] * apart, len(self.kappa))
+        self.rig_across = averages.mean(lines.rig_across) + arms
         # the product of two errors has a mean, which averaging keeps
         self.products = 2 * averages.mean(lines.normal_sd * lines.along)
 
@@ -281,5 +319,6 @@ class _Averaged:
         """(k,) values of the lines, moved outwards by their errors; the body lies in the polygon of `corners`."""
         extent, height = beyond(corners, self.points, self.normals, self.tangents, self.offset)
         spread = self.across + self.tilt * extent + self.arm + self.turn * height
-        moved: Array = self.offset + (self.kappa * spread + self.products) / self.length
+        rig = self.rig_across + self.rig_tilt * (extent + height)
+        moved: Array = self.offset + (self.kappa * spread + self.products + rig) / self.length
         return moved

@@ -76,6 +76,8 @@ class SliceEnclosure(Enclosure):
     """(w,) number of the corner's slab: slab i lies below slice i of `stack`."""
     stack: SliceStack
     """The slices between which the slabs lie."""
+    excess: float = 0.0
+    """How far the inner body may stick out of the true one, by errors of heights by the calibration; `bound` contains it."""
 
     def part(self, kind: Gap) -> float:
         """The largest gap of one kind, 0 if no corner is of that kind."""
@@ -86,7 +88,7 @@ class SliceEnclosure(Enclosure):
         return {kind.name.lower(): self.part(kind) for kind in Gap}
 
     def _support(self, directions: Array) -> tuple[Array, Array]:
-        lower = _highest(self.inner.vertices.view(np.ndarray), directions) - self.margin
+        lower = _highest(self.inner.vertices.view(np.ndarray), directions) - self.margin - self.excess
         if not (np.isfinite(self.bound) and np.isfinite(self.corners).all()):
             return lower, np.full(len(directions), np.inf)
         return lower, _highest(self.corners, directions) + self.margin

@@ -27,24 +27,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.apexes import SupportingPlanes, support_bounds
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.normal_intervals import edges_of, normal_intervals
-from scan3d.geometry.support import inertia
-from scan3d.geometry.vectors import across, unit
-from scan3d.surfaces.confidence import sigmas
+from scan3d.surfaces.allowances import allowed
 from scan3d.surfaces.enclosures import Enclosure
 from scan3d.surfaces.tangent_planes import Apexes, best_apexes
+from scan3d.surfaces.tangents import TangentPlanes, tangent_planes
 
 # Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave.
 # Larger, the bounds of exact contacts widen; smaller, they would no longer be certain.
@@ -52,9 +48,6 @@ _EXACT = 2e-9
 # Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
 # A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
-# Radius of the ball within which tangents' errors are allowed for, in sizes of the contacts.  Larger, the planes are moved
-# farther out; smaller, apexes of sparse contacts lie outside.
-_BALL = 1.0
 # Quantiles of the contacts' errors; contacts with a larger one are left out, and the best bound is taken.
 _QUANTILES = (1.0, 0.7, 0.4)
 # Largest angles, in radians, of the normals from the middles of their intervals, of the contacts in each of the inner bodies by
@@ -112,19 +105,23 @@ def spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> 
     if not len(cloud):
         raise InputError("0 contacts span no body: a surface needs contacts all around it")
     errors = np.full(len(cloud), _EXACT * cloud.rod_length + cloud.pose_error if margin is None else margin)
-    noisy = margin is None and cloud.place_sd is not None
-    if not noisy:
+    if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
         turns = np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
         return _by_contacts(cloud, errors, turns, 1.0)
-    assert cloud.place_sd is not None
-    kappa = sigmas(len(cloud), confidence)
-    errors += kappa * (cloud.place_sd if cloud.centre_sd is None else cloud.centre_sd)
-    turns = _TURN * errors / cloud.rod_length if cloud.tangent_sd is None else _EXACT + kappa * cloud.tangent_sd
+    allow = allowed(cloud, confidence)
+    turns = np.zeros(len(cloud))
+    if cloud.place_sd is not None:
+        assert allow.kappa is not None
+        errors += allow.kappa * (cloud.place_sd if cloud.centre_sd is None else cloud.centre_sd)
+        turns = _TURN * errors / cloud.rod_length
+        if cloud.tangent_sd is not None:
+            turns = _EXACT + allow.kappa * cloud.tangent_sd
+    errors, turns = errors + allow.place, turns + allow.turn
     candidates = []
     for quantile in _QUANTILES:
         kept = (errors <= np.quantile(errors, quantile)) & (turns <= np.quantile(turns, quantile))
         if kept.any():
-            candidates.append(_by_contacts(cloud.select(kept), errors[kept], turns[kept], confidence))
+            candidates.append(_by_contacts(cloud.select(kept), errors[kept], turns[kept], allow.confidence))
     return min(candidates, key=lambda candidate: candidate.bound)
 
 
@@ -138,7 +135,7 @@ def _by_contacts(cloud: Cloud, errors: Array, turns: Array, confidence: float) -
     centre_hull = hull(cloud.centre_points)
     margin, radius = float(errors.max()), cloud.rod_radius
     inner = _inner_body(cloud, centre_hull)
-    tangent = _tangent_planes(cloud, errors, turns)
+    tangent = tangent_planes(cloud, errors, turns)
     apexes = _best_apexes(tangent, centre_hull)
     directions, support = np.empty((0, 3)), np.empty(0)
     if apexes is None:
@@ -206,78 +203,7 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
     return lower, max(float(ConvexHull(corners).volume) - shell, lower)
 
 
-class _TangentPlanes(NamedTuple):
-    """Supporting planes in a frame in which the contacts are spread like those of a ball."""
-
-    planes: SupportingPlanes
-    """(k,) through the tangents, and then that of the table, if there is one."""
-    rows: Index
-    """(k,) the contacts."""
-    centre: Array
-    """(3,) origin of the frame."""
-    shape: Array
-    """(3, 3) symmetric map from the frame to the world."""
-    ball: float
-    """Radius in the frame of the ball within which the planes hold, infinite for exact tangents."""
-
-    def to_world(self, points: Array) -> Array:
-        """Points (n, 3) of the frame in the world."""
-        return points @ self.shape + self.centre
-
-    def support_bounds(self, apexes: Apexes) -> tuple[Array, Array]:
-        """Directions (d, 3) in the world, and upper bounds (d,) of the support function there."""
-        directions, values = support_bounds(self.planes, apexes.cover)
-        directions = directions @ np.linalg.inv(self.shape)
-        length = np.linalg.norm(directions, axis=1)
-        return directions / length[:, None], (directions @ self.centre + values) / length
-
-    def normals(self) -> tuple[Array, Array]:
-        """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""
-        inverse = np.linalg.inv(self.shape)
-        planes = self.planes.select(np.arange(len(self.rows)))
-        middle = unit(planes.middle @ inverse)
-        cosines = (unit(planes.ends() @ inverse) * middle[:, None]).sum(axis=2)
-        return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
-
-
-def _tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> _TangentPlanes:
-    """The supporting planes of a cloud with errors (n,) of its places, and of its tangents in radians."""
-    assert cloud.centre_points is not None
-    assert cloud.tangents is not None
-    centre, shape = inertia(cloud.centre_points)
-    to_frame = np.linalg.inv(shape)
-    points, tangents = (cloud.centre_points - centre) @ to_frame, unit(cloud.tangents @ to_frame)
-    rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
-    # the map stretches errors by no more than its largest factor, and angles by no more than its condition
-    stretched = errors * float(np.linalg.norm(to_frame, 2))
-    turns = turns[rows] * float(np.linalg.cond(shape))
-    vertices, edges = edges_of(ConvexHull(points))
-    intervals = normal_intervals(
-        points[rows], tangents[rows], stretched[rows], turns, points[vertices], stretched[vertices], edges
-    )
-    moved, ball = stretched[rows], np.inf
-    if turns.any():
-        size = float(np.linalg.norm(points, axis=1).max())
-        ball = (1 + _BALL) * size
-        moved = moved + turns * (ball + size)
-    # planes through these points bound the body whichever normal of its interval each of them has
-    with np.errstate(invalid="ignore"):
-        outwards = (moved / np.cos(intervals.half_width))[:, None] * intervals.middle
-    planes = SupportingPlanes(points[rows] + outwards, *intervals)
-    if cloud.table is not None:
-        table = _table_plane(cloud.table - cloud.rod_radius, centre, shape)
-        planes = SupportingPlanes(*(np.concatenate(pair) for pair in zip(planes, table, strict=True)))
-    return _TangentPlanes(planes, rows, centre, shape, ball)
-
-
-def _table_plane(height: float, centre: Array, shape: Array) -> SupportingPlanes:
-    """The plane at a height, below which nothing of the fattened body lies, in the frame of `_TangentPlanes`."""
-    point = np.linalg.solve(shape, [0.0, 0.0, height - centre[2]])
-    normal = unit(shape @ [0.0, 0.0, -1.0])
-    return SupportingPlanes(point[None], normal[None], across(normal[None])[0], np.zeros(1))
-
-
-def _best_apexes(tangent: _TangentPlanes, centre_hull: Any) -> Apexes | None:
+def _best_apexes(tangent: TangentPlanes, centre_hull: Any) -> Apexes | None:
     """The best apexes of the planes; None if nothing is bounded."""
     signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
     apexes = best_apexes(tangent.planes, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
@@ -288,7 +214,7 @@ def _best_apexes(tangent: _TangentPlanes, centre_hull: Any) -> Apexes | None:
 
 
 def _bodies_by_intervals(
-    cloud: Cloud, tangent: _TangentPlanes, errors: Array, turns: Array
+    cloud: Cloud, tangent: TangentPlanes, errors: Array, turns: Array
 ) -> Iterator[tuple[Any, float]]:
     """Hulls of the points of the surface that follow from the intervals of the normals, and how far they may stick out."""
     radius = cloud.rod_radius

@@ -1,0 +1,181 @@
+"""What the uncertainty of a calibrated rig does to contacts, to the first order.
+
+Each of the independent errors of the rig (`scan3d.rigs`) is applied to the poses and wrenches of the rows in contact; the
+contacts of the closed form move in proportion.  A recording in a plane has three channels: what an error of the rig adds to the
+others is left out, as it is in the reconstruction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+import planar
+from scan3d.arrays import Array, Index, Mask
+from scan3d.cloud import Cloud
+from scan3d.reconstruction.resolution import noise_of
+from scan3d.recording import Recording
+from scan3d.rigs import RIG_QUANTITIES, RigErrors
+from scan3d.rods import Rod
+from scan3d.spatial import inverse
+
+# Part of a standard deviation by which the rig is changed in central differences.  Larger, their error of the second order
+# grows; smaller, rounding does.
+_STEP = 1e-2
+# Contacts that an error of the rig puts past the tip by this part of the rod still have a place.
+_PAST_TIP = 0.999
+# Rows processed at once.  More need more memory; fewer take longer.
+_BLOCK = 8192
+# By how much the body may be wider than its contacts.  Larger, a turn of the tangents counts more than it has to; smaller, that
+# of a few contacts far apart counts less.
+_WIDENED = 1.1
+# Standard deviations of the distance to the tip, by the calibration, that count as zero, and the largest such distance: as of
+# the noise (`scan3d.reconstruction.contacts`).
+_TIP_SIGMAS, _LARGEST_TOLERANCE = 5.0, 0.5
+
+
+class Effects(NamedTuple):
+    """What p independent errors of one standard deviation do to contacts (n,), dimensionless, in the world."""
+
+    place: Array
+    """(n, 3, p)"""
+    tangent: Array
+    """(n, 3, p)"""
+    s1: Array
+    """(n, p)"""
+
+
+def effects(recording: Recording, rows: Index, model: str) -> Effects:
+    """The effects on the contacts of some rows; NaN where a row has no rod.  The recording has a `rig`."""
+    assert recording.rig is not None
+    components = recording.rig.components().T
+    axes = recording.axes()[rows]
+    moved: list[list[Array]] = [[], [], []]
+    wrench, noise = _wrench(recording, rows), _noise(recording, model)
+    for component in components:
+        sides = (_contacts(recording.rod, wrench, noise, sign * _STEP * component) for sign in (1.0, -1.0))
+        with np.errstate(invalid="ignore"):
+            for column, one, other in zip(moved, *sides, strict=True):
+                column.append((one - other) / (2 * _STEP))
+    place, tangent, s1 = (
+        np.stack(column, axis=-1) if column else np.zeros((len(rows), *shape, 0))
+        for column, shape in zip(moved, ((3,), (3,), ()), strict=True)
+    )
+    place, tangent = (np.einsum("nip,nij->njp", column, axes) for column in (place, tangent))
+    return Effects(place, tangent, s1)
+
+
+def _wrench(recording: Recording, rows: Index) -> tuple[Array, Array]:
+    """(n, 3) support reaction and clamping moment, dimensionless; zero in channels that were not measured."""
+    rod, zero = recording.rod, np.zeros(len(rows))
+    if recording.six_axis:
+        force, moment = (column[rows] for column in recording.wrench())
+    else:
+        force = np.column_stack([recording.force_N[rows], zero])
+        moment = np.column_stack([zero, zero, recording.moment_Nm[rows]])
+    return force / rod.force_unit_N, moment / rod.moment_unit_Nm
+
+
+def _noise(recording: Recording, model: str) -> tuple[float, float] | None:
+    """Noise of force and moment, by which the spatial model weights what it knows of the bending plane; None in a plane."""
+    known, rod = noise_of(recording), recording.rod
+    return None if model == "planar" else (known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm)
+
+
+def _contacts(
+    rod: Rod, wrench: tuple[Array, Array], noise: tuple[float, float] | None, error: Array
+) -> tuple[Array, Array, Array]:
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (14,)."""
+    force, moment = wrench
+    offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:]
+    softer = np.exp(-error[0])
+    moment = softer * (moment + np.cross(sensor_turn, moment) + np.cross(lever, force))
+    force = softer * (force + np.cross(sensor_turn, force))
+    if noise is None:
+        force[:, 2] = 0
+        moment[:, :2] = 0
+    found = inverse.reconstruct(force, moment, tolerance=_PAST_TIP, noise=noise)
+    place = offset + found.point + np.cross(turn, found.point)
+    return place, found.tangent + np.cross(turn, found.tangent), found.s1 / (1 + error[1])
+
+
+def torsion_sd(recording: Recording, rows: Index) -> Array:
+    """(n,) standard deviations, dimensionless, of the moment about the rod, which a single contact force does not have."""
+    assert recording.rig is not None
+    force, moment = _wrench(recording, rows)
+    components = recording.rig.components()
+    lever, turn = components[8:11] / recording.rod.length_m, components[11:]
+    parts = np.outer(moment[:, 0], turn[2]) - np.outer(moment[:, 2], turn[0])
+    parts += np.outer(force[:, 0], lever[2]) - np.outer(force[:, 2], lever[0])
+    return np.asarray(np.linalg.norm(parts, axis=1))
+
+
+def tip_tolerance(recording: Recording, felt: Mask, tolerance: Array | float, model: str) -> Array | float:
+    """The differences of s1 to the tip (n,) that count as zero, by the noise and by the calibration."""
+    if recording.rig is None:
+        return tolerance
+    widened = np.zeros(len(recording))
+    for rows in _blocks(np.flatnonzero(felt)):
+        s1 = np.linalg.norm(effects(recording, rows, model).s1, axis=1)
+        widened[rows] = np.where(np.isfinite(s1), _TIP_SIGMAS * s1, 0.0)
+    return np.asarray(np.clip(np.hypot(tolerance, widened), planar.TOLERANCE, _LARGEST_TOLERANCE))
+
+
+def _blocks(rows: Index) -> Iterator[Index]:
+    for first in range(0, len(rows), _BLOCK):
+        yield rows[first : first + _BLOCK]
+
+
+def with_rig_errors(cloud: Cloud, recording: Recording) -> Cloud:
+    """The cloud with what the uncertainty of the recording's rig does to its contacts; those that it may undo are left out."""
+    if recording.rig is None:
+        return cloud
+    points = cloud.points if cloud.centre_points is None else cloud.centre_points
+    centre = points.mean(axis=0)
+    square, axes = np.linalg.eigh((points - centre).T @ (points - centre))
+    # the contacts lie in an ellipsoid with their own axes of inertia
+    shape = axes * np.sqrt(np.maximum(square, 0.0)) @ axes.T
+    radius = float(np.linalg.norm((points - centre) @ np.linalg.pinv(shape), axis=1).max())
+    blocks = [
+        _of_block(cloud, recording, part, centre, _WIDENED * radius * shape) for part in _blocks(np.arange(len(cloud)))
+    ]
+    covariance, turn, across, tilt, height = (np.concatenate(column) for column in zip(*blocks, strict=True))
+    found = RigErrors(covariance, turn, across, tilt, height, recording.rig.components().shape[1])
+    cloud = replace(cloud, calibration=found)
+    together = np.column_stack([covariance.reshape(-1, 9), turn, across, tilt, height])
+    known = np.flatnonzero(np.isfinite(together).all(axis=1))
+    return cloud if len(known) == len(cloud) else cloud.select(known)
+
+
+def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, shape: Array) -> tuple[Array, ...]:
+    """The columns of `RigErrors` of some contacts."""
+    rows, length = cloud.row[part].astype(np.intp), cloud.rod_length
+    points = (cloud.points if cloud.centre_points is None else cloud.centre_points)[part]
+    moved = effects(recording, rows, cloud.model)
+    place, turned = length * moved.place, moved.tangent
+    axes = recording.axes()[rows]
+    noise = _noise(recording, cloud.model)
+    bent = _contacts(recording.rod, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)))
+    tangent = np.einsum("ni,nij->nj", bent[1], axes)
+    tangential = cloud.phase[part] == planar.Phase.TANGENTIAL
+    turned = np.where(tangential[:, None, None], turned, 0.0)
+    normal = axes[:, 2]
+    sideways = np.where(tangential[:, None], np.cross(normal, tangent), 0.0)
+    middle, half = ((centre - points) * tangent).sum(axis=1), np.linalg.norm(tangent @ shape, axis=1)
+    height = _along(normal, place)
+    for along in (middle - half, middle + half):  # of a tip contact, whose tangent says nothing, `turned` is 0
+        height = np.maximum(height, _along(normal, place + along[:, None, None] * turned))
+    known = np.asarray(np.isfinite(turned).all(axis=(1, 2)))
+    turn = np.full(len(part), np.nan)
+    turn[known] = np.linalg.norm(turned[known], ord=2, axis=(1, 2))
+    covariance = place @ place.transpose(0, 2, 1)
+    return covariance, turn, _along(sideways, place), _along(sideways, turned), height
+
+
+def _along(directions: Array, moved: Array) -> Array:
+    """(n,) standard deviations along directions (n, 3) of what moves by (n, 3, p)."""
+    deviations: Array = np.linalg.norm(np.einsum("ni,nip->np", directions, moved), axis=1)
+    return deviations

@@ -1,0 +1,158 @@
+"""What is not known exactly of a calibrated rig, and what that does to contacts.
+
+The errors of a calibration are the same in all rows of a recording, so that no number of touches reduces them.  They are stated
+for poses and wrenches as a recording has them, in the clamp's frame and after all corrections:
+
+- stiffness and length of the rod, relative to the recording's rod;
+- the clamp's offset, and its turn about its own origin;
+- the sensor's offset d, which adds ``d × F`` to the moment;
+- the sensor's turn w about the clamp's origin, which adds ``w × F`` to the force and ``w × m`` to the moment.
+
+Source of the factor that holds for all contacts at once: H. Scheffé, *The Analysis of Variance*, 1959.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.errors import InputError
+
+RIG_QUANTITIES = (
+    "stiffness_relative",
+    "length_relative",
+    *(f"clamp_{axis}_m" for axis in "xyz"),
+    *(f"clamp_turn_{axis}_rad" for axis in "xyz"),
+    *(f"sensor_{axis}_m" for axis in "xyz"),
+    *(f"sensor_turn_{axis}_rad" for axis in "xyz"),
+)
+"""The quantities of a rig that change contacts, all in the clamp's frame."""
+# Rounding of a covariance, relative to its correlations: a negative eigenvalue above this is no covariance, and a component
+# below it is none.  Larger, wrong matrices pass; smaller, rounding of the calibration's linear algebra is refused.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class RigUncertainty:
+    """The covariance of the quantities of a rig by which a recording was corrected.
+
+    Raises InputError for unknown or repeated names, and for a matrix that is no covariance of them.
+    """
+
+    names: tuple[str, ...]
+    """(k,) some of `RIG_QUANTITIES`; what is not named counts as exact."""
+    covariance: Array
+    """(k, k) in the squares and products of their units: m, rad, and 1 for the relative ones."""
+    exact: tuple[str, ...] = ()
+    """Quantities of the calibration that its touches did not determine; their nominal values are taken as exact."""
+
+    def __post_init__(self) -> None:
+        for name in ("names", "exact"):
+            given = getattr(self, name)
+            if isinstance(given, str) or not all(isinstance(word, str) for word in given):
+                raise InputError(f"rig: {name} must be names of quantities, got {given!r}")
+            object.__setattr__(self, name, tuple(given))
+        wrong = [name for name in self.names if name not in RIG_QUANTITIES]
+        if wrong or len(set(self.names)) < len(self.names):
+            what = f"unknown quantities {', '.join(wrong)}" if wrong else "a quantity more than once"
+            raise InputError(f"rig: {what}; known are {', '.join(RIG_QUANTITIES)}")
+        matrix = _matrix(self.covariance, len(self.names))
+        deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+        scale = np.where(deviations > 0, deviations, 1.0)
+        correlations = matrix / scale / scale[:, None]
+        asymmetry = float(np.abs(correlations - correlations.T).max(initial=0.0))
+        if asymmetry > _ROUNDING or (len(matrix) and np.linalg.eigvalsh(correlations)[0] < -_ROUNDING):
+            raise InputError("rig: the covariance must be symmetric and without negative eigenvalues")
+        object.__setattr__(self, "covariance", matrix)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RigUncertainty) and self._plain() == other._plain()
+
+    def __hash__(self) -> int:
+        return hash(self._plain())
+
+    def _plain(self) -> tuple[Any, ...]:
+        return self.names, self.exact, self.covariance.tobytes()
+
+    def components(self) -> Array:
+        """(14, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
+        deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        scale = np.where(deviations > 0, deviations, 1.0)
+        square, axes = np.linalg.eigh(self.covariance / scale / scale[:, None])
+        found = np.zeros((len(RIG_QUANTITIES), len(square)))
+        found[[RIG_QUANTITIES.index(name) for name in self.names]] = (
+            scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
+        )
+        return found[:, square > _ROUNDING]
+
+
+def _matrix(values: Any, size: int) -> Array:
+    """A matrix (size, size) of finite numbers."""
+    try:
+        matrix = np.array(values, dtype=float)
+    except (ValueError, TypeError):
+        raise InputError(f"rig: the covariance must be a matrix of numbers, got {values!r}") from None
+    if not size and not matrix.size:
+        return np.zeros((0, 0))
+    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        raise InputError(
+            f"rig: the covariance must be {size} by {size} finite numbers, a row and a column for each quantity, got the shape "
+            f"{matrix.shape}"
+        )
+    return matrix
+
+
+@dataclass(frozen=True)
+class RigErrors:
+    """Covariances and standard deviations of contacts (n,) by the errors of a calibration, which are the same in all."""
+
+    covariance: Array
+    """(n, 3, 3) of the place, in the cloud's unit squared."""
+    turn_sd: Array
+    """(n,) of the rod's tangent, in radians; 0 in tip contact."""
+    across_sd: Array
+    """(n,) of the place across the rod, in the plane of its sweep; 0 in tip contact."""
+    tilt_sd: Array
+    """(n,) of the tangent's angle in that plane, in radians; 0 in tip contact."""
+    height_sd: Array
+    """(n,) of the height, over the plane of its sweep, of a tip contact, or of the line along a tangential one's tangent, where
+    that is farthest off within the extents of all contacts."""
+    count: int
+    """Number p of independent errors."""
+
+    @cached_property
+    def place_sd(self) -> Array:
+        """(n,) of the place, in its least certain direction, in the cloud's unit."""
+        return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(self.covariance)[:, -1], 0.0)))
+
+    def select(self, rows: Mask | Index) -> RigErrors:
+        """Those of some contacts."""
+        columns = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "count"}
+        return RigErrors(**{name: column[rows] for name, column in columns.items()}, count=self.count)
+
+    def factor(self, alpha: float) -> float:
+        """The number of standard deviations that all contacts stay within at once, but for the probability `alpha`.
+
+        To the first order each error of a contact is a linear function of the same p standard normal numbers, and all such
+        functions together stay within the root of their sum of squares (Scheffé).
+        """
+        return float(np.sqrt(chi2.isf(alpha, self.count))) if self.count else 0.0
+
+
+def one_rig(rigs: Sequence[RigUncertainty | None]) -> RigUncertainty | None:
+    """What recordings that are joined have in common.
+
+    Raises InputError for different ones: their errors would not be the same in all rows.
+    """
+    if any(rig != rigs[-1] for rig in rigs):
+        raise InputError(
+            "the recording was corrected by another calibration than those before, or only one of them was; recordings are "
+            "joined with one calibration: import all tables with the same RIG.toml"
+        )
+    return rigs[-1]

@@ -1,0 +1,78 @@
+"""Recordings of a rig that is not what its calibration says: an error is applied in full to poses, wrenches and rod."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import scan3d
+from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
+from tests import rigs
+
+SIX = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
+
+
+def six_axis(recording):
+    """A recording with all channels; those that a planar one lacks are zero."""
+    if recording.six_axis:
+        return recording
+    zero = np.zeros(len(recording))
+    return replace(recording, **dict.fromkeys(SIX, zero))
+
+
+def with_wrench(recording, force, moment):
+    columns = dict(zip(SIX, (force[:, 2], moment[:, 0], moment[:, 1]), strict=True)) if recording.six_axis else {}
+    return replace(recording, force_N=force[:, :2], moment_Nm=moment[:, 2], **columns)
+
+
+def displaced(recording, error):
+    """The recording as a rig with an error (14,) of `RIG_QUANTITIES` gives it; finite, by rotations."""
+    full = six_axis(recording)
+    force, moment = full.wrench()
+    turn = Rotation.from_rotvec(error[11:])
+    force, moment = turn.apply(force), turn.apply(moment) + np.cross(error[8:11], turn.apply(force))
+    if not recording.six_axis:
+        force[:, 2] = moment[:, 0] = moment[:, 1] = 0
+    pose = Rotation.from_quat(recording.quaternion, scalar_first=True)
+    rod = recording.rod
+    moved = with_wrench(recording, force, moment)
+    return replace(
+        moved,
+        position_m=recording.position_m + pose.apply(error[2:5]),
+        quaternion=(pose * Rotation.from_rotvec(error[5:8])).as_quat(scalar_first=True),
+        rod=scan3d.Rod(
+            rod.length_m * (1 + error[1]), rod.bending_stiffness_Nm2 * float(np.exp(error[0])), rod.diameter_m
+        ),
+    )
+
+
+def logged(recording, truth):
+    """What a rig of `tests.rigs.Truth` logs, with poses and reactions of its own frames, where the clamp does as recorded."""
+    force, moment = six_axis(recording).wrench()
+    ratio = truth.stiffness / recording.rod.bending_stiffness_Nm2
+    turn = Rotation.from_euler("xyz", truth.sensor_turn, degrees=True)
+    moment = turn.inv().apply(ratio * (moment - np.cross(truth.sensor, force)))
+    force = turn.inv().apply(ratio * force)
+    clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True)
+    pose = Rotation.from_quat(recording.quaternion, scalar_first=True) * clamp.inv()
+    return replace(
+        with_wrench(six_axis(recording), force, moment),
+        position_m=recording.position_m - pose.apply(truth.clamp),
+        quaternion=pose.as_quat(scalar_first=True),
+    )
+
+
+def typical(scale=1.0, six=True):
+    """The uncertainty of a rig that was calibrated by few touches."""
+    deviations = scale * np.repeat([2e-3, 1e-3, 3e-5, 1e-3, 4e-5, 1e-3], [1, 1, 3, 3, 3, 3])
+    mixing = np.eye(14) + 0.3 * np.random.default_rng(3).normal(size=(14, 14))
+    covariance = deviations[:, None] * (mixing @ mixing.T) * deviations
+    kept = np.arange(14) if six else np.array([0, 1, 2, 3, 4, 7, 8, 9, 13])
+    covariance = covariance[np.ix_(kept, kept)]
+    return RigUncertainty(tuple(RIG_QUANTITIES[k] for k in kept), (covariance + covariance.T) / 2)
+
+
+def calibrated(seed, sweeps=8, samples=60, truth=None):
+    """A calibration by few touches of a sphere, and the true rig."""
+    truth = truth or rigs.Truth()
+    return scan3d.calibrate(rigs.recorded(truth, seed, sweeps=sweeps, samples=samples), rigs.DIAMETER), truth

@@ -1,0 +1,227 @@
+"""What an uncertain calibration does to contacts and bounds: by finite changes of the rig, and by bodies that are known."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import planar
+import scan3d
+from scan3d.reconstruction import contradictions
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.rig_effects import effects, torsion_sd, with_rig_errors
+from scan3d.report import summary
+from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
+from scan3d.surfaces import allowed, certificate, enclosure, sigmas
+from scan3d.workflow import analyse
+from tests.rig_errors import displaced, typical
+from tests.spatial_scans import recorded
+
+MESHES = Path(__file__).parents[1] / "meshes"
+EGG = MESHES / "egg.stl"
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return scan3d.load_mesh(EGG)
+
+
+@pytest.fixture(scope="module")
+def flat(egg):
+    """Exact touches in slices."""
+    recording = scan3d.simulate(egg, scan3d.Plan(slices=24, friction=0.3, samples=32))
+    return dataclasses.replace(recording, table_m=egg.bounds[0, 2] / 1000)
+
+
+@pytest.fixture(scope="module")
+def space():
+    """Exact touches by a rod in space."""
+    return recorded(0.3, directions=8, heights=8, samples=48)[0]
+
+
+def with_rig(recording, rig, seed=None):
+    """The recording with an uncertain rig, and, for a seed, with an error that is drawn from its covariance."""
+    components = rig.components()
+    drawn = 0.0 if seed is None else np.random.default_rng(seed).normal(size=components.shape[1])
+    return dataclasses.replace(displaced(recording, components @ (drawn + np.zeros(components.shape[1]))), rig=rig)
+
+
+def touched(recording, model="planar"):
+    """Contacts, in slices without the smooth body that is fitted to them, which the bounds do not use."""
+    if model == "spatial" or recording.six_axis:
+        return scan3d.reconstruct(recording)
+    return with_rig_errors(contacts(recording), recording)
+
+
+def without(cloud):
+    return dataclasses.replace(cloud, calibration=None)
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+@pytest.mark.parametrize("name", [name for name in RIG_QUANTITIES if name != "length_relative"])
+def test_contacts_move_as_predicted(request, model, name):
+    """One quantity at a time, by one standard deviation: contacts of the rig that is off, less those of the rig as it is."""
+    recording = request.getfixturevalue("flat" if model == "planar" else "space")
+    rig = RigUncertainty((name,), [[typical().covariance[RIG_QUANTITIES.index(name)][RIG_QUANTITIES.index(name)]]])
+    stated = dataclasses.replace(recording, rig=rig)
+    before = touched(recording, model=model)
+    error = rig.components()[:, 0]
+    moved = touched(displaced(recording, error), model=model)
+    _, one, other = np.intersect1d(before.row, moved.row, return_indices=True)
+    assert len(one) > 0.9 * len(before)  # contacts of the tip may lie past it by the other rig
+    predicted = before.rod_length * effects(stated, before.row[one], model).place[:, :, 0]
+    places = [cloud.points if cloud.centre_points is None else cloud.centre_points for cloud in (before, moved)]
+    difference = places[1][other] - places[0][one]
+    size = np.linalg.norm(predicted, axis=1).max()
+    three_channels = model == "planar" and name in ("sensor_z_m", "sensor_turn_x_rad", "sensor_turn_y_rad")
+    assert (size == 0) == three_channels
+    # what is left is of the second order, and larger where the rod is about to leave the body
+    assert np.percentile(np.linalg.norm(difference - predicted, axis=1), 99) <= 0.02 * size + 2e-4
+    cloud = touched(stated, model=model)
+    found = cloud.calibration.place_sd[np.isin(cloud.row, before.row[one])]
+    assert found.max() == pytest.approx(size, rel=1e-6)
+
+
+def test_the_length_moves_contacts_to_the_tip_only(flat):
+    rig = RigUncertainty(("length_relative",), [[1e-6]])
+    cloud = touched(dataclasses.replace(flat, rig=rig))
+    assert cloud.calibration.place_sd.max() == 0
+    exact = touched(flat)
+    assert (cloud.phase == planar.Phase.TIP).sum() > (exact.phase == planar.Phase.TIP).sum()
+    # a rod that is stated too long makes tip contacts tangential, unless the uncertainty of the length is known
+    longer = displaced(flat, 2e-3 * np.eye(14)[1])
+    tips = exact.row[exact.phase == planar.Phase.TIP]
+    for uncertain, right in ((None, False), (rig, True)):
+        found = touched(dataclasses.replace(longer, rig=uncertain))
+        still = np.isin(found.row[found.phase == planar.Phase.TIP], tips).sum() == np.isin(found.row, tips).sum() > 0
+        assert still == right
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_a_turned_and_scaled_world_changes_nothing(request, model):
+    recording = request.getfixturevalue("flat" if model == "planar" else "space")
+    recording = dataclasses.replace(recording, rig=typical(six=model == "spatial"), table_m=None)
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7])
+    turned = dataclasses.replace(
+        recording,
+        position_m=turn.apply(recording.position_m) + np.array([0.2, -0.1, 0.3]),
+        quaternion=(turn * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True),
+        unit="m",
+    )
+    one, other = (touched(part, model=model).calibration for part in (recording, turned))
+    for name, unit in (("place_sd", 1e-3), ("across_sd", 1e-3), ("height_sd", 1e-3), ("turn_sd", 1), ("tilt_sd", 1)):
+        expected = unit * getattr(one, name)
+        np.testing.assert_allclose(getattr(other, name), expected, rtol=1e-4, atol=1e-6 * expected.max())
+
+
+@pytest.mark.slow
+def test_the_bound_allows_for_the_calibration(flat, egg):
+    """Seeds in which the bound without the term is too small, and that with it holds."""
+    too_small = 0
+    for seed in range(6):
+        cloud = touched(with_rig(flat, typical(3.0, six=False), seed))
+        for part in (cloud, without(cloud)):
+            bounds = enclosure(part)
+            holds = scan3d.compare(bounds.inner, egg).hausdorff <= bounds.bound
+            assert holds or part.calibration is None
+            too_small += not holds
+            if part.calibration is not None:
+                assert bounds.confidence == 0.95
+                assert bounds.volume[0] <= egg.volume <= bounds.volume[1]
+                low, high = bounds.support(np.concatenate([np.eye(3), -np.eye(3)]))
+                true = np.concatenate([egg.bounds[1], -egg.bounds[0]])
+                assert (low <= true).all()
+                assert (true <= high).all()
+    assert too_small >= 3
+
+
+@pytest.mark.slow
+def test_it_grows_with_the_uncertainty_and_the_confidence(flat):
+    sizes = []
+    for scale in (1e-3, 0.3, 1.0):
+        cloud = touched(dataclasses.replace(flat, rig=typical(scale, six=False)))
+        sizes.append(enclosure(cloud).bound)
+    assert enclosure(without(cloud)).bound < sizes[0] < sizes[1] < sizes[2]
+    assert enclosure(cloud, confidence=0.5).bound < sizes[2] < enclosure(cloud, confidence=0.999).bound
+    assert enclosure(cloud, margin=0.0).bound == enclosure(without(cloud), margin=0.0).bound
+
+
+def test_a_rig_without_any_error_is_exact(flat):
+    nothing = RigUncertainty((), [], ("length_m",))
+    one, other = (enclosure(touched(dataclasses.replace(flat, rig=rig))) for rig in (nothing, None))
+    assert one.bound == other.bound
+    assert one.confidence == 1
+
+
+def test_noise_and_calibration_share_the_probability(flat):
+    noisy = dataclasses.replace(flat, noise_force_N=1e-7, noise_moment_Nm=1e-9)
+    cloud = touched(dataclasses.replace(noisy, rig=typical(six=False)))
+    allow = allowed(cloud)
+    assert allow.kappa == pytest.approx(sigmas(len(cloud), 0.96), rel=1e-12)
+    assert allow.factor == pytest.approx(cloud.calibration.factor(0.01), rel=1e-12)
+    assert allowed(without(cloud)).kappa == sigmas(len(cloud))
+    assert enclosure(cloud).bound > enclosure(without(cloud)).bound
+
+
+def test_the_spatial_bound_allows_for_the_calibration(space):
+    cloud = touched(dataclasses.replace(space, rig=typical(0.05)))
+    bounds, exact = enclosure(cloud), enclosure(without(cloud))
+    assert exact.confidence == 1
+    assert bounds.confidence == 0.95
+    factor = cloud.calibration.factor(0.05)
+    assert bounds.margin > 0.3 * factor * cloud.calibration.place_sd.max()
+    assert bounds.bound > exact.bound + 0.3 * factor * cloud.calibration.place_sd.max()
+    hull = scan3d.surface(cloud, "hull")
+    assert certificate(bounds, hull).bound > certificate(exact, hull).bound
+
+
+def test_a_contact_without_a_known_effect_is_left_out(flat):
+    """An error of the rig that is as large as the rod: some contacts have no rod any more, and the others stay."""
+    cloud = touched(dataclasses.replace(flat, rig=RigUncertainty(("stiffness_relative",), [[90.0**2]])))
+    assert 0 < len(cloud) < len(touched(flat))
+    assert np.isfinite(cloud.calibration.place_sd).all()
+    assert len(cloud.calibration.turn_sd) == len(cloud)
+
+
+def test_errors_of_the_calibration_are_no_contradiction(flat, space):
+    """Exact touches of a rig that is off by what is stated: without the statement they contradict the convex body."""
+    found = with_rig(flat, typical(six=False), 1)
+    cloud = touched(found)
+    assert "beyond-tangent" in {warning.code for warning in contradictions(found, without(cloud))}
+    assert not contradictions(found, cloud)
+    found = with_rig(space, typical(), 1)
+    cloud = touched(found)
+    assert "moment-about-rod" in {warning.code for warning in contradictions(found, without(cloud))}
+    assert not contradictions(found, cloud)
+
+
+def test_torsion_is_that_of_finite_changes(space):
+    rig = typical()
+    stated = dataclasses.replace(space, rig=rig)
+    rows = np.flatnonzero(np.linalg.norm(space.wrench()[0], axis=1) > 0)
+    moved = [displaced(space, component).wrench()[1][rows, 1] for component in rig.components().T]
+    changes = (np.array(moved) - space.wrench()[1][rows, 1]) / space.rod.moment_unit_Nm
+    np.testing.assert_allclose(torsion_sd(stated, rows), np.linalg.norm(changes, axis=0), rtol=0.02, atol=1e-6)
+
+
+def test_the_report_names_its_size(flat):
+    rig = dataclasses.replace(typical(six=False), exact=("length_m",))
+    analysis = analyse(dataclasses.replace(flat, rig=rig), method="hull")
+    data = scan3d.report.report(analysis, settings={})
+    off = data["certificate"]["parts"]["calibration"]
+    assert off == pytest.approx(allowed(analysis.cloud).factor * analysis.cloud.calibration.place_sd.max())
+    assert data["error_budget"]["calibration"]["at_most"] == off
+    assert data["error_budget"]["contacts_off"]["at_most"] >= off
+    assert data["calibration"]["taken_as_exact"] == ["length_m"]
+    assert data["calibration"]["independent_errors"] == 9
+    assert list(data["calibration"]["standard_deviations"]) == list(rig.names)
+    assert data["measurands"][0]["coverage_probability"] == 0.95
+    assert data["measurands"][0]["coverage_factor"] == pytest.approx(analysis.cloud.calibration.factor(0.05))
+    rows = dict(summary(data).rows)
+    assert rows["calibration"].endswith("not determined by it, and taken as exact: length_m")
+    plain = scan3d.report.report(analyse(flat, method="hull"), settings={})
+    assert "calibration" not in plain
+    assert "calibration" not in plain["certificate"]["parts"]
+    assert "calibration" not in dict(summary(plain).rows)

@@ -1,0 +1,171 @@
+"""What a calibration leaves uncertain: stated by a recording, written and read bit for bit, and set by an import with a rig."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from scan3d import InputError, read_recording, write_recording
+from scan3d.laboratory.calibration_file import read_rig, write_rig
+from scan3d.laboratory.calibration_uncertainty import QUANTITIES, rig_uncertainty
+from scan3d.recording import joined
+from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
+from tests import rigs
+from tests.rig_errors import calibrated, typical
+from tests.test_recording import TOML, random_recording, write
+
+TWO = ("stiffness_relative", "clamp_x_m")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (dict(names="clamp_x_m", covariance=[[1.0]]), r"rig: names must be names of quantities, got 'clamp_x_m'"),
+        (dict(names=("clamp_x_m",), covariance=[[1.0]], exact=(1,)), r"rig: exact must be names of quantities"),
+        (dict(names=("clamp_u_m",), covariance=[[1.0]]), r"rig: unknown quantities clamp_u_m; known are stiffness_rel"),
+        (dict(names=("clamp_x_m",) * 2, covariance=np.eye(2)), r"rig: a quantity more than once; known are"),
+        (dict(names=TWO, covariance=np.eye(3)), r"rig: the covariance must be 2 by 2 finite numbers.*\(3, 3\)"),
+        (dict(names=TWO, covariance=[[1, np.nan], [np.nan, 1]]), r"rig: the covariance must be 2 by 2 finite numbers"),
+        (dict(names=TWO, covariance=[[1.0], [1.0, 2.0]]), r"rig: the covariance must be a matrix of numbers, got"),
+        (dict(names=TWO, covariance=[[1.0, 0.5], [0.2, 1.0]]), r"rig: the covariance must be symmetric"),
+        (dict(names=TWO, covariance=[[1.0, 2.0], [2.0, 1.0]]), r"without negative eigenvalues"),
+    ],
+)
+def test_what_is_no_covariance_is_refused(values, message):
+    with pytest.raises(InputError, match=message):
+        RigUncertainty(**values)
+
+
+def test_components_have_the_covariance_whatever_the_units():
+    """Their squares add up to the covariance, which has entries from 1e-10 to 1e-5."""
+    rig = typical()
+    parts = rig.components()
+    assert parts.shape == (14, 14)
+    np.testing.assert_allclose(parts @ parts.T, rig.covariance, rtol=1e-9, atol=1e-20)
+    alike = RigUncertainty(TWO, [[4e-6, 2e-8], [2e-8, 1e-10]])  # correlation 1
+    assert alike.components().shape == (14, 1)
+    assert RigUncertainty((), []).components().shape == (14, 0)
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
+def test_a_recording_keeps_it_bit_for_bit(tmp_path, name):
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    rig = dataclasses.replace(typical(), exact=("length_m",))
+    write_recording(random_recording(rig=rig), tmp_path / name)
+    found = read_recording(tmp_path / name).rig
+    assert found == rig
+    assert hash(found) == hash(rig)
+    assert found.covariance.tobytes() == rig.covariance.tobytes()
+    write_recording(random_recording(), tmp_path / name, overwrite=True)
+    assert read_recording(tmp_path / name).rig is None
+    assert "[rig]" not in (tmp_path / name).with_suffix(".toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ("quantities = 3", r"log.csv: \[rig\] quantities must be a list, got 3"),
+        ('quantities = ["clamp_x_m"]', r"log.csv: rig: the covariance must be 1 by 1 finite numbers"),
+        ("sizes = []", r"log.toml: \[rig\] has unknown names: sizes; known are quantities, covariance, exact"),
+    ],
+)
+def test_a_wrong_section_names_the_file(tmp_path, section, message):
+    with pytest.raises(InputError, match=message):
+        read_recording(write(tmp_path, meta=f"{TOML}[rig]\n{section}\n"))
+
+
+def test_a_recording_takes_nothing_else():
+    with pytest.raises(InputError, match=r"rig must be a scan3d.rigs.RigUncertainty, got dict"):
+        random_recording(rig={})
+
+
+def test_recordings_are_joined_with_one_calibration():
+    """The errors of two calibrations are not the same in all rows."""
+    one = random_recording(rig=typical())
+    assert joined([one, random_recording(rig=typical())]).rig == typical()
+    for other in (None, typical(2.0)):
+        with pytest.raises(
+            InputError, match=r"corrected by another calibration than those before, or only one of them"
+        ):
+            joined([one, random_recording(rig=other)])
+
+
+def test_the_covariance_is_that_of_finite_changes_of_the_calibration(tmp_path):
+    """The quantities of a calibration are moved one by one, and the recording is corrected again.
+
+    Poses and wrenches move by what the errors of the rig say, to the second order.
+    """
+    rig, truth = calibrated(0, sweeps=12)
+    recording = rigs.recorded(truth, 5, sweeps=4, samples=20)
+    stated = rig_uncertainty(rig)
+    assert stated.exact == ("length_m",)
+    assert not set(stated.exact) & set(stated.names)
+    before = rig.applied(recording, "calibration")
+    assert before.rig == stated
+    known = [name for name in QUANTITIES if np.isfinite(rig.standard_deviations[rig.names.index(name)])]
+    errors = np.column_stack(
+        [_error(before, _moved(rig, name, 1e-4).applied(recording, "calibration")) for name in known]
+    )
+    rows = [rig.names.index(name) for name in known]
+    steps = 1e-4 * np.array([_unit(rig, name) for name in known])
+    covariance = rig.covariance[np.ix_(rows, rows)] / steps / steps[:, None]
+    found = errors @ covariance @ errors.T
+    chosen = [RIG_QUANTITIES.index(name) for name in stated.names]
+    size = np.sqrt(np.diag(stated.covariance))
+    np.testing.assert_allclose(
+        found[np.ix_(chosen, chosen)] / size / size[:, None], stated.covariance / size / size[:, None], atol=2e-3
+    )
+    write_rig(rig, tmp_path / "rig.toml")
+    again = rig_uncertainty(read_rig(tmp_path / "rig.toml"))
+    assert again.names == stated.names
+    np.testing.assert_allclose(again.covariance, stated.covariance, rtol=1e-12)
+
+
+def _unit(rig, name):
+    return rig.rod.bending_stiffness_Nm2 if name.startswith("bending") else 1.0
+
+
+def _moved(rig, name, step):
+    """A calibration with one of its quantities moved."""
+    if name.startswith("bending"):
+        return dataclasses.replace(
+            rig, rod=dataclasses.replace(rig.rod, bending_stiffness_Nm2=rig.rod.bending_stiffness_Nm2 * (1 + step))
+        )
+    field, factor = {
+        "clamp": ("clamp_position_m", 1e-3),
+        "clamp_turn": ("clamp_euler_deg", 1.0),
+        "sensor": ("sensor_position_m", 1e-3),
+        "sensor_turn": ("sensor_euler_deg", 1.0),
+    }[re.sub(r"_[xyz]_(mm|deg)$", "", name)]
+    values = np.array(getattr(rig, field))
+    values["xyz".index(name.rsplit("_", 2)[1])] += factor * step
+    return dataclasses.replace(rig, **{field: values})
+
+
+def _error(before, after):
+    """The error (14,) of `RIG_QUANTITIES` between two corrections of a recording, by least squares over its rows."""
+    (f, m), (g, k) = before.wrench(), after.wrench()
+    axes = before.axes()
+    offset = np.einsum("nij,nj->ni", axes, after.position_m - before.position_m).mean(axis=0)
+    one, other = (Rotation.from_quat(r.quaternion, scalar_first=True) for r in (before, after))
+    turn = (one.inv() * other).as_rotvec().mean(axis=0)
+
+    def crossed(v):  # w × v as a matrix of w
+        return np.stack([np.cross(e, v) for e in np.eye(3)], axis=-1).reshape(-1, 3)
+
+    scale = np.abs(m).max() / np.abs(f).max()
+    zero = np.zeros((3 * len(f), 3))
+    matrix = np.vstack([np.hstack([zero, scale * crossed(f)]), np.hstack([crossed(f), crossed(m)])])
+    right = np.concatenate([scale * (g - f).ravel(), (k - m).ravel()])
+    wrench = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    stiffness = after.rod.bending_stiffness_Nm2 / before.rod.bending_stiffness_Nm2 - 1
+    return np.concatenate([[stiffness, 0.0], offset, turn, wrench])
+
+
+def test_a_rig_by_hand_is_taken_as_exact(tmp_path):
+    (tmp_path / "rig.toml").write_text("[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 1.9e-4\n")
+    found = rig_uncertainty(read_rig(tmp_path / "rig.toml"))
+    assert found == RigUncertainty((), [], QUANTITIES)
