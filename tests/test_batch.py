@@ -1,6 +1,7 @@
 """Batches: meshes, grids and names; failures, repetition and continuation; the same results wherever they are computed."""
 
 import csv
+import io
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_scans import CUBE, EGG, FEW, FOLDER
 
@@ -23,6 +25,8 @@ from scan3d.batches import running, runs, scheduler, summary
 from scan3d.batches.grid import combinations, read_grid
 from scan3d.batches.meshes import mesh_files
 from scan3d.batches.names import body_names, run_name
+from scan3d.batches.runs import COLUMNS
+from scan3d.batches.summary import parquet_table
 from scan3d.cli import batch as command
 from scan3d.cli import main
 from scan3d.files.journal import claim
@@ -306,6 +310,16 @@ def test_the_summary_as_parquet_has_the_same_values(serial):
     assert table[0]["hausdorff_relative"] == done.rows[0]["hausdorff_relative"]
     assert table[3]["hausdorff_relative"] != table[3]["hausdorff_relative"]  # NaN
     assert (table[0]["slices"], table[0]["hull"], table[0]["error"]) == (4, False, "")
+
+
+def test_whole_numbers_of_any_size_fit_into_parquet():
+    from pyarrow import parquet
+
+    rows = [{name: None if kind is float else kind() for name, kind in COLUMNS.items()} for _ in range(2)]
+    rows[0]["seed"] = 10**400
+    table = parquet.read_table(io.BytesIO(parquet_table(rows))).to_pydict()
+    assert table["seed"] == [np.inf, 0.0]
+    assert table["slices"] == [0, 0]
 
 
 def test_without_pyarrow_there_is_no_parquet(tmp_path, monkeypatch):

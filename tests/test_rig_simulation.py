@@ -358,6 +358,7 @@ def test_files_of_faults_are_read(tmp_path):
         ("seed = -1", "seed must be a whole number of at least 0, got -1"),
         ("rate_hz = 0", "rate_hz must be a number above 0, got 0"),
         ('rate_hz = "fast"', "rate_hz must be a number, got 'fast'"),
+        (f"rate_hz = {10**400}", "rate_hz must be a number, got 1000"),
         ("[noise]\nfraction = -1", r"\[noise\] fraction must be a number >= 0, got -1"),
         ("[noise]\nfraction = true", r"\[noise\] fraction must be a number, got True"),
         ("[lag]\nms = nan", r"\[lag\] ms must be a number, got nan"),

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from scan3d.batches.runs import COLUMNS, DONE, FAILED, Row
 from scan3d.files.parquet import parquet_bytes
+from scan3d.files.reading import to_float
 
+# Largest whole number of a column of whole numbers in Parquet; settings of runs that fail may be larger.
+_LARGEST_WHOLE = 2**63 - 1
 RANKED_BY = "hausdorff_relative"
 """The column that says which run is best."""
 
@@ -76,4 +79,6 @@ def _column(values: list[Any], kind: type) -> NDArray[Any]:
         return np.array([str(value).encode(errors="replace").decode() for value in values], dtype=object)
     if kind is float:
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    if kind is int and any(abs(value) > _LARGEST_WHOLE for value in values):
+        return np.array([to_float(value) for value in values])
     return np.array(values, dtype=kind)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.reading import did_you_mean, read_toml
+from scan3d.files.reading import did_you_mean, read_toml, to_float
 
 SHOWS = ("clamp-on-rod", "rod-on-clamp")
 """Which wrench the sensor shows; the first is that of a recording."""
@@ -198,7 +198,7 @@ def _check_names(where: str, section: Mapping[str, Any], known: tuple[str, ...])
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(to_float(value)):
         raise InputError(f"{name} must be a number, got {value!r}")
     return float(value)
 
