@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +23,8 @@ _ATTEMPTS = 2
 _PATIENCE_S = 30.0
 # Seconds after which the progress is shown again, so that the time left counts down.
 _SHOWN_EVERY_S = 1.0
+# Seconds between two looks for finished runs.  Longer, workers are idle between short runs; shorter, looking takes time.
+_LOOK_EVERY_S = 0.02
 
 
 class BatchProgress(NamedTuple):
@@ -88,7 +90,7 @@ def _collect(
             except (RuntimeError, OSError) as error:
                 collected[number] = _lost(error, watch)
         attempts = []
-        for future in wait(pending, _SHOWN_EVERY_S, FIRST_COMPLETED).done:
+        for future in _finished(pending):
             number, attempt = pending.pop(future)
             try:
                 outcome = future.result()
@@ -106,6 +108,17 @@ def _collect(
             collected[number] = outcome
             watch.count(outcome)
         watch.show()
+
+
+def _finished(pending: dict[Future[Outcome], tuple[int, int]]) -> list[Future[Outcome]]:
+    """The futures that are finished, in the order of their runs; none if that takes longer than the progress is shown.
+
+    Ctrl-C is postponed within Python's own waits (`scan3d.cli.interruptions`), and not while this function sleeps.
+    """
+    end = time.monotonic() + _SHOWN_EVERY_S
+    while not (done := [future for future in pending if future.done()]) and time.monotonic() < end:
+        time.sleep(_LOOK_EVERY_S)
+    return sorted(done, key=pending.__getitem__)
 
 
 def _lost(error: Exception, watch: _Watch) -> Outcome:

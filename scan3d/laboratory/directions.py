@@ -30,7 +30,7 @@ _FEW, _MOST = 0.5, 0.9
 # Where they hold less than the second one, other readings of the orientation are tried all the same.
 _TOUCHING, _DOUBTFUL = 0.2, 0.7
 # Rows of a table by which other readings are tried in doubt, about.  More take longer; fewer miss short sweeps.
-_TRIED = 100_000
+_TRIED = 50_000
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 

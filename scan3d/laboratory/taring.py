@@ -102,14 +102,16 @@ def _line(time: Array, values: Array, scale: Array) -> tuple[list[float], list[A
 def robust_sd(residuals: Array) -> Array:
     """Standard deviations (c,) of residuals (m, c), most of which are noise; also of noise that few steps resolve."""
     absolute = np.abs(residuals)
-    mad = SD_OVER_MAD * np.median(absolute, axis=0)
+    median, most = np.percentile(absolute, [50, 90], axis=0)
+    mad = SD_OVER_MAD * median
     # steps of a converter make more than half of the residuals equal
-    limit = 3 * np.maximum(mad, SD_OVER_MAD * np.percentile(absolute, 90, axis=0))
+    limit = 3 * np.maximum(mad, SD_OVER_MAD * most)
     inside = absolute <= limit
     count = np.maximum(inside.sum(axis=0), 1)
     rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / count)
     coarse = np.array([len(np.unique(column[:_LOOKED_AT])) < _FEW_VALUES for column in residuals.T])
-    return np.where((mad == 0) | coarse, rms, mad)
+    deviation: Array = np.where((mad == 0) | coarse, rms, mad)
+    return deviation
 
 
 def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: str) -> list[tuple[int, int]]:
