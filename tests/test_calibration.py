@@ -290,6 +290,7 @@ def part(recording, rows):
         (dict(sphere=0.0), "needs a diameter above 0"),
         (dict(sphere=float("nan")), "needs a diameter above 0"),
         (dict(sphere="30 mm"), "needs a diameter above 0"),
+        (dict(sphere=1e297), r"a diameter of 1e\+297 m, and the rod a length of 0.06 m; check the unit"),
         (dict(sphere=0.03, tare="cubic"), "tare must be one of auto, constant, linear, sweep"),
         (dict(sphere=0.03, pose_noise_m=-1.0), "noise of the poses"),
         (dict(sphere=30.0), "do not fit a sphere of 30000 mm"),

@@ -17,6 +17,9 @@ from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.rods import Rod
 
+# Largest diameter of a reference sphere in rod lengths.  Larger ones are planes to a rod, and rounding of their places is no
+# longer small; smaller limits would refuse spheres that can be touched.
+_LARGEST = 1e3
 KINDS = ("sphere", "plane", "mesh")
 """Kinds of references, by which the files of rigs name them."""
 
@@ -110,6 +113,11 @@ class Spherical(Reference):
         """A sphere of some diameter, touched with a rod."""
         if not (isinstance(diameter_m, (int, float)) and math.isfinite(diameter_m) and diameter_m > 0):
             raise InputError(f"the reference sphere needs a diameter above 0, got {diameter_m!r}")
+        if diameter_m > _LARGEST * rod.length_m:
+            raise InputError(
+                f"the reference sphere has a diameter of {diameter_m:.3g} m, and the rod a length of {rod.length_m:.3g} m; "
+                "check the unit of the diameter, or touch a plane"
+            )
         self.diameter_m = diameter_m
         self.size = self.radius = (diameter_m + rod.diameter_m) / 2 / rod.length_m
         self.title = f"a sphere of {1000 * diameter_m:g} mm"
