@@ -55,7 +55,7 @@ def log(body: Path, poses: PoseList, folder: Path, seed: int) -> tuple[Path, Pat
 def calibrated(folder: Path, seed: int = 1) -> scan3d.Calibration:
     """The rig, from touches of a sphere of 30 mm by rods in several directions."""
     trimesh.creation.icosphere(5, 15.0).export(folder / "sphere.stl")
-    poses = plan_poses(RigPlan(parse_envelope("sphere:30"), "spatial", rod=ROD, sweeps=3))
+    poses = plan_poses(RigPlan(parse_envelope("sphere:30"), "spatial", rod=ROD, sweeps=5))
     return scan3d.calibrate(scan3d.import_table(*log(folder / "sphere.stl", poses, folder, seed)), 0.030)
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.integrate import lebedev_rule
 
-from scan3d.geometry.support import fit_support, harmonics
+from scan3d.geometry.support import _roughness, fit_support, harmonics
 
 
 def test_harmonics_have_their_gradients():
@@ -130,3 +131,52 @@ def test_a_body_stands_on_its_table(table):
     assert standing.points(down)[0, 2] == pytest.approx(table, abs=1e-4)
     assert abs(free.points(down)[0, 2] - table) > 1e-3
     assert np.abs(standing.points(normals) - points).max() < np.abs(free.points(normals) - points).max()
+
+
+# --- smoothing under noise ---
+
+
+def test_the_roughness_is_the_mean_square_of_the_second_power_of_the_operator():
+    """By Lebedev's quadrature: harmonics of degree l have (Δ + 2) h = -(l - 1)(l + 2) h."""
+    degree = 8
+    nodes, weights = lebedev_rule(41)
+    value, _ = harmonics(nodes.T, degree)
+    degrees = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+    expected = ((degrees - 1.0) * (degrees + 2)) ** 4 * (value**2 @ weights) / (4 * np.pi)
+    np.testing.assert_allclose(_roughness(degree)[1:], expected[1:], rtol=1e-12, atol=1e-9)
+    assert _roughness(degree)[0] == 0
+
+
+def noisy(count, sd, seed):
+    """Contacts (n, 3) of an ellipsoid with noise along the normals (n, 3), which are returned as well."""
+    normals = directions(count, seed)
+    noise = sd * np.random.default_rng(seed + 100).standard_normal(count)
+    return ellipsoid((9.0, 6.0, 5.0), normals) + noise[:, None] * normals, normals
+
+
+def errors_of(fitted):
+    elsewhere = directions(3000, seed=77)
+    return np.sqrt(np.mean((fitted.points(elsewhere) - ellipsoid((9.0, 6.0, 5.0), elsewhere)) ** 2))
+
+
+def test_noise_is_smoothed_and_the_degree_hardly_matters():
+    """An ellipsoid is mapped to a ball, whose series ends at once: whatever else is in the fit is noise."""
+    for seed in range(3):
+        points, normals = noisy(4000, 0.1, seed)
+        plain = errors_of(fit_support(points, normals, 16))
+        smoothed = [errors_of(fit_support(points, normals, degree, np.full(4000, 0.1))) for degree in (8, 16)]
+        assert smoothed[1] < plain / 3
+        assert smoothed[1] == pytest.approx(smoothed[0], rel=0.1)
+
+
+def test_exact_contacts_are_not_smoothed_whatever_standard_deviations_are_stated():
+    """How far the contacts agree with each other decides, not the noise that is stated."""
+    corner = directions(3000, seed=9)
+    # the support function of a body with more than an ellipsoid's harmonics
+    height = 5 + 0.2 * corner[:, 0] ** 3
+    slope = np.zeros_like(corner)
+    slope[:, 0] = 0.6 * corner[:, 0] ** 2
+    points = (height - (slope * corner).sum(axis=1))[:, None] * corner + slope
+    plain, smoothed = (fit_support(points, corner, 8, sd) for sd in (None, np.full(3000, 0.3)))
+    away = directions(500, seed=10)
+    assert smoothed.points(away) == pytest.approx(plain.points(away), abs=1e-4)

@@ -9,8 +9,14 @@ to the contacts' distances along their normals, and with less weight to their po
 follow affine maps, ``h_{AK}(u) = h_K(Aᵀu)``, so the body is first mapped to one with the moments of inertia of the unit ball.
 Every ellipsoid becomes the ball itself, and the series of every other smooth body converges much faster.
 
+Under noise the fit is a smoothing spline on the sphere.  ``Δh + 2h`` is the sum of the principal radii of curvature; what is
+minimised is the misfit plus λ times the integral of ``((Δ + 2)² h)²``, and λ follows from the contacts by generalised
+cross-validation: harmonics of high degree are damped as far as the contacts do not determine them.
+
 Source: R. Schneider, *Convex Bodies: The Brunn-Minkowski Theory*, 1.7; the recurrences of the Racah-normalised solid
 harmonics and of their gradients are the standard ones, in Cartesian coordinates so that poles are ordinary points.
+G. Wahba, *Spline interpolation and smoothing on the sphere*, SIAM J. Sci. Stat. Comput. 2 (1981) 5-16, and *Spline Models for
+Observational Data*, SIAM 1990, chapter 4 (generalised cross-validation).
 """
 
 from __future__ import annotations
@@ -20,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array
@@ -54,6 +60,9 @@ _BLOCK = 1000
 # Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.  Larger, it would distort what the
 # contacts determine; smaller, coefficients that they hardly determine could grow.
 _RIDGE = 1e-11
+# Values of λ that are compared, and the factors by which they reach beyond those that damp the roughest and the smoothest
+# combination of harmonics by half.  More values hardly improve the best one.
+_DAMPINGS, _BEYOND = 100, 1e3
 
 
 @dataclass(frozen=True)
@@ -91,8 +100,8 @@ def fit_support(
     """Fit to contacts (n, 3) with rough outward normals (n, 3), by a harmonic series up to `degree`.
 
     sd
-        (n,) standard deviations of the contacts along their normals, by whose inverses they are weighted; equal weights by
-        default.
+        (n,) standard deviations of the contacts along their normals, by whose inverses they are weighted; the series is
+        smoothed as far as they make it uncertain.  By default the weights are equal, and nothing is smoothed.
     table
         height z of the plane on which the body stands, if it is known: no contact tells where the body ends there.
     """
@@ -105,7 +114,7 @@ def fit_support(
     coefficients = np.zeros((degree + 1) ** 2)
     for rounds_done in range(_ROUNDS):
         weight = _POSITION_WEIGHT[min(rounds_done, 1)]
-        normal_matrix, right = np.zeros((len(coefficients),) * 2), np.zeros(len(coefficients))
+        normal_matrix, right, square = np.zeros((len(coefficients),) * 2), np.zeros(len(coefficients)), 0.0
         for first in range(0, len(mapped), _BLOCK):
             part = slice(first, first + _BLOCK)
             value, gradient = harmonics(directions[part], degree)
@@ -116,19 +125,49 @@ def fit_support(
             if sd is not None:
                 rows *= np.tile(root[part], 3)
                 aims = [root[part] * aim for aim in aims]
+            aim = np.concatenate(aims)
             normal_matrix += rows @ rows.T
-            right += rows @ np.concatenate(aims)
+            right += rows @ aim
+            square += float(aim @ aim)
         if table is not None:
-            row, aim = _standing(center, shape, degree, table)
+            row, height = _standing(center, shape, degree, table)
             heavy = _TABLE_WEIGHT * np.trace(normal_matrix) / float(row @ row)
             normal_matrix += heavy * np.outer(row, row)
-            right += heavy * aim * row
+            right += heavy * height * row
+            square += heavy * height**2
         normal_matrix.flat[:: len(right) + 1] += _RIDGE * np.trace(normal_matrix) / len(right)
-        coefficients = cho_solve(cho_factor(normal_matrix), right)
+        if sd is None:
+            coefficients = cho_solve(cho_factor(normal_matrix), right)
+        else:
+            coefficients = _smoothed(normal_matrix, right, square, len(mapped), degree)
         fitted = SupportFit(degree, center, shape, coefficients, 0.0)
         directions = _follow(fitted._gradient, mapped, directions)
     off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
     return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
+
+
+def _smoothed(normal_matrix: Array, right: Array, square: float, number: int, degree: int) -> Array:
+    """Coefficients (c,) of the least squares of `number` contacts, smoothed by generalised cross-validation.
+
+    `normal_matrix` (c, c) and `right` (c,) are those of the weighted least squares, `square` is their constant term.
+    """
+    roughness, modes = eigh(np.diag(_roughness(degree)), normal_matrix)
+    roughness, along = np.maximum(roughness, 0.0), modes.T @ right
+    rough = roughness[roughness > _RIDGE * roughness[-1]]
+    damping = np.geomspace(1 / (_BEYOND * rough[-1]), _BEYOND / rough[0], _DAMPINGS)
+    kept = 1 / (1 + np.outer(damping, roughness))
+    misfit = square - ((2 - kept) * kept) @ along**2
+    best = np.argmin(misfit / (number - kept.sum(axis=1)) ** 2)
+    coefficients: Array = modes @ (kept[best] * along)
+    return coefficients
+
+
+def _roughness(degree: int) -> Array:
+    """Means (c,) of ``((Δ + 2)² h)²`` over the unit sphere for each harmonic; 0 for the constant one, which is only a size."""
+    degrees = np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+    first = np.isin(np.arange(len(degrees)), np.arange(degree + 1) ** 2)  # m = 0; those of m > 0 are half as large
+    means = ((degrees - 1.0) * (degrees + 2)) ** 4 / (2 * degrees + 1) * np.where(first, 1.0, 0.5)
+    return np.where(degrees > 0, means, 0.0)
 
 
 def _standing(center: Array, shape: Array, degree: int, table: float) -> tuple[Array, float]:
