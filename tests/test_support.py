@@ -180,3 +180,15 @@ def test_exact_contacts_are_not_smoothed_whatever_standard_deviations_are_stated
     plain, smoothed = (fit_support(points, corner, 8, sd) for sd in (None, np.full(3000, 0.3)))
     away = directions(500, seed=10)
     assert smoothed.points(away) == pytest.approx(plain.points(away), abs=1e-4)
+
+
+def test_noisy_contacts_whose_normals_are_wrong_at_first_leave_no_dent():
+    """As where slices give normals that are wrong by more than a right angle at one side of the body."""
+    points, normals = noisy(6000, 0.1, 5)
+    wrong = (normals[:, 0] > 0.5) & (np.arange(len(normals)) % 4 == 0)
+    rough = np.where(wrong[:, None], -normals + directions(6000, 6), normals)
+    rough /= np.linalg.norm(rough, axis=1)[:, None]
+    assert np.degrees(np.arccos((rough * normals).sum(axis=1)[wrong].min())) > 150
+    sd = np.full(len(points), 0.1)
+    found, best = (errors_of(fit_support(points, start, 8, sd)) for start in (rough, normals))
+    assert found < 1.3 * best

@@ -45,6 +45,9 @@ _ROUNDS = 3
 # directions have settled.  With less damping (a larger number) a step overshoots where the body is flatter than the ball;
 # with more, more steps are needed.
 _TURNS, _DAMPING = 3, 0.8
+# Steps of noisy contacts, whose normals may be wrong by more than a right angle at first.  Fewer leave some of them behind, and
+# a dent in the body where they lie.
+_NOISY_TURNS = 10
 # Weight of a contact's position along the surface relative to its distance from the surface, in the first round, where
 # normals are rough, and later.  Larger, errors of the position along the surface, which say little, distort the fit; smaller,
 # rough normals do.
@@ -141,7 +144,7 @@ def fit_support(
         else:
             coefficients = _smoothed(normal_matrix, right, square, len(mapped), degree)
         fitted = SupportFit(degree, center, shape, coefficients, 0.0)
-        directions = _follow(fitted._gradient, mapped, directions)
+        directions = _follow(fitted._gradient, mapped, directions, _TURNS if sd is None else _NOISY_TURNS)
     off = ((mapped - fitted._gradient(directions)) * directions).sum(axis=1)
     return SupportFit(degree, center, shape, coefficients, float(np.sqrt(np.mean(off**2))))
 
@@ -216,12 +219,12 @@ def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
     return value, gradient
 
 
-def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array) -> Array:
+def _follow(gradient: Callable[[Array], Array], points: Any, directions: Array, turns: int = _TURNS) -> Array:
     """Directions (n, 3) whose points on the fitted body lie below the given points (n, 3), improved from `directions`.
 
     Near the unit ball the offset of the points along the surface is the angle by which the direction must turn.
     """
-    for _ in range(_TURNS):
+    for _ in range(turns):
         offset = points - gradient(directions)
         offset -= (offset * directions).sum(axis=1, keepdims=True) * directions
         directions = unit(directions + _DAMPING * offset)
