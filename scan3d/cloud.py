@@ -9,10 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
 from scan3d.rigs import RigErrors
-from scan3d.shown import Shown
+from scan3d.shown import Rows, Shown
+from scan3d.units import unit_symbol
 
 # A contact's place is much less certain than most if its standard deviation is more than this many times the median, and than
 # this fraction of the rod's length.  Larger, surfaces are drawn to places outside the body; smaller, more of the body is left
@@ -64,7 +66,7 @@ class Tilt(NamedTuple):
         return Tilt(self.slope, factor * self.spread, factor * self.centre)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Cloud(Shown):
     """Contacts (n,) in the world, in the recording's unit, and the slices (s,) they lie in."""
 
@@ -184,6 +186,29 @@ class Cloud(Shown):
         selected = {name: column[rows] for name, column in columns.items() if column is not None}
         calibration = None if self.calibration is None else self.calibration.select(rows)
         return replace(self, **selected, calibration=calibration)
+
+    def summary(self) -> Rows:
+        """Counts, size and what was measured."""
+        tips, unit = int((self.phase == planar.Phase.TIP).sum()), unit_symbol(self.unit)
+        friction = self.friction[np.isfinite(self.friction)]
+        size = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
+        slices = ("slices", f"{len(np.unique(self.slice))} with contacts of {len(self.slice_height)}")
+        in_space = ("model", "spatial: the rod may leave the plane of its sweep")
+        rows: Rows = [
+            ("contacts", f"{len(self)}: {len(self) - tips} tangential, {tips} at the tip"),
+            in_space if self.model == "spatial" else slices,
+            ("sweeps", str(len(np.unique(self.sweep)))),
+            ("size", " × ".join(f"{extent:.4g}" for extent in size) + f" {unit}"),
+            ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
+        ]
+        if len(self):
+            rows.append(("force", f"{1e3 * self.force_N.min():.3g} to {1e3 * self.force_N.max():.3g} mN"))
+        if len(friction):
+            spread = f"{friction.min():.4g} to {friction.max():.4g}"
+            rows.append(("friction", f"{np.median(friction):.4g} (median; {spread})"))
+        if self.noise:
+            rows.append(("position noise", f"{self.noise:.2g} {unit} (standard deviation)"))
+        return rows
 
 
 _PER_CONTACT = (

@@ -12,11 +12,13 @@ from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare
 from scan3d.geometry.hull_distance import CONVEX_DEPTH
 from scan3d.geometry.triangles import areas, dot, halve
-from scan3d.shown import Shown
+from scan3d.shown import Rows, Shown, described
 
 if TYPE_CHECKING:
     import trimesh
 
+UNKNOWN_UNIT = "units of the meshes"
+"""What the unit of a comparison's lengths is called."""
 # Largest number of points per surface over which averages are taken.  More take longer; fewer make the averages less
 # accurate.
 SAMPLES = 20_000
@@ -28,7 +30,7 @@ AVERAGE_GAP = 0.05
 F_SCORE_RADIUS = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison(Shown):
     """Distances between a surface and a mesh, in the meshes' own unit unless said otherwise."""
 
@@ -54,6 +56,34 @@ class Comparison(Shown):
     normal_median_deg: float  #: angle between the faces' normals at nearest points, over the area as above
     normal_p95_deg: float
     volume_error: float  #: (surface - mesh) / mesh; NaN unless both are closed
+
+    def summary(self) -> Rows:
+        """The distances, also in % of the mesh's diagonal."""
+
+        def length(value: float) -> str:
+            return f"{value:.4g} ({self.percent_of_diagonal(value)})"
+
+        certainty = "exact" if self.exact else f"certified between {self.lower:.6g} and {self.upper:.6g}"
+        averages = f"{length(self.mean)}, RMS {length(self.rms)}, 95 % closer than {length(self.p95)}"
+        place = "({:.4g}, {:.4g}, {:.4g})".format(*(self.worst_point + 0.0))
+        error = self.volume_error
+        return [
+            ("Hausdorff distance", f"{length(self.hausdorff)}, {certainty}"),
+            ("surface to mesh", length(self.surface_to_mesh)),
+            ("mesh to surface", length(self.mesh_to_surface)),
+            ("worst at", f"{place}, on the {self.worst_on}"),
+            ("mean", averages),
+            ("Chamfer distance", f"{length(self.chamfer)}, F-score {self.f_score:.4f} at 1 % of the diagonal"),
+            ("normals differ by", f"{self.normal_median_deg:.3g}° (median), {self.normal_p95_deg:.3g}° (95 %)"),
+            ("volume error", f"{100 * error:+.3g} %" if np.isfinite(error) else "unknown: open"),
+        ]
+
+    def percent_of_diagonal(self, value: float) -> str:
+        """A distance in % of the mesh's diagonal."""
+        return f"{100 * value / self.diagonal:.2g} %"
+
+    def __repr__(self) -> str:
+        return described(f"Comparison (lengths in {UNKNOWN_UNIT}; in brackets, of the mesh's diagonal)", self.summary())
 
 
 def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:

@@ -22,12 +22,14 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Rod
-from scan3d.shown import Shown
-from scan3d.units import UNITS_M
+from scan3d.shown import Rows, Shown
+from scan3d.units import UNITS_M, unit_symbol
 
 # Largest error of a quaternion's length.  Larger, errors in a log would be taken for rounding; smaller, quaternions written
 # with three digits would be refused.
 _QUATERNION_TOLERANCE = 1e-3
+# Distinct normals of slices that a table lists: scans along the three axes have three.
+_MOST_NORMALS = 4
 # Standard deviations in N or N·m that are no numbers of a measurement.  Larger, their squares are no numbers of a computer.
 _LARGEST_NOISE = 1e60
 SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
@@ -59,7 +61,7 @@ def _shortened(values: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording(Shown):
     """A log of poses and wrenches with n samples.
 
@@ -164,6 +166,39 @@ class Recording(Shown):
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
         matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
         return matrices.swapaxes(1, 2)
+
+    def summary(self) -> Rows:
+        """Counts, rod, noise, and where the samples were taken, with the largest reactions."""
+        rod, unit = self.rod, self.unit
+        force, moment = np.linalg.norm(self.force_N, axis=1), np.abs(self.moment_Nm)
+        if self.six_axis:
+            force, moment = (np.linalg.norm(reaction, axis=1) for reaction in self.wrench())
+        return [
+            ("samples", f"{len(self)}, {(force > 0).sum()} with a force"),
+            ("sweeps", str(len(np.unique(self.sweep)))),
+            ("z axes of the clamp" if self.six_axis else "normals of the slices", _directions(self.axes()[:, 2])),
+            ("rod", f"{1e3 * rod.length_m:.4g} mm long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
+            ("largest reactions", f"{1e3 * force.max():.4g} mN, {1e6 * moment.max():.4g} mN mm"),
+            ("noise", self._noise()),
+            ("clamp from", _point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
+            ("to", _point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
+        ]
+
+    def _noise(self) -> str:
+        if not (self.noise_force_N or self.noise_moment_Nm):
+            return "none"
+        return f"{1e3 * self.noise_force_N:.2g} mN, {1e6 * self.noise_moment_Nm:.2g} mN mm (standard deviations)"
+
+
+def _directions(normals: Array) -> str:
+    """The distinct normals, the first few if there are many."""
+    distinct = np.unique(np.round(normals, 3) + 0.0, axis=0)
+    rest = f" and {len(distinct) - _MOST_NORMALS} more" if len(distinct) > _MOST_NORMALS else ""
+    return ", ".join("({:g}, {:g}, {:g})".format(*normal) for normal in distinct[:_MOST_NORMALS]) + rest
+
+
+def _point(values: Array, unit: str) -> str:
+    return "({:.4g}, {:.4g}, {:.4g}) ".format(*(values + 0.0)) + unit_symbol(unit)
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

@@ -32,7 +32,7 @@ _CAUSES = {
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Analysis:
     """Results from a recording: contacts, bounds, surface and certificate; with the truth, also the comparison with it."""
 
@@ -56,6 +56,9 @@ class Analysis:
     """Contradictions between the recording and the model; with any of them nothing is certified."""
     diagnosis: Diagnosis | None = None
     """The likeliest fault of a recording that contradicts the model; None without warnings."""
+
+    def __repr__(self) -> str:
+        return f"Analysis of {len(self.recording)} samples: {len(self.cloud)} contacts, {len(self.surface.faces)} faces"
 
 
 def report(

@@ -29,6 +29,7 @@ from scan3d.reconstruction.consistency import BELOW_TABLE
 from scan3d.reconstruction.planes import LEVEL
 from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
+from scan3d.shown import Described, Rows
 from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
 
 # Slices of the first batch, unless the settings say otherwise: as those with which adaptive spacing starts.
@@ -88,7 +89,7 @@ class _Known:
         return certificate(self.bounds, self.surface)
 
 
-class Session:
+class Session(Described):
     """Poses out, recordings in: the body that stands on z = 0 in the bounding body `around`.
 
     around
@@ -192,6 +193,19 @@ class Session:
     def relative_bound(self) -> float:
         """The certified bound, relative to the diagonal of the contacts' bounding box."""
         return self.certificate.bound / float(np.linalg.norm(np.ptp(self.cloud.points, axis=0)))
+
+    def summary(self) -> Rows:
+        """The plan, and what is known so far."""
+        plan, known = self.plan, self._recordings
+        rows = [
+            ("around", f"{plan.around} in {plan.unit}"),
+            ("model", plan.model),
+            ("tolerance", f"{self.tolerance:g}"),
+        ]
+        if not known:
+            return [*rows, ("recordings", "none yet: sweep the poses of ask(), and tell() their recording")]
+        bound = "nothing" if self.warnings else f"within {self.certificate.bound:.4g} {plan.unit}"
+        return [*rows, ("recordings", f"{len(known)} with {len(self.cloud)} contacts"), ("certified", bound)]
 
     @property
     def _known(self) -> _Known:

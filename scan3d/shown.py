@@ -1,4 +1,4 @@
-"""How results show themselves in a notebook."""
+"""How results show themselves: as text, and in a notebook."""
 
 from __future__ import annotations
 
@@ -8,8 +8,31 @@ from typing import TYPE_CHECKING, Any, cast
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+Rows = list[tuple[str, str]]
+"""Name and value of each quantity in a table."""
 
-class Shown:
+# Characters of a line, and those of the names in it.
+_WIDTH, _NAMES = 120, 21
+
+
+def described(title: str, rows: Rows) -> str:
+    """A table as text: the title, and below it a line of at most 120 characters for each row."""
+    lines = [title, *(f"  {name:{_NAMES}} {value}" for name, value in rows)]
+    return "\n".join(line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..." for line in lines)
+
+
+class Described:
+    """A result that prints itself as a short table."""
+
+    def summary(self) -> Rows:
+        """The rows that `print` shows, as pairs of name and value."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return described(type(self).__name__, self.summary())
+
+
+class Shown(Described):
     """A result that has a picture and a table in HTML.
 
     Both are made by `scan3d.pictures.notebook`, which is imported only when a picture or a table is asked for, because the

@@ -23,12 +23,13 @@ from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.shown import Described, Rows
 
 _PLACE, _TURN = ("x_mm", "y_mm", "z_mm"), ("turn_x_deg", "turn_y_deg", "turn_z_deg")
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Described):
     """A rig with its uncertainties, from `scan3d.calibrate` or from a file."""
 
     rod: Rod
@@ -76,6 +77,20 @@ class Calibration:
     """Numbers of rows, and how the tare was modelled."""
     map_frames: Mapping[str, Any] = field(default_factory=dict)
     """The sections `sensor` and `clamp` of the map with which the touches were imported: `scan3d.import_table` needs them."""
+
+    def summary(self) -> Rows:
+        """What was touched, the rod, the frames, and how well all is known."""
+        rod, well = self.rod, sum(self.well)
+        length, stiffness = f"{1e3 * rod.length_m:.5g} mm long", f"EI = {rod.bending_stiffness_Nm2:.5g} N m²"
+        return [
+            ("reference", ", ".join(f"{name} {_short(value)}" for name, value in self.reference.items())),
+            ("rod", f"{length}, {stiffness}"),
+            ("sensor", f"at {_short(1e3 * self.sensor_position_m)} mm, turned by {_short(self.sensor_euler_deg)}°"),
+            ("clamp", f"at {_short(1e3 * self.clamp_position_m)} mm, turned by {_short(self.clamp_euler_deg)}°"),
+            ("well determined", f"{well} of {len(self.well)} quantities"),
+            ("fit", f"chi² {self.chi2:.3g}, consistency {self.consistency:.3g}, {self.freedom} degrees of freedom"),
+            ("remarks", " ".join(self.sentences) or "none"),
+        ]
 
     @property
     def expanded(self) -> Array:
@@ -191,6 +206,14 @@ def of_fit(fitted: Fitted, recording: Recording) -> Calibration:
         },
         map_frames=_map_frames(recording),
     )
+
+
+def _short(value: Any) -> str:
+    """A number, numbers or text of a table."""
+    if isinstance(value, str):
+        return value
+    text = ", ".join(f"{number:.4g}" for number in np.ravel(value))
+    return f"({text})" if np.ndim(value) else text
 
 
 def _reference(reference: Reference, found: dict[str, float]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.comparison import Comparison
+from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.pictures.figures import FONT, REACTION_LABELS, SIX_REACTION_LABELS, blank_figure
 from scan3d.pictures.parts import evenly_chosen
 from scan3d.pictures.shading import INK, ROD, UNKNOWN
@@ -14,8 +14,6 @@ from scan3d.pictures.words import unit_symbol
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
-UNKNOWN_UNIT = "units of the meshes"
-"""What stands for the unit of a comparison, which its meshes do not state."""
 # Sweeps drawn at most: more curves merge into a grey area.
 _MOST_SWEEPS = 60
 # A certified upper bound more than this many times the value is drawn: a line that ends within the bar's edge is not seen.
@@ -85,7 +83,7 @@ def distances(comparison: Comparison) -> Any:
             axes.plot([value, upper, upper], [-k, -k, -k], color=INK, lw=1.2, marker="|", ms=7)
             end = upper
         axes.annotate(
-            f"{value:.3g} ({percent_of_diagonal(value, comparison)})", (end, -k), (6, 0), textcoords="offset points",
+            f"{value:.3g} ({comparison.percent_of_diagonal(value)})", (end, -k), (6, 0), textcoords="offset points",
             va="center", fontsize=FONT - 2,
         )  # fmt: skip
     axes.set_xlim(0, _ROOM * largest or 1.0)
@@ -96,8 +94,3 @@ def distances(comparison: Comparison) -> Any:
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_xlabel(f"distance in {UNKNOWN_UNIT} (of the mesh's diagonal)", fontsize=FONT - 1)
     return figure
-
-
-def percent_of_diagonal(value: float, comparison: Comparison) -> str:
-    """A distance in % of the mesh's diagonal."""
-    return f"{100 * value / comparison.diagonal:.2g} %"

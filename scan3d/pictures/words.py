@@ -10,11 +10,7 @@ import numpy as np
 import planar
 from scan3d.arrays import Array
 from scan3d.pictures.scene import Scene
-
-
-def unit_symbol(unit: str) -> str:
-    """The symbol of a unit of `scan3d.units` as it is printed."""
-    return unit.replace("um", "µm")
+from scan3d.units import unit_symbol as unit_symbol
 
 
 def out_of_plane_deg(bending_angle: Array) -> Array:

@@ -25,7 +25,7 @@ from scan3d.pictures.scene import Scene, columns
 from scan3d.reconstruction import reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, summary
-from scan3d.shown import Shown
+from scan3d.shown import Rows, Shown, described
 from scan3d.simulation.bodies import judge_mesh, load_mesh
 from scan3d.surfaces import Certificate
 
@@ -72,9 +72,13 @@ class _Result(Shown):
         heading, rows = summary(self.report)
         return notebook.scene_html(self._name(), [("", heading), *rows], self._scene())
 
+    def summary(self) -> Rows:
+        """The most important numbers of the report."""
+        return summary(self.report).rows
+
     def __repr__(self) -> str:
         heading, rows = summary(self.report)
-        return "\n".join([f"{self._name()}: {heading}", *(f"  {name:18} {value}" for name, value in rows)])
+        return described(f"{self._name()}: {heading}", rows)
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -11,11 +11,12 @@ from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.reconstruction.slices import SliceStack
+from scan3d.shown import Described, Rows
 from scan3d.surfaces.slabs import Gap
 
 
-@dataclass(frozen=True, kw_only=True)
-class Enclosure:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Enclosure(Described):
     """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
 
     inner: Any
@@ -60,8 +61,20 @@ class Enclosure:
         normals = ConvexHull(self.corners).equations[:, :3]
         return np.column_stack([normals, self.support(normals)[1]])
 
+    def summary(self) -> Rows:
+        """The bound with its parts, and the volume."""
+        parts = ", ".join(f"{name} {gap:.4g}" for name, gap in self.parts().items())
+        low, high = self.volume
+        return [
+            ("inner body", f"{len(self.inner.vertices)} vertices, {len(self.inner.faces)} faces"),
+            ("outer body", f"{len(self.corners)} corners"),
+            ("bound", f"{self.bound:.4g} with {100 * self.confidence:g} % confidence; parts: {parts}"),
+            ("margin", f"{self.margin:.4g}"),
+            ("volume", f"{low:.6g} to {high:.6g}"),
+        ]
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SliceEnclosure(Enclosure):
     """The enclosure by contacts in slices: the outer body consists of slabs between the slices.
 
@@ -107,3 +120,8 @@ class Certificate(NamedTuple):
     """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
     at_vertices: Array
     """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""
+
+    def __repr__(self) -> str:
+        known = self.at_vertices[np.isfinite(self.at_vertices)]
+        local = f"{known.min():.4g} to {known.max():.4g}" if len(known) else "unknown"
+        return f"Certificate(bound={self.bound:.6g}, at_vertices: {local} at {len(known)} of {len(self.at_vertices)})"

@@ -59,7 +59,7 @@ _NEAR = 8
 _ENTRIES = 4_000_000
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SpatialEnclosure(Enclosure):
     """The enclosure by contacts anywhere.
 

@@ -1,0 +1,106 @@
+"""What `print` shows of results: a few lines, with the numbers that the results hold."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from small_scans import CUBE
+
+import scan3d
+from scan3d.shown import described
+from scan3d.surfaces import Certificate
+from tests import rigs
+
+
+@pytest.fixture(scope="module")
+def result():
+    return scan3d.scan(CUBE, slices=4, sweeps=4, samples=8, method="hull")
+
+
+def everything(result):
+    session = scan3d.Session("cylinder:80x90")
+    return {
+        "recording": result.recording,
+        "cloud": result.cloud,
+        "surface": result.surface,
+        "certificate": result.certificate,
+        "comparison": result.comparison,
+        "bounds": result.analysis.bounds,
+        "analysis": result.analysis,
+        "scan": result,
+        "plan": scan3d.Plan(),
+        "rod": result.recording.rod,
+        "session": session,
+        "poses": session.ask(),
+    }
+
+
+def test_everything_prints_in_ten_lines_of_120_characters(result):
+    for name, thing in everything(result).items():
+        lines = repr(thing).splitlines()
+        assert 1 <= len(lines) <= 10, name
+        assert name == "plan" or max(map(len, lines)) <= 120, name
+
+
+def rows(thing):
+    title, *lines = repr(thing).splitlines()
+    return title, {line[2:23].strip(): line[24:] for line in lines}
+
+
+def test_the_rows_hold_the_numbers_of_the_results(result):
+    title, cloud = rows(result.cloud)
+    assert title == "Cloud"
+    assert cloud["contacts"].startswith(f"{len(result.cloud)}: ")
+    _, recording = rows(result.recording)
+    assert recording["samples"].startswith(f"{len(result.recording)}, ")
+    assert recording["noise"] == "none"
+    title, comparison = rows(result.comparison)
+    assert "units of the meshes" in title
+    assert comparison["Hausdorff distance"].startswith(f"{result.comparison.hausdorff:.4g} (")
+    _, bounds = rows(result.analysis.bounds)
+    assert bounds["bound"].startswith(f"{result.analysis.bounds.bound:.4g} with 100 % confidence; parts: slices ")
+    assert f"bound={result.certificate.bound:.6g}, " in repr(result.certificate)
+    title, scan = rows(result)
+    assert title.startswith("Scan of cube.stl: ")
+    assert dict(result.summary()) == scan
+
+
+def test_six_axes_noise_and_unknown_bounds(result):
+    noisy = dataclasses.replace(result.recording, noise_force_N=2e-6, unit="um")
+    assert rows(noisy)[1]["noise"] == "0.002 mN, 0 mN mm (standard deviations)"
+    assert rows(noisy)[1]["to"].endswith(") µm")
+    unknown = Certificate(np.inf, np.array([np.inf, np.inf]))
+    assert repr(unknown) == "Certificate(bound=inf, at_vertices: unknown at 0 of 2)"
+
+
+def test_a_session_says_what_it_knows(result):
+    session = scan3d.Session("cylinder:60x60", result.recording.rod)
+    assert rows(session)[1]["recordings"].startswith("none yet")
+    mesh = scan3d.load_mesh(CUBE)
+    mesh.apply_translation([0, 0, -mesh.bounds[0, 2]])
+    session.tell(scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=8, rod=result.recording.rod)))
+    known = rows(session)[1]
+    assert known["recordings"] == f"1 with {len(session.cloud)} contacts"
+    assert known["certified"] == f"within {session.certificate.bound:.4g} mm"
+
+
+def test_poses_of_no_known_rod_print(result):
+    poses = scan3d.Session("cylinder:80x90").ask()
+    known = rows(poses)[1]
+    assert known["poses"].startswith(f"{len(poses)} in {len(poses.sweeps())} sweeps, ")
+    assert rows(dataclasses.replace(poses, rod=None))[1]["rod"] == "not known"
+
+
+def test_a_calibration_prints_its_rod_and_its_remarks():
+    calibration = scan3d.calibrate(rigs.recorded(sweeps=8, samples=60), rigs.DIAMETER)
+    title, known = rows(calibration)
+    assert title == "Calibration"
+    assert f"{1e3 * calibration.rod.length_m:.5g} mm long" in known["rod"]
+    assert known["well determined"] == f"{sum(calibration.well)} of {len(calibration.well)} quantities"
+    assert len(repr(calibration).splitlines()) <= 10
+    assert max(map(len, repr(calibration).splitlines())) <= 120
+
+
+def test_long_lines_end_with_dots():
+    assert described("Title", [("name", "x" * 200)]).splitlines()[1].endswith("x...")
+    assert len(described("Title", [("name", "x" * 200)]).splitlines()[1]) == 120
