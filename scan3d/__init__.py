@@ -22,23 +22,21 @@ if TYPE_CHECKING:
 
     from scan3d.batches import Batch, batch
     from scan3d.cloud import Cloud
-    from scan3d.comparison import Comparison, compare
+    from scan3d.comparison import Comparison
     from scan3d.errors import InputError
     from scan3d.files.recordings import read_recording, write_recording
-    from scan3d.laboratory.calibration import calibrate
     from scan3d.laboratory.calibration_file import read_rig, write_rig
     from scan3d.laboratory.calibration_result import Calibration
     from scan3d.laboratory.importing import import_table
     from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
-    from scan3d.reconstruction import reconstruct
     from scan3d.recording import Recording
     from scan3d.rods import Rod
+    from scan3d.saving import StoredCloud, load, save
     from scan3d.scans import Scan, StoredScan, open, scan
     from scan3d.session import Session
     from scan3d.simulation.bodies import load_mesh
-    from scan3d.simulation.scan import simulate
-    from scan3d.surfaces.choice import surface
+    from scan3d.steps import calibrate, compare, reconstruct, simulate, surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
@@ -52,20 +50,23 @@ _HOME = {
     "Rod": "rods",
     "Scan": "scans",
     "Session": "session",
+    "StoredCloud": "saving",
     "StoredScan": "scans",
     "batch": "batches",
-    "calibrate": "laboratory.calibration",
-    "compare": "comparison",
+    "calibrate": "steps",
+    "compare": "steps",
     "import_table": "laboratory.importing",
+    "load": "saving",
     "load_mesh": "simulation.bodies",
     "open": "scans",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
     "read_rig": "laboratory.calibration_file",
-    "reconstruct": "reconstruction.models",
+    "reconstruct": "steps",
+    "save": "saving",
     "scan": "scans",
-    "simulate": "simulation.scan",
-    "surface": "surfaces.choice",
+    "simulate": "steps",
+    "surface": "steps",
     "write_recording": "files.recordings",
     "write_rig": "laboratory.calibration_file",
 }
@@ -81,17 +82,20 @@ __all__ = [
     "Rod",
     "Scan",
     "Session",
+    "StoredCloud",
     "StoredScan",
     "batch",
     "calibrate",
     "compare",
     "import_table",
+    "load",
     "load_mesh",
     "open",
     "plot",
     "read_recording",
     "read_rig",
     "reconstruct",
+    "save",
     "scan",
     "simulate",
     "surface",

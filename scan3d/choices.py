@@ -1,26 +1,41 @@
 """The allowed values of the settings that are chosen by name.
 
-Every list stands here and nowhere else.  The tuples are plain, so that ``scan3d --help`` does not need a numerical library.
+Every list stands here and nowhere else: as a type, by which a type checker knows the values, and as a tuple of the same.  No
+numerical library is imported, so that ``scan3d --help`` is quick.
 """
 
-MODELS = ("planar", "spatial")
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Model = Literal["planar", "spatial"]
+MODELS: tuple[str, ...] = get_args(Model)
 """Models of contact: the rod stays in its slice, or it bends where the contact force pushes it; the first is the default."""
-SPACINGS = ("cosine", "uniform", "adaptive")
+Spacing = Literal["cosine", "uniform", "adaptive"]
+SPACINGS: tuple[str, ...] = get_args(Spacing)
 """Rules for the heights of the slices."""
-STANDOFFS = ("follow", "fixed")
+Standoff = Literal["follow", "fixed"]
+STANDOFFS: tuple[str, ...] = get_args(Standoff)
 """Whether the base line follows each slice, or keeps clear of the widest slice."""
-METHODS = ("auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting")
+Method = Literal["auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting"]
+METHODS: tuple[str, ...] = get_args(Method)
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes
 to noisy contacts."""
-VIEWS = ("cloud", "surface", "bound", "compare", "explain")
+View = Literal["cloud", "surface", "bound", "compare", "explain"]
+VIEWS: tuple[str, ...] = get_args(View)
 """What a picture can show."""
-COLORS = ("phase", "force", "friction", "error", "bending")
+Color = Literal["phase", "force", "friction", "error", "bending"]
+COLORS: tuple[str, ...] = get_args(Color)
 """The quantities by which contacts can be coloured."""
-MOVIES = ("sweep", "growth")
+Movie = Literal["sweep", "growth"]
+MOVIES: tuple[str, ...] = get_args(Movie)
 """What a movie can show; the first is the default."""
-EXPORTS = ("surface", "cloud")
+Export = Literal["surface", "cloud"]
+EXPORTS: tuple[str, ...] = get_args(Export)
 """What can be exported of a scan; the first is the default where a file can contain either."""
-TARES = ("auto", "constant", "linear", "sweep")
+Tare = Literal["auto", "constant", "linear", "sweep"]
+TARES: tuple[str, ...] = get_args(Tare)
 """Models of what a sensor shows in the air; the first is the default."""
-SHELLS = ("bash", "zsh", "fish")
+Shell = Literal["bash", "zsh", "fish"]
+SHELLS: tuple[str, ...] = get_args(Shell)
 """Shells for which there is a completion script."""

@@ -13,7 +13,7 @@ import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
 from scan3d.rigs import RigErrors
-from scan3d.shown import Rows, Shown
+from scan3d.shown import Exported, Rows, Shown
 from scan3d.units import unit_symbol
 
 # A contact's place is much less certain than most if its standard deviation is more than this many times the median, and than
@@ -67,7 +67,7 @@ class Tilt(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Cloud(Shown):
+class Cloud(Shown, Exported):
     """Contacts (n,) in the world, in the recording's unit, and the slices (s,) they lie in."""
 
     points: Array

@@ -6,7 +6,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from scan3d.measurands import measurands
 from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
 from scan3d.surfaces import Certificate, Enclosure
+
+if TYPE_CHECKING:
+    import trimesh
 
 SCHEMA = 1
 # What the parts of an enclosure's bound are called in the error budget.
@@ -39,10 +42,10 @@ class Analysis:
     recording: Recording
     cloud: Cloud
     bounds: Enclosure
-    surface: Any
+    surface: trimesh.Trimesh
     """A `trimesh.Trimesh` in the cloud's unit; `metadata` has its `method` and the `reason` for it."""
     certificate: Certificate
-    truth: Any = None
+    truth: trimesh.Trimesh | None = None
     """The true body, a `trimesh.Trimesh`."""
     contact_error: Array | None = None
     """(n,) distance of the contacts from the truth."""

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
@@ -31,6 +32,9 @@ from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
+
+if TYPE_CHECKING:
+    import trimesh
 
 # Slices of the first batch, unless the settings say otherwise: as those with which adaptive spacing starts.
 _FIRST_SLICES = 8
@@ -78,9 +82,11 @@ class _Known:
         return enclosure(self.cloud)
 
     @cached_property
-    def surface(self) -> Any:
+    def surface(self) -> trimesh.Trimesh:
         known = replace(self.bounds, bound=np.inf) if self.warnings else self.bounds
-        return surface(self.cloud, bounds=known)
+        mesh: trimesh.Trimesh = surface(self.cloud, bounds=known)
+        mesh.units = self.cloud.unit
+        return mesh
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -108,7 +114,7 @@ class Session(Described):
         self,
         around: Envelope | str,
         rod: Rod | None = None,
-        model: str = "planar",
+        model: Model = "planar",
         *,
         tolerance: float = 0.0,
         seed: int = 0,
@@ -149,7 +155,9 @@ class Session(Described):
         Raises InputError for a recording with another rod, unit or table, or without the axes that the model needs.
         """
         if not isinstance(recording, Recording):
-            raise InputError(f"tell a scan3d.Recording, got {type(recording).__name__}")
+            raise InputError(
+                f"tell a scan3d.Recording, got {type(recording).__name__}; scan3d.read_recording reads a file"
+            )
         if self.plan.model == "spatial":
             recording.wrench()
         if recording.unit != self.plan.unit:
@@ -175,7 +183,7 @@ class Session(Described):
         return self._known.cloud
 
     @property
-    def surface(self) -> Any:
+    def surface(self) -> trimesh.Trimesh:
         """The surface, a `trimesh.Trimesh`."""
         return self._known.surface
 

@@ -10,10 +10,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan3d.choices import METHODS
+from scan3d.choices import METHODS, Method, Model, Spacing, Standoff
 from scan3d.errors import InputError
 from scan3d.files.reading import did_you_mean, read_toml, to_float
 from scan3d.rods import parse_rod
+from scan3d.units import Unit
 
 if TYPE_CHECKING:
     from scan3d.planning.plan import Plan
@@ -30,22 +31,22 @@ class UsageError(InputError):
 class Settings:
     """The settings of `scan3d scan`, in the types that a TOML file has."""
 
-    model: str = "planar"
+    model: Model = "planar"
     slices: int = 64
-    spacing: str = "cosine"
+    spacing: Spacing = "cosine"
     axis: str = "z"
     sweeps: str = "auto"
     samples: int = 64
     friction: str = "0.3"
     rod: str = "auto"
     clearance: float = 0.3
-    standoff: str = "follow"
+    standoff: Standoff = "follow"
     tolerance: float = 0.0
     accuracy: float = 0.0
     noise: float = 0.0
     seed: int = 0
-    unit: str = "mm"
-    method: str = "auto"
+    unit: Unit = "mm"
+    method: Method = "auto"
     hull: bool = False
 
     def __post_init__(self) -> None:

@@ -57,11 +57,13 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
         # a hull is only taken as proven where the recording agrees with the model
         known = replace(bounds, bound=np.inf) if warnings else bounds
         mesh = surface(cloud, method, bounds=known)
+        mesh.units = cloud.unit
     with clock("certificate"):
         if warnings:
             bounds, certified = withdrawn(bounds, mesh)
         else:
             certified = certificate(bounds, mesh)
+    mesh.vertex_attributes["bound"] = certified.at_vertices
     analysis = Analysis(
         recording,
         cloud,

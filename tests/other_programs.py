@@ -138,7 +138,7 @@ def understood(program, folder):
 
 
 def _right(program, folder, what, ending):
-    from scan3d.files.exports import read_shape
+    from scan3d.files.shapes import read_shape
 
     file = folder / "exported" / f"{what}{ending}.{program}.npz"
     if not file.exists():

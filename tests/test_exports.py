@@ -14,8 +14,9 @@ from other_programs import FORMATS, HERE, PROGRAMS
 
 from scan3d import InputError, workflow
 from scan3d.cli import main
-from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export, read_shape
+from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply, read_ply
+from scan3d.files.shapes import read_shape
 
 ROOT = Path(__file__).parents[1]
 

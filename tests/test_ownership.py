@@ -94,7 +94,10 @@ def test_a_result_replaces_only_what_the_program_wrote(folder, refused, capsys):
         before = tree(folder)
         with open(folder / name, "ab") as file:
             file.write(b"\n")
-        refused(scan, rf"{name} was not written by scan3d{since}.*; give --overwrite to replace it, or choose .* --out")
+        refused(
+            scan,
+            rf"{name} was not written by scan3d{since}.*; give --overwrite .* to replace it, or choose .* --out",
+        )
         if name in RECORDING_ONLY:
             # this run has no recording of its own, and leaves that of the user alone
             assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0

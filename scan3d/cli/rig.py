@@ -101,7 +101,7 @@ def further(arguments: Namespace) -> Outcome:
         raise UsageError(f"sweeps must be a whole number of at least 1, got {arguments.sweeps}")
     report = read_report(Path(arguments.folder))
     recording = read_recording(path)
-    model = report.get("model") or ("spatial" if recording.six_axis else "planar")
+    model: Any = report.get("model") or ("spatial" if recording.six_axis else "planar")
     stated = arguments.around or recording.source.get("around") or around_contacts(recording, model)
     try:
         body, limits = parse_envelope(str(stated)), _limits(arguments)

@@ -8,21 +8,20 @@ lists which program reads which format.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array
 from scan3d.choices import EXPORTS
 from scan3d.errors import InputError
 from scan3d.files.atomic import atomic, folder
 from scan3d.files.journal import locate
-from scan3d.files.ownership import check_belongs, check_file, read_report
-from scan3d.files.ply import ply, read_ply
+from scan3d.files.ownership import Inputs, check_belongs, check_file, read_report
+from scan3d.files.ply import ply
+from scan3d.files.shapes import FRAME, NORMAL, POINT, Shape, read_shape
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.units import UNITS_M
 
@@ -34,49 +33,11 @@ _ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
 # Formats whose coordinates are in float32.
 _SINGLE = (".stl", ".glb")
 
-_FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
-_POINT, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 # Scalars that have a unit: lengths are in the unit of the file, forces in newtons.
 _LENGTHS, _FORCES = ("quality", "bound", "place_sd"), ("force",)
 # The layout of binary STL: 80 bytes of header, then one row per triangle.
 _STL_HEADER = 80
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A cloud or a surface as in a PLY file written by scan3d."""
-
-    rows: NDArray[Any]
-    """(n,) structured: x, y, z, nx, ny, nz, then the scalars."""
-    faces: NDArray[np.int32] | None
-    """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
-    unit: str
-
-    @property
-    def what(self) -> str:
-        return "cloud" if self.faces is None else "surface"
-
-    @property
-    def points(self) -> Array:
-        """(n, 3)"""
-        return np.stack([self.rows[name] for name in _POINT], axis=1).astype(np.float64)
-
-    @property
-    def normals(self) -> NDArray[np.float32]:
-        """(n, 3), NaN where unknown."""
-        return np.stack([self.rows[name] for name in _NORMAL], axis=1)
-
-    @property
-    def scalars(self) -> dict[str, NDArray[Any]]:
-        """(n,) each, by name."""
-        names = self.rows.dtype.names or ()
-        return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in _POINT + _NORMAL}
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Comments for the file: what it contains, its unit and its frame."""
-        return f"scan3d {self.what}", f"unit {self.unit}", f"frame {_FRAME}"
 
 
 def export(source: str | Path, to: str | Path, what: str | None = None, *, overwrite: bool = False) -> dict[str, Any]:
@@ -95,15 +56,44 @@ def export(source: str | Path, to: str | Path, what: str | None = None, *, overw
     if shape.what not in contents:
         raise InputError(
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
-            f"{_listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
+            f"{listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
+        )
+    return write_shape(shape, to, {"source": source}, contents, overwrite=overwrite)
+
+
+def write_shape(
+    shape: Shape,
+    to: str | Path,
+    inputs: Inputs | None = None,
+    contents: Sequence[str] | None = None,
+    *,
+    overwrite: bool = False,
+    option: str = "--to",
+) -> dict[str, Any]:
+    """Write a cloud or a surface to a file, whose ending determines the format.
+
+    inputs, option
+        as in `files.ownership.check_file`.
+    contents
+        what may be written, of `EXPORTS`; by default what a file with this ending can contain.
+
+    Returns and raises as `export`.
+    """
+    to = Path(to)
+    ending = to.suffix.lower()
+    contents = _contents(ending, None) if contents is None else contents
+    if shape.what not in contents:
+        raise InputError(
+            f"a {shape.what} can't be written as {ending}, which holds a {contents[0]}; a {shape.what} can be written as "
+            f"{listed(_ENDINGS[shape.what])}"
         )
     if shape.faces is not None:
         shape = _readable(shape, ending)
     data = None if ending == ".vtp" else _WRITERS[ending](shape)
-    check_file(to, {"source": source}, overwrite, "--to", data)
-    with folder(to.parent, option="--to"), atomic(to, option="--to") as file:
+    check_file(to, inputs or {}, overwrite, option, data)
+    with folder(to.parent, option=option), atomic(to, option=option) as file:
         if data is None:
-            _write_vtp(shape, file)
+            to_polydata(shape).save(file)
         else:
             file.write_bytes(data)
     faces = 0 if shape.faces is None else len(shape.faces)
@@ -134,12 +124,12 @@ def _contents(ending: str, what: str | None) -> list[str]:
     if not contents:
         raise InputError(
             f"can't export to files {f'ending in {ending!r}' if ending else 'without an ending'}: a cloud can be written as "
-            f"{_listed(CLOUD_ENDINGS)}, a surface as {_listed(SURFACE_ENDINGS)}"
+            f"{listed(CLOUD_ENDINGS)}, a surface as {listed(SURFACE_ENDINGS)}"
         )
     if what is None:
         return contents
     if what not in contents:
-        raise InputError(f"{ending} cannot contain a {what}; a {what} can be written as {_listed(_ENDINGS[what])}")
+        raise InputError(f"{ending} cannot contain a {what}; a {what} can be written as {listed(_ENDINGS[what])}")
     return [what]
 
 
@@ -166,23 +156,6 @@ def _report(folder: Path) -> Mapping[str, Any]:
         return {}
 
 
-def read_shape(path: str | Path) -> Shape:
-    """Read a cloud or a surface from a PLY file written by scan3d.  Raises InputError for other files."""
-    rows, faces, comments = read_ply(path)
-    missing = [name for name in _POINT + _NORMAL if name not in (rows.dtype.names or ())]
-    if missing:
-        raise InputError(
-            f"{Path(path).name} is not a PLY file written by scan3d: its vertices lack {', '.join(missing)}"
-        )
-    units = [words[1] for words in (line.split() for line in comments) if words[:1] == ["unit"] and len(words) == 2]
-    if len(units) != 1 or units[0] not in UNITS_M:
-        raise InputError(
-            f"{Path(path).name} is not a PLY file written by scan3d: expected a comment such as 'unit mm', "
-            f"with one of {', '.join(UNITS_M)}"
-        )
-    return Shape(rows, faces, units[0])
-
-
 def _ply(shape: Shape) -> bytes:
     return ply(shape.rows, shape.faces, shape.remarks)
 
@@ -190,7 +163,7 @@ def _ply(shape: Shape) -> bytes:
 def _pcd(shape: Shape) -> bytes:
     """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
     names = shape.rows.dtype.names or ()
-    fields = [f"normal_{name[1:]}" if name in _NORMAL else name for name in names]
+    fields = [f"normal_{name[1:]}" if name in NORMAL else name for name in names]
     count = len(fields)
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -212,19 +185,19 @@ def _pcd(shape: Shape) -> bytes:
 
 
 def _xyz(shape: Shape) -> bytes:
-    return _lines(_columns(shape, _POINT), " ")
+    return _lines(_columns(shape, POINT), " ")
 
 
 def _xyzn(shape: Shape) -> bytes:
     _need_normals(
         shape, ".xyzn", "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which allow missing normals"
     )
-    return _lines(_columns(shape, _POINT + _NORMAL), " ")
+    return _lines(_columns(shape, POINT + NORMAL), " ")
 
 
 def _csv(shape: Shape) -> bytes:
     names = shape.rows.dtype.names or ()
-    units = dict.fromkeys(_POINT + _LENGTHS, f"_{shape.unit}") | dict.fromkeys(_FORCES, "_N")
+    units = dict.fromkeys(POINT + _LENGTHS, f"_{shape.unit}") | dict.fromkeys(_FORCES, "_N")
     header = ",".join(name + units.get(name, "") for name in names)
     return f"{header}\n".encode() + _lines(_columns(shape, names), ",")
 
@@ -252,8 +225,8 @@ def _obj(shape: Shape) -> bytes:
     return b"".join(
         [
             remarks,
-            _lines(_columns(shape, _POINT), " ", "v "),
-            _lines(_columns(shape, _NORMAL), " ", "vn "),
+            _lines(_columns(shape, POINT), " ", "v "),
+            _lines(_columns(shape, NORMAL), " ", "vn "),
             "".join(faces).encode(),
         ]
     )
@@ -281,7 +254,7 @@ def _glb(shape: Shape) -> bytes:
         "unit": "m",
         "unit_of_recording": shape.unit,
         "metres_per_unit_of_recording": scale,
-        "frame": f"{_FRAME}; axes not turned to glTF's y up",
+        "frame": f"{FRAME}; axes not turned to glTF's y up",
     }
 
     def add_extras(tree: dict[str, Any]) -> None:
@@ -290,8 +263,8 @@ def _glb(shape: Shape) -> bytes:
     return bytes(export_glb(Scene({"surface": mesh}), include_normals=True, tree_postprocessor=add_extras))
 
 
-def _write_vtp(shape: Shape, file: Path) -> None:
-    """VTK's XML format of polygons: every column in its own precision, unit and frame as field data."""
+def to_polydata(shape: Shape) -> Any:
+    """A `pyvista.PolyData` with every column in its own precision, unit and frame as field data."""
     import pyvista
 
     if shape.faces is None:
@@ -304,8 +277,8 @@ def _write_vtp(shape: Shape, file: Path) -> None:
         data.point_data[name] = column
     data.set_active_scalars(None)
     data.field_data["unit"] = [shape.unit]
-    data.field_data["frame"] = [_FRAME]
-    data.save(file)
+    data.field_data["frame"] = [FRAME]
+    return data
 
 
 _WRITERS = {
@@ -337,5 +310,6 @@ def _need_normals(shape: Shape, ending: str, instead: str) -> None:
         raise InputError(f"{missing} of {len(normals)} points have no normal, which {ending} requires; {instead}")
 
 
-def _listed(endings: tuple[str, ...]) -> str:
+def listed(endings: tuple[str, ...]) -> str:
+    """The endings in a sentence: ``.a, .b or .c``."""
     return f"{', '.join(endings[:-1])} or {endings[-1]}"

@@ -38,7 +38,7 @@ BATCH = Kind("batch.json", ("summary.csv", "summary.parquet", "index.html", "bat
 Inputs = Mapping[str, str | Path | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""
 
-_ASK = "give --overwrite to replace it, or choose another place with"
+_ASK = "give --overwrite (overwrite=True) to replace it, or choose another place with"
 # Bytes at the beginning and at the end of a file in which its mark is looked for: headers are shorter.
 _LOOKED_AT = 1 << 12
 _UNIT = "|".join(UNITS_M)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scan3d.choices import Color, View
 from scan3d.cloud import Cloud
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
@@ -21,9 +22,10 @@ from scan3d.pictures.figures import quiet
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.recording import Recording
 from scan3d.shown import Rows
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, Unit, unit_of
 
 if TYPE_CHECKING:
+    import trimesh
     from PIL.Image import Image
 
 # Pictures in tables are reduced by this factor, to 700 pixels: the width of a notebook's column.
@@ -31,12 +33,12 @@ _REDUCTION = 2
 
 
 def plot(
-    what: Any,
-    truth: Any = None,
+    what: Recording | Cloud | trimesh.Trimesh | Comparison,
+    truth: trimesh.Trimesh | None = None,
     *,
-    view: str | None = None,
-    color: str | None = None,
-    unit: str = "mm",
+    view: View | None = None,
+    color: Color | None = None,
+    unit: Unit | None = None,
 ) -> Image:
     """A picture, drawn off screen, of a recording, a cloud, a surface (`trimesh.Trimesh`) or a comparison.
 
@@ -49,7 +51,7 @@ def plot(
     color
         what contacts are coloured by, one of `scan3d.choices.COLORS`; by default 'force'.
     unit
-        of a surface, which does not state its unit.
+        of a surface; by default that which the surface states (`Trimesh.units`), or mm.
 
     Returns a `PIL.Image.Image`, which notebooks show and `.save("FILE.png")` writes.  Raises InputError for other results and
     views, and where nothing can be rendered, which reactions and comparisons do not need.
@@ -64,12 +66,13 @@ def plot(
         raise InputError(
             f"truth must be a trimesh.Trimesh, such as `scan3d.load_mesh` gives, got a {type(truth).__name__}"
         )
-    if unit not in UNITS_M:
+    if unit not in (None, *UNITS_M):
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
     if isinstance(what, Recording | Cloud):
         return scene_image(_scene(what, truth), view or "cloud", color or "force")
     if isinstance(what, trimesh.Trimesh):
-        return scene_image(Scene("the surface", unit, surface=what, truth=truth), view or "surface", color or "force")
+        scene = Scene("the surface", unit_of(what, unit), surface=what, truth=truth)
+        return scene_image(scene, view or "surface", color or "force")
     raise InputError(
         f"only a recording, a cloud, a surface (trimesh.Trimesh) or a comparison can be plotted, got a {type(what).__name__}"
     )

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import Array
-from scan3d.choices import MODELS, SPACINGS, STANDOFFS
+from scan3d.choices import MODELS, SPACINGS, STANDOFFS, Model, Spacing, Standoff
 from scan3d.errors import InputError
 from scan3d.rods import Rod
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, Unit
 
 LARGEST_FRICTION = 100.0
 """Largest coefficient of friction.  No materials come near it, and beyond it steep forces lose their digits."""
@@ -27,41 +27,61 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings of a simulated scan.  Raises InputError for values out of their range."""
+    """Settings of a simulated scan.
 
-    model: str = "planar"
-    """Model of contact: 'planar', the rod stays in its slice, or 'spatial', a round rod bends where the contact pushes it."""
+    model
+        model of contact: ``planar``, the rod stays in its slice, or ``spatial``, a round rod bends where the contact pushes it.
+    slices
+        number of slices along each axis; with adaptive spacing empty slices count.  In the spatial model there are no slices,
+        and 0.6 times as many sweeps from each of twelve directions.
+    spacing
+        heights of the slices: ``cosine`` (dense at the ends), ``uniform``, or ``adaptive`` (where the contacts so far leave
+        most room for the body).
+    tolerance
+        adaptive spacing stops when the certified bound, relative to the diagonal of the contacts' bounding box, is this small.
+    axis
+        normal of the slices: ``"x"``, ``"y"``, ``"z"``, several such as ``"xyz"``, or a vector of three numbers.
+    sweeps
+        sweeps per slice, evenly spaced around it, or in the spatial model per direction; None: as many as the body needs.
+    samples
+        samples per sweep, from touch-down to the sweep's end.
+    friction
+        coefficient of friction, or the range ``(low, high)`` from which every sample draws its own; dimensionless.
+    clearance
+        distance of the base line from the slice, in rod lengths.
+    standoff
+        ``follow``: the base line keeps its distance from every slice; ``fixed``: from the outline of the whole body.
+    rod
+        a `scan3d.Rod`, in SI units; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the
+        body.
+    accuracy
+        largest change of contacts, in rod lengths, and of reactions that the spatial model leaves where the steps of its
+        sweeps are halved; sweeps with friction take as many steps as that needs.  0: one step from sample to sample.
+    noise
+        standard deviation of force and moment, in EI/L² and EI/L.
+    seed
+        seed of the random friction and noise.
+    unit
+        unit of the mesh's coordinates: ``m``, ``cm``, ``mm``, ``um`` or ``in``.
+
+    Raises InputError for values out of their range.
+    """
+
+    model: Model = "planar"
     slices: int = 64
-    """Number of slices along each axis; with adaptive spacing empty slices count.  In the spatial model there are no slices,
-    and 0.6 times as many sweeps from each of twelve directions."""
-    spacing: str = "cosine"
-    """Heights of the slices: 'cosine' (dense at the ends), 'uniform', or 'adaptive' (where the contacts so far leave most
-    room for the body)."""
+    spacing: Spacing = "cosine"
     tolerance: float = 0.0
-    """Adaptive spacing stops when the certified bound, relative to the contacts' bounding-box diagonal, is this small."""
     axis: str | Sequence[float] = "z"
-    """Normal of the slices: 'x', 'y', 'z', several such as 'xyz', or a vector."""
     sweeps: int | None = None
-    """Sweeps per slice, evenly spaced around it, or in the spatial model per direction; None: as many as the body needs."""
     samples: int = 64
-    """Samples per sweep, from touch-down to the sweep's end."""
     friction: float | tuple[float, float] = 0.3
-    """Coefficient of friction, or the range from which every sample draws its own."""
     clearance: float = 0.3
-    """Distance of the base line from the slice, in rod lengths."""
-    standoff: str = "follow"
-    """The base line keeps its distance from every slice ('follow'), or from the outline of the whole body ('fixed')."""
+    standoff: Standoff = "follow"
     rod: Rod | None = None
-    """The rod; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the body."""
     accuracy: float = 0.0
-    """Largest change of contacts, in rod lengths, and of reactions that the spatial model leaves where the steps of its sweeps
-    are halved; sweeps with friction take as many steps as that needs.  0: one step from sample to sample."""
     noise: float = 0.0
-    """Standard deviation of force and moment, in EI/L² and EI/L."""
     seed: int = 0
-    """Seed of the random friction and noise."""
-    unit: str = "mm"
-    """Unit of the mesh's coordinates."""
+    unit: Unit = "mm"
 
     def __post_init__(self) -> None:
         for name, minimum in (("slices", 1), ("samples", 2), ("seed", 0)):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scan3d import workflow
+from scan3d.choices import Color, View
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError
@@ -50,12 +51,18 @@ class _Result(Shown):
         file = (self.report.get("mesh") or {}).get("file")
         return f"Scan of {file}" if file else "Scan"
 
-    def plot(self, truth: Any = None, *, view: str = "surface", color: str = "force") -> Image:  # type: ignore[override]
+    def plot(  # type: ignore[override]
+        self,
+        truth: trimesh.Trimesh | str | os.PathLike[str] | None = None,
+        *,
+        view: View = "surface",
+        color: Color = "force",
+    ) -> Image:
         """A picture, drawn off screen.
 
         truth
-            the true body, a `trimesh.Trimesh`, where it is not known: that of a folder is known if the mesh file lies in it,
-            beside it, or in the current folder.
+            the true body, a `trimesh.Trimesh` or the path of its mesh, where it is not known: that of a folder is known if the
+            mesh file lies in it, beside it, or in the current folder.
         view
             one of `scan3d.choices.VIEWS`.
         color
@@ -65,7 +72,9 @@ class _Result(Shown):
         """
         scene = self._scene()
         if truth is not None:
-            scene = dataclasses.replace(scene, truth=judge_mesh(truth, hull=True))
+            is_path = isinstance(truth, (str, os.PathLike))
+            body = load_mesh(truth, hull=True) if is_path else judge_mesh(truth, hull=True)
+            scene = dataclasses.replace(scene, truth=body)
         return notebook.scene_image(scene, view, color)
 
     def _repr_html_(self) -> str:
@@ -181,6 +190,9 @@ class StoredScan(_Result):
         if mesh is None:
             raise InputError(f"{self.folder} has no surface.ply; run the scan again")
         known = self.report.get("surface") or {}
+        mesh.units = self._files.unit
+        if self._files.bound is not None:
+            mesh.vertex_attributes["bound"] = np.asarray(self._files.bound, dtype=float)
         mesh.metadata.update({name: known.get(name) for name in ("method", "reason")})
         return mesh
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,15 @@ from scan3d.reconstruction.slices import SliceStack
 from scan3d.shown import Described, Rows
 from scan3d.surfaces.slabs import Gap
 
+if TYPE_CHECKING:
+    import trimesh
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Enclosure(Described):
     """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
 
-    inner: Any
+    inner: trimesh.Trimesh
     """The inner body, a `trimesh.Trimesh`."""
     corners: Array
     """(w, 3) corners of the outer body."""

@@ -1,0 +1,97 @@
+"""The steps of a scan as `scan3d` offers them: meshes and recordings may be given as the paths of their files.
+
+The functions that do the work know nothing of files.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from scan3d import comparison
+from scan3d.choices import Method, Model
+from scan3d.comparison import Comparison
+from scan3d.files.recordings import read_recording
+from scan3d.laboratory import calibration
+from scan3d.laboratory.calibration_reference import Flat
+from scan3d.laboratory.calibration_result import Calibration
+from scan3d.planning import Plan
+from scan3d.reconstruction import models
+from scan3d.recording import Recording
+from scan3d.simulation import scan
+from scan3d.simulation.bodies import load_mesh, read_mesh
+from scan3d.surfaces import choice
+from scan3d.units import Unit
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from scan3d.cloud import Cloud
+    from scan3d.surfaces import Enclosure, Tuning
+
+_Path = str | os.PathLike[str]
+_Step = TypeVar("_Step", bound=Callable[..., Any])
+
+
+def _recording(given: Recording | _Path) -> Recording:
+    return read_recording(Path(given)) if isinstance(given, (str, os.PathLike)) else given
+
+
+def _described_by(inner: Callable[..., Any], further: str) -> Callable[[_Step], _Step]:
+    """Gives a step the description of the function that does its work, and a further sentence."""
+
+    def describe(step: _Step) -> _Step:
+        step.__doc__ = f"{inner.__doc__}\n    {further}\n"
+        return step
+
+    return describe
+
+
+@_described_by(scan.simulate, "The mesh may be given as the path of its file, which is read by `scan3d.load_mesh`.")
+def simulate(
+    mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: scan.Progress | None = None
+) -> Recording:
+    return scan.simulate(load_mesh(mesh) if isinstance(mesh, (str, os.PathLike)) else mesh, plan, progress)
+
+
+@_described_by(models.reconstruct, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
+def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
+    return models.reconstruct(_recording(recording), method, model)
+
+
+@_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")
+def surface(
+    cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None = None, tuning: Tuning | None = None
+) -> trimesh.Trimesh:
+    mesh: trimesh.Trimesh = choice.surface(cloud, method, bounds=bounds, tuning=tuning)
+    mesh.units = cloud.unit
+    return mesh
+
+
+@_described_by(
+    comparison.compare, "Either may be given as the path of a mesh file, whose triangles are taken as they are."
+)
+def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> Comparison:
+    first, second = (read_mesh(given) if isinstance(given, (str, os.PathLike)) else given for given in (surface, mesh))
+    return comparison.compare(first, second)
+
+
+@_described_by(
+    calibration.calibrate, "The recording, and the mesh of a reference, may be given as the paths of their files."
+)
+def calibrate(
+    recording: Recording | _Path,
+    reference: float | str | os.PathLike[str] | trimesh.Trimesh | None = None,
+    *,
+    sphere: float | None = None,
+    unit: Unit = "mm",
+    tare: str = "auto",
+    pose_noise_m: float | None = None,
+) -> Calibration:
+    is_mesh_file = isinstance(reference, (str, os.PathLike)) and reference != Flat.kind
+    touched: Any = load_mesh(reference) if is_mesh_file else reference  # type: ignore[arg-type]
+    return calibration.calibrate(
+        _recording(recording), touched, sphere=sphere, unit=unit, tare=tare, pose_noise_m=pose_noise_m
+    )

@@ -1,0 +1,198 @@
+"""`scan3d.save`, `scan3d.load` and the tables for other libraries, against the scan that they were made of.
+
+Files in float64 give the same bits back; PCD and binary STL hold float32, whose rounding is 6e-8 of a number.
+"""
+
+import sys
+
+import numpy as np
+import pytest
+import pyvista
+import trimesh
+from small_scans import CUBE, EGG
+
+import scan3d
+from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.geometry.distance import distances
+from scan3d.pictures import rendering
+
+SINGLE = 1e-6  # of a body of 40 mm: float32 has 6e-8 of that
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("scan") / "out"
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendering, "can_render", lambda: False)
+        return scan3d.scan(CUBE, folder, slices=6, sweeps=4, samples=16, method="hull", friction=(0.1, 0.4))
+
+
+@pytest.mark.parametrize("ending", CLOUD_ENDINGS)
+def test_a_cloud_comes_back(result, tmp_path, ending):
+    path, cloud = tmp_path / f"cloud{ending}", result.cloud
+    if ending == ".xyzn":  # which has no place for an unknown normal
+        cloud = cloud.select(np.isfinite(cloud.normals).all(axis=1))
+    cloud.save(path, truth=CUBE)
+    back = scan3d.load(path)
+    assert isinstance(back, scan3d.StoredCloud)
+    assert (len(back), back.unit) == (len(cloud), "mm")
+    tolerance = SINGLE * 40 if ending == ".pcd" else 0
+    assert np.abs(back.points - cloud.points).max() <= tolerance
+    if ending == ".xyz":
+        assert np.isnan(back.normals).all()
+    else:
+        assert np.allclose(back.normals, cloud.normals, atol=1e-6, equal_nan=True)
+    if ending in (".xyz", ".xyzn"):
+        assert not back.columns
+    else:
+        assert np.array_equal(back.columns["row"], cloud.row)
+        assert np.allclose(back.columns["friction"], cloud.friction, rtol=1e-6, equal_nan=True)
+        assert np.allclose(back.columns["quality"], distances(cloud.points, result.analysis.truth), atol=SINGLE * 40)
+    # and what was loaded is saved in the same way
+    back.save(tmp_path / f"again{ending}")
+    assert np.array_equal(scan3d.load(tmp_path / f"again{ending}").points, back.points)
+    if ending not in (".csv", ".pcd"):
+        assert (tmp_path / f"again{ending}").read_bytes() == path.read_bytes()
+    assert repr(back).startswith("StoredCloud\n  contacts ")
+    assert len(repr(back).splitlines()) <= 10
+
+
+@pytest.mark.parametrize("ending", SURFACE_ENDINGS)
+def test_a_surface_is_saved_as_the_command_exports_it(result, folder, tmp_path, ending):
+    saved, exported = tmp_path / f"saved{ending}", tmp_path / f"exported{ending}"
+    scan3d.save(result.surface, saved)
+    export(folder, exported)
+    assert saved.read_bytes() == exported.read_bytes()
+    back = scan3d.load(saved)
+    assert isinstance(back, trimesh.Trimesh)
+    assert back.is_watertight
+    scale = {".glb": 1e3}.get(ending, 1)  # GLB is in metres
+    assert back.units == ("m" if ending == ".glb" else "mm")
+    assert scan3d.compare(trimesh.Trimesh(scale * back.vertices, back.faces), result.surface).hausdorff < SINGLE * 40
+    if ending in (".ply", ".vtp"):
+        assert np.allclose(back.vertex_attributes["bound"], result.certificate.at_vertices, rtol=1e-6)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_recording_comes_back(result, tmp_path, ending):
+    if ending == ".parquet":
+        pytest.importorskip("pyarrow")
+    scan3d.save(result.recording, tmp_path / f"log{ending}")
+    back = scan3d.load(tmp_path / f"log{ending}")
+    assert np.array_equal(back.position_m, result.recording.position_m)
+    assert back.rod.bending_stiffness_Nm2 == result.recording.rod.bending_stiffness_Nm2
+
+
+def test_units_of_surfaces_and_points(result, tmp_path):
+    inches = result.surface.copy()
+    inches.units = "in"
+    scan3d.save(inches, tmp_path / "a.stl")
+    assert scan3d.load(tmp_path / "a.stl").units == "in"
+    scan3d.save(inches, tmp_path / "b.stl", unit="cm")
+    assert scan3d.load(tmp_path / "b.stl").units == "cm"
+    result.cloud.save(tmp_path / "a.xyz")
+    assert scan3d.load(tmp_path / "a.xyz", unit="um").unit == "um"
+    assert scan3d.load(CUBE).units is None
+    assert scan3d.load(CUBE, unit="in").units == "in"
+
+
+def test_pandas_has_the_columns_of_the_cloud(result):
+    table = result.cloud.to_pandas(CUBE)
+    assert len(table) == len(result.cloud)
+    assert np.array_equal(table[["x", "y", "z"]].to_numpy(), result.cloud.points)
+    assert np.array_equal(table["force"], result.cloud.force_N)
+    assert table["quality"].max() < 1e-9
+    assert result.cloud.to_pandas()["quality"].isna().all()
+
+
+def test_pyvista_has_normals_friction_and_deviations(result):
+    data = result.cloud.to_pyvista(result.analysis.truth)
+    assert np.array_equal(data.points, result.cloud.points)
+    assert np.allclose(data["Normals"], result.cloud.normals, atol=1e-6, equal_nan=True)
+    assert {"friction", "force", "quality", "phase"} <= set(data.point_data.keys())
+    surface = scan3d.saving.to_pyvista(result.surface, CUBE)
+    assert surface.n_cells == len(result.surface.faces)
+    assert np.allclose(surface["quality"], distances(result.surface.vertices, result.analysis.truth))
+    assert np.allclose(surface["bound"], result.certificate.at_vertices, rtol=1e-6)
+
+
+@pytest.mark.open3d
+def test_open3d_has_normals_friction_and_deviations(result):
+    cloud = result.cloud.to_open3d(CUBE)
+    assert np.array_equal(cloud.point["positions"].numpy(), result.cloud.points)
+    assert np.allclose(cloud.point["normals"].numpy(), result.cloud.normals, atol=1e-6, equal_nan=True)
+    assert cloud.point["friction"].numpy().shape == (len(result.cloud), 1)
+    assert cloud.point["quality"].numpy().max() < 1e-9
+    mesh = scan3d.saving.to_open3d(result.surface)
+    assert np.array_equal(mesh.triangle["indices"].numpy(), result.surface.faces)
+
+
+@pytest.mark.parametrize("library", ["pandas", "open3d"])
+def test_a_missing_library_is_named(result, monkeypatch, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(scan3d.InputError, match=rf"to_{library} needs {library}, which can't be imported"):
+        getattr(result.cloud, f"to_{library}")()
+
+
+def test_what_can_not_be_saved(result, tmp_path):
+    (tmp_path / "mine.ply").write_text("mine", encoding="utf-8")
+    metres = result.surface.copy()
+    metres.units = "furlong"
+    wrong = [
+        ((3, "a.ply"), r"only a recording, a cloud or a surface \(trimesh.Trimesh\) can be saved, got a int"),
+        ((result.cloud, "a.txt"), r"can't export to files ending in '\.txt'"),
+        ((result.cloud, "a.stl"), r"a cloud can't be written as \.stl, which holds a surface"),
+        ((result.surface, "a.csv"), r"a surface can't be written as \.csv, which holds a cloud"),
+        ((result.recording, "a.ply"), r"a recording is written as \.csv or \.parquet"),
+        ((result.cloud, "mine.ply"), r"can't be recognised as written by scan3d; give .*\(overwrite=True\)"),
+        ((metres, "a.ply"), r"the surface is in 'furlong'; give its unit as one of m, cm"),
+    ]
+    for (what, name), sentence in wrong:
+        with pytest.raises(scan3d.InputError, match=sentence):
+            scan3d.save(what, tmp_path / name)
+    with pytest.raises(scan3d.InputError, match="unit must be one of m, cm, mm, um, in, got 'ell'"):
+        scan3d.save(result.surface, tmp_path / "a.ply", unit="ell")
+    result.cloud.save(tmp_path / "mine.ply", overwrite=True)
+    assert len(scan3d.load(tmp_path / "mine.ply")) == len(result.cloud)
+    # a recording of another origin is not replaced
+    scan3d.save(result.recording, tmp_path / "log.csv")
+    toml = tmp_path / "log.toml"
+    toml.write_text(toml.read_text(encoding="utf-8").replace('"simulation"', '"import"'), encoding="utf-8")
+    with pytest.raises(scan3d.InputError, match=r"log\.csv is not a recording that scan3d has simulated"):
+        scan3d.save(result.recording, tmp_path / "log.csv")
+
+
+def test_what_can_not_be_loaded(result, tmp_path):
+    files = {
+        "a.txt": ("", r"can't load a\.txt: expected a file ending in \.csv, .* or \.xyzn"),
+        "a.pcd": ("VERSION 0.7\n", r"a\.pcd is not a \.pcd file as scan3d writes it: its header has no unit"),
+        "a.xyz": ("1 2\n", r"a\.xyz is not a \.xyz file .*: it has 2 numbers in a line"),
+        "b.xyz": ("1 2 x\n", r"b\.xyz is not a \.xyz file"),
+        "a.csv": ("x_ell,y\n1,2\n", r"a\.csv is not a \.csv file .*: its header begins with 'x_ell'"),
+        "a.ply": ("ply\n", r"a\.ply can't be read as PLY|a\.ply is cut off"),
+    }
+    for name, (text, sentence) in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        with pytest.raises(scan3d.InputError, match=sentence):
+            scan3d.load(tmp_path / name)
+    with pytest.raises(
+        scan3d.InputError, match=r"there is no file .*; give a recording, .* and a folder to scan3d.open"
+    ):
+        scan3d.load(tmp_path)
+    with pytest.raises(scan3d.InputError, match="unit must be one of m, cm, mm, um, in, got 'ell'"):
+        scan3d.load(CUBE, unit="ell")
+    for thing, name in ((result.surface, "s.stl"), (result.cloud, "c.pcd")):
+        scan3d.save(thing, tmp_path / name)
+        with pytest.raises(scan3d.InputError, match=f"{name} is in mm, as it states itself, and not in in"):
+            scan3d.load(tmp_path / name, unit="in")
+    pyvista.PolyData(np.zeros((3, 3))).save(tmp_path / "a.vtp")
+    with pytest.raises(scan3d.InputError, match=r"a\.vtp is not a \.vtp file as scan3d writes it: it states no unit"):
+        scan3d.load(tmp_path / "a.vtp")
+
+
+def test_other_meshes_are_loaded_as_they_are():
+    assert len(scan3d.load(EGG).faces) == len(scan3d.load_mesh(EGG).faces)

@@ -1,0 +1,168 @@
+"""The public steps take paths where they take meshes and recordings, and give what they give for what was read."""
+
+import inspect
+import typing
+
+import numpy as np
+import pytest
+from small_scans import CUBE
+
+import scan3d
+from scan3d import choices, units
+from tests import rigs
+
+PLAN = scan3d.Plan(slices=4, sweeps=4, samples=8)
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return scan3d.load_mesh(CUBE)
+
+
+@pytest.fixture(scope="module")
+def recording(mesh):
+    return scan3d.simulate(mesh, PLAN)
+
+
+def test_meshes_may_be_paths(mesh, recording):
+    for path in (CUBE, str(CUBE)):
+        simulated = scan3d.simulate(path, PLAN)
+        assert np.array_equal(simulated.force_N, recording.force_N)
+        assert scan3d.compare(path, mesh).hausdorff == 0
+        assert scan3d.compare(mesh, path).hausdorff == 0
+
+
+def test_recordings_may_be_paths(recording, tmp_path):
+    scan3d.write_recording(recording, tmp_path / "log.csv")
+    points = scan3d.reconstruct(recording).points
+    for path in (tmp_path / "log.csv", str(tmp_path / "log.csv")):
+        assert np.array_equal(scan3d.reconstruct(path).points, points)
+
+
+def test_touches_and_a_reference_may_be_paths(tmp_path, monkeypatch):
+    touches = rigs.recorded(sweeps=8, samples=60)
+    scan3d.write_recording(touches, tmp_path / "touches.csv")
+    by_path = scan3d.calibrate(tmp_path / "touches.csv", sphere=rigs.DIAMETER)
+    assert by_path.values == pytest.approx(scan3d.calibrate(touches, rigs.DIAMETER).values, rel=1e-9)
+    given = []
+    monkeypatch.setattr("scan3d.laboratory.calibration.calibrate", lambda *touched, **_: given.append(touched[1]))
+    scan3d.calibrate(touches, str(CUBE), unit="mm")
+    scan3d.calibrate(touches, "plane")
+    assert len(given[0].faces) == 12
+    assert given[1] == "plane"
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: scan3d.simulate("none.stl"), r"there is no mesh file none\.stl"),
+        (lambda: scan3d.simulate(3), r"the body must be a trimesh\.Trimesh, got int"),
+        (lambda: scan3d.reconstruct("none.csv"), r"can't read the recording none\.csv"),
+        (lambda: scan3d.compare("none.stl", "none.stl"), r"there is no mesh file none\.stl"),
+        (lambda: scan3d.calibrate("none.csv", 0.03), r"can't read the recording none\.csv"),
+        (lambda: scan3d.surface("log.csv"), r"a surface is made from a scan3d\.Cloud, got str; reconstruct"),
+        (lambda: scan3d.Session("sphere:50").tell("log.csv"), r"got str; scan3d\.read_recording reads a file"),
+        (lambda: scan3d.plot("egg.stl"), r"can be plotted, got a str"),
+    ],
+)
+def test_what_can_not_be_taken_is_named(call, sentence):
+    with pytest.raises(scan3d.InputError, match=sentence):
+        call()
+
+
+def test_surfaces_state_their_unit():
+    cloud = scan3d.reconstruct(scan3d.simulate(CUBE, scan3d.Plan(slices=4, sweeps=4, samples=8, unit="in")))
+    assert scan3d.surface(cloud, "hull").units == "in"
+
+
+def test_a_plot_takes_the_truth_by_its_path(monkeypatch):
+    result = scan3d.scan(CUBE, slices=4, sweeps=4, samples=8, method="hull")
+    shown = []
+    monkeypatch.setattr("scan3d.pictures.notebook.scene_image", lambda scene, *_: shown.append(scene))
+    result.plot(str(CUBE))
+    assert np.array_equal(shown[0].truth.vertices, result.analysis.truth.vertices)
+
+
+# --- help ---
+
+
+@pytest.mark.parametrize("name", ["simulate", "reconstruct", "surface", "compare", "calibrate"])
+def test_steps_have_the_description_of_what_they_do(name):
+    text = inspect.getdoc(getattr(scan3d, name))
+    assert "Raises InputError" in text
+    assert all(line == line.lstrip() for line in text.splitlines()[-1:])
+
+
+def described(text):
+    """The descriptions of parameters in a docstring, by name."""
+    found, name = {}, None
+    for line in text.splitlines():
+        if line and not line.startswith(" "):
+            name = line if line.isidentifier() else None
+        elif name:
+            found[name] = found.get(name, "") + line
+    return found
+
+
+def test_the_help_of_a_plan_has_every_parameter_and_choice():
+    descriptions = described(inspect.getdoc(scan3d.Plan))
+    parameters = inspect.signature(scan3d.Plan).parameters
+    assert list(descriptions) == list(parameters)
+    hints = typing.get_type_hints(scan3d.Plan)
+    chosen = {name: typing.get_args(hint) for name, hint in hints.items() if typing.get_origin(hint) is typing.Literal}
+    assert set(chosen) == {"model", "spacing", "standoff", "unit"}
+    for name, values in chosen.items():
+        assert all(f"``{value}``" in descriptions[name] for value in values), name
+
+
+def test_the_types_of_choices_are_those_of_the_lists():
+    assert typing.get_args(units.Unit) == tuple(units.UNITS_M)
+    lists = {name: values for name, values in vars(choices).items() if name.isupper()}
+    types = {name: typing.get_args(kind) for name, kind in vars(choices).items() if typing.get_origin(kind)}
+    assert sorted(lists.values()) == sorted(types.values())
+
+
+# --- types ---
+
+SCRIPT = """\
+from typing import assert_type
+
+import trimesh
+
+import scan3d
+
+mesh = scan3d.load_mesh("egg.stl")
+assert_type(mesh, trimesh.Trimesh)
+recording = scan3d.simulate("egg.stl", scan3d.Plan(slices=4, spacing="uniform", unit="in"))
+assert_type(recording, scan3d.Recording)
+cloud = scan3d.reconstruct("log.csv", model="planar")
+assert_type(cloud, scan3d.Cloud)
+surface = scan3d.surface(cloud, "hull")
+assert_type(surface, trimesh.Trimesh)
+assert_type(scan3d.compare(surface, "egg.stl").hausdorff, float)
+result = scan3d.scan(mesh, slices=3)
+assert_type(result.surface, trimesh.Trimesh)
+assert_type(scan3d.Session("sphere:3").surface, trimesh.Trimesh)
+"""
+WRONG = {
+    'scan3d.Plan(spacing="cosin")': "expected \"Literal['cosine', 'uniform', 'adaptive']\"",
+    'scan3d.surface(cloud, "hul")': "expected \"Literal['auto', 'hull'",
+    "scan3d.surface(recording)": 'expected "Cloud"',
+    "scan3d.reconstruct(mesh)": 'expected "Recording',
+    "scan3d.simulate(cloud)": 'expected "Trimesh',
+}
+
+
+@pytest.mark.slow
+def test_a_type_checker_sees_the_types_of_a_users_script(tmp_path):
+    from mypy import api
+
+    (tmp_path / "script.py").write_text(SCRIPT + "\n".join(WRONG), encoding="utf-8")
+    out, error, _ = api.run(
+        ["--strict", "--config-file=", f"--cache-dir={tmp_path / 'cache'}", str(tmp_path / "script.py")]
+    )
+    assert not error
+    found = [line for line in out.splitlines() if ": error:" in line]
+    assert len(found) == len(WRONG), out
+    for number, sentence in enumerate(WRONG.values(), SCRIPT.count("\n") + 1):
+        assert any(f"script.py:{number}:" in line and sentence in line for line in found), out
