@@ -111,7 +111,10 @@ def __getattr__(name: str) -> Any:
         return version("scan3d")
     if name in _HOME:
         return getattr(import_module(f"scan3d.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'scan3d' has no attribute {name!r}")
+    import sys
+
+    # with name and object, from which Python tells what was probably meant
+    raise AttributeError(f"module 'scan3d' has no attribute {name!r}", name=name, obj=sys.modules[__name__])
 
 
 def __dir__() -> list[str]:

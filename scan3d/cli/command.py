@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
+from scan3d.cli.guide import print_guide
 from scan3d.cli.parser import parser
 from scan3d.cli.terminal import one_line
 from scan3d.errors import InputError
@@ -27,6 +28,8 @@ def run(argv: Sequence[str] | None = None) -> int:
     # no window of matplotlib is opened; the name of a backend that does not exist would end its import
     os.environ.pop("MPLBACKEND", None)
     try:
+        if not (sys.argv[1:] if argv is None else argv):
+            return print_guide()
         arguments = parser().parse_args(argv)
         from scan3d.cli.verbs import VERBS
 

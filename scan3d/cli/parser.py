@@ -8,17 +8,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any, NoReturn
 
 from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import batch, calibration, laboratory_parser, one_sweep, rig_parser
-from scan3d.cli.terminal import one_line
+from scan3d.cli import batch, calibration, guide, laboratory_parser, one_sweep, rig_parser
+from scan3d.cli.usage import Parser, Version
 from scan3d.settings import Settings
 from scan3d.units import UNITS_M
 
 _DESCRIPTION = """\
 Seeing by touch: sweep a flexible rod along a body, and reconstruct the body from the reactions at the rod's clamp.
 
+  scan3d demo                                              a scan of a body that comes with the program
   scan3d scan meshes/egg.stl --out out                     all steps, with pictures and a report
   scan3d scan part.stl --out out --friction 0.0:0.4        the friction is drawn separately for every sample
   scan3d simulate part.stl --out log.csv                   only a recording, as a rig would log it
@@ -31,6 +31,7 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d plan --around cylinder:80x120 --out poses.csv     poses of a robot for an unknown body
   scan3d next out --out further.csv                        poses of further sweeps, where most room is left
   scan3d batch meshes --out study --jobs 2                 many bodies, or many settings, with one summary
+  scan3d explain coverage                                  what a word of the report means
   scan3d doctor                                            what works on this machine, and how to install the rest
 
 'scan3d COMMAND --help' describes each command.
@@ -115,17 +116,10 @@ _OPTIONS = (
 )
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose error messages are one line, which ends with a reference to the help."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"scan3d: {one_line(message)}; see '{self.prog} --help'\n")
-
-
 def parser() -> argparse.ArgumentParser:
     """The parser; the arguments that it returns have the name of the command in `command`."""
-    top = _Parser(prog="scan3d", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
-    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    top = Parser(prog="scan3d", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    top.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     scan = commands.add_parser("scan", help="all steps: simulate, reconstruct, build the surface, compare")
@@ -258,6 +252,9 @@ def parser() -> argparse.ArgumentParser:
     _add_output(export)
     export.set_defaults(command="export")
 
+    _add_output(guide.add_demo(commands, _add_overwrite))
+    guide.add_explain(commands)
+
     doctor = commands.add_parser("doctor", help="what works on this machine, what is missing, and how to install it")
     _add_output(doctor)
     doctor.set_defaults(command="doctor")
@@ -273,20 +270,14 @@ def parser() -> argparse.ArgumentParser:
 
     rig_parser.add_rig_commands(commands, _add_overwrite, _add_output)
 
-    for name, text in (_EXAMPLES | batch.EXAMPLES | rig_parser.EXAMPLES | laboratory_parser.EXAMPLES).items():
+    for name, text in (
+        _EXAMPLES | batch.EXAMPLES | guide.EXAMPLES | rig_parser.EXAMPLES | laboratory_parser.EXAMPLES
+    ).items():
         commands.choices[name].epilog = f"examples:\n{text}"
         commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter
+    for command in commands.choices.values():
+        command.set_defaults(parser=command)
     return top
-
-
-class _Version(argparse.Action):
-    """Prints the version, which is looked up only when it is needed."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
-
-        print(version("scan3d"))
-        parser.exit()
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from scan3d.cli import one_sweep, rig
+from scan3d.cli import guide, one_sweep, rig
 from scan3d.cli.batch import batch
 from scan3d.cli.calibration import calibrate, rigged
 from scan3d.cli.laboratory import import_
@@ -42,6 +42,24 @@ def scan(arguments: Namespace) -> int:
         notify=_say,
     )
     return _print_report(arguments, data)
+
+
+def demo(arguments: Namespace) -> int:
+    """Scan the body that comes with the program, and say what to open."""
+    from scan3d import scans
+
+    _, data = scans.perform(
+        guide.DEMO,
+        settings(guide.DEMO_SETTINGS),
+        arguments.out,
+        overwrite=arguments.overwrite,
+        progress=_progress(arguments),
+        notify=_say,
+    )
+    code = _print_report(arguments, data)
+    if not (arguments.json or arguments.quiet):
+        print(guide.what_to_open(arguments.out))
+    return code
 
 
 def simulate(arguments: Namespace) -> int:
@@ -270,6 +288,8 @@ VERBS: dict[str, Callable[[Namespace], int]] = {
     "compare": compare,
     "show": show,
     "export": export,
+    "demo": demo,
+    "explain": guide.explain_command,
     "doctor": doctor,
     "completion": completion,
 }

@@ -59,8 +59,11 @@ def to_float(value: float) -> float:
         return float("inf") if value > 0 else float("-inf")
 
 
-def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
-    """The last clause of a message on unknown names: the known ones that they resemble, or an empty string."""
+def did_you_mean(unknown: Iterable[str], known: Iterable[str], mark: str = "") -> str:
+    """The last clause of a message on unknown names: the known ones that they resemble, or an empty string.
+
+    `mark` is what stands before all names, such as the hyphens of options.
+    """
     known = list(known)
-    near = [match for name in unknown for match in get_close_matches(name, known, n=1)]
+    near = [mark + match for name in unknown for match in get_close_matches(name, known, n=1)]
     return f"; did you mean {' and '.join(near)}?" if near else ""
