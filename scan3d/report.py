@@ -6,16 +6,17 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import planar
 from scan3d.arrays import Array
-from scan3d.budget import calibration_numbers, calibration_off, calibration_rows, noise_off
+from scan3d.budget import calibration_numbers, calibration_off, noise_off
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.coverage import coverage
+from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.measurands import measurands
 from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
@@ -51,6 +52,8 @@ class Analysis:
     """(n,) distance of the contacts from the truth."""
     comparison: Comparison | None = None
     """Comparison of the surface with the truth."""
+    mesh_comparison: Comparison | None = None
+    """Comparison of the surface with the mesh itself, where the truth is the convex hull of a mesh that is not convex."""
     hull_error: float | None = None
     """Hausdorff distance of the contacts' convex hull to the truth."""
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -101,7 +104,7 @@ def report(
         "counts": _counts(analysis),
         "contact_error": _contact_error(analysis),
         "friction": _friction(cloud, friction_set),
-        "hausdorff": _hausdorff(comparison, unit),
+        "hausdorff": _hausdorff(comparison, analysis.mesh_comparison, unit),
         "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
         "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate),
@@ -134,6 +137,8 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
         "unit": unit,
         "dent": mesh.metadata.get("dent"),
         "hull": mesh.metadata.get("hull"),
+        "scanned": HULL_OF_MESH if "original" in mesh.metadata else "mesh",
+        "filled": mesh.metadata.get("filled"),
     }
 
 
@@ -233,107 +238,25 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _hausdorff(comparison: Comparison | None, unit: str) -> dict[str, Any] | None:
+def _hausdorff(comparison: Comparison | None, to_mesh: Comparison | None, unit: str) -> dict[str, Any] | None:
     if comparison is None:
         return None
     return {
-        "two_sided": comparison.hausdorff,
-        "surface_to_mesh": comparison.surface_to_mesh,
-        "mesh_to_surface": comparison.mesh_to_surface,
-        "relative": comparison.relative,
+        **_distances(comparison),
         "exact": comparison.exact,
         "worst_point": comparison.worst_point,
         "unit": unit,
+        "to": "mesh" if to_mesh is None else HULL_OF_MESH,
+        "mesh_itself": None if to_mesh is None else _distances(to_mesh),
     }
+
+
+def _distances(comparison: Comparison) -> dict[str, float]:
+    names = ("surface_to_mesh", "mesh_to_surface", "relative")
+    return {"two_sided": comparison.hausdorff, **{name: getattr(comparison, name) for name in names}}
 
 
 def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
     if comparison is None:
         return None
     return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
-
-
-class Summary(NamedTuple):
-    """A table of a few rows for the terminal."""
-
-    heading: str
-    """A line above the table, or an empty string."""
-    rows: list[tuple[str, str]]
-    """Name and value of each quantity."""
-
-
-def summary(data: Mapping[str, Any]) -> Summary:
-    """The most important numbers of a report."""
-    counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
-    where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
-    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {where}"
-    rows = []
-    if errors:
-        error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths)"
-        rows.append(("contact error", error))
-    unreached = data["source"].get("sweeps_out_of_reach")
-    if unreached:
-        rows.append(("out of reach", f"{unreached} sweeps that the rod can't make from its base line"))
-    median = data["friction"]["estimated_median"]
-    if median is not None:
-        given = data["friction"]["set"]
-        rows.append(("friction", f"{median:.4g} (median, estimated from touch{f'; set: {given}' if given else ''})"))
-    if counts["light"]:
-        rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
-    radius = data.get("rod", {}).get("radius", {})
-    if radius.get("moved"):
-        unit = radius["unit"]
-        left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
-        moved = f"contacts moved by {radius['moved']:.3g} {unit} from the rod's centre line"
-        rows.append(("rod's radius", f"{moved}, which leaves errors up to {left:.1g} {unit}"))
-    rows += calibration_rows(data)
-    surface = data["surface"]
-    closed = "watertight" if surface["watertight"] else "not watertight"
-    rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
-    if hausdorff:
-        relative = f"{hausdorff['relative']:.1e} of the diagonal"
-        rows.append(("Hausdorff distance", f"{hausdorff['two_sided']:.4g} {hausdorff['unit']} ({relative})"))
-    volume = next((known for known in data.get("measurands", ()) if known["quantity"] == "volume"), None)
-    if volume and None not in volume["interval"] and np.isfinite(volume["interval"]).all() and not data["warnings"]:
-        low, high = volume["interval"]
-        rows.append(("volume", f"{volume['value']:.4g} {volume['unit']}, certified between {low:.4g} and {high:.4g}"))
-    certified = data["certificate"]
-    if data["warnings"]:
-        rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
-    elif certified["bound"] is not None and np.isfinite(certified["bound"]):
-        bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
-        confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
-        table = certified.get("table")
-        on_table = "" if table is None else f", and the table at z = {table:.4g} {certified['unit']}"
-        rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
-    else:
-        nothing = "nothing, because no contact bounds the body on some side of it"
-        hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
-        rows.append(("certified", nothing + hint))
-    return Summary(heading, rows)
-
-
-def comparison_summary(comparison: Comparison, unit: str) -> Summary:
-    """The comparison of two meshes, whose lengths are in `unit`."""
-    exact = (
-        "exact" if comparison.exact else f"certified between {comparison.lower:.6g} and {comparison.upper:.6g} {unit}"
-    )
-    where = ", ".join(f"{x:.6g}" for x in comparison.worst_point)
-    averages = f"{comparison.mean:.4g}, {comparison.rms:.4g}, {comparison.p95:.4g} {unit}"
-    normals = f"{comparison.normal_median_deg:.3g}° median, {comparison.normal_p95_deg:.3g}° at 95 %"
-    return Summary(
-        "",
-        [
-            (
-                "Hausdorff distance",
-                f"{comparison.hausdorff:.6g} {unit} ({comparison.relative:.3e} of B's diagonal; {exact})",
-            ),
-            ("A to B", f"{comparison.surface_to_mesh:.6g} {unit}"),
-            ("B to A", f"{comparison.mesh_to_surface:.6g} {unit}"),
-            ("worst at", f"({where}), on {'A' if comparison.worst_on == 'surface' else 'B'}"),
-            ("mean, RMS, 95 %", averages),
-            ("Chamfer, F-score", f"{comparison.chamfer:.4g} {unit}, {comparison.f_score:.4f} at 1 % of B's diagonal"),
-            ("normals", normals),
-            ("volume error", f"{comparison.volume_error:+.3e}"),
-        ],
-    )

@@ -76,10 +76,12 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
     )
     if truth is None:
         return analysis
+    original = truth.metadata.get("original")
     with clock("compare"):
         return replace(
             analysis,
             truth=truth,
+            mesh_comparison=None if original is None else compare(mesh, original),
             contact_error=distances(cloud.points, truth),
             comparison=compare(mesh, truth),
             hull_error=compare(bounds.inner, truth).hausdorff,

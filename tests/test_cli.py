@@ -407,7 +407,7 @@ def test_help_and_version(call):
 def test_every_setting_is_an_option_and_its_help_has_the_default(call):
     stdout = " ".join(call("scan", "--help")[1].split())
     for name, default in vars(Settings()).items():
-        assert f"--{name}" in stdout
+        assert f"--{name.replace('_', '-')}" in stdout
         assert name == "hull" or f"(default {default})" in stdout
 
 
@@ -495,7 +495,7 @@ def test_the_report_without_the_truth(call, tmp_path, no_pictures):
     assert report["mesh"] is report["hausdorff"] is report["contact_error"] is report["friction"]["set"] is None
     assert report["source"]["mesh"] == "cube.stl"
     # settings of the simulation do not apply here
-    assert report["settings"] == {"method": "auto", "hull": False}
+    assert report["settings"] == {"method": "auto", "hull": False, "clip_dent": "0"}
     assert set(report["files"]) == RESULTS - {"recording.csv", "recording.toml"}
     assert set(report["files"]) == {p.name for p in (tmp_path / "out").iterdir()}
 
@@ -616,12 +616,13 @@ ALL = Settings(
     unit="mm",
     method="hull",
     hull=True,
+    clip_dent="0.1%",
 )
 
 
 @pytest.mark.slow
 def test_printed_settings_give_the_same_run(call, tmp_path, no_pictures):
-    given = [f"--{name}={value}" for name, value in vars(ALL).items() if name != "hull"]
+    given = [f"--{name.replace('_', '-')}={value}" for name, value in vars(ALL).items() if name != "hull"]
     code, printed, _ = call("scan", CUBE, "--out", tmp_path / "one", *given, "--hull", "--print-config")
     assert code == 0
     assert tomllib.loads(printed) == vars(ALL)

@@ -11,7 +11,7 @@ import scan3d
 from scan3d.cli import guide, main
 from scan3d.cli.parser import parser
 from scan3d.pictures import rendering
-from scan3d.report import summary
+from scan3d.summaries import summary
 
 ROOT = Path(__file__).parents[1]
 

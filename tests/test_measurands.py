@@ -8,7 +8,8 @@ import trimesh
 
 import scan3d
 from scan3d.measurands import measurands
-from scan3d.report import report, summary
+from scan3d.report import report
+from scan3d.summaries import summary
 from scan3d.surfaces import enclosure
 from scan3d.surfaces.allowances import sigmas
 from scan3d.workflow import analyse

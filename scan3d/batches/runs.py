@@ -32,8 +32,10 @@ COLUMNS: dict[str, type] = {
     **{field.name: type(field.default) for field in dataclasses.fields(Settings)},
     "status": str,
     "error": str,
+    "scanned": str,
     "hausdorff": float,
     "hausdorff_relative": float,
+    "hausdorff_mesh": float,
     "certificate": float,
     "certificate_relative": float,
     "contacts": float,
@@ -194,8 +196,10 @@ def _numbers(report: Mapping[str, Any]) -> Row:
         return (report.get(section) or {}).get(name)
 
     return {
+        "scanned": value("mesh", "scanned"),
         "hausdorff": value("hausdorff", "two_sided"),
         "hausdorff_relative": value("hausdorff", "relative"),
+        "hausdorff_mesh": (value("hausdorff", "mesh_itself") or report.get("hausdorff") or {}).get("two_sided"),
         "certificate": value("certificate", "bound"),
         "certificate_relative": value("certificate", "relative"),
         "contacts": value("counts", "contacts"),

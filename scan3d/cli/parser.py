@@ -153,6 +153,7 @@ def parser() -> argparse.ArgumentParser:
     )
     reconstruct.add_argument("--truth", metavar="MESH", help="mesh of the true body, to compare the surface with")
     reconstruct.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
+    _add_clip_dent(reconstruct, "0")
     reconstruct.add_argument(
         "--method",
         metavar="METHOD",
@@ -298,11 +299,21 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         default=argparse.SUPPRESS,
         help="scan the convex hull of a body that is not convex",
     )
+    _add_clip_dent(group, argparse.SUPPRESS)
     group.add_argument("--config", metavar="FILE", help="settings from a TOML file")
     group.add_argument(
         "--print-config", action="store_true", help="print the resulting settings as such a file, and exit"
     )
     _add_output(parser)
+
+
+def _add_clip_dent(parser: argparse._ActionsContainer, default: str) -> None:
+    parser.add_argument(
+        "--clip-dent",
+        default=default,
+        metavar="SIZE",
+        help="fill dents up to this depth, in the mesh's unit or relative to its diagonal like 0.05%% (default 0)",
+    )
 
 
 def _add_strict(parser: argparse.ArgumentParser) -> None:

@@ -169,7 +169,7 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
     faults = read_faults(arguments.faults) if arguments.faults else None
     if faults is not None and "seed" in vars(arguments):
         faults = dataclasses.replace(faults, seed=plan.seed)
-    body = load_mesh(arguments.mesh, hull=chosen.hull)
+    body = load_mesh(arguments.mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
     body = body if arguments.as_is else rig.standing(body)
     log = rig.simulate_rig(
         body,

@@ -83,7 +83,7 @@ def simulate(arguments: Namespace) -> int:
     inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
     check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
     plan = chosen.plan()
-    body = load_mesh(arguments.mesh, hull=chosen.hull)
+    body = load_mesh(arguments.mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
     with folder(Path(arguments.out).parent):
         recording = simulate_scan(body, plan, _progress(arguments))
         write_recording(with_origin(recording, body), arguments.out, overwrite=True)  # checked above
@@ -105,15 +105,17 @@ def reconstruct(arguments: Namespace) -> int:
     from scan3d.files.results import opened
     from scan3d.simulation.bodies import load_mesh
 
-    chosen = settings({"hull": arguments.hull, "method": arguments.method})
+    chosen = settings({name: getattr(arguments, name) for name in ("hull", "clip_dent", "method")})
     start = time.perf_counter()
     recording = rigged(read_recording(arguments.recording), arguments.rig)
     if arguments.table is not None:
         recording = dataclasses.replace(recording, table_m=UNITS_M[recording.unit] * arguments.table)
-    body = load_mesh(arguments.truth, hull=chosen.hull) if arguments.truth else None
-    seconds = {"load": time.perf_counter() - start}
     # the remaining settings concern the simulation
-    used = {"method": chosen.method, "hull": chosen.hull}
+    used = {name: getattr(chosen, name) for name in ("method", "hull", "clip_dent")}
+    body = None
+    if arguments.truth:
+        body = load_mesh(arguments.truth, hull=chosen.hull, clip_dent=chosen.clip_dent)
+    seconds = {"load": time.perf_counter() - start}
     inputs = {
         "recording": arguments.recording,
         "TOML file of the recording": sidecar(arguments.recording),
@@ -137,8 +139,8 @@ def reconstruct(arguments: Namespace) -> int:
 def compare(arguments: Namespace) -> int:
     """Print the Hausdorff distance and other measures of two mesh files, convex or not."""
     from scan3d.comparison import compare as compare_meshes
-    from scan3d.report import comparison_summary
     from scan3d.simulation.bodies import read_mesh
+    from scan3d.summaries import comparison_summary
 
     comparison = compare_meshes(read_mesh(arguments.first), read_mesh(arguments.second))
     text = _table(*comparison_summary(comparison, arguments.unit))
@@ -215,7 +217,7 @@ def _scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
     if path.is_dir():
         scene, report = stored.read_folder(path, unit)
         truth = truth or stored.find_truth(path, report)
-        hull = hull or bool((report.get("settings") or {}).get("hull"))
+        hull = hull or bool((report.get("mesh") or {}).get("hull"))
     elif path.suffix.lower() in (".csv", ".parquet"):
         scene = _recording_scene(path)
     else:
@@ -302,7 +304,7 @@ def _settings(arguments: Namespace) -> Settings:
 
 
 def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
-    from scan3d.report import summary
+    from scan3d.summaries import summary
 
     heading, rows = summary(data)
     print_result(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))

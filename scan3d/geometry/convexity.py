@@ -28,6 +28,8 @@ DENT_PRECISION = 1e-3
 NEGLIGIBLE_DENT = 0.01 * DENT_TOLERANCE
 """Depth below which a dent is not determined.  Larger, reports of convex bodies are less accurate; smaller, the search spends
 time on the dents of rounding."""
+HULL_OF_MESH = "convex hull of the mesh"
+"""What a body is called that was taken in the place of a mesh that is not convex."""
 # Distances of probes from planes in one step of the search.  More take more memory (8 bytes each) and improve the bounds less
 # often; fewer take more calls.
 _PROBES = 2_000_000

@@ -42,21 +42,33 @@ def _is_unit(value: Any) -> bool:
     return isinstance(value, str) and value in UNITS_M
 
 
+def _are_distances(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(_is_number(value.get(name)) for name in ("two_sided", "relative"))
+
+
 _Check = tuple[Callable[[Any], bool], str]
 _NUMBER: _Check = (_is_number, "a number")
 _COUNT: _Check = (_is_count, "a whole number >= 0")
 _TEXT: _Check = (_is_text, "text")
 _UNIT: _Check = (_is_unit, f"one of {', '.join(UNITS_M)}")
+_DISTANCES: _Check = (_are_distances, "an object with the numbers two_sided and relative")
 # The fields that are used, by section; each may be missing or null.
 _FIELDS: dict[str, dict[str, _Check]] = {
-    "mesh": {"file": _TEXT, "path": _TEXT, "sha256": _TEXT, "unit": _UNIT, "extents": (_is_size, "three numbers")},
+    "mesh": {
+        "file": _TEXT,
+        "path": _TEXT,
+        "sha256": _TEXT,
+        "unit": _UNIT,
+        "extents": (_is_size, "three numbers"),
+        "scanned": _TEXT,
+    },
     "settings": {"hull": (lambda value: isinstance(value, bool), "true or false")},
     "source": {},
     "counts": {"contacts": _COUNT, "slices": _COUNT, "sweeps": _COUNT},
     "contact_error": {"max": _NUMBER},
     "friction": {"estimated_median": _NUMBER},
     "surface": {"method": _TEXT, "faces": _COUNT},
-    "hausdorff": {"two_sided": _NUMBER, "relative": _NUMBER},
+    "hausdorff": {"two_sided": _NUMBER, "relative": _NUMBER, "mesh_itself": _DISTANCES},
     "certificate": {"bound": _NUMBER, "relative": _NUMBER, "unit": _UNIT},
 }
 

@@ -16,6 +16,8 @@ from scan3d.pictures.words import unit_symbol
 
 # Figures have the width of two columns of a paper, in inches; letters of this size, in points, stay legible in one column.
 WIDTH, FONT = 7.0, 12
+# Size of a font in points at which a line of one character fills an inch: characters are about 0.55 of their size wide.
+_LINE = 72 / 0.55
 # Axis labels of the support reactions (8).
 REACTION_LABELS = ("$f_{0x}$ in mN", "$f_{0y}$ in mN", "$m_{0z}$ in mN mm")
 # Axis labels of six support reactions.
@@ -128,7 +130,8 @@ def color_bar(figure: Any, shaded: Shade, unknown: str = "") -> None:
         bar.formatter.set_useMathText(True)
         bar.ax.yaxis.get_offset_text().set_fontsize(FONT - 1)
     title = shaded.title.replace(" um", " µm")
-    figure.text(0.992, 0.5, title, rotation="vertical", ha="right", va="center", fontsize=FONT)
+    size = min(FONT, _LINE * figure.get_figheight() / len(title))  # long titles are set smaller
+    figure.text(0.992, 0.5, title, rotation="vertical", ha="right", va="center", fontsize=size)
     if unknown:
         figure.legend(
             [Patch(color=UNKNOWN)], [unknown], loc="lower right", frameon=False, fontsize=FONT - 2, handlelength=1,

@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from scan3d.files.journal import locate
+from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.pictures.words import unit_symbol
 
 # Pictures are reduced by this factor, to 350 pixels: those of 200 bodies take 3 MB, and the scales stay legible.
@@ -74,7 +75,9 @@ def _ranked(rows: Sequence[Mapping[str, Any]], ranked: Mapping[str, str | None])
         for mark, run in ranked.items()
         if run is not None
     ]
-    return f"Hausdorff distance to the mesh, of its bounding box's diagonal – {', '.join(parts)}" if parts else ""
+    hulls = any(row["scanned"] == HULL_OF_MESH for row in rows)
+    body = f"mesh, or to the {HULL_OF_MESH} where that was scanned" if hulls else "mesh"
+    return f"Hausdorff distance to the {body}, of its bounding box's diagonal – {', '.join(parts)}" if parts else ""
 
 
 def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
@@ -118,7 +121,10 @@ def _figures(row: Mapping[str, Any]) -> list[tuple[str, str]]:
     figures = [("certified within", certified), ("contacts", f"{row['contacts']:.0f}")]
     if row["hausdorff"] is not None:
         distance = f"{row['hausdorff']:.3g} {unit} ({_percent(row['hausdorff_relative'])})"
-        figures.insert(0, ("Hausdorff distance", distance))
+        is_hull = row["scanned"] == HULL_OF_MESH
+        figures.insert(0, ("Hausdorff distance", distance + (f" to the {HULL_OF_MESH}" if is_hull else "")))
+        if is_hull:
+            figures.insert(1, ("to the mesh itself", f"{row['hausdorff_mesh']:.3g} {unit}"))
     figures += [("surface", row["surface_method"] or ""), ("time", f"{row['seconds']:.3g} s")]
     if row["warnings"]:
         figures.append(("warnings", f"{row['warnings']:.0f}"))

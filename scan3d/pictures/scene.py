@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.files.tables import cloud_table
+from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.recording import Recording
 
 # Largest value of a column.  Larger, it is no measurement, and colours and labels, in float32 and in other units, could not be
@@ -35,6 +36,12 @@ class Scene:
     recording: Recording | None = None
     key_figures: tuple[tuple[str, str], ...] = ()
     """Pairs of a quantity's name and its value, for tables."""
+
+    @property
+    def truth_name(self) -> str:
+        """What pictures call the true body: the truth, or what was taken in the place of a mesh that is not convex."""
+        is_hull = self.truth is not None and "original" in self.truth.metadata
+        return HULL_OF_MESH if is_hull else "truth"
 
     @property
     def points(self) -> Array:

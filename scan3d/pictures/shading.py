@@ -86,7 +86,7 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         largest = max(largest_known(np.abs(angle)), _SMALLEST_BENDING_DEG)
         return shade(angle, "bending out of the sweep's plane in °", -largest, largest, map=_BENDING_MAP)
     high = largest_known(values) or 1.0
-    return shade(values, f"distance from the truth in {scene.unit}", high * 10**-_DECADES, high, log=True)
+    return shade(values, f"distance from the {scene.truth_name} in {scene.unit}", high * 10**-_DECADES, high, log=True)
 
 
 def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | None]:
@@ -103,7 +103,9 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
         mesh, deviation, _ = shown_surface(scene)
         assert deviation is not None
         largest = float(np.abs(deviation).max()) or 1.0
-        return mesh, shade(deviation, f"signed deviation in {scene.unit}", -largest, largest, map="RdBu_r")
+        of_hull = "" if scene.truth_name == "truth" else f" from the {scene.truth_name}"
+        title = f"signed deviation{of_hull} in {scene.unit}"
+        return mesh, shade(deviation, title, -largest, largest, map="RdBu_r")
     if scene.bound is not None and np.isfinite(scene.bound).any():
         mesh, _, bound = shown_surface(scene)
         assert bound is not None

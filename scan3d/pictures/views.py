@@ -96,7 +96,7 @@ def _compare(scene: Scene, view: str, color: str) -> Any:
         )
     mesh, shaded = shade_surface(scene)
     figure = blank_figure(figure_height(Canvas(scene.corners), _HALF) + _TITLE_HEIGHT)
-    for k, (title, body) in enumerate((("truth", scene.truth), ("reconstruction", mesh))):
+    for k, (title, body) in enumerate(((scene.truth_name, scene.truth), ("reconstruction", mesh))):
         canvas = Canvas(scene.corners)
         if k and shaded is not None:
             canvas.add_body(body, shaded.rgb, edges=scene.surface)

@@ -29,6 +29,10 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         return part.get(name) if isinstance(part, Mapping) else None
 
     rows: list[tuple[str, str]] = []
+    scanned, to_hull = entry("mesh", "scanned"), ""
+    if scanned not in (None, "mesh"):
+        rows.append(("scanned", f"the {scanned}"))
+        to_hull = f" from the {scanned}"
     extents, unit = entry("mesh", "extents"), entry("certificate", "unit") or entry("mesh", "unit") or ""
     if extents is not None:
         rows.append(("size", " × ".join(f"{extent:.4g}" for extent in extents) + f" {unit}"))
@@ -38,7 +42,7 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         if entry("counts", name) is not None and not (name == "slices" and entry("counts", name) == 0)
     ]
     if entry("contact_error", "max") is not None:
-        rows.append(("contact error", f"{entry('contact_error', 'max'):.2g} {unit} at most"))
+        rows.append(("contact error", f"{entry('contact_error', 'max'):.2g} {unit} at most{to_hull}"))
     if entry("friction", "estimated_median") is not None:
         rows.append(("friction", f"{entry('friction', 'estimated_median'):.4g} (median)"))
     if entry("surface", "method") is not None:
@@ -56,7 +60,11 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         value, relative = entry(section, name), entry(section, "relative")
         if value is not None and np.isfinite(value):
             share = "" if relative is None else f" ({100 * relative:.2g} %)"
-            rows.append((label, f"{value:.3g} {unit}{share}"))
+            rows.append((label, f"{value:.3g} {unit}{share}{to_hull if section == 'hausdorff' else ''}"))
+        itself = entry("hausdorff", "mesh_itself")
+        if section == "hausdorff" and isinstance(itself, Mapping):
+            distance, share = itself["two_sided"], f"{100 * itself['relative']:.2g} %"
+            rows.append(("distance from the mesh itself", f"{distance:.3g} {unit} ({share})"))
     return tuple(rows)
 
 

@@ -47,7 +47,8 @@ def perform(
     """
     plan, start = chosen.plan(), time.perf_counter()
     is_path = isinstance(mesh, (str, os.PathLike))
-    body = load_mesh(mesh, hull=chosen.hull) if is_path else judge_mesh(mesh, hull=chosen.hull)
+    load = load_mesh if is_path else judge_mesh
+    body = load(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
     seconds = {"load": time.perf_counter() - start}
 
     def analysed() -> Analysis:

@@ -25,9 +25,10 @@ from scan3d.pictures import notebook, stored
 from scan3d.pictures.scene import Scene, columns
 from scan3d.reconstruction import reconstruct
 from scan3d.recording import Recording
-from scan3d.report import Analysis, summary
+from scan3d.report import Analysis
 from scan3d.shown import Rows, Shown, described
 from scan3d.simulation.bodies import judge_mesh, load_mesh
+from scan3d.summaries import summary
 from scan3d.surfaces import Certificate
 
 if TYPE_CHECKING:
@@ -247,5 +248,5 @@ class StoredScan(_Result):
 
     def _scene(self) -> Scene:
         mesh = stored.find_truth(self.folder, self.report)
-        hull = bool((self.report.get("settings") or {}).get("hull"))
+        hull = bool((self.report.get("mesh") or {}).get("hull"))
         return dataclasses.replace(self._files, truth=None if mesh is None else load_mesh(mesh, hull=hull))

@@ -21,6 +21,7 @@ from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_hull
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
+from scan3d.settings import dent_size
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
@@ -33,13 +34,16 @@ of the areas of fine meshes would count as a hole."""
 _MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 300
 
 
-def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Trimesh:
+def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: float | str = 0.0) -> trimesh.Trimesh:
     """The convex body in a mesh file: STL (binary or ASCII), PLY, OBJ, OFF or GLB.
 
     path
         of the file.
     hull
         whether the convex hull is taken even of a body that is dented or open.
+    clip_dent
+        depth of the dents that are filled, in the file's unit, or as text such as ``"0.05%"`` of the diagonal of the bounding
+        box: of a closed body without deeper ones the convex hull is taken.
 
     Returns the triangulated convex hull of the file's surface, watertight and outward, with the hull's vertices only, in the
     file's unit.  A body that is convex within `DENT_TOLERANCE` differs from its file by at most the dent, so that everything
@@ -47,19 +51,22 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False) -> trimesh.Tr
     must be brought to unit size before they are computed.)
 
     Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in the file's
-    unit), `dent_relative` (to the diagonal of the bounding box), `hull`, and `geometry_sha256` (of the vertices returned).
+    unit), `dent_relative` (to the diagonal of the bounding box), `hull` (whether the body is the hull of a mesh that is not
+    convex, or was asked for), and `geometry_sha256` (of the vertices returned).  Where the body differs from the mesh it also
+    has `original`, the mesh itself, and `filled`: `depth` and place (`at`) of the deepest dent, whether the mesh is `open`, and
+    `volume_relative`, the part of the hull's volume that the mesh lacks, None if its triangles enclose no volume.
 
     Raises InputError if the file can't be read, has no triangles or coordinates that aren't finite, and if the body is flat,
     dented or open.
     """
     path = Path(path)
     data = _read(path)
-    body = _judged(path.name, _triangles(path, data), hull)
+    body = _judged(path.name, _triangles(path, data), hull, clip_dent)
     body.metadata.update(file=path.name, path=str(path.resolve()), sha256=hashlib.sha256(data).hexdigest())
     return body
 
 
-def judge_mesh(mesh: Any, *, hull: bool = False) -> trimesh.Trimesh:
+def judge_mesh(mesh: Any, *, hull: bool = False, clip_dent: float | str = 0.0) -> trimesh.Trimesh:
     """The convex body of a `trimesh.Trimesh`, judged and returned as by `load_mesh`.
 
     A body of `load_mesh` that was not changed since keeps its `metadata`.  Of others, `metadata` has no `file`, and `sha256` is
@@ -68,7 +75,7 @@ def judge_mesh(mesh: Any, *, hull: bool = False) -> trimesh.Trimesh:
     bounding_box(mesh, "body")
     if "geometry_sha256" in mesh.metadata and mesh.metadata["geometry_sha256"] == _geometry(mesh):
         return mesh
-    body = _judged("the mesh", np.asarray(mesh.triangles, dtype=float), hull)
+    body = _judged("the mesh", np.asarray(mesh.triangles, dtype=float), hull, clip_dent)
     body.metadata.update(sha256=body.metadata["geometry_sha256"])
     return body
 
@@ -78,7 +85,7 @@ def _geometry(mesh: trimesh.Trimesh) -> str:
     return hashlib.sha256(np.ascontiguousarray(mesh.vertices, dtype=float).tobytes()).hexdigest()
 
 
-def _judged(name: str, triangles: Array, hull: bool) -> trimesh.Trimesh:
+def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> trimesh.Trimesh:
     """The convex body of triangles (t, 3, 3), as `load_mesh` describes it; `name` is that of the mesh in messages."""
     first, inverse = distinct_rows(triangles.reshape(-1, 3))
     vertices = triangles.reshape(-1, 3)[first]
@@ -94,9 +101,12 @@ def _judged(name: str, triangles: Array, hull: bool) -> trimesh.Trimesh:
 
     outer, faces = outward_hull(points), inverse.reshape(-1, 3)
     dent, deepest = deepest_dent(points[faces], outer)
+    place = center + diagonal * deepest
+    covered = float(areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
     if not hull:
-        _check_convex(name, dent, diagonal, center + diagonal * deepest)
-        _check_closed(name, areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
+        size, share = dent_size(clip_dent)
+        _check_convex(name, dent, diagonal, place, max(DENT_TOLERANCE, size / diagonal + share))
+        _check_closed(name, covered)
 
     used, facets = np.unique(outer.facets, return_inverse=True)
     body = trimesh.Trimesh(vertices=vertices[used], faces=facets.reshape(-1, 3), process=False)
@@ -104,9 +114,19 @@ def _judged(name: str, triangles: Array, hull: bool) -> trimesh.Trimesh:
         file_faces=len(faces),
         dent=dent * diagonal,
         dent_relative=dent,
-        hull=hull,
+        hull=hull or dent > DENT_TOLERANCE,
         geometry_sha256=_geometry(body),
     )
+    is_dented, is_open = dent > DENT_TOLERANCE, 1 - covered > OPEN_TOLERANCE
+    if is_dented or is_open:
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        filled = {
+            "depth": dent * diagonal if is_dented else 0.0,
+            "at": place.tolist() if is_dented else None,
+            "open": is_open,
+            "volume_relative": 1 - float(mesh.volume) / float(body.volume) if mesh.is_volume else None,
+        }
+        body.metadata.update(original=mesh, filled=filled)
     return body
 
 
@@ -119,14 +139,21 @@ def _check_thickness(name: str, thickness: float, diagonal: float) -> None:
         )
 
 
-def _check_convex(name: str, dent: float, diagonal: float, deepest: Array) -> None:
-    """Raises InputError for a dented body; `dent` is relative to the diagonal, `deepest` (3,) is where it is deepest."""
-    if dent > DENT_TOLERANCE:
+def _check_convex(name: str, dent: float, diagonal: float, deepest: Array, allowed: float) -> None:
+    """Raises InputError for a dented body; `dent` and `allowed` are relative to the diagonal, `deepest` (3,) is where it is."""
+    if dent > allowed:
         place = ", ".join(f"{x:.6g}" for x in deepest)
         raise InputError(
             f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep ({dent:.3g} of its diagonal, where "
-            f"{DENT_TOLERANCE:g} is allowed), at ({place}); to scan its convex hull instead, give --hull (hull=True)"
+            f"{allowed:.3g} is allowed), at ({place}); to scan its convex hull instead, give --hull (hull=True), or to fill "
+            f"dents up to that depth --clip-dent {_above(dent * diagonal):g} (clip_dent)"
         )
+
+
+def _above(depth: float) -> float:
+    """A depth rounded up to two digits."""
+    unit = 10.0 ** (np.floor(np.log10(depth)) - 1)
+    return float(f"{np.ceil(depth / unit) * unit:.3g}")
 
 
 def _check_closed(name: str, covered: float) -> None:
