@@ -14,7 +14,7 @@ from small_scans import FEW
 
 import scan3d
 from scan3d.cli import main
-from scan3d.pictures import rendering, shading
+from scan3d.pictures import page, rendering, shading
 from scan3d.pictures.words import key_figures
 from scan3d.settings import dent_size
 from scan3d.simulation.bodies import judge_mesh, load_mesh
@@ -149,6 +149,7 @@ def test_pictures_say_what_they_show(scanned):
     assert scene.truth_name == HULL
     _, shaded = shading.shade_surface(scene)
     assert shaded.title == f"signed deviation from the {HULL} in mm"
+    assert f'"name":"{HULL}"' in page.page(scene).decode()
     assert shading.shade_contacts(scene, "error").title == f"distance from the {HULL} in mm"
 
 
@@ -193,6 +194,6 @@ def test_batches_keep_both_distances(dimpled, tmp_path, monkeypatch):
     assert row["hausdorff_mesh"] == report["hausdorff"]["mesh_itself"]["two_sided"]
     assert row["scanned"] == HULL
     assert row["hausdorff"] == report["hausdorff"]["two_sided"]
-    page = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
-    assert f"or to the {HULL} where that was scanned" in page
-    assert "to the mesh itself" in page
+    index = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
+    assert f"or to the {HULL} where that was scanned" in index
+    assert "to the mesh itself" in index

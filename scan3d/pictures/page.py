@@ -81,7 +81,7 @@ def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
     colors = []
     if deviation is not None:
         largest = float(np.abs(deviation).max()) or 1.0
-        colors.append(_scale(f"signed deviation in {scene.unit}", deviation, -largest, largest, "RdBu_r"))
+        colors.append(_scale(scene.deviation_title, deviation, -largest, largest, "RdBu_r"))
     if bound is not None and scene.bound is not None:
         largest = largest_known(scene.bound) or 1.0
         colors.append(_scale(f"certified bound in {scene.unit}", bound, 0.0, largest, "YlGnBu"))
@@ -91,7 +91,7 @@ def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
 def _truth(scene: Scene, center: Array) -> dict[str, Any] | None:
     if scene.truth is None:
         return None
-    return _triangles("truth", scene.truth, center, color=TIP, alpha=_TRUTH_OPACITY)
+    return _triangles(scene.truth_name, scene.truth, center, color=TIP, alpha=_TRUTH_OPACITY)
 
 
 def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str, Any]:

@@ -44,6 +44,12 @@ class Scene:
         return HULL_OF_MESH if is_hull else "truth"
 
     @property
+    def deviation_title(self) -> str:
+        """The title of the surface's deviation."""
+        of_hull = "" if self.truth_name == "truth" else f" from the {self.truth_name}"
+        return f"signed deviation{of_hull} in {self.unit}"
+
+    @property
     def points(self) -> Array:
         """(n, 3) contacts."""
         return np.empty((0, 3)) if self.contacts is None else columns(self.contacts, "x", "y", "z")

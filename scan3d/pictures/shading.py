@@ -103,9 +103,7 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
         mesh, deviation, _ = shown_surface(scene)
         assert deviation is not None
         largest = float(np.abs(deviation).max()) or 1.0
-        of_hull = "" if scene.truth_name == "truth" else f" from the {scene.truth_name}"
-        title = f"signed deviation{of_hull} in {scene.unit}"
-        return mesh, shade(deviation, title, -largest, largest, map="RdBu_r")
+        return mesh, shade(deviation, scene.deviation_title, -largest, largest, map="RdBu_r")
     if scene.bound is not None and np.isfinite(scene.bound).any():
         mesh, _, bound = shown_surface(scene)
         assert bound is not None
