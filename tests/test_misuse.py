@@ -11,10 +11,12 @@ import trimesh
 
 import planar
 import scan3d
-from scan3d import InputError, memory
+from scan3d import InputError, comparison, memory
 from scan3d.cli.terminal import one_line, printable, printable_json
 from scan3d.files.declared import shortfall
 from scan3d.files.reading import check_file
+from scan3d.reconstruction import models
+from scan3d.simulation import scan
 from tests.shapes import box, dimpled_box, letter_l, without
 
 PLAN = scan3d.Plan(slices=4, samples=20)
@@ -30,8 +32,8 @@ def recording():
     [
         (None, "the body must be a trimesh.Trimesh, got NoneType"),
         (trimesh.Scene(box()), r"got Scene; a scene becomes a mesh by its method to_mesh\(\)"),
-        ("part.stl", "got str; read a file with scan3d.load_mesh"),
-        (Path("part.stl"), "read a file with scan3d.load_mesh"),
+        ("part.stl", "there is no mesh file part.stl"),
+        (Path("part.stl"), "there is no mesh file part.stl"),
         (np.eye(3), "must be a trimesh.Trimesh, got ndarray"),
         (trimesh.PointCloud(np.eye(3)), "must be a trimesh.Trimesh, got PointCloud"),
         (trimesh.creation.torus(9, 3), "the body isn't a closed convex surface: .*give mesh.convex_hull"),
@@ -58,9 +60,29 @@ def test_bodies_of_files_are_scanned_as_before():
 
 @pytest.mark.parametrize("mesh", [None, trimesh.Scene(box()), "part.stl"])
 def test_what_is_no_mesh_is_not_compared(mesh):
+    sentence = r"there is no mesh file part\.stl" if mesh == "part.stl" else r"must be a trimesh\.Trimesh"
     for pair in ((mesh, box()), (box(), mesh)):
-        with pytest.raises(InputError, match=r"must be a trimesh\.Trimesh"):
+        with pytest.raises(InputError, match=sentence):
             scan3d.compare(*pair)
+
+
+def test_functions_below_the_public_ones_read_no_files():
+    for call in (simulation_of, comparison_with_a_box):
+        for path in ("part.stl", Path("part.stl")):
+            with pytest.raises(
+                InputError, match=r"must be a trimesh\.Trimesh, got \w+; read a file with scan3d\.load_mesh"
+            ):
+                call(path)
+    with pytest.raises(InputError, match=r"from a scan3d\.Recording, got str"):
+        models.reconstruct("log.csv")
+
+
+def simulation_of(mesh):
+    return scan.simulate(mesh, PLAN)
+
+
+def comparison_with_a_box(mesh):
+    return comparison.compare(mesh, box())
 
 
 @pytest.mark.parametrize(
@@ -95,7 +117,9 @@ def test_lists_become_columns(recording):
 
 
 def test_arguments_of_other_types(recording):
-    with pytest.raises(InputError, match=r"from a scan3d\.Recording, got str"):
+    with pytest.raises(InputError, match=r"from a scan3d\.Recording, got list"):
+        scan3d.reconstruct([])
+    with pytest.raises(InputError, match=r"can't read the recording log\.csv"):
         scan3d.reconstruct("log.csv")
     with pytest.raises(InputError, match=r"from a scan3d\.Cloud, got Recording"):
         scan3d.surface(recording)
