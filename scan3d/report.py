@@ -104,7 +104,7 @@ def report(
         "counts": _counts(analysis),
         "contact_error": _contact_error(analysis),
         "friction": _friction(cloud, friction_set),
-        "hausdorff": _hausdorff(comparison, analysis.mesh_comparison, unit),
+        "hausdorff": _hausdorff(analysis, unit),
         "comparison": None if comparison is None else asdict(comparison),
         "certificate": _certificate(analysis),
         "measurands": measurands(cloud, analysis.bounds, surface, analysis.certificate),
@@ -137,7 +137,7 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
         "unit": unit,
         "dent": mesh.metadata.get("dent"),
         "hull": mesh.metadata.get("hull"),
-        "scanned": HULL_OF_MESH if "original" in mesh.metadata else "mesh",
+        "scanned": _scanned(mesh),
         "filled": mesh.metadata.get("filled"),
     }
 
@@ -238,15 +238,21 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _hausdorff(comparison: Comparison | None, to_mesh: Comparison | None, unit: str) -> dict[str, Any] | None:
-    if comparison is None:
+def _scanned(truth: trimesh.Trimesh) -> str:
+    """What the true body is: the mesh, or its convex hull where that differs."""
+    return HULL_OF_MESH if "filled" in truth.metadata else "mesh"
+
+
+def _hausdorff(analysis: Analysis, unit: str) -> dict[str, Any] | None:
+    comparison, to_mesh = analysis.comparison, analysis.mesh_comparison
+    if comparison is None or analysis.truth is None:
         return None
     return {
         **_distances(comparison),
         "exact": comparison.exact,
         "worst_point": comparison.worst_point,
         "unit": unit,
-        "to": "mesh" if to_mesh is None else HULL_OF_MESH,
+        "to": _scanned(analysis.truth),
         "mesh_itself": None if to_mesh is None else _distances(to_mesh),
     }
 

@@ -27,6 +27,7 @@ from scan3d.pictures.words import key_figures
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
+from scan3d.simulation.bodies import mesh_itself
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
 
@@ -76,12 +77,12 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
     )
     if truth is None:
         return analysis
-    original = truth.metadata.get("original")
+    itself = mesh_itself(truth)
     with clock("compare"):
         return replace(
             analysis,
             truth=truth,
-            mesh_comparison=None if original is None else compare(mesh, original),
+            mesh_comparison=None if itself is None else compare(mesh, itself),
             contact_error=distances(cloud.points, truth),
             comparison=compare(mesh, truth),
             hull_error=compare(bounds.inner, truth).hausdorff,

@@ -17,7 +17,7 @@ from scan3d.cli import main
 from scan3d.pictures import page, rendering, shading
 from scan3d.pictures.words import key_figures
 from scan3d.settings import dent_size
-from scan3d.simulation.bodies import judge_mesh, load_mesh
+from scan3d.simulation.bodies import judge_mesh, load_mesh, mesh_itself
 from scan3d.summaries import _filled
 from scan3d.workflow import to_scene
 
@@ -58,7 +58,7 @@ def test_dents_up_to_a_depth_are_filled(dimpled, size):
     assert filled["depth"] == pytest.approx(DEPTH, rel=1e-3)  # the precision of the search
     assert filled["at"] == pytest.approx([0.5 - DEPTH, 0, 0], abs=1e-6)
     assert filled["volume_relative"] == pytest.approx(DEPTH / 3, rel=1e-6)  # a pyramid
-    assert len(body.metadata["original"].faces) == 14
+    assert len(mesh_itself(body).faces) == 14
     # of faces that are turned inwards the volume is not known
     turned = judge_mesh(dimpled_box(DEPTH), clip_dent=size)
     assert turned.volume == pytest.approx(1)
@@ -80,6 +80,13 @@ def test_the_depth_that_is_suggested_suffices(dimpled):
     assert load_mesh(dimpled, clip_dent=suggested).is_convex
 
 
+def test_a_body_that_was_moved_has_lost_its_mesh():
+    body = judge_mesh(letter_l(), hull=True)
+    assert len(mesh_itself(body).vertices) == 12
+    body.apply_translation([1, 0, 0])
+    assert mesh_itself(body) is None
+
+
 def test_open_bodies_are_not_filled(tmp_path):
     mesh = box()
     path = save(tmp_path, without(mesh, mesh.face_normals[:, 2] < 0.5))
@@ -92,7 +99,7 @@ def test_open_bodies_are_not_filled(tmp_path):
 
 def test_of_a_convex_body_nothing_is_filled():
     for options in ({}, {"hull": True}, {"clip_dent": 1}):
-        assert not {"original", "filled"} & set(judge_mesh(box(), **options).metadata)
+        assert not {"filled", "mesh_faces"} & set(judge_mesh(box(), **options).metadata)
 
 
 @pytest.mark.parametrize(
@@ -151,6 +158,13 @@ def test_pictures_say_what_they_show(scanned):
     assert shaded.title == f"signed deviation from the {HULL} in mm"
     assert f'"name":"{HULL}"' in page.page(scene).decode()
     assert shading.shade_contacts(scene, "error").title == f"distance from the {HULL} in mm"
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+def test_such_a_body_is_drawn_without_a_warning(scanned):
+    # warnings are errors in tests; pyvista warns of metadata that it can't take over
+    assert scanned.plot(view="compare").width == 1400
 
 
 def test_of_a_convex_mesh_nothing_of_the_kind_is_said():

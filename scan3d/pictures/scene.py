@@ -40,7 +40,7 @@ class Scene:
     @property
     def truth_name(self) -> str:
         """What pictures call the true body: the truth, or what was taken in the place of a mesh that is not convex."""
-        is_hull = self.truth is not None and "original" in self.truth.metadata
+        is_hull = self.truth is not None and "filled" in self.truth.metadata
         return HULL_OF_MESH if is_hull else "truth"
 
     @property

@@ -53,8 +53,9 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: fl
     Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in the file's
     unit), `dent_relative` (to the diagonal of the bounding box), `hull` (whether the body is the hull of a mesh that is not
     convex, or was asked for), and `geometry_sha256` (of the vertices returned).  Where the body differs from the mesh it also
-    has `original`, the mesh itself, and `filled`: `depth` and place (`at`) of the deepest dent, whether the mesh is `open`, and
-    `volume_relative`, the part of the hull's volume that the mesh lacks, None if its triangles enclose no volume.
+    has the mesh itself (`mesh_vertices` and `mesh_faces`), and `filled`: `depth` and place (`at`) of the deepest dent, whether
+    the mesh is `open`, and `volume_relative`, the part of the hull's volume that the mesh lacks, None if its triangles enclose
+    no volume.
 
     Raises InputError if the file can't be read, has no triangles or coordinates that aren't finite, and if the body is flat,
     dented or open.
@@ -78,6 +79,13 @@ def judge_mesh(mesh: Any, *, hull: bool = False, clip_dent: float | str = 0.0) -
     body = _judged("the mesh", np.asarray(mesh.triangles, dtype=float), hull, clip_dent)
     body.metadata.update(sha256=body.metadata["geometry_sha256"])
     return body
+
+
+def mesh_itself(body: trimesh.Trimesh) -> trimesh.Trimesh | None:
+    """The mesh in whose place `load_mesh` or `judge_mesh` took its convex hull; None if the body is the mesh, or was moved."""
+    if "filled" not in body.metadata or body.metadata["geometry_sha256"] != _geometry(body):
+        return None
+    return trimesh.Trimesh(body.metadata["mesh_vertices"], body.metadata["mesh_faces"], process=False)
 
 
 def _geometry(mesh: trimesh.Trimesh) -> str:
@@ -117,16 +125,17 @@ def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> 
         hull=hull or dent > DENT_TOLERANCE,
         geometry_sha256=_geometry(body),
     )
-    is_dented, is_open = dent > DENT_TOLERANCE, 1 - covered > OPEN_TOLERANCE
+    is_dented, is_open = bool(dent > DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
     if is_dented or is_open:
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         filled = {
-            "depth": dent * diagonal if is_dented else 0.0,
+            "depth": float(dent * diagonal) if is_dented else 0.0,
             "at": place.tolist() if is_dented else None,
             "open": is_open,
             "volume_relative": 1 - float(mesh.volume) / float(body.volume) if mesh.is_volume else None,
         }
-        body.metadata.update(original=mesh, filled=filled)
+        # as arrays, which are the only large metadata that pyvista takes over
+        body.metadata.update(filled=filled, mesh_vertices=vertices, mesh_faces=faces)
     return body
 
 
