@@ -14,9 +14,9 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from queue import LifoQueue
 from types import TracebackType
 from typing import Any
@@ -25,6 +25,11 @@ from scan3d.errors import InputError
 
 # What libraries read when they start: the number of threads of OpenMP, OpenBLAS, MKL, Accelerate and Mesa's software renderer.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "LP_NUM_THREADS")
+
+# Keeps the current folder out of the module path of Python's children, so that no file that lies there is executed.  What
+# starts them asks neither for `-P` nor for `-I`.
+_SAFE_PATH = "PYTHONSAFEPATH"
+_STARTING = threading.Lock()
 
 
 class Workers(Executor):
@@ -87,13 +92,14 @@ class _Process:
         self._is_killed = False
 
     def call(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-        if self._pool is None:
-            # a fork would copy the locks of threads; a spawned process starts afresh
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
         try:
-            if self._pid is None:
-                self._pid = self._pool.submit(os.getpid).result()
+            if self._pool is None:
+                with _safe_path():
+                    # a fork would copy the locks of threads; a spawned process starts afresh
+                    context = multiprocessing.get_context("spawn")
+                    self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin)
+                    pid = self._pool.submit(os.getpid)
+                self._pid = pid.result()
             if self._is_killed:  # while it was being started
                 raise BrokenExecutor("the workers have been ended")
             return self._pool.submit(fn, *args, **kwargs).result()
@@ -112,6 +118,20 @@ class _Process:
         if pid is not None:
             with suppress(OSError):  # it has just ended
                 os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Processes that are started here do not look for modules in the current folder."""
+    with _STARTING:
+        before = os.environ.get(_SAFE_PATH)
+        os.environ[_SAFE_PATH] = "1"
+        try:
+            yield
+        finally:
+            os.environ.pop(_SAFE_PATH)
+            if before is not None:
+                os.environ[_SAFE_PATH] = before
 
 
 def _begin() -> None:

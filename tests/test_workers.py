@@ -104,3 +104,24 @@ def test_workers_end_with_a_process_that_is_killed():
         assert is_alive(pid)
         parent.kill()
     assert gone(pid)
+
+
+@pytest.mark.slow
+def test_no_module_in_the_current_folder_is_executed(tmp_path):
+    """By a worker, or by what starts one; the environment of this process stays as it was."""
+    names = ("multiprocessing", "pickle", "random", "numpy")
+    here = tmp_path / "here"
+    here.mkdir()
+    for name in names:
+        (here / f"{name}.py").write_text(f"open({str(tmp_path / name)!r}, 'w').close()\n")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os\nfrom scan3d.workers import Workers\n"
+        "if __name__ == '__main__':\n"
+        "    before = dict(os.environ)\n"
+        "    with Workers(2) as workers:\n"
+        "        print(workers.submit(pow, 2, 3).result(), dict(os.environ) == before)\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], cwd=here, capture_output=True, text=True, timeout=60)
+    assert done.stdout == "8 True\n", done.stderr
+    assert not [name for name in names if (tmp_path / name).exists()]
