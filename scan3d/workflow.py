@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -99,6 +99,7 @@ def write(
     notify: Callable[[str], None] = lambda _: None,
     overwrite: bool = False,
     mesh_path: bool = False,
+    drawing: AbstractContextManager[Drawing] | None = None,
 ) -> dict[str, Any]:
     """Write an analysis into a folder: cloud, surface, pictures, page and report, which is returned.
 
@@ -118,6 +119,8 @@ def write(
         whether files that the program did not write may be replaced.
     mesh_path
         whether the report states where the true body's file lies, relative to the folder.
+    drawing
+        gives the child process that draws; by default one that is started and ended here.
 
     Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
     """
@@ -131,19 +134,20 @@ def write(
                 seconds=seconds,
                 notify=notify,
                 mesh_path=mesh_path,
+                drawing=drawing,
             )
     clock = _Clock({**(seconds or {}), **analysis.seconds})
     friction = settings.get("friction") if with_recording else None
-    with Drawing() as drawing:
+    with drawing or Drawing() as child:
         with clock("pictures"):  # while the child process imports what it needs
             can_draw = rendering.can_render()
             if not can_draw:
-                drawing.stop()
+                child.stop()
         with clock("write"):
             _put_tables(analysis, folder, with_recording)
         with clock("pictures"):
             figures = key_figures(report(analysis, settings=settings, friction_set=friction))
-            _draw(to_scene(analysis, figures), folder, drawing if can_draw else None, notify)
+            _draw(to_scene(analysis, figures), folder, child if can_draw else None, notify)
     data = report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds)
     if mesh_path and analysis.truth is not None:
         with suppress(ValueError, KeyError):  # on another drive, or not read from a file

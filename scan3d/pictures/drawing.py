@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import pickle
 import signal
+import struct
 import subprocess
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 from scan3d.errors import InputError
@@ -24,7 +27,12 @@ Job = tuple[str, dict[str, str]]
 # A child is ended after this time.  Shorter, a large scan on a slow machine without a graphics card would not get its
 # pictures; longer, a driver that hangs would be waited for.
 _TIMEOUT_S = 600
+# A child that has drawn ends if no further scene comes within this time.  Longer, a worker of a cluster holds its memory for
+# longer; shorter, a long computation between two pictures ends it.
+_IDLE_S = 120
 _CODE = "from scan3d.pictures.drawing import serve; serve()"
+# What goes through the pipes is preceded by its length.
+_LENGTH = struct.Struct("<Q")
 
 
 class DrawingError(InputError):
@@ -32,19 +40,20 @@ class DrawingError(InputError):
 
 
 class Drawing:
-    """A child process that draws; entered, it begins to import what it needs, and `draw` gives it the scene.
+    """A child process that draws; entered, it begins to import what it needs, and `draw` gives it scenes.
 
     It ends when the ``with`` block does.
     """
 
     def __enter__(self) -> Drawing:
         environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+        self._errors = TemporaryFile()
         # in a separate session: Ctrl-C in the terminal ends this process, which then ends the child without a message
         self._child = subprocess.Popen(
             python(_CODE),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=self._errors,
             env=environment,
             start_new_session=True,
         )
@@ -53,11 +62,16 @@ class Drawing:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
+    @property
+    def is_running(self) -> bool:
+        """Whether the child process can draw."""
+        return self._child.poll() is None
+
     def stop(self) -> None:
         """End the child process."""
         self._child.kill()
         self._child.wait()
-        for stream in (self._child.stdin, self._child.stdout, self._child.stderr):
+        for stream in (self._child.stdin, self._child.stdout, self._errors):
             if stream is not None:
                 with suppress(OSError):
                     stream.close()
@@ -66,22 +80,66 @@ class Drawing:
         """The bytes of each picture.
 
         Raises InputError where nothing can be rendered and for a scene that lacks what is to be shown, and DrawingError if the
-        child process crashes or takes too long.
+        child process crashes or takes too long, after which it is ended.
         """
         rendering.need_renderer()
         window = {rendering.WINDOW: os.environ[rendering.WINDOW]} if rendering.WINDOW in os.environ else {}
+        late: list[bool] = []
+
+        def end() -> None:
+            late.append(True)
+            self._child.kill()
+
+        watch = threading.Timer(_TIMEOUT_S, end)
+        watch.daemon = True
+        watch.start()
         try:
-            answer, errors = self._child.communicate(pickle.dumps((window, scene, list(jobs))), _TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            raise DrawingError(f"drawing took more than {_TIMEOUT_S} s") from None
-        except OSError as error:
-            raise DrawingError(f"the process that draws has failed: {error}") from None
-        if self._child.returncode:
-            raise DrawingError(_cause(self._child.returncode, errors))
-        result = pickle.loads(answer)
-        if isinstance(result, InputError):
-            raise result
-        return list(result)
+            with suppress(OSError):  # the child has ended: it sends no answer
+                _send(self._child.stdin, (window, scene, list(jobs)))
+            answer = _received(self._child.stdout)
+        finally:
+            watch.cancel()
+        if answer is None:
+            code = self._child.wait()
+            self._errors.seek(0)
+            cause = f"drawing took more than {_TIMEOUT_S} s" if late else _cause(code, self._errors.read())
+            self.stop()
+            raise DrawingError(cause)
+        if isinstance(answer[0], InputError):
+            raise answer[0]
+        return list(answer[0])
+
+
+_shared: Drawing | None = None
+
+
+@contextmanager
+def shared() -> Iterator[Drawing]:
+    """A child process that is kept for the next user of this function: it has imported what it needs."""
+    global _shared
+    drawing, _shared = _shared, None
+    if drawing is not None and not drawing.is_running:
+        drawing.stop()
+        drawing = None
+    if drawing is None:
+        drawing = Drawing().__enter__()
+    try:
+        yield drawing
+    except BaseException:
+        drawing.stop()
+        raise
+    stop_shared()
+    if drawing.is_running:
+        _shared = drawing
+
+
+@atexit.register
+def stop_shared() -> None:
+    """End the child process that `shared` keeps."""
+    global _shared
+    drawing, _shared = _shared, None
+    if drawing is not None:
+        drawing.stop()
 
 
 def draw(scene: Scene, jobs: Sequence[Job]) -> list[bytes]:
@@ -92,7 +150,7 @@ def draw(scene: Scene, jobs: Sequence[Job]) -> list[bytes]:
 
 
 def serve() -> None:
-    """What the child process does: read a scene from the standard input, and write pictures to the standard output."""
+    """What the child process does: read scenes from the standard input, and write pictures to the standard output."""
     # what libraries print goes elsewhere
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -101,16 +159,25 @@ def serve() -> None:
     import pyvista  # noqa: F401
     import trimesh  # noqa: F401
 
+    rendering.assume_renderer()
+    with os.fdopen(0, "rb") as source, answer:
+        request = _received(source)
+        while request is not None:
+            window, scene, jobs = request[0]
+            os.environ.update(window)
+            _send(answer, _drawn(scene, jobs))
+            idle = threading.Timer(_IDLE_S, os._exit, (0,))
+            idle.daemon = True
+            idle.start()
+            request = _received(source)
+            idle.cancel()
+
+
+def _drawn(scene: Scene, jobs: Any) -> list[bytes] | InputError:
+    """The pictures, or why there are none."""
     from scan3d.pictures import movie, views
 
-    with os.fdopen(0, "rb") as source:
-        data = source.read()
-    if not data:  # no pictures are wanted
-        return
-    window, scene, jobs = pickle.loads(data)
-    os.environ.update(window)
-    rendering.assume_renderer()
-    result: Any = []
+    result = []
     try:
         with TemporaryDirectory() as folder:
             for number, (ending, keywords) in enumerate(jobs):
@@ -118,9 +185,25 @@ def serve() -> None:
                 (movie.movie if ending in movie.ENDINGS else views.picture)(scene, path, **keywords)
                 result.append(path.read_bytes())
     except InputError as error:
-        result = error
-    with answer:
-        answer.write(pickle.dumps(result))
+        return error
+    return result
+
+
+def _send(stream: Any, value: Any) -> None:
+    data = pickle.dumps(value)
+    stream.write(_LENGTH.pack(len(data)))
+    stream.write(data)
+    stream.flush()
+
+
+def _received(stream: Any) -> tuple[Any] | None:
+    """What `_send` has sent; None where the stream ends."""
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        return None
+    (size,) = _LENGTH.unpack(head)
+    data = stream.read(size)
+    return (pickle.loads(data),) if len(data) == size else None
 
 
 def _cause(code: int, errors: bytes) -> str:

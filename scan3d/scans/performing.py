@@ -6,12 +6,14 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from scan3d import workflow
 from scan3d.files.ownership import Inputs
 from scan3d.files.results import opened
+from scan3d.pictures.drawing import Drawing
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.settings import Settings
@@ -29,6 +31,7 @@ def perform(
     mesh_path: bool = False,
     progress: Progress | None = None,
     notify: Callable[[str], None] = lambda _: None,
+    drawing: AbstractContextManager[Drawing] | None = None,
 ) -> tuple[Analysis, dict[str, Any]]:
     """Simulate a scan of a mesh, analyse it, and write the results into the folder `out`: the analysis and its report.
 
@@ -36,10 +39,10 @@ def perform(
         path of a mesh file, or a `trimesh.Trimesh`.
     out
         the folder; None: nothing is written.
-    inputs, overwrite, mesh_path, notify
+    inputs, overwrite, mesh_path, notify, drawing
         as in `workflow.write` and `files.results.opened`: what the run reads besides the mesh, whether files that the program
-        did not write may be replaced, whether the report states where the mesh lies, and what is called with a sentence if
-        pictures cannot be rendered.
+        did not write may be replaced, whether the report states where the mesh lies, what is called with a sentence if
+        pictures cannot be rendered, and what gives the process that draws.
     progress
         called with the numbers of slices that are done and of all slices.
 
@@ -73,6 +76,7 @@ def perform(
             seconds=seconds,
             notify=notify,
             mesh_path=mesh_path,
+            drawing=drawing,
         )
 
 

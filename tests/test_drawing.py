@@ -1,0 +1,104 @@
+"""The child process that draws, kept for several scenes."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from small_scans import scanned
+
+import scan3d
+from scan3d.pictures import drawing
+
+MESHES = Path(__file__).parents[1] / "meshes"
+JOBS = [(".png", {"view": "cloud"})]
+
+pytestmark = pytest.mark.rendering
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return [scanned(MESHES / name) for name in ("cube.stl", "gem.glb")]
+
+
+@pytest.fixture(autouse=True)
+def _nothing_kept():
+    yield
+    drawing.stop_shared()
+
+
+def drawn(scene):
+    """The pictures, and the number of the process that drew them."""
+    with drawing.shared() as child:
+        return child.draw(scene, JOBS), child._child.pid
+
+
+@pytest.mark.slow
+def test_a_process_that_is_kept_draws_the_same_pictures(scenes):
+    fresh = [drawing.draw(scene, JOBS) for scene in scenes]
+    kept = [drawn(scene) for scene in (*scenes, *scenes)]
+    assert [pictures for pictures, _ in kept] == [*fresh, *fresh]
+    assert len({number for _, number in kept}) == 1
+
+
+@pytest.mark.slow
+def test_a_process_that_was_killed_is_replaced(scenes):
+    _, first = drawn(scenes[0])
+    os.kill(first, signal.SIGKILL)
+    drawing._shared._child.wait()
+    _, second = drawn(scenes[0])
+    assert second != first
+
+
+@pytest.mark.slow
+def test_a_process_that_crashes_is_replaced(scenes):
+    with drawing.shared() as child:
+        os.kill(child._child.pid, signal.SIGSTOP)  # so that it has not answered when it is killed
+        os.kill(child._child.pid, signal.SIGKILL)
+        with pytest.raises(drawing.DrawingError, match=r"the renderer crashed \(SIGKILL\)"):
+            child.draw(scenes[0], JOBS)
+    assert drawn(scenes[0])[0]
+
+
+@pytest.mark.slow
+def test_a_process_without_work_ends(scenes, monkeypatch):
+    monkeypatch.setattr(drawing, "_CODE", "from scan3d.pictures import drawing; drawing._IDLE_S = 0.1; drawing.serve()")
+    with drawing.Drawing() as child:
+        child.draw(scenes[0], JOBS)
+        end = time.monotonic() + 20
+        while child.is_running and time.monotonic() < end:
+            time.sleep(0.05)
+        assert not child.is_running
+
+
+@pytest.mark.slow
+def test_two_at_once_do_not_share_a_process(scenes):
+    with drawing.shared() as first, drawing.shared() as second:
+        assert first._child.pid != second._child.pid
+    assert drawing._shared.is_running
+    assert not (first.is_running and second.is_running)
+
+
+@pytest.mark.slow
+def test_a_batch_in_this_process_draws_with_one_and_keeps_none(tmp_path, monkeypatch):
+    started = []
+    enter = drawing.Drawing.__enter__
+
+    def counted(self):
+        started.append(self)
+        return enter(self)
+
+    monkeypatch.setattr(drawing.Drawing, "__enter__", counted)
+    meshes = [MESHES / "cube.stl", MESHES / "gem.glb"]
+    scan3d.batch(meshes, tmp_path, slices=6, samples=40)
+    assert len(started) == 1
+    assert not started[0].is_running
+    assert len(list(tmp_path.glob("*/surface.png"))) == 2
+
+
+def test_a_scene_that_lacks_what_is_to_be_shown_does_not_end_the_process(scenes):
+    with drawing.shared() as child:
+        with pytest.raises(scan3d.InputError, match=r"."):
+            child.draw(scenes[0], [(".png", {"view": "nonsense"})])
+        assert child.draw(scenes[0], JOBS)
