@@ -15,7 +15,6 @@ from scan3d.choices import Method, Model
 from scan3d.comparison import Comparison
 from scan3d.files.recordings import read_recording
 from scan3d.laboratory import calibration
-from scan3d.laboratory.calibration_reference import Flat
 from scan3d.laboratory.calibration_result import Calibration
 from scan3d.planning import Plan
 from scan3d.reconstruction import models
@@ -90,7 +89,8 @@ def calibrate(
     tare: str = "auto",
     pose_noise_m: float | None = None,
 ) -> Calibration:
-    is_mesh_file = isinstance(reference, (str, os.PathLike)) and reference != Flat.kind
+    # a word without an ending, such as "plane", is no file
+    is_mesh_file = isinstance(reference, os.PathLike) or (isinstance(reference, str) and "." in reference)
     touched: Any = load_mesh(reference) if is_mesh_file else reference  # type: ignore[arg-type]
     return calibration.calibrate(
         _recording(recording), touched, sphere=sphere, unit=unit, tare=tare, pose_noise_m=pose_noise_m

@@ -1,5 +1,6 @@
 """A run ends at once and in a sentence when it is interrupted, terminated, or when its renderer crashes."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -303,3 +304,14 @@ def test_a_backend_that_does_not_exist_does_no_harm(tmp_path):
         "--html",
         tmp_path / "a.html",
     )
+
+
+def test_an_interruption_that_a_library_has_caught_is_raised_at_the_next_check():
+    interruptions.check()  # outside of a run nothing is raised
+    with interruptions.Interruptions(ends_process=False) as run:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        interruptions.check()
+        pytest.fail("no interruption was raised")
+    assert run.code == 130
+    interruptions.check()

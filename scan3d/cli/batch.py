@@ -10,6 +10,7 @@ from argparse import Namespace
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from scan3d.cli import interruptions
 from scan3d.cli.terminal import is_terminal, one_line, print_result, print_settings, table
 from scan3d.settings import UsageError, settings, varied_settings
 
@@ -108,10 +109,12 @@ def _choices(arguments: Namespace) -> list[tuple[dict[str, Any], Any]]:
 
 def _progress(arguments: Namespace) -> Callable[[BatchProgress], None]:
     """Shows a line on stderr that counts the runs and is erased at the end; nothing if stderr is not a terminal."""
-    if arguments.quiet or not is_terminal(sys.stderr):
-        return lambda _: None
+    shown = not arguments.quiet and is_terminal(sys.stderr)
 
     def show(progress: BatchProgress) -> None:
+        interruptions.check()
+        if not shown:
+            return
         failed = f", {progress.failed} failed" if progress.failed else ""
         left = "" if progress.seconds_left is None else f", {_duration(progress.seconds_left)} left"
         line = f"batch {progress.done}/{progress.total} runs{failed}{left}"

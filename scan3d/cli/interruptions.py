@@ -50,6 +50,8 @@ class Interruptions:
         self._unraisable = sys.unraisablehook
 
     def __enter__(self) -> Interruptions:
+        global _entered
+        _entered = self
         # Python allows handlers in the main thread only
         if threading.current_thread() is threading.main_thread():
             for name in _WORDS:
@@ -65,9 +67,14 @@ class Interruptions:
         if not issubclass(unraisable.exc_type, (Interrupted, Terminated)):
             self._unraisable(unraisable)
 
+    def check(self) -> None:
+        """Raises the interruption that was received, if a library has caught it."""
+        if self._received is not None:
+            raise _error(self._received)
+
     def _receive(self, number: int, frame: FrameType | None) -> None:
         self._received = number
-        error = Interrupted if number == signal.SIGINT else Terminated
+        error = _error(number)
         if not hasattr(signal, "setitimer"):
             raise error
         signal.signal(signal.SIGALRM, lambda _, frame: self._receive(number, frame))
@@ -82,6 +89,8 @@ class Interruptions:
             raise error
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> bool:
+        global _entered
+        _entered = None
         if self._received is not None and hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = self._unraisable
@@ -107,6 +116,19 @@ class Interruptions:
         if self._ends_process:  # at once, as above: a library that was interrupted may crash when Python ends it
             os._exit(self.code)
         return True
+
+
+_entered: Interruptions | None = None
+
+
+def check() -> None:
+    """Raises the interruption that this process has received, if a library has caught it; between two parts of a long run."""
+    if _entered is not None:
+        _entered.check()
+
+
+def _error(number: int) -> type[BaseException]:
+    return Interrupted if number == signal.SIGINT else Terminated
 
 
 def _is_importing(frame: FrameType | None) -> bool:
