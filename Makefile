@@ -21,7 +21,7 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/installed ## run all tests but the long ones of make trust (15 minutes on two cores)
+test: .venv/installed ## run all tests but the long ones of make trust (20 minutes on two cores)
 	$(PYTEST) $(ARGS)
 
 fast: .venv/installed ## run the tests that are not marked slow (3 minutes on two cores)
