@@ -126,16 +126,8 @@ def write(
     """
     if not isinstance(folder, Result):
         with opened(folder, with_recording=with_recording, overwrite=overwrite) as result:
-            return write(
-                analysis,
-                result,
-                settings=settings,
-                with_recording=with_recording,
-                seconds=seconds,
-                notify=notify,
-                mesh_path=mesh_path,
-                drawing=drawing,
-            )
+            rest: dict[str, Any] = {"seconds": seconds, "notify": notify, "mesh_path": mesh_path, "drawing": drawing}
+            return write(analysis, result, settings=settings, with_recording=with_recording, **rest)
     clock = _Clock({**(seconds or {}), **analysis.seconds})
     friction = settings.get("friction") if with_recording else None
     with drawing or Drawing() as child:
@@ -150,9 +142,14 @@ def write(
             _draw(to_scene(analysis, figures), folder, child if can_draw else None, notify)
     data = report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds)
     if mesh_path and analysis.truth is not None:
-        with suppress(ValueError, KeyError):  # on another drive, or not read from a file
-            data["mesh"]["path"] = os.path.relpath(analysis.truth.metadata["path"], folder.folder.resolve())
+        _state_path(data, analysis.truth, folder.folder)
     return folder.commit(data)
+
+
+def _state_path(data: dict[str, Any], truth: Any, folder: Path) -> None:
+    """Add to a report where the true body's file lies, relative to the folder."""
+    with suppress(ValueError, KeyError):  # on another drive, or not read from a file
+        data["mesh"]["path"] = os.path.relpath(truth.metadata["path"], folder.resolve())
 
 
 def _put_tables(analysis: Analysis, result: Result, with_recording: bool) -> None:

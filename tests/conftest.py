@@ -7,6 +7,7 @@ tests marked `trust` of ``make test`` too: they are the long versions of others,
 
 import functools
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -30,6 +31,9 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    # a shell without job control ignores Ctrl-C in what it starts in the background, and so do all children of that
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "rendering: needs an off-screen renderer")
     config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")
