@@ -112,3 +112,25 @@ def read_ply():
         return vertices, faces, [" ".join(line[1:]) for line in lines if line[0] == "comment"]
 
     return read
+
+
+@pytest.fixture
+def call(capsys):
+    """Run the command in this process: (exit code, stdout, stderr)."""
+    from scan3d.cli import main
+
+    def run(*arguments):
+        try:
+            code = main([str(argument) for argument in arguments])
+        except SystemExit as leaving:
+            code = leaving.code
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Pictures take longer than all the rest, and are tested elsewhere."""
+    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)

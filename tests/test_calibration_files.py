@@ -9,7 +9,6 @@ import pytest
 
 import scan3d
 from scan3d import InputError
-from scan3d.cli import main
 from tests import rigs
 
 
@@ -24,21 +23,6 @@ def touches(tmp_path_factory):
 @pytest.fixture(scope="module")
 def calibration():
     return scan3d.calibrate(rigs.recorded(), rigs.DIAMETER)
-
-
-@pytest.fixture
-def call(capsys):
-    """Run the command in this process: (exit code, stdout, stderr)."""
-
-    def run(*arguments):
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as leaving:
-            code = leaving.code
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_the_command_writes_a_rig_and_prints_a_table(call, touches, tmp_path, calibration):

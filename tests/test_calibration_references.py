@@ -10,7 +10,6 @@ import trimesh
 
 import scan3d
 from scan3d import InputError
-from scan3d.cli import main
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_pose import poses, spread_rotations
 from tests import references, rigs
@@ -225,21 +224,6 @@ def test_the_pose_of_a_body_is_found_from_points_on_it():
         found = poses(body, inner @ turn.T + [3.0, -2.0, 1.0], 3)
         assert found.misfit[0] < 1e-6
         assert found.centre[0] == pytest.approx([3.0, -2.0, 1.0], abs=1e-5)
-
-
-@pytest.fixture
-def call(capsys):
-    """Run the command in this process: (exit code, stdout, stderr)."""
-
-    def run(*arguments):
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as leaving:
-            code = leaving.code
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_the_command_takes_a_plane(call, tmp_path, on_plane, found_on_plane):

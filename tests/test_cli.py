@@ -32,27 +32,6 @@ RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "repor
 PICTURES = {"cloud.png", "surface.png"}
 
 
-@pytest.fixture
-def call(capsys):
-    """Run the command in this process: (exit code, stdout, stderr)."""
-
-    def run(*arguments):
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as leaving:
-            code = leaving.code
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
-def no_pictures(monkeypatch):
-    """No pictures, which take longer than everything else."""
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
-
-
 def tree(folder):
     """The files and folders in a folder, with their contents."""
     return {p.relative_to(folder): p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}

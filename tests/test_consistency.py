@@ -211,12 +211,6 @@ def test_a_few_disturbed_rows_are_no_contradiction(egg):
 # --- what becomes of it ---
 
 
-@pytest.fixture
-def no_pictures(monkeypatch):
-    """Pictures take longer than all the rest, and are tested elsewhere."""
-    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
-
-
 def test_a_contradiction_withdraws_the_certificate(egg):
     analysis = analyse(FAULTS["moment 10 % too large"](egg))
     assert analysis.warnings

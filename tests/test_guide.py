@@ -8,32 +8,11 @@ import pytest
 from small_scans import CUBE, FEW
 
 import scan3d
-from scan3d.cli import guide, main
+from scan3d.cli import guide
 from scan3d.cli.parser import parser
-from scan3d.pictures import rendering
 from scan3d.summaries import summary
 
 ROOT = Path(__file__).parents[1]
-
-
-@pytest.fixture
-def call(capsys):
-    """Run the command in this process: (exit code, stdout, stderr)."""
-
-    def run(*arguments):
-        try:
-            code = main([str(argument) for argument in arguments])
-        except SystemExit as leaving:
-            code = leaving.code
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
-@pytest.fixture
-def no_pictures(monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
 
 
 def test_the_program_alone_prints_a_short_guide(call):

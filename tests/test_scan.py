@@ -249,12 +249,6 @@ def scan(folder, *arguments):
     return folder
 
 
-@pytest.fixture
-def no_pictures(monkeypatch):
-    """Pictures take longer than all the rest, and are tested elsewhere."""
-    monkeypatch.setattr("scan3d.pictures.rendering.can_render", lambda: False)
-
-
 @pytest.mark.slow
 def test_step_2_needs_the_recording_only(tmp_path, no_pictures, read_ply):
     from scan3d.cli import main
