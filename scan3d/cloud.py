@@ -110,7 +110,8 @@ class Cloud(Shown, Exported):
     """(n,) standard deviation of the angle of the in-plane normal in tangential contact, in radians, infinite in tip contact;
     None for exact data."""
     unresolved: NDArray[np.bool_] | None = None
-    """(s,) whether a slice has forces that stand out from the noise, but no contact: such a slice is not empty.  None: none."""
+    """(s,) whether a slice without contact may not be empty: forces stand out from the noise, or the rods did not sweep all
+    places that the body may reach there.  None: there is no such slice."""
     light: int = 0
     """Number of contacts left out because the rod touched too lightly for the noise."""
     pose_error: float = 0.0

@@ -13,7 +13,7 @@ from scan3d.geometry.sections import extent_along, slice_polygons
 from scan3d.planning import next_heights
 from scan3d.planning.adaptive import SlabMemory
 from scan3d.planning.directions import base_fractions, first_directions
-from scan3d.planning.heights import first_heights
+from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import enclosure
 
@@ -134,8 +134,8 @@ def test_no_heights_without_slices_left(first_cloud):
     done = len(first_cloud.slice_height)
     assert len(next_heights(first_cloud, PLAN, left=0)) == 0
     assert len(next_heights(first_cloud, PLAN, left=-1)) == 0
-    assert len(next_heights(first_cloud, Plan(slices=done, spacing="adaptive"))) == 0
-    assert len(next_heights(first_cloud, Plan(slices=done + 1, spacing="adaptive"))) == 1
+    assert len(next_heights(first_cloud, Plan(slices=done - BEYOND, spacing="adaptive"))) == 0
+    assert len(next_heights(first_cloud, Plan(slices=done - BEYOND + 1, spacing="adaptive"))) == 1
     assert len(next_heights(first_cloud, PLAN, left=1)) == 1
 
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scan3d import InputError, Plan
 from scan3d.geometry.sections import slice_frame
 from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
-from scan3d.planning.heights import FIRST_SLICES, _parts, first_heights, heights, heights_at_gaps
+from scan3d.planning.heights import FIRST_SLICES, _parts, cosine_heights_left, first_heights, heights, heights_at_gaps
 
 
 def test_cosine_heights_are_chebyshevs_nodes():
     # the textbook's: the roots of the polynomial, which is cos(n arccos x)
-    levels = heights(-1.0, 1.0, Plan(slices=9))
+    levels = heights(-1.0, 1.0, Plan(slices=9, spacing="cosine"))
     assert np.all(np.diff(levels) > 0)
     roots = np.sort(np.polynomial.chebyshev.chebroots([0] * 9 + [1]))
     assert levels == pytest.approx(roots, abs=1e-12)
@@ -35,7 +35,7 @@ def test_heights_lie_inside_the_body_and_symmetric(spacing, slices):
 
 
 def test_cosine_heights_are_dense_at_the_ends():
-    gaps = np.diff(heights(0.0, 1.0, Plan(slices=64)))
+    gaps = np.diff(heights(0.0, 1.0, Plan(slices=64, spacing="cosine")))
     assert gaps[0] < gaps[31] / 10
 
 
@@ -47,8 +47,21 @@ def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
     assert beyond.sum() == 2
     assert levels[beyond].sum() == pytest.approx(4.0)
     assert np.all((levels[~beyond] > -3) & (levels[~beyond] < 7))
-    expected = min(FIRST_SLICES, max(2, slices - 2)) if spacing == "adaptive" else slices
-    assert (~beyond).sum() == expected
+    assert (~beyond).sum() == (min(FIRST_SLICES, slices) if spacing == "adaptive" else slices)
+
+
+def test_adaptive_spacing_begins_with_some_of_the_heights_of_cosine_spacing():
+    first, all_of_them = (first_heights(-3.0, 7.0, Plan(slices=40, spacing=rule)) for rule in ("adaptive", "cosine"))
+    assert np.isin(first, all_of_them).all()
+    known = first[:-2]
+    while len(further := cosine_heights_left(known, np.ones(len(known) - 1, dtype=bool), 40)):
+        assert len(further) <= len(known) - 1
+        known = np.sort(np.concatenate([known, further]))
+    assert known == pytest.approx(np.sort(all_of_them[:-2]), abs=1e-12)
+    # slabs that are narrow enough are not divided
+    wide = np.arange(len(first) - 3) == 2
+    (height,) = cosine_heights_left(first[:-2], wide, 40)
+    assert first[2] < height < first[3]
 
 
 def test_heights_at_gaps_are_those_of_the_worst_corners():
@@ -67,15 +80,21 @@ def test_heights_at_gaps_are_those_of_the_worst_corners():
     assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), creases[:1], 4, 4)) == 0
 
 
-def test_a_slab_that_will_need_three_parts_gets_two_heights_at_once():
+def test_a_bent_slab_that_will_need_a_few_parts_gets_all_heights_at_once():
+    """The density of slices is 10 and 6.67 in the middles of the slabs, and linear between them."""
     known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
     slab, corners, gaps = np.array([1, 2]), np.array([0.14, 0.46]), np.array([9.0, 4.0])
     bent, creased = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
     # three cuts make parts of 9/3² and 4/2²
-    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.1, 0.2, 0.46])
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.0941, 0.1938, 0.4417], abs=1e-4)
     assert heights_at_gaps(known, slab, corners, gaps, creased, 3, 3) == pytest.approx([0.14, 0.46])
-    # if only one height is left, it is that of the worst slab's worst corner
-    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.14])
+    # a third of the density's integral lies below the first of them
+    u = 0.0941 / 0.3
+    assert 10 * u - 0.8333 * u**2 == pytest.approx((10 + 8.333) / 2 / 3, rel=1e-3)
+    # if only one height is left, it halves the worst slab
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.1432], abs=1e-4)
+    # a slab that will need many parts is halved first
+    assert len(heights_at_gaps(known, slab[:1], corners[:1], gaps[:1], bent[:1], 3, 9)) == 1
 
 
 def test_parts_make_the_widest_gap_as_small_as_cuts_can():

@@ -92,8 +92,7 @@ def calibrate(
         what the sensor shows in the air: ``constant``, ``linear`` (drifts steadily over the recording), ``sweep`` (a value
         for each sweep), or ``auto``: linear if the rows in the air allow it, else sweep.
     pose_noise_m
-        standard deviation of each coordinate of the recorded places of the clamp; None takes that of the recording, and
-        estimates it if the recording states none.
+        standard deviation of each coordinate of the recorded clamps; None takes the recording's, or estimates it.
 
     The recording has six axes, or three for a rod in a plane past a sphere, and the nominal rod; reactions are those of the
     sensor, neither tared nor turned.  Raises InputError for impossible arguments and for touches that do not determine the rig.

@@ -111,7 +111,10 @@ def next_heights(
         if len(further):
             return further[:left]
     number = number[between]
-    levels = np.array([stack.floor, *stack.heights, stack.ceiling])
+    ends = (stack.floor, stack.heights[0]), (stack.ceiling, stack.heights[-1])
+    # an end that nothing bounds gets no height
+    low, high = (end if np.isfinite(end) else nearest for end, nearest in ends)
+    levels = np.array([low, *stack.heights, high])
     creases = straight[between].all(axis=1)
     return heights_at_gaps(levels, number, corners[between] @ stack.frame[2], gap[between], creases, count, left)
 

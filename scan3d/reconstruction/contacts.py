@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError
+from scan3d.reconstruction.empty_slices import unproven
 from scan3d.reconstruction.planes import planes
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.reconstruction.rig_effects import tip_tolerance
@@ -62,13 +65,12 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
     slices = planes(recording, axes[:, 2], points.mean(axis=0), known.place_m)
-    unresolved = np.isin(np.arange(len(slices.height)), np.setdiff1d(slices.number[felt], slices.number[rows]))
     pose, length = known.pose_m / scale, rod.length_m / scale
     in_world = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
     place_sd = np.hypot(length * error.largest[rows], pose)
     noisy = max(*noise, pose) > 0
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
-    return Cloud(
+    cloud = Cloud(
         points=points / scale,
         normals=np.full((len(rows), 3), np.nan),
         normal_source=np.full(len(rows), NormalSource.UNKNOWN, dtype=np.int8),
@@ -89,13 +91,23 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         covariance=length**2 * in_world + pose**2 * np.eye(3) if noisy else None,
         place_sd=place_sd if noisy else None,
         normal_sd=np.where(tangential, error.slope[rows], np.inf) if noisy else None,
-        unresolved=unresolved if unresolved.any() else None,
         light=int(light.sum()),
         pose_error=known.place_m / scale,
         tilt=slices.tilt_in(scale),
         table=None if recording.table_m is None else recording.table_m / scale,
         independent=known.independent,
     )
+    return _with_unresolved_slices(cloud, recording, slices.number, felt, max(noise))
+
+
+def _with_unresolved_slices(
+    cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: Mask, noise: float
+) -> Cloud:
+    """The cloud with the slices without contact that may not be empty, from the slices (n,) and the force of its rows."""
+    # a rod's tip is bent by a third of the force that is felt
+    unresolved = unproven(cloud, recording, number, FORCE_SIGMAS * noise / 3)
+    unresolved[np.setdiff1d(number[felt], cloud.slice)] = True
+    return replace(cloud, unresolved=unresolved) if unresolved.any() else cloud
 
 
 class NoContactError(InputError):

@@ -39,7 +39,7 @@ _ROUNDS = 2
 _WIDTH_HEIGHTS = 33
 # Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.  Larger, such
 # sweeps are longer than needed; smaller, they could end before the contour does.
-_BEYOND = 0.01
+_BEYOND = 0.2
 # Bytes that a sample takes while a scan is simulated and analysed, and those that a slice takes beside its samples.  A noisy
 # scan of 576,000 samples took 600 bytes for each.  Larger, scans are refused that would fit; smaller, memory runs out.
 _MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE = 1000, 10_000
@@ -115,17 +115,33 @@ class _AxisScan:
         return [swept for i in slices for swept in done[i]]
 
     def _sweep_empty(self, i: int) -> list[_Swept]:
-        """Sweeps without contact of an empty slice, at the base lines of the nearest slice with a contour."""
+        """Sweeps without contact of an empty slice, past the nearest contour and where it would be if the body went on."""
         filled = [j for j, polygon in enumerate(self.polygons) if len(polygon)]
         if not filled:
             return []
         nearest = min(filled, key=lambda j: abs(self.heights[j] - self.heights[i]))
+        outline = np.concatenate([self.polygons[nearest], self._extrapolated(nearest, filled, self.heights[i])])
         swept = []
         for k, angle in enumerate(first_directions(self.plan)):
-            line = self._base_line(angle, self.polygons[nearest])
-            across = (self.polygons[nearest] - line.origin) @ line.axes[0] / self.length
+            line = self._base_line(angle, outline)
+            across = (outline - line.origin) @ line.axes[0] / self.length
             swept.append(_Swept(_Sweep(i, k, line), self._nothing(across)))
         return swept
+
+    def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
+        """Slice i's contour (n, 2) at another height, moved and scaled as from the nearest of the other filled slices."""
+        contour = self.polygons[i]
+        others = [j for j in filled if j != i]
+        if not others:
+            return contour
+        behind = min(others, key=lambda j: abs(self.heights[j] - self.heights[i]))
+        (centre, size), (before, size_before) = (
+            (polygon.mean(axis=0), np.ptp(polygon, axis=0)) for polygon in (contour, self.polygons[behind])
+        )
+        ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
+        scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
+        moved: Array = centre + ahead * (centre - before) + scaled * (contour - centre)
+        return moved
 
     def _nothing(self, across: Array) -> planar.Sweep:
         """A sweep without contact, past positions (n,) along its base line in rod lengths."""

@@ -24,8 +24,9 @@ _ROUNDING = 1e-12
 def depths(bounds: SliceEnclosure, surface: Any) -> Array:
     """Upper bounds (v,) of the distances of a convex surface's vertices in the body from the body's surface.
 
-    The directions are the normals of the faces at each vertex; where a slab is unbounded, they are those of the vertices,
-    projected into the slices' planes.
+    Of the directions of the faces' normals at a vertex that with the largest bound counts, so that the bound is wide where the
+    body may reach far beyond one of the faces.  Where a slab is unbounded, they are the vertices' normals, projected into the
+    slices' planes, and the bound of the slab's vertices is infinite.
     """
     vertices: Array = surface.vertices.view(np.ndarray)
     faces: Index = surface.faces
@@ -39,27 +40,29 @@ def depths(bounds: SliceEnclosure, surface: Any) -> Array:
     known = np.flatnonzero(size > 0)
     normals = normals[known] / size[known, None]
     depth = highest(_extreme(bounds.corners), normals) - (normals * corner[known, 0]).sum(axis=1)
-    found = np.full(len(vertices), np.inf)
-    np.minimum.at(found, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
-    return found
+    found = np.full(len(vertices), -np.inf)
+    np.maximum.at(found, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
+    return np.where(np.isfinite(found), found, np.inf)
 
 
 def _within_slabs(bounds: SliceEnclosure, vertices: Array, normals: Array) -> Array:
-    """The bounds by each vertex' own slab and its normal's direction in the slices' planes; infinite in unbounded slabs."""
+    """The bounds (v,) by each vertex' own slab and the direction of its normal (v, 3) in the slices' planes."""
     frame, levels = bounds.stack.frame, np.array([-np.inf, *bounds.stack.heights, np.inf])
     heights = vertices @ frame[2]
     rounding = _ROUNDING * float(np.abs(heights).max())
     level = normals - (normals @ frame[2])[:, None] * frame[2]
     size = np.linalg.norm(level, axis=1)
     level = np.where(size[:, None] > 0, level / np.where(size > 0, size, 1.0)[:, None], frame[0])
-    found = np.full(len(vertices), np.inf)
+    found, is_open = np.full(len(vertices), np.inf), np.zeros(len(vertices), dtype=bool)
     for number in np.unique(bounds.slab):
         corners = bounds.corners[bounds.slab == number]
+        rows = (heights >= levels[number] - rounding) & (heights <= levels[number + 1] + rounding)
         if np.isfinite(corners).all():
-            rows = (heights >= levels[number] - rounding) & (heights <= levels[number + 1] + rounding)
             depth = highest(corners, level[rows]) - (level[rows] * vertices[rows]).sum(axis=1)
             found[rows] = np.minimum(found[rows], np.maximum(depth, 0.0))
-    return found
+        else:
+            is_open |= rows
+    return np.where(is_open, np.inf, found)
 
 
 def _extreme(points: Array) -> Array:
