@@ -9,6 +9,7 @@ from sample_bodies import random_body
 
 import scan3d
 from scan3d.geometry.distance import nearest
+from scan3d.geometry.extremes import support_values
 from scan3d.geometry.vectors import highest
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import certificate, enclosure, surface
@@ -78,7 +79,18 @@ def test_the_tangents_bound_a_polyhedron_more_tightly():
         assert (upper <= alone.support(directions)[1]).all()
 
 
-def test_the_support_function_of_many_points_in_blocks():
+@pytest.mark.parametrize("shape", ["ball", "box", "flat", "plane"])
+def test_the_support_function_of_many_points(shape):
+    """In blocks, and along the edges of the hull; also of points that span no body."""
     random = np.random.default_rng(0)
-    points, directions = random.normal(size=(5000, 3)), random.normal(size=(3000, 3))
-    assert highest(points, directions) == pytest.approx((points @ directions.T).max(axis=0), abs=1e-14)
+    points, directions = random.normal(size=(6000, 3)), random.normal(size=(3000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    if shape == "ball":
+        points /= np.linalg.norm(points, axis=1)[:, None]
+    if shape == "box":
+        points = np.clip(points, -1, 1)
+        directions[:6] = [*np.eye(3), *-np.eye(3)]
+    points *= {"flat": [1, 1, 1e-6], "plane": [1, 1, 0]}.get(shape, [1, 2, 3])
+    truth = (points @ directions.T).max(axis=0)
+    assert highest(points, directions) == pytest.approx(truth, abs=1e-14)
+    assert support_values(points, directions) == pytest.approx(truth, abs=1e-12)

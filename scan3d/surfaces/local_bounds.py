@@ -7,13 +7,12 @@ directions u in the slices' planes: the way from x along u leaves the body insid
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import Array, Index
+from scan3d.geometry.extremes import support_values
 from scan3d.geometry.vectors import highest
 from scan3d.surfaces.enclosures import SliceEnclosure
 
@@ -39,7 +38,7 @@ def depths(bounds: SliceEnclosure, surface: Any) -> Array:
     size = np.linalg.norm(normals, axis=1)
     known = np.flatnonzero(size > 0)
     normals = normals[known] / size[known, None]
-    depth = highest(_extreme(bounds.corners), normals) - (normals * corner[known, 0]).sum(axis=1)
+    depth = support_values(bounds.corners, normals) - (normals * corner[known, 0]).sum(axis=1)
     found = np.full(len(vertices), -np.inf)
     np.maximum.at(found, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
     return np.where(np.isfinite(found), found, np.inf)
@@ -63,10 +62,3 @@ def _within_slabs(bounds: SliceEnclosure, vertices: Array, normals: Array) -> Ar
         else:
             is_open |= rows
     return np.where(is_open, np.inf, found)
-
-
-def _extreme(points: Array) -> Array:
-    """The points (n, 3) that are vertices of their hull; all points if they span no body."""
-    with suppress(QhullError):
-        points = points[ConvexHull(points).vertices]
-    return points
