@@ -19,6 +19,8 @@ from scan3d.units import Unit
 if TYPE_CHECKING:
     from scan3d.planning.plan import Plan
 
+SLICES_FOR_TOLERANCE = 1024
+"""Slices along each axis at most, where a tolerance is given and their number is not."""
 # The types of settings as error messages name them.
 _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
@@ -141,6 +143,8 @@ def _merged(*layers: tuple[str, Mapping[str, Any]]) -> Settings:
                 f"{source}: unknown setting {', '.join(unknown)}; known are {', '.join(known)}{did_you_mean(unknown, known)}"
             )
         merged = replace(merged, **{name: _typed(source, name, values[name], known[name]) for name in values})
+    if merged.tolerance > 0 and not any("slices" in values for _, values in layers):
+        return replace(merged, slices=SLICES_FOR_TOLERANCE)
     return merged
 
 

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from scan3d import InputError, Plan
 from scan3d.geometry.sections import slice_frame
 from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
-from scan3d.planning.heights import FIRST_SLICES, _parts, cosine_heights_left, first_heights, heights, heights_at_gaps
+from scan3d.planning.heights import (
+    FIRST_SLICES,
+    _parts,
+    cosine_heights_left,
+    first_heights,
+    heights,
+    heights_at_gaps,
+    parts_within,
+)
 
 
 def test_cosine_heights_are_chebyshevs_nodes():
@@ -54,14 +62,15 @@ def test_adaptive_spacing_begins_with_some_of_the_heights_of_cosine_spacing():
     first, all_of_them = (first_heights(-3.0, 7.0, Plan(slices=40, spacing=rule)) for rule in ("adaptive", "cosine"))
     assert np.isin(first, all_of_them).all()
     known = first[:-2]
-    while len(further := cosine_heights_left(known, np.ones(len(known) - 1, dtype=bool), 40)):
+    while len(further := cosine_heights_left(known, np.full(len(known) - 1, 99), 40)):
         assert len(further) <= len(known) - 1
         known = np.sort(np.concatenate([known, further]))
     assert known == pytest.approx(np.sort(all_of_them[:-2]), abs=1e-12)
-    # slabs that are narrow enough are not divided
-    wide = np.arange(len(first) - 3) == 2
-    (height,) = cosine_heights_left(first[:-2], wide, 40)
-    assert first[2] < height < first[3]
+    # slabs that are narrow enough are not divided, and those that need few parts get all heights at once
+    heights_within = cosine_heights_left(first[:-2], np.array([1, 1, 2, 4, 1, 1, 1]), 40)
+    assert np.histogram(heights_within, first[:-2])[0].tolist() == [0, 0, 1, 3, 0, 0, 0]
+    assert parts_within(np.array([0.5, 1.0, 3.9, 4.1, np.inf]), 1.0).tolist() == [1, 1, 2, 3, 2**31 - 1]
+    assert parts_within(np.ones(1), 0.0).tolist() == [2**31 - 1]
 
 
 def test_heights_at_gaps_are_those_of_the_worst_corners():

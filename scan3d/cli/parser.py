@@ -95,7 +95,11 @@ _METHOD = f"surface from the contacts: {one_of(METHODS)}; bracket estimates it b
 _OPTIONS = (
     ("model", "MODEL", f"model of contact: {one_of(MODELS)}; a round rod in space leaves the plane of its sweep"),
     ("slices", "N", "number of slices; in the spatial model 0.6 times as many sweeps from each of 12 directions"),
-    ("spacing", "RULE", f"heights of the slices: {one_of(SPACINGS)}; cosine is dense at the ends"),
+    (
+        "spacing",
+        "RULE",
+        f"heights of the slices: {one_of(SPACINGS)}; adaptive where the bound is widest, cosine dense at the ends",
+    ),
     ("axis", "AXIS", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0"),
     ("sweeps", "N", "sweeps per slice, or in the spatial model per direction, or auto: as many as the body needs"),
     ("samples", "N", "samples per sweep"),
@@ -103,7 +107,11 @@ _OPTIONS = (
     ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"),
     ("clearance", "X", "distance of the base line from the slice, in rod lengths"),
     ("standoff", "RULE", f"{one_of(STANDOFFS)}: whether the base line follows every slice or clears the widest one"),
-    ("tolerance", "X", "certified bound at which adaptive spacing stops, relative to the diagonal"),
+    (
+        "tolerance",
+        "X",
+        "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices as it takes",
+    ),
     (
         "accuracy",
         "X",

@@ -14,7 +14,7 @@ from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
-from scan3d.planning.heights import BEYOND, cosine_heights_left, heights_at_gaps
+from scan3d.planning.heights import BEYOND, cosine_heights_left, heights_at_gaps, parts_within
 from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.bounds import outside
@@ -106,8 +106,8 @@ def next_heights(
     if straight[between].any(axis=1).mean() < _FEW_STRAIGHT:
         widest = np.zeros(len(parts))
         np.maximum.at(widest, number, gap)
-        wide = widest[1:-1] > plan.tolerance * diagonal
-        further = cosine_heights_left(np.array(stack.heights), wide, plan.slices)
+        parts_needed = parts_within(widest[1:-1], plan.tolerance * diagonal)
+        further = cosine_heights_left(np.array(stack.heights), parts_needed, plan.slices)
         if len(further):
             return further[:left]
     number = number[between]
@@ -116,7 +116,9 @@ def next_heights(
     low, high = (end if np.isfinite(end) else nearest for end, nearest in ends)
     levels = np.array([low, *stack.heights, high])
     creases = straight[between].all(axis=1)
-    return heights_at_gaps(levels, number, corners[between] @ stack.frame[2], gap[between], creases, count, left)
+    tolerance = plan.tolerance * diagonal
+    at = corners[between] @ stack.frame[2]
+    return heights_at_gaps(levels, number, at, gap[between], creases, count, left, tolerance)
 
 
 def _stack(cloud: Cloud, axis: Array | None) -> SliceStack:

@@ -59,13 +59,13 @@ def first_heights(low: float, high: float, plan: Plan) -> Array:
     return np.concatenate([inside, [low - beyond, high + beyond]])
 
 
-def cosine_heights_left(known: Array, wide: Mask, slices: int) -> Array:
-    """Heights (k,) of cosine spacing that are still to be scanned, one in the middle of those in each slab.
+def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
+    """Heights (k,) of cosine spacing that are still to be scanned, and that divide each slab into parts.
 
     known (s,)
         heights of the slices of the body, rising; the first and the last are the end slices of cosine spacing.
-    wide (s - 1,)
-        whether the slab between two slices is to be divided.
+    parts (s - 1,)
+        numbers of parts that the slabs between two slices need; those that need many are halved first.
     slices
         number of slices of cosine spacing.
     """
@@ -74,15 +74,31 @@ def cosine_heights_left(known: Array, wide: Mask, slices: int) -> Array:
     nodes = middle + half * nodes / nodes[-1]
     near = CLOSEST * 2 * half
     chosen = []
-    for low, high in zip(known[:-1][wide], known[1:][wide], strict=True):
+    for low, high, needed in zip(known[:-1], known[1:], parts, strict=True):
         between = nodes[(nodes > low + near) & (nodes < high - near)]
-        if len(between):
-            chosen.append(between[len(between) // 2])
-    return np.array(chosen)
+        cuts = needed if needed <= _AT_ONCE else 2
+        at = np.arange(1, cuts) * (len(between) + 1) / cuts - 1
+        chosen.append(between[np.unique(np.clip(np.round(at), 0, None).astype(np.intp))] if len(between) else between)
+    return np.concatenate(chosen)
+
+
+def parts_within(gaps: Array, tolerance: float) -> Index:
+    """Numbers of parts (n,) into which slabs with gaps (n,) are cut to come within a tolerance; without one, many."""
+    if not tolerance:
+        return np.full(len(gaps), np.iinfo(np.int32).max, dtype=np.intp)
+    with np.errstate(invalid="ignore"):
+        return np.nan_to_num(np.ceil(np.sqrt(gaps / tolerance)), posinf=np.iinfo(np.int32).max).astype(np.intp)
 
 
 def heights_at_gaps(
-    known: Array, slab: Index, corners: Array, gaps: Array, creases: Mask, count: int, left: int
+    known: Array,
+    slab: Index,
+    corners: Array,
+    gaps: Array,
+    creases: Mask,
+    count: int,
+    left: int,
+    tolerance: float = 0.0,
 ) -> Array:
     """About `count` further heights (k,), no more than `left`, where the enclosure of the body is widest.
 
@@ -93,6 +109,8 @@ def heights_at_gaps(
         body, and whether the body goes on straight on both sides of its slab.
     count, left
         number of heights wanted, and of those that may still be scanned.
+    tolerance
+        gap that is small enough.
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
     bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab.  If it
@@ -105,7 +123,7 @@ def heights_at_gaps(
     size = known[-1] - known[0]
     order = np.lexsort((-gaps, slab))
     worst = order[np.unique(slab[order], return_index=True)[1]]
-    worst = worst[gaps[worst] > 0]
+    worst = worst[gaps[worst] > tolerance]
     slab, corner, crease = slab[worst], corners[worst], creases[worst]
     low, high = known[slab], known[slab + 1]
     first, last = slab == 0, slab == len(known) - 2
@@ -120,7 +138,7 @@ def heights_at_gaps(
     single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
     useful = np.minimum(single - low, high - single) > CLOSEST * size
     bent = ~(first | last | crease)
-    parts = np.where(bent, _parts(weight, left), 1)
+    parts = np.where(bent, np.minimum(_parts(weight, left), parts_within(gaps[worst], tolerance)), 1)
     ends = _densities(slab, np.where(bent, weight / (high - low), np.nan))
 
     chosen: list[float] = []
