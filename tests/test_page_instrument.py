@@ -457,6 +457,12 @@ def test_a_hundred_thousand_contacts(full_tab):
     tab.key("Escape")
     # a picture
     assert tab.run("picture().width") == WIDTH
+    # which is opaque, although contacts that are close together let the surface shine through
+    assert tab.run("pointStyle(contactLayer(), measures()).alpha") < 1
+    alpha = (
+        "(c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.filter((_, k) => k % 4 === 3))(picture())"
+    )
+    assert tab.run(f"{alpha}.every(a => a === 255)")
     # pictures in motion; the fastest, as the machine may be busy
     moving = """(() => { const times = [], pixel = new Uint8Array(4);
       for (let k = 0; k < 40; k++) {

@@ -186,7 +186,7 @@ function pointStyle(layer, view) {
 function drawLayers(view, ratio, quick) {
   gl.viewport(0, 0, canvas.width, canvas.height);
   gl.clearColor(1, 1, 1, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
-  gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+  gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);  // the picture is opaque
   for (const layer of data.layers) {
     if (!layer.on || layer.alpha < 1) continue;
     if (layer.kind === "lines") drawLines(layer, view, ratio);
