@@ -33,6 +33,9 @@ MOVIES: tuple[str, ...] = get_args(Movie)
 Export = Literal["surface", "cloud"]
 EXPORTS: tuple[str, ...] = get_args(Export)
 """What can be exported of a scan; the first is the default where a file can contain either."""
+ScalarNames = Literal["meshlab", "cloudcompare"]
+SCALAR_NAMES: tuple[str, ...] = get_args(ScalarNames)
+"""Programs by whose names the scalars of an exported PLY can be called."""
 Tare = Literal["auto", "constant", "linear", "sweep"]
 TARES: tuple[str, ...] = get_args(Tare)
 """Models of what a sensor shows in the air; the first is the default."""
