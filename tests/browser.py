@@ -93,7 +93,7 @@ class Tab:
         # two frames later all that was asked for is drawn, on a busy machine in less detail
         frame = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))"
         self.run(frame)
-        self.run("if (typeof pace === 'object' && pace.slow) draw()")
+        self.run("if (typeof pace === 'object' && pace.level) draw()")
         self.run(frame)
         shot = base64.b64decode(self("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)

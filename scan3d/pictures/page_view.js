@@ -25,10 +25,11 @@ const contactSize = {share: 0.6, least: 1.4, most: 7, zoomed: 12, dense: 2.5, fa
 const leastRimmed = 5;
 
 // Where frames come late, as without a graphics processor, the picture is drawn in less detail as long as it moves: frames that
-// begin this many ms after they were asked for are late, so many in a row make the page slow, and after so many ms it is still.
-const late = {after: 45, inARow: 3, still: 200};
-// The detail then: contacts at most, cells of the surface across the body, and pixels for each CSS pixel at most.
-const coarse = {contacts: 20000, cells: 36, ratio: 0.75};
+// begin this many ms after they were asked for are late, so many in a row lower the detail, and after so many ms it is still.
+const late = {after: 36, inARow: 3, still: 200};
+// The detail of each level but the first, which has all: contacts at most, cells of the surface across the body, and pixels for
+// each CSS pixel at most.
+const levels = [null, {contacts: 20000, cells: 36, ratio: 0.75}, {contacts: 8000, cells: 24, ratio: 0.5}];
 // Samples for each pixel in a picture that is still, and in one that moves where frames are not late.
 const samples = 4;
 
@@ -149,10 +150,10 @@ function drawLines(layer, view, ratio, cuts = true) {
   }
 }
 
-function drawTriangles(layer, view, quick = false) {
+function drawTriangles(layer, view, level) {
   const used = use("triangles", view), transparent = layer.alpha < 1;
-  if (quick && !layer.coarse) layer.coarse = coarser(layer);
-  const {elements, faces} = quick ? layer.coarse : layer;
+  layer.coarse ||= [layer];
+  const {elements, faces} = layer.coarse[level] ||= coarser(layer, levels[level].cells);
   attribute(used, "position", layer.buffer, 3); attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4);
   gl.uniform1f(used.at("alpha"), layer.alpha || 1);
   if (transparent) { gl.enable(gl.BLEND); gl.depthMask(false); }
@@ -161,8 +162,8 @@ function drawTriangles(layer, view, quick = false) {
   if (transparent) { gl.disable(gl.BLEND); gl.depthMask(true); }
 }
 
-function coarser(layer) {  // the triangles that remain where all vertices in a cell of a grid become one of them
-  const p = layer.points, cell = 2 * data.radius / coarse.cells, first = new Map(), chosen = new Uint32Array(p.length / 3);
+function coarser(layer, cells) {  // the triangles that remain where all vertices in a cell of a grid become one of them
+  const p = layer.points, cell = 2 * data.radius / cells, first = new Map(), chosen = new Uint32Array(p.length / 3);
   for (let k = 0; k < chosen.length; k++) {
     const key = [0, 1, 2].reduce((sum, i) => sum * 1024 + Math.round(p[3 * k + i] / cell) + 512, 0);
     if (!first.has(key)) first.set(key, k);
@@ -183,21 +184,21 @@ function pointStyle(layer, view) {
     alpha: Math.min(1, Math.max(contactSize.faintest, apart / contactSize.dense))};
 }
 
-function drawLayers(view, ratio, quick) {
+function drawLayers(view, ratio, level) {
   gl.viewport(0, 0, canvas.width, canvas.height);
   gl.clearColor(1, 1, 1, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
   gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);  // the picture is opaque
   for (const layer of data.layers) {
     if (!layer.on || layer.alpha < 1) continue;
     if (layer.kind === "lines") drawLines(layer, view, ratio);
-    else if (layer.kind === "triangles") drawTriangles(layer, view, quick);
+    else if (layer.kind === "triangles") drawTriangles(layer, view, level);
     else {
-      const every = quick ? Math.ceil(layer.points.length / 3 / coarse.contacts) : 1;
+      const every = level ? Math.ceil(layer.points.length / 3 / levels[level].contacts) : 1;
       drawPoints(layer, pointStyle(layer, view), view, ratio, true, 0.004, every);
     }
   }
   if (player) drawRod(view, ratio);
-  for (const layer of data.layers) if (layer.on && layer.alpha < 1) drawTriangles(layer, view, quick);
+  for (const layer of data.layers) if (layer.on && layer.alpha < 1) drawTriangles(layer, view, level);
 }
 
 const smooth = gl && {target: gl.createFramebuffer(), color: gl.createRenderbuffer(), depth: gl.createRenderbuffer()};
@@ -215,21 +216,21 @@ function drawSmooth(view, ratio) {  // the layers with several samples for each 
     }
     Object.assign(smooth, {width, height});
   }
-  drawLayers(view, ratio, false);
+  drawLayers(view, ratio, 0);
   gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth.target); gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
   gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
 }
 
-const pace = {asked: 0, lateFrames: 0, slow: false, settle: 0};
+const pace = {asked: 0, lateFrames: 0, level: 0, settle: 0};
 
-function draw(quick = false) {
+function draw(level = 0) {
   frame = 0;
-  const full = window.devicePixelRatio || 1, ratio = quick ? Math.min(full, coarse.ratio) : full, view = measures();
+  const full = window.devicePixelRatio || 1, ratio = level ? Math.min(full, levels[level].ratio) : full, view = measures();
   const width = Math.max(1, Math.round(view.w * ratio)), height = Math.max(1, Math.round(view.h * ratio));
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
   if (cutting.follow) cutting.follow();
-  if (quick) drawLayers(view, ratio, true); else drawSmooth(view, ratio);
+  if (level) drawLayers(view, ratio, level); else drawSmooth(view, ratio);
   drawMarks(view, full);
 }
 
@@ -238,9 +239,9 @@ function redraw() {
   pace.asked = performance.now();
   frame = requestAnimationFrame(() => {
     pace.lateFrames = performance.now() - pace.asked > late.after ? pace.lateFrames + 1 : 0;
-    pace.slow ||= pace.lateFrames >= late.inARow;
-    draw(pace.slow);
+    if (pace.lateFrames >= late.inARow) { pace.level = Math.min(levels.length - 1, pace.level + 1); pace.lateFrames = 0; }
+    draw(pace.level);
     clearTimeout(pace.settle);
-    if (pace.slow) pace.settle = setTimeout(draw, late.still);
+    if (pace.level) pace.settle = setTimeout(draw, late.still);
   });
 }
