@@ -30,7 +30,7 @@ from scan3d.units import UNITS_M, unit_symbol
 _QUATERNION_TOLERANCE = 1e-3
 # Distinct normals of slices that a table lists: scans along the three axes have three.
 _MOST_NORMALS = 4
-# Standard deviations in N or N·m that are no numbers of a measurement.  Larger, their squares are no numbers of a computer.
+# Standard deviations in N, N·m or m that are no numbers of a measurement.  Larger, their squares are no numbers of a computer.
 _LARGEST_NOISE = 1e60
 SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
 """The columns of a recording that six-axis data have beside those of the plane."""
@@ -90,6 +90,8 @@ class Recording(Shown):
     """Standard deviation of each force component; 0 if there is no noise, or if it is not known."""
     noise_moment_Nm: float = 0.0
     """Standard deviation of the moment, likewise."""
+    noise_pose_m: float = 0.0
+    """Standard deviation of each coordinate of the clamp's position, independent from row to row, likewise."""
     unit: str = "mm"
     """Unit in which clouds and surfaces made from this recording are written."""
     table_m: float | None = None
@@ -135,12 +137,12 @@ class Recording(Shown):
             )
         if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"recording: unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
-        noises = (self.noise_force_N, self.noise_moment_Nm)
+        noises = (self.noise_force_N, self.noise_moment_Nm, self.noise_pose_m)
         if not all(isinstance(noise, Real) and 0 <= noise < math.inf for noise in noises):
             raise InputError("recording: standard deviations of the noise must be numbers >= 0")
         if max(noises) > _LARGEST_NOISE:
             raise InputError(
-                f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N or N m"
+                f"recording: a standard deviation of the noise is {max(noises):.3g}; check its unit, N, N m or m"
             )
         if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
@@ -185,9 +187,11 @@ class Recording(Shown):
         ]
 
     def _noise(self) -> str:
-        if not (self.noise_force_N or self.noise_moment_Nm):
+        if not (self.noise_force_N or self.noise_moment_Nm or self.noise_pose_m):
             return "none"
-        return f"{1e3 * self.noise_force_N:.2g} mN, {1e6 * self.noise_moment_Nm:.2g} mN mm (standard deviations)"
+        pose = f", {1e6 * self.noise_pose_m:.2g} \N{MICRO SIGN}m of the pose" if self.noise_pose_m else ""
+        reactions = f"{1e3 * self.noise_force_N:.2g} mN, {1e6 * self.noise_moment_Nm:.2g} mN mm"
+        return f"{reactions}{pose} (standard deviations)"
 
 
 def _directions(normals: Array) -> str:
@@ -233,6 +237,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         rod=last.rod,
         noise_force_N=max(recording.noise_force_N for recording in recordings),
         noise_moment_Nm=max(recording.noise_moment_Nm for recording in recordings),
+        noise_pose_m=max(recording.noise_pose_m for recording in recordings),
         unit=last.unit,
         table_m=last.table_m,
         source=last.source,

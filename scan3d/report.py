@@ -210,6 +210,7 @@ def _noise(analysis: Analysis) -> dict[str, float]:
         "moment_Nm": known.moment_Nm,
         "stated_force_N": recording.noise_force_N,
         "stated_moment_Nm": recording.noise_moment_Nm,
+        "stated_pose_m": recording.noise_pose_m,
         "contact_median": analysis.cloud.noise,
     }
 

@@ -33,7 +33,7 @@ class Settings:
 
     model: Model = "planar"
     slices: int = 64
-    spacing: Spacing = "cosine"
+    spacing: Spacing = "adaptive"
     axis: str = "z"
     sweeps: str = "auto"
     samples: int = 64

@@ -10,7 +10,7 @@ from slices_by_hand import stack_of_rectangles
 
 import planar
 import scan3d
-from scan3d.geometry.distance import distances, signed_distances
+from scan3d.geometry.distance import distances, nearest, signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
@@ -58,7 +58,8 @@ def test_the_certificate_holds_for_any_convex_surface(seed):
     bound, at_vertices = certificate(bounds, larger)
     assert bound >= scan3d.compare(larger, mesh).hausdorff
     assert at_vertices.shape == (len(larger.vertices),)
-    assert at_vertices.max() == pytest.approx(bound)
+    assert at_vertices.max() <= bound
+    assert (np.abs(nearest(np.asarray(larger.vertices), mesh)[0]) <= at_vertices).all()
 
 
 @pytest.mark.slow

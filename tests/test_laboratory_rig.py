@@ -91,6 +91,8 @@ def test_a_calibration_and_the_true_frames_agree(table, calibration):
     expected = scan3d.import_table(table, a_map(**true_frames()))
     found = scan3d.import_table(table, a_map(), rig=calibration)
     assert_same(found, expected, 1e-5)
+    assert (found.noise_pose_m, expected.noise_pose_m) == (calibration.pose_noise_m, 0.0)
+    assert scan3d.import_table(table, a_map(noise={"pose_m": 2e-5}), rig=calibration).noise_pose_m == 2e-5
     # and both are the sphere: the tangential contacts are a radius away from its centre
     cloud = scan3d.reconstruct(found)
     distance = np.linalg.norm(cloud.points / 1000 - rigs.CENTRE, axis=1)

@@ -124,7 +124,7 @@ def test_stated_noise_counts_where_it_is_larger_than_the_digits(recording):
     log = dataclasses.replace(recording, force_N=rounded(recording.force_N, 6), noise_force_N=1.0, noise_moment_Nm=0.0)
     assert noise_of(log).force_N == 1.0
     assert noise_of(log).moment_Nm == 0.0
-    assert noise_of(recording) == (0.0, 0.0, 0.0, True)
+    assert noise_of(recording) == (0.0, 0.0, 0.0, 0.0, True)
 
 
 @pytest.mark.parametrize("ratio", [0.2, 1.0, 5.0])

@@ -48,7 +48,7 @@ _SCHEMA = 1
 _NAMES = ("schema", "unit", TABLE, "rod", "noise", "rig", "source")
 _SECTIONS = {
     "rod": ("length_m", "bending_stiffness_Nm2", "diameter_m", "modulus_Pa"),
-    "noise": ("force_N", "moment_Nm"),
+    "noise": ("force_N", "moment_Nm", "pose_m"),
     "rig": ("quantities", "covariance", "exact"),
 }
 # Memory per byte of a table, of which a number takes eight bytes or more, while it is read.
@@ -95,11 +95,16 @@ def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
         "unit": recording.unit,
         **({} if recording.table_m is None else {TABLE: recording.table_m}),
         "rod": rod,
-        "noise": {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm},
+        "noise": _noise_section(recording),
         **_rig_section(recording.rig),
         "source": dict(recording.source),
     }
     return {sidecar(name).name: to_toml(meta).encode(errors="replace"), name: table}
+
+
+def _noise_section(recording: Recording) -> dict[str, float]:
+    known = {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm}
+    return known | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})
 
 
 def _rig_section(rig: RigUncertainty | None) -> dict[str, Any]:
@@ -166,6 +171,7 @@ def read_recording(path: str | Path) -> Recording:
             rod=rod_of(rod),
             noise_force_N=number_of(noise, "force_N", 0.0),
             noise_moment_Nm=number_of(noise, "moment_Nm", 0.0),
+            noise_pose_m=number_of(noise, "pose_m", 0.0),
             unit=unit,
             table_m=number_of(meta, TABLE) if TABLE in meta else None,
             source=source,

@@ -1,10 +1,13 @@
-"""Unit vectors of many rows."""
+"""Vectors of many rows."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from scan3d.arrays import Array
+
+# Products computed at once.  More need more memory.
+_PRODUCTS = 4_000_000
 
 
 def unit(vectors: Array) -> Array:
@@ -17,3 +20,9 @@ def across(normals: Array) -> tuple[Array, Array]:
     """Two unit vectors (n, 3) across each of the unit normals (n, 3) and across each other."""
     first = unit(np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)]))
     return first, np.cross(normals, first)
+
+
+def highest(points: Array, directions: Array) -> Array:
+    """(d,) the largest products of points (n, 3) with each of the directions (d, 3): the support function of their hull."""
+    blocks = np.array_split(directions, 1 + len(points) * len(directions) // _PRODUCTS)
+    return np.concatenate([(block @ points.T).max(axis=1) for block in blocks])

@@ -92,7 +92,8 @@ def calibrate(
         what the sensor shows in the air: ``constant``, ``linear`` (drifts steadily over the recording), ``sweep`` (a value
         for each sweep), or ``auto``: linear if the rows in the air allow it, else sweep.
     pose_noise_m
-        standard deviation of each coordinate of the recorded places of the clamp; None estimates it.
+        standard deviation of each coordinate of the recorded places of the clamp; None takes that of the recording, and
+        estimates it if the recording states none.
 
     The recording has six axes, or three for a rod in a plane past a sphere, and the nominal rod; reactions are those of the
     sensor, neither tared nor turned.  Raises InputError for impossible arguments and for touches that do not determine the rig.
@@ -103,6 +104,8 @@ def calibrate(
         raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
     if reference is not None and sphere is not None:
         raise InputError("give either a reference or the diameter of a sphere")
+    if pose_noise_m is None and recording.noise_pose_m:
+        pose_noise_m = recording.noise_pose_m
     touched = _touched(sphere if reference is None else reference, unit, recording)
     place = None if pose_noise_m is None else pose_noise_m / recording.rod.length_m
     return _fitted(measured(recording, touched, tare), place, recording)

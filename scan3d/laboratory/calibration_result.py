@@ -152,6 +152,7 @@ class Calibration(Described):
             rod=self.rod,
             noise_force_N=force_noise,
             noise_moment_Nm=float(np.sqrt(moment_noise**2 + lever * force_noise**2)),
+            noise_pose_m=recording.noise_pose_m or self.pose_noise_m,
             source={**recording.source, "calibrated": True},
             rig=rig_uncertainty(self),
         )

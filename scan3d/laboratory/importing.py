@@ -319,6 +319,7 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
         rod=map.rod,
         noise_force_N=noise[0],
         noise_moment_Nm=noise[1],
+        noise_pose_m=map.noise_pose_m or 0.0,
         unit=map.unit,
         table_m=map.table_m,
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),

@@ -124,6 +124,7 @@ class Map:
     """Which strokes count as sweeps: those along -x of the clamp's frame, or also those back."""
     noise_force_N: float | None = None
     noise_moment_Nm: float | None = None
+    noise_pose_m: float | None = None
     unit: str = "mm"
     table_m: float | None = None
     """Height z of the table on which the body stands, in the world of the clamp's pose."""
@@ -197,6 +198,7 @@ def _map(data: Mapping[str, Any], name: str) -> Map:
         directions=sweeps.choice("directions", DIRECTIONS, DIRECTIONS[0]),
         noise_force_N=noise.number("force_N", None, at_least=0.0),
         noise_moment_Nm=noise.number("moment_Nm", None, at_least=0.0),
+        noise_pose_m=noise.number("pose_m", None, at_least=0.0),
         unit=unit,
         table_m=table,
         layout=_layout(sections["table"]),

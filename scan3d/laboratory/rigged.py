@@ -36,7 +36,15 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     clamp = composed(clamp_before, _frame(found.clamp_position_m, found.clamp_euler_deg))
     used: dict[str, Any] = {"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name}
     used |= {"sensor": _section(sensor), "clamp": _section(clamp)}
-    return replace(map, sensor=sensor, clamp=clamp, rod=found.rod, rig=used, uncertainty=rig_uncertainty(found))
+    return replace(
+        map,
+        sensor=sensor,
+        clamp=clamp,
+        rod=found.rod,
+        rig=used,
+        uncertainty=rig_uncertainty(found),
+        noise_pose_m=found.pose_noise_m if map.noise_pose_m is None else map.noise_pose_m,
+    )
 
 
 def composed(outer: Frame, inner: Frame) -> Frame:

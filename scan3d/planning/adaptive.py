@@ -14,7 +14,7 @@ from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
-from scan3d.planning.heights import heights_at_gaps
+from scan3d.planning.heights import BEYOND, cosine_heights_left, heights_at_gaps
 from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.bounds import outside
@@ -30,6 +30,10 @@ _LEFT_PER_HEIGHT = 3
 # have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
 # parallel would be mixed; smaller, rounding would separate what belongs together.
 _SAME_AXIS, _GIVEN_AXIS = 1e-8, 1e-6
+# A body counts as smooth if it goes on straight behind less than this fraction of the outer body's corners.  Larger, edges
+# are sliced without regard to where they are; smaller, heights for smooth bodies are chosen one by one, which leaves some gaps
+# wider than others.
+_FEW_STRAIGHT = 0.1
 # Decimals of the axes in messages.
 _AXIS_DECIMALS = 6
 
@@ -72,7 +76,8 @@ def next_heights(
     axis (3,)
         normal of the slices; needed only if the cloud has slices along several axes.
     left
-        number of slices that may still be swept; by default `plan.slices` less the cloud's slices along the axis.
+        number of slices that may still be swept; by default `plan.slices` and the two beyond the ends, less the cloud's
+        slices along the axis.
     memory
         speeds up repeated calls for the same scan; filled by this function.
 
@@ -83,7 +88,7 @@ def next_heights(
     stack = _stack(cloud, axis)
     inner = hull(cloud.points)
     done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < _SAME_AXIS).sum())
-    left = plan.slices - done if left is None else left
+    left = plan.slices + BEYOND - done if left is None else left
     if left <= 0:
         return np.empty(0)
     memory = memory or SlabMemory()
@@ -97,7 +102,15 @@ def next_heights(
         return np.empty(0)
     count = max(1, min(round(_GROWTH * (plan.slices - left)), left // _LEFT_PER_HEIGHT))
     between = np.isfinite(gap) & (kind != Gap.CONTACTS)
-    number = np.repeat(np.arange(len(parts)), [len(slab.corners) for slab in parts])[between]
+    number = np.repeat(np.arange(len(parts)), [len(slab.corners) for slab in parts])
+    if straight[between].any(axis=1).mean() < _FEW_STRAIGHT:
+        widest = np.zeros(len(parts))
+        np.maximum.at(widest, number, gap)
+        wide = widest[1:-1] > plan.tolerance * diagonal
+        further = cosine_heights_left(np.array(stack.heights), wide, plan.slices)
+        if len(further):
+            return further[:left]
+    number = number[between]
     levels = np.array([stack.floor, *stack.heights, stack.ceiling])
     creases = straight[between].all(axis=1)
     return heights_at_gaps(levels, number, corners[between] @ stack.frame[2], gap[between], creases, count, left)

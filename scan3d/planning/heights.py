@@ -12,11 +12,11 @@ from scan3d.planning.plan import Plan
 # Slices inside the body with which adaptive spacing starts.  More are placed without knowing the body; with fewer, the first
 # heights are chosen by loose bounds.
 FIRST_SLICES = 8
-# Distance of the slices beyond the ends in adaptive spacing, as a fraction of the body's height.  Larger, the caps are
-# bounded more loosely at first; smaller, a real body that is higher than expected is not closed by them.
-OVERSHOOT = 0.02
-# Lower bound of that distance for the other spacings, where it is that of the end slices from the ends.  Larger, the caps of
-# closely spaced scans are bounded more loosely; smaller, rounding could decide whether the slice is empty.
+BEYOND = 2
+"""Slices beyond the ends of the body that every spacing adds to the slices of a plan."""
+# Lower bound, as a fraction of the body's height, of the distance of the slices beyond the ends, which is that of the end
+# slices from the ends.  Larger, the caps of closely spaced scans are bounded more loosely; smaller, rounding could decide
+# whether the slice is empty.
 LEAST_OVERSHOOT = 1e-4
 # Weight of a gap in a cap relative to one in another slab, because the body is known least beyond its end slices.  Larger,
 # slices are spent on the ends of the body; smaller, on its middle.
@@ -31,8 +31,11 @@ _ON_EMPTY_SLICE = 1e-9
 # Slices closer to each other than this fraction of the height add no information.  Larger, the heights of two close vertices
 # could not be told apart; smaller, slopes between two slices are rounding.
 CLOSEST = 1e-7
-# Number of parts for which a slab gets two heights at once.
-_THIRDS = 3
+# Largest number of parts into which a slab is cut at once.  Larger, heights are chosen by gaps that are known poorly; smaller,
+# slabs are halved that need three or five parts, which makes some parts smaller than others.
+_AT_ONCE = 4
+# Points of a slab at which the density of slices is summed.
+_STEPS = 65
 
 
 def heights(low: float, high: float, plan: Plan) -> Array:
@@ -44,15 +47,38 @@ def heights(low: float, high: float, plan: Plan) -> Array:
 
 
 def first_heights(low: float, high: float, plan: Plan) -> Array:
-    """Heights (k,) that are scanned before any contact is known, one beyond either end of the body included."""
-    if plan.spacing == "adaptive":
-        few = replace(plan, slices=max(2, min(FIRST_SLICES, plan.slices - 2)), spacing="cosine")
-        inside = heights(low, high, few)
-        beyond = OVERSHOOT * (high - low)
-    else:
-        inside = heights(low, high, plan)
-        beyond = max(float(inside[0]) - low, LEAST_OVERSHOOT * (high - low))
+    """Heights (k,) that are scanned before any contact is known, one beyond either end of the body included.
+
+    Adaptive spacing starts with a few of the heights of cosine spacing.
+    """
+    adaptive = plan.spacing == "adaptive"
+    inside = heights(low, high, replace(plan, spacing="cosine") if adaptive else plan)
+    beyond = max(float(inside[0]) - low, LEAST_OVERSHOOT * (high - low))
+    if adaptive:
+        inside = inside[np.unique(np.linspace(0, len(inside) - 1, FIRST_SLICES).round().astype(np.intp))]
     return np.concatenate([inside, [low - beyond, high + beyond]])
+
+
+def cosine_heights_left(known: Array, wide: Mask, slices: int) -> Array:
+    """Heights (k,) of cosine spacing that are still to be scanned, one in the middle of those in each slab.
+
+    known (s,)
+        heights of the slices of the body, rising; the first and the last are the end slices of cosine spacing.
+    wide (s - 1,)
+        whether the slab between two slices is to be divided.
+    slices
+        number of slices of cosine spacing.
+    """
+    nodes = -np.cos(np.pi * (np.arange(slices) + 0.5) / slices)
+    middle, half = (known[0] + known[-1]) / 2, (known[-1] - known[0]) / 2
+    nodes = middle + half * nodes / nodes[-1]
+    near = CLOSEST * 2 * half
+    chosen = []
+    for low, high in zip(known[:-1][wide], known[1:][wide], strict=True):
+        between = nodes[(nodes > low + near) & (nodes < high - near)]
+        if len(between):
+            chosen.append(between[len(between) // 2])
+    return np.array(chosen)
 
 
 def heights_at_gaps(
@@ -69,8 +95,10 @@ def heights_at_gaps(
         number of heights wanted, and of those that may still be scanned.
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
-    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab; if it
-    will need three parts by the time that no slices are left, it gets two heights at once.  A corner on an empty slice
+    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab.  If it
+    will need a few parts by the time that no slices are left, it gets all their heights at once, otherwise one that halves it.
+    Parts have equal gaps if the density of slices is that of the root of the gap over the thickness, which is taken to change
+    linearly from the middle of a slab to that of the next.  A corner on an empty slice
     means only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the
     new height is in the middle of the slab.
     """
@@ -91,16 +119,41 @@ def heights_at_gaps(
     on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
     single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
     useful = np.minimum(single - low, high - single) > CLOSEST * size
-    thirds = ~(first | last | crease) & (_parts(weight, left) == _THIRDS)
+    bent = ~(first | last | crease)
+    parts = np.where(bent, _parts(weight, left), 1)
+    ends = _densities(slab, np.where(bent, weight / (high - low), np.nan))
 
     chosen: list[float] = []
     for i in np.argsort(-weight, kind="stable"):
         if len(chosen) >= count:
             break
         if useful[i]:
-            new = [low[i] + (high[i] - low[i]) * k / _THIRDS for k in (1, 2)] if thirds[i] else [single[i]]
+            cuts = parts[i] if parts[i] <= _AT_ONCE else 2
+            new = _cuts(low[i], high[i], ends[i], cuts) if cuts > 1 else [single[i]]
             chosen += new[: left - len(chosen)]
     return np.array(chosen)
+
+
+def _densities(slab: Index, density: Array) -> Array:
+    """Densities (n, 2) of slices at the lower and upper ends of slabs, from those at their middles (n,), NaN if not known.
+
+    `slab` (n,) are the slabs' numbers, rising; where a neighbour is not known the density is constant.
+    """
+    before = np.where(np.diff(slab, prepend=-2) == 1, np.roll(density, 1), np.nan)
+    after = np.where(np.diff(slab, append=slab[-1] + 2 if len(slab) else 0) == 1, np.roll(density, -1), np.nan)
+    ends: Array = np.stack(
+        [(density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after)], axis=1
+    )
+    return ends
+
+
+def _cuts(low: float, high: float, ends: Array, parts: int) -> list[float]:
+    """Heights that cut a slab into parts with equally many slices by a density that is linear between its ends (2,)."""
+    up = np.linspace(0.0, 1.0, _STEPS)
+    density = ends[0] + (ends[1] - ends[0]) * up
+    total = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    cuts: list[float] = (low + (high - low) * np.interp(np.arange(1, parts) / parts, total / total[-1], up)).tolist()
+    return cuts
 
 
 def _parts(weight: Array, left: int) -> Index:

@@ -32,7 +32,8 @@ class Plan:
     model
         model of contact: ``planar``, the rod stays in its slice, or ``spatial``, a round rod bends where the contact pushes it.
     slices
-        number of slices along each axis; with adaptive spacing empty slices count.  In the spatial model there are no slices,
+        number of slices along each axis, besides one beyond either end of the body; with adaptive spacing other empty slices
+        count.  In the spatial model there are no slices,
         and 0.6 times as many sweeps from each of twelve directions.
     spacing
         heights of the slices: ``cosine`` (dense at the ends), ``uniform``, or ``adaptive`` (where the contacts so far leave
@@ -69,7 +70,7 @@ class Plan:
 
     model: Model = "planar"
     slices: int = 64
-    spacing: Spacing = "cosine"
+    spacing: Spacing = "adaptive"
     tolerance: float = 0.0
     axis: str | Sequence[float] = "z"
     sweeps: int | None = None

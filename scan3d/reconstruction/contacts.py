@@ -63,7 +63,10 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
     slices = planes(recording, axes[:, 2], points.mean(axis=0), known.place_m)
     unresolved = np.isin(np.arange(len(slices.height)), np.setdiff1d(slices.number[felt], slices.number[rows]))
-    covariance = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
+    pose, length = known.pose_m / scale, rod.length_m / scale
+    in_world = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
+    place_sd = np.hypot(length * error.largest[rows], pose)
+    noisy = max(*noise, pose) > 0
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
     return Cloud(
         points=points / scale,
@@ -81,11 +84,11 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         slice_axis=slices.axis,
         slice_height=slices.height / scale,
         unit=recording.unit,
-        rod_length=rod.length_m / scale,
-        noise=float(np.median(error.largest[rows])) * rod.length_m / scale,
-        covariance=covariance * (rod.length_m / scale) ** 2 if max(noise) else None,
-        place_sd=error.largest[rows] * rod.length_m / scale if max(noise) else None,
-        normal_sd=np.where(tangential, error.slope[rows], np.inf) if max(noise) else None,
+        rod_length=length,
+        noise=float(np.median(place_sd)),
+        covariance=length**2 * in_world + pose**2 * np.eye(3) if noisy else None,
+        place_sd=place_sd if noisy else None,
+        normal_sd=np.where(tangential, error.slope[rows], np.inf) if noisy else None,
         unresolved=unresolved if unresolved.any() else None,
         light=int(light.sum()),
         pose_error=known.place_m / scale,

@@ -124,6 +124,8 @@ class Noise(NamedTuple):
     """Standard deviation of each force component, by the stated noise and by rounding."""
     moment_Nm: float
     """Standard deviation of the moment, likewise."""
+    pose_m: float
+    """Standard deviation of each coordinate of the clamp's position, as it is stated."""
     place_m: float
     """Largest error of a contact's place by the digits of the poses."""
     independent: bool
@@ -146,6 +148,7 @@ def noise_of(recording: Recording) -> Noise:
     return Noise(
         together(stated_force, force),
         together(stated_moment, moment),
+        recording.noise_pose_m,
         place * LARGEST_OVER_SD,
         stated_force >= _DITHER * force and stated_moment >= _DITHER * moment,
     )

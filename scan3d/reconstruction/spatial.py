@@ -60,7 +60,7 @@ def readings(recording: Recording) -> Readings:
     force, moment = recording.wrench()
     force, moment = force / rod.force_unit_N, moment / rod.moment_unit_Nm
     noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
-    error = errors(force, moment, noise) if max(noise) else None
+    error = errors(force, moment, noise) if max(*noise, known.pose_m) else None
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         s1 = np.where(np.isfinite(error.s1), error.s1, 0.0)
@@ -102,10 +102,11 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
     n, length = len(rows), rod.length_m / scale
     points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[rows], axes)
     covariance = place_sd = tangent_sd = None
+    stated = noise_of(recording)
     if error is not None:
-        covariance = length**2 * np.einsum("nik,nij,njl->nkl", axes, error.point[rows], axes)
-        place_sd, tangent_sd = length * error.largest[rows], error.tangent[rows]
-    pose = noise_of(recording)
+        pose = stated.pose_m / scale
+        covariance = length**2 * np.einsum("nik,nij,njl->nkl", axes, error.point[rows], axes) + pose**2 * np.eye(3)
+        place_sd, tangent_sd = np.hypot(length * error.largest[rows], pose), error.tangent[rows]
     return Cloud(
         points=points,
         normals=np.full((n, 3), np.nan),
@@ -126,7 +127,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         place_sd=place_sd,
         normal_sd=np.full(n, np.inf),
         light=int(known.light.sum()),
-        pose_error=pose.place_m / scale,
+        pose_error=stated.place_m / scale,
         table=None if recording.table_m is None else recording.table_m / scale,
         model="spatial",
         rod_radius=rod.diameter_m / 2 / scale,
@@ -135,7 +136,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         tangent_sd=tangent_sd,
         tangents=np.einsum("ni,nij->nj", found.tangent[rows], axes),
         bending_angle=found.bending_angle[rows],
-        independent=pose.independent,
+        independent=stated.independent,
     )
 
 

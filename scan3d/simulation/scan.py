@@ -18,7 +18,7 @@ from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
 from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directions, further_directions
-from scan3d.planning.heights import first_heights
+from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
 from scan3d.reconstruction.contacts import contacts
@@ -231,8 +231,7 @@ def _check_size(plan: Plan) -> None:
 def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
     memory = SlabMemory()
-    while len(scan.heights) < scan.plan.slices:
-        left = scan.plan.slices - len(scan.heights)
+    while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
         heights = next_heights(contacts(_recording([scan], rod)), scan.plan, left=left, memory=memory)
         if not len(heights):
             break

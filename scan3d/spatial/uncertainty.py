@@ -42,7 +42,8 @@ def errors(f0: Array, m0: Array, noise: tuple[float, float]) -> SpatialErrors:
     """Errors of the contacts that `reconstruct` finds for reactions (n, 3), by the noise of force and moment."""
     sigma_f, sigma_m = noise
     with np.errstate(all="ignore"):  # rows without a force have no errors that are numbers
-        ex, ez = bending_direction(f0.T, m0.T, noise)
+        # exact reactions, of rods whose poses alone are noisy, give the same direction with any weights
+        ex, ez = bending_direction(f0.T, m0.T, noise if max(noise) else (1.0, 1.0))
         m, f0e = m0[:, 2] * ex - m0[:, 0] * ez, f0[:, 0] * ex + f0[:, 2] * ez
         slopes = planar.jacobian(f0e, f0[:, 1], m) * [sigma_f, sigma_f, sigma_m]
         angle = 1 / np.sqrt((m / sigma_m) ** 2 + (f0e / sigma_f) ** 2)

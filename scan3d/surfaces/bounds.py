@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array
 from scan3d.cloud import Cloud, Tilt
 from scan3d.comparison import compare
 from scan3d.errors import InputError
@@ -30,6 +30,7 @@ from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.allowances import CONFIDENCE, Allowed, allowed
 from scan3d.surfaces.confidence import confident
 from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
+from scan3d.surfaces.local_bounds import depths
 from scan3d.surfaces.slabs import Gap, Slab, slabs
 from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate, spatial_enclosure
 
@@ -37,6 +38,9 @@ from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate
 # distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
 # only to rounding are certified by the weaker rule for surfaces that are not convex.
 _CONVEX = 1e-9
+# Facets of a hull of contacts that is taken for a polyhedron, whose tangents are tried.  Larger, time is spent on curved
+# bodies, which slabs bound more tightly; smaller, polyhedra are bounded less tightly.
+_FEW_FACETS = 500
 # Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
 # radius; the second is tried where the outer body leaves the first.  Larger, heights are more uncertain.
 _WIDENED = (0.25, 2.0)
@@ -54,13 +58,27 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     confidence
         probability with which the enclosure of noisy contacts holds.
 
-    Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.
+    Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts of
+    a polyhedron bound the body by their tangents as well, of all axes together, if that is tighter.
     Contacts of the spatial model lie in no slices; their enclosure is that of `scan3d.surfaces.spatial_bounds`.
     Raises InputError for contacts that do not span a body.
     """
     if cloud.model == "spatial":
         return spatial_enclosure(cloud, margin, confidence)
-    return slice_enclosure(cloud, margin, confidence)
+    bounds = slice_enclosure(cloud, margin, confidence)
+    exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
+    return _with_tangents(bounds, cloud) if exact and len(bounds.inner.faces) <= _FEW_FACETS else bounds
+
+
+def _with_tangents(bounds: SliceEnclosure, cloud: Cloud) -> SliceEnclosure:
+    """The enclosure with that by the tangents of all contacts, if it is tighter."""
+    tangents = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
+    anywhere = replace(cloud, centre_points=cloud.points, tangents=tangents, rod_radius=0.0)
+    found = spatial_enclosure(anywhere, None, bounds.confidence)
+    if found.bound >= bounds.bound:
+        return bounds
+    volume = max(bounds.volume[0], found.volume[0]), min(bounds.volume[1], found.volume[1])
+    return replace(bounds, tangents=found, bound=found.bound, volume=volume)
 
 
 def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float = CONFIDENCE) -> SliceEnclosure:
@@ -195,6 +213,8 @@ def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> SliceEnclosu
 
 def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
     """The enclosure and the certificate of a surface where the recording contradicts the premises: nothing is bounded."""
+    if isinstance(bounds, SliceEnclosure):
+        bounds = replace(bounds, tangents=None)
     nothing = replace(
         bounds,
         gap=np.full(len(bounds.gap), np.inf),
@@ -248,25 +268,17 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
         bound, local = spatial_certificate(bounds, surface)
         return Certificate(bound + deviation, local + deviation)
     assert isinstance(bounds, SliceEnclosure)
-    local = outside(vertices, bounds.inner) + bounds.excess
+    outwards = outside(vertices, bounds.inner) + bounds.excess
+    local = np.maximum(outwards, depths(bounds, surface))
     bounded = np.isfinite(bounds.corners).all(axis=1)
-    signed, face, _ = nearest(bounds.corners[bounded], surface)
-    distance = np.maximum(signed, 0.0)
-    np.maximum.at(local, surface.faces[face].ravel(), np.repeat(distance, 3))
-    local[_in_slabs(vertices, bounds, bounds.slab[~bounded])] = np.inf
-    bound = float(max(local.max(), distance.max(initial=0.0))) if np.isfinite(bounds.bound) else np.inf
+    bound = np.inf
+    if bounded.all() and np.isfinite(bounds.gap).all():
+        bound = float(max(outwards.max(), outside(bounds.corners, surface).max()))
+    local = np.minimum(local, bound)
+    if isinstance(bounds.tangents, SpatialEnclosure):
+        by_tangents, local_by_tangents = spatial_certificate(bounds.tangents, surface)
+        bound, local = min(bound, by_tangents), np.minimum(local, local_by_tangents)
     return Certificate(bound + bounds.margin + deviation, local + bounds.margin + deviation)
-
-
-def _in_slabs(points: Array, bounds: SliceEnclosure, numbers: Index) -> Mask:
-    """Whether points (n, 3) lie in one of some slabs, or on a plane that bounds it."""
-    heights = points @ bounds.stack.frame[2]
-    levels = np.array([-np.inf, *bounds.stack.heights, np.inf])
-    rounding = _ROUNDING * float(np.abs(heights).max())
-    inside = np.zeros(len(points), dtype=bool)
-    for number in numbers:
-        inside |= (heights >= levels[number] - rounding) & (heights <= levels[number + 1] + rounding)
-    return inside
 
 
 def outside(points: Array, body: Any) -> Array:

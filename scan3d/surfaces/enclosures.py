@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.vectors import highest
 from scan3d.reconstruction.slices import SliceStack
 from scan3d.shown import Described, Rows
 from scan3d.surfaces.slabs import Gap
@@ -81,7 +82,8 @@ class Enclosure(Described):
 class SliceEnclosure(Enclosure):
     """The enclosure by contacts in slices: the outer body consists of slabs between the slices.
 
-    The inner body is the convex hull of exact contacts, or of the points that noisy contacts prove.
+    The inner body is the convex hull of exact contacts, or of the points that noisy contacts prove.  `bound` and `volume` are
+    the tighter ones of the slabs' and of those by `tangents`.
     """
 
     kind: NDArray[np.int8]
@@ -94,26 +96,23 @@ class SliceEnclosure(Enclosure):
     """The slices between which the slabs lie."""
     excess: float = 0.0
     """How far the inner body may stick out of the true one, by errors of heights by the calibration; `bound` contains it."""
+    tangents: Enclosure | None = None
+    """The enclosure of the same contacts by their tangents, whatever slices they lie in, where it is tighter."""
 
     def part(self, kind: Gap) -> float:
         """The largest gap of one kind, 0 if no corner is of that kind."""
         gap = self.gap[self.kind == kind]
-        return float(gap.max()) if len(gap) else 0.0
+        return min(float(gap.max()), self.bound) if len(gap) else 0.0
 
     def parts(self) -> dict[str, float]:
         return {kind.name.lower(): self.part(kind) for kind in Gap}
 
     def _support(self, directions: Array) -> tuple[Array, Array]:
-        lower = _highest(self.inner.vertices.view(np.ndarray), directions) - self.margin - self.excess
-        if not (np.isfinite(self.bound) and np.isfinite(self.corners).all()):
-            return lower, np.full(len(directions), np.inf)
-        return lower, _highest(self.corners, directions) + self.margin
-
-
-def _highest(points: Array, directions: Array) -> Array:
-    """(d,) support function of points (n, 3) in directions (d, 3)."""
-    highest: Array = (points @ directions.T).max(axis=0)
-    return highest
+        lower = highest(self.inner.vertices.view(np.ndarray), directions) - self.margin - self.excess
+        upper = np.full(len(directions), np.inf)
+        if np.isfinite(self.bound) and np.isfinite(self.corners).all():
+            upper = highest(self.corners, directions) + self.margin
+        return lower, upper if self.tangents is None else np.minimum(upper, self.tangents.support(directions)[1])
 
 
 class Certificate(NamedTuple):
