@@ -11,7 +11,7 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a
 const unitVector = a => a.map(x => x / (Math.hypot(...a) || 1));
 const fontSize = () => parseFloat(getComputedStyle(document.body).fontSize);
 const number = x => x === 0 ? "0"
-  : (Math.abs(x) >= 1e-3 && Math.abs(x) < 1e5 ? String(+x.toPrecision(3)) : x.toExponential(1)).replace("-", "−");
+  : (Math.abs(x) >= 1e-3 && Math.abs(x) < 1e5 ? String(+x.toPrecision(3)) : x.toExponential(2)).replaceAll("-", "−");
 // A window up to this width, in CSS pixels, is that of a phone: the panel then covers the body instead of standing beside it.
 const narrow = 700;
 // In a window up to this height the panel is closed at first.
