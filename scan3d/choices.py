@@ -11,7 +11,7 @@ from typing import Literal, get_args
 Model = Literal["planar", "spatial"]
 MODELS: tuple[str, ...] = get_args(Model)
 """Models of contact: the rod stays in its slice, or it bends where the contact force pushes it; the first is the default."""
-Spacing = Literal["cosine", "uniform", "adaptive"]
+Spacing = Literal["adaptive", "cosine", "uniform"]
 SPACINGS: tuple[str, ...] = get_args(Spacing)
 """Rules for the heights of the slices."""
 Standoff = Literal["follow", "fixed"]
@@ -33,6 +33,9 @@ MOVIES: tuple[str, ...] = get_args(Movie)
 Export = Literal["surface", "cloud"]
 EXPORTS: tuple[str, ...] = get_args(Export)
 """What can be exported of a scan; the first is the default where a file can contain either."""
+ScalarNames = Literal["meshlab", "cloudcompare"]
+SCALAR_NAMES: tuple[str, ...] = get_args(ScalarNames)
+"""Programs by whose names the scalars of an exported PLY can be called."""
 Tare = Literal["auto", "constant", "linear", "sweep"]
 TARES: tuple[str, ...] = get_args(Tare)
 """Models of what a sensor shows in the air; the first is the default."""

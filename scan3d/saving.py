@@ -83,7 +83,8 @@ def save(
 
     what
         a recording (``.csv`` or ``.parquet``, with a ``.toml`` beside it), a cloud (``.ply``, ``.pcd``, ``.vtp``, ``.xyz``,
-        ``.xyzn`` or ``.csv``) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb`` or ``.vtp``).
+        ``.xyzn``, ``.csv``, ``.glb`` or ``.mcap``, a bag of ROS 2) or a surface (``.stl``, ``.ply``, ``.obj``, ``.glb`` or
+        ``.vtp``).
     truth
         the true body, or the path of its mesh: the column ``quality`` is then the distance of each point from it.
     unit

@@ -60,7 +60,7 @@ class Exported(Described):
     """
 
     def save(self, path: str | os.PathLike[str], *, truth: Any = None, overwrite: bool = False) -> None:
-        """Write the contacts to a file: ``.ply``, ``.pcd``, ``.vtp``, ``.xyz``, ``.xyzn`` or ``.csv``, as `scan3d.save`."""
+        """Write the contacts to a file, as `scan3d.save`: ``.ply``, ``.pcd``, ``.vtp``, ``.xyz``, ``.csv`` and others."""
         import_module("scan3d.saving").save(self, path, truth=truth, overwrite=overwrite)
 
     def to_pandas(self, truth: Any = None) -> pandas.DataFrame:

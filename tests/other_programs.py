@@ -19,6 +19,8 @@ from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply
 
 FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS] + [("surface", ending) for ending in SURFACE_ENDINGS]
+# Turns vectors from the axes of glTF, of which y is up, to those of the world.
+Y_UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 # Numbers with a smaller relative difference count as equal: float32 and text of six digits are allowed, and no more.
 SAME = 2e-6
 
@@ -143,8 +145,10 @@ def _right(program, folder, what, ending):
     file = folder / "exported" / f"{what}{ending}.{program}.npz"
     if not file.exists():
         return ()
-    read, true = np.load(file), read_shape(folder / f"{what}.ply")
+    read, true = dict(np.load(file)), read_shape(folder / f"{what}.ply")
     scale = 1e-3 if ending == ".glb" else 1.0
+    if ending == ".glb":  # y up
+        read |= {name: read[name] @ Y_UP.T for name in ("points", "normals") if name in read}
     # programs reorder the vertices, and STL has separate corners for every triangle
     distance, index = cKDTree(true.points * scale).query(read["points"])
     size = np.abs(true.points).max() * scale

@@ -204,7 +204,7 @@ def test_a_glb_is_in_metres_and_names_its_unit(tmp_path, surface, unit, metres):
     (primitive,) = tree["meshes"][0]["primitives"]
     assert set(primitive["attributes"]) == {"POSITION", "NORMAL", "_BOUND"}
     read = trimesh.load_mesh(tmp_path / "a.glb", process=False)
-    assert np.allclose(read.vertices, surface.points * metres, rtol=1e-6)
+    assert np.allclose(read.vertices, surface.points[:, [0, 2, 1]] * metres * [1, 1, -1], rtol=1e-6)
     bound = read.vertex_attributes["_BOUND"].ravel()
     assert np.allclose(bound, surface.scalars["bound"] * metres, rtol=1e-6)
 
@@ -280,7 +280,7 @@ def test_the_ending_and_the_option_choose_what_is_exported(folder, tmp_path):
             ".",
             "a.step",
             None,
-            r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, .* or \.csv, a surf",
+            r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, .* or \.mcap, a surf",
         ),
         (".", "a", None, "can't export to files without an ending: a cloud can be written as"),
         (".", "a.stl", "cloud", r"\.stl cannot contain a cloud; a cloud can be written as \.ply, \.pcd"),

@@ -1,31 +1,22 @@
 """The page: complete in one file, the same for the same scan; in a browser it shows the body and turns."""
 
 import base64
-import fcntl
 import fnmatch
-import io
+import hashlib
 import json
-import os
 import re
-import select
-import subprocess
-import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from browser import HEIGHT, WIDTH, Tab
 from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
 from scan3d.pictures.page import page as html_page
 from scan3d.pictures.scene import Scene
-
-WIDTH, HEIGHT = 900, 600
-SECONDS = 60.0
-"""A browser on a busy machine may take this long to answer."""
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +43,7 @@ def test_the_page_holds_the_scan(cube):
     page = html_page(cube)
     data = data_of(page)
     names = [layer["name"] for layer in data["layers"]]
-    assert names == ["surface", "contacts", "normals", "slices", "rod in one sweep", "truth"]
+    assert names == ["surface", "contacts", "normals", "slices", "truth"]
     contacts = layer(page, "contacts")
     points = floats(contacts["position"]).reshape(-1, 3) + data["center"]
     assert points == pytest.approx(cube.points, abs=1e-5)
@@ -77,7 +68,7 @@ def test_the_page_of_a_scan_in_space():
     scene = scanned_in_space()
     page = html_page(scene)
     names = [layer["name"] for layer in data_of(page)["layers"]]
-    assert names == ["surface", "contacts", "normals", "contact paths", "rod in one sweep"]
+    assert names == ["surface", "contacts", "normals", "contact paths"]
     contacts = layer(page, "contacts")
     bending = contacts["colors"][-1]
     assert bending["title"] == "bending out of the sweep's plane in °"
@@ -118,12 +109,24 @@ def test_a_page_of_a_part_shows_that_part(cube, what):
     assert data_of(page)["unit"] == "µm"
 
 
-def test_a_folder_of_an_earlier_version_has_a_page_without_rods(cube):
+def test_a_folder_of_an_earlier_version_has_a_page_without_player(cube):
     """Its contacts do not state their rows of the recording."""
     columns = [name for name in cube.contacts.dtype.names if name != "row"]
     page = html_page(replace(cube, contacts=cube.contacts[columns]))
-    names = [layer["name"] for layer in data_of(page)["layers"]]
-    assert names == ["surface", "contacts", "normals", "slices", "truth"]
+    assert [layer["name"] for layer in data_of(page)["layers"]] == ["surface", "contacts", "normals", "slices", "truth"]
+    assert "player" in data_of(html_page(cube))
+    assert "player" not in data_of(page)
+
+
+def test_the_page_runs_its_own_script_only(cube):
+    """By the hash in its content security policy; without it any script that got into the page would run."""
+    text = html_page(cube).decode()
+    script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text
+    assert text.count("<script") == 2  # this one, and the data
+    assert not re.search(r"\son\w+=", text[: text.index("<script")])
+    assert "eval(" not in script
 
 
 def test_the_package_contains_the_empty_page():
@@ -139,7 +142,7 @@ def test_the_package_contains_the_empty_page():
         data = {path for pattern in tool["package-data"].get(name, ()) for path in folder.glob(pattern)}
         assert data == {path for path in folder.iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
         matched |= data
-    assert root / "scan3d" / "pictures" / "page.html" in matched
+    assert {root / "scan3d" / "pictures" / name for name in ("page.html", "page.css", "page_view.js")} <= matched
 
 
 def test_a_page_of_nothing():
@@ -148,113 +151,6 @@ def test_a_page_of_nothing():
 
 
 # --- in a browser ---
-
-
-class Tab:
-    """A page in headless Chromium, by the DevTools protocol over pipes."""
-
-    def __init__(self, chromium, profile):
-        ours, theirs = os.pipe(), os.pipe()  # what we read, what it reads
-        # away from 3 and 4, where Chromium expects them
-        ends = [fcntl.fcntl(fd, fcntl.F_DUPFD, 20) for fd in (theirs[0], ours[1])]
-        arguments = ["--headless", "--no-sandbox", "--remote-debugging-pipe", f"--user-data-dir={profile}"]
-        arguments += ["--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--force-device-scale-factor=1"]
-        self.process = subprocess.Popen(
-            [chromium, *arguments, "about:blank"],
-            preexec_fn=lambda: [os.dup2(end, fd) for end, fd in zip(ends, (3, 4), strict=True)],
-            pass_fds=(3, 4),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        for fd in (*ends, theirs[0], ours[1]):
-            os.close(fd)
-        self.read, self.write = ours[0], theirs[1]
-        self.count, self.rest, self.events, self.session = 0, b"", [], None
-
-    def open(self, path):
-        """Load the file, and wait until it has."""
-        target = self("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Network", "Runtime", "Log"):
-            self(f"{domain}.enable")
-        self("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
-        self("Page.navigate", url=path.as_uri())
-        while not any(event["method"] == "Page.loadEventFired" for event in self.events):
-            self.receive()
-
-    def __call__(self, method, **params):
-        """Send a command and return its result."""
-        self.count += 1
-        message = {"id": self.count, "method": method, "params": params}
-        if self.session:
-            message["sessionId"] = self.session
-        os.write(self.write, json.dumps(message).encode() + b"\0")
-        while True:
-            answer = self.receive()
-            if answer.get("id") == self.count:
-                assert "error" not in answer, answer
-                return answer["result"]
-
-    def receive(self):
-        end = time.monotonic() + SECONDS
-        while b"\0" not in self.rest:
-            ready, _, _ = select.select([self.read], [], [], max(0.0, end - time.monotonic()))
-            assert ready, "Chromium does not answer"
-            self.rest += os.read(self.read, 1 << 20)
-        line, _, self.rest = self.rest.partition(b"\0")
-        answer = json.loads(line)
-        if "method" in answer:
-            self.events.append(answer)
-        return answer
-
-    def run(self, expression):
-        answer = self("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in answer, answer
-        return answer["result"].get("value")
-
-    def picture(self):
-        # two frames later all that was asked for is drawn
-        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
-        shot = base64.b64decode(self("Page.captureScreenshot", format="png")["data"])
-        return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
-
-    def mouse(self, kind, x, y, **more):
-        self("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
-
-    def drag(self, start, end):
-        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
-        for part in (0.5, 1.0):
-            at = (a + part * (b - a) for a, b in zip(start, end, strict=True))
-            self.mouse("mouseMoved", *at, button="left", buttons=1)
-        self.mouse("mouseReleased", *end, button="left", clickCount=1)
-
-    def complaints(self):
-        """Messages that the page writes to the console, errors, exceptions, and requests for anything but the page."""
-        complaints = []
-        for event in self.events:
-            method, params = event["method"], event["params"]
-            if method == "Runtime.exceptionThrown":
-                complaints.append(params)
-            if method == "Runtime.consoleAPICalled":
-                complaints.append(params["args"])
-            if method == "Log.entryAdded" and params["entry"]["level"] == "error":
-                complaints.append(params["entry"])
-            if method == "Network.requestWillBeSent":
-                url = params["request"]["url"]
-                if not (url.startswith(("file:///", "data:,")) and url.endswith(("page.html", ","))):
-                    complaints.append(url)
-        return complaints
-
-    def close(self):
-        self.session = None
-        try:
-            self("Browser.close")
-            self.process.wait(timeout=SECONDS)
-        finally:
-            self.process.kill()
-            self.process.wait()
-        os.close(self.read)
-        os.close(self.write)
 
 
 @pytest.fixture(scope="module")
@@ -275,8 +171,8 @@ def blue(image):
 
 
 def drawn(image):
-    """Right of the panel, above the scale: what isn't white."""
-    return (image[:520, 320:] < 250).any(axis=2)
+    """Right of the panel, above the player: what isn't white."""
+    return (image[:460, 320:] < 250).any(axis=2)
 
 
 @pytest.mark.browser
@@ -288,14 +184,14 @@ def test_the_page_in_a_browser(tab, cube):
     assert 0.2 < drawn(first).mean() < 0.8
     assert drawn(first)[250:350, 240:340].all()
     assert not drawn(first)[:, -20:].any()
-    assert blue(first[:, 320:]).mean() > 0.03
+    assert blue(first[:460, 320:]).mean() > 0.03
     assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.key_figures))
 
     # it turns with the mouse: the top goes out of sight when it is looked at from the side
     tab.drag((600, 250), (640, 193))
     turned = tab.picture()
     assert (np.abs(turned - first).max(axis=2) > 20).mean() > 0.1
-    assert blue(turned[:, 320:]).mean() < 0.2 * blue(first[:, 320:]).mean()
+    assert blue(turned[:460, 320:]).mean() < 0.2 * blue(first[:460, 320:]).mean()
 
     # the wheel zooms, a double click goes back
     tab.mouse("mouseWheel", 600, 300, deltaX=0, deltaY=600)
@@ -316,21 +212,24 @@ def test_layers_and_colours_in_a_browser(tab):
     tab.run("for (const box of document.querySelectorAll('input')) if (box.checked) box.click()")
     assert not drawn(tab.picture()).any()
     shown = {}
-    for name in tab.run("[...document.querySelectorAll('input')].map(box => box.name)"):
+    for name in tab.run("[...document.querySelectorAll('#layers input')].map(box => box.name)"):
         tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
         shown[name] = drawn(tab.picture()).mean()
         tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
-    assert set(shown) == {"surface", "contacts", "normals", "slices", "rod in one sweep", "truth"}
+    layers = {"surface", "contacts", "normals", "slices", "truth", "axes and scale"}
+    assert set(shown) == {*layers, "rod, clamp and reactions", "rods along the sweep"}
     assert min(shown.values()) > 1e-3
     assert shown["truth"] == pytest.approx(shown["surface"], rel=0.05)
     assert shown["normals"] < shown["surface"]
 
-    tab.run("for (const name of ['surface', 'contacts']) document.querySelector(`input[name=${name}]`).click()")
+    again = "['surface', 'contacts', 'axes and scale']"
+    tab.run(f'for (const name of {again}) document.querySelector(`input[name="${{name}}"]`).click()')
+    tab.run("switchPlayer(false); reset()")
     assert (np.abs(tab.picture() - before).max(axis=2) > 20).mean() < 1e-3
     choose = "const s = document.querySelector('select'); s.selectedIndex = {}; s.onchange(); s.value"
     assert tab.run("{" + choose.format(2) + "}") == "plain"
     plain = tab.picture()
-    assert not blue(plain[:, 320:]).any()
+    assert not blue(plain[:460, 320:]).any()
     assert tab.run("{" + choose.format(1) + "}") == "certified bound in mm"
     assert (np.abs(tab.picture() - plain).max(axis=2) > 20).mean() > 0.05
     assert tab.complaints() == []

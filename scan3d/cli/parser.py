@@ -9,8 +9,8 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import fields
 
-from scan3d.choices import COLORS, EXPORTS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import batch, calibration, guide, laboratory_parser, one_sweep, rig_parser
+from scan3d.choices import COLORS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
+from scan3d.cli import batch, calibration, exporting, guide, laboratory_parser, one_sweep, rig_parser
 from scan3d.cli.usage import Parser, Version
 from scan3d.settings import Settings
 from scan3d.units import UNITS_M
@@ -61,10 +61,6 @@ _EXAMPLES = {
   scan3d show out/cloud.ply --screenshot friction.pdf --color friction
   scan3d show log.csv --html log.html --truth part.stl
   scan3d show out --movie sweep.gif""",
-    "export": """\
-  scan3d export out --to egg.glb
-  scan3d export out --to egg.vtp --what cloud
-  scan3d export out/cloud.ply --to egg.pcd""",
     "doctor": """\
   scan3d doctor
   scan3d doctor --json""",
@@ -242,25 +238,7 @@ def parser() -> argparse.ArgumentParser:
     _add_output(show)
     show.set_defaults(command="show", misuse=show.error)
 
-    export = commands.add_parser(
-        "export",
-        help="write the cloud or the surface in another format",
-        description="Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn and .csv, surfaces to .stl, .ply, .obj, .vtp\n"
-        "and .glb (in metres). Unit, frame, normals and scalars are kept where the format can contain them.",
-    )
-    export.add_argument("source", metavar="DIR", help="folder of a scan, or one of its PLY files")
-    export.add_argument(
-        "--to", required=True, metavar="FILE", help="the file to write; its ending determines the format"
-    )
-    export.add_argument(
-        "--what",
-        choices=EXPORTS,
-        help=f"{one_of(EXPORTS)}, for .ply and .vtp (default {EXPORTS[0]}, unless DIR is a file with a cloud)",
-    )
-    _add_overwrite(export)
-    _add_output(export)
-    export.set_defaults(command="export")
-
+    _add_output(exporting.add_export(commands, _add_overwrite))
     _add_output(guide.add_demo(commands, _add_overwrite))
     guide.add_explain(commands)
 
@@ -280,7 +258,12 @@ def parser() -> argparse.ArgumentParser:
     rig_parser.add_rig_commands(commands, _add_overwrite, _add_output)
 
     for name, text in (
-        _EXAMPLES | batch.EXAMPLES | guide.EXAMPLES | rig_parser.EXAMPLES | laboratory_parser.EXAMPLES
+        _EXAMPLES
+        | batch.EXAMPLES
+        | exporting.EXAMPLES
+        | guide.EXAMPLES
+        | rig_parser.EXAMPLES
+        | laboratory_parser.EXAMPLES
     ).items():
         commands.choices[name].epilog = f"examples:\n{text}"
         commands.choices[name].formatter_class = argparse.RawDescriptionHelpFormatter

@@ -17,6 +17,7 @@ from typing import Any
 from scan3d.cli import guide, one_sweep, rig
 from scan3d.cli.batch import batch
 from scan3d.cli.calibration import calibrate, rigged
+from scan3d.cli.exporting import export
 from scan3d.cli.laboratory import import_
 from scan3d.cli.terminal import is_terminal, one_line, print_result, print_settings, printable, printable_json, table
 from scan3d.errors import InputError
@@ -239,19 +240,6 @@ def _recording_scene(path: Path) -> Any:
     except InputError:  # contacts in one plane do not span a body, but can be shown
         return of_cloud(reconstruct_recording(recording), name=path.stem, recording=recording)
     return dataclasses.replace(scene, name=path.stem)
-
-
-def export(arguments: Namespace) -> int:
-    """Write the cloud or the surface in another format."""
-    from scan3d.files.exports import export as export_shape
-
-    written = export_shape(arguments.source, arguments.to, arguments.what, overwrite=arguments.overwrite)
-    cloud, surface = (
-        f"{written['points']} contacts",
-        f"a surface of {written['points']} vertices and {written['faces']} faces",
-    )
-    shape = cloud if written["what"] == "cloud" else surface
-    return print_result(arguments, written, printable(f"{shape} in {written['unit']}, written to {written['file']}"))
 
 
 def doctor(arguments: Namespace) -> int:

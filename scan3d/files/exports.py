@@ -1,14 +1,15 @@
 """Clouds and surfaces in the formats of other programs, by file ending.
 
-Points keep their world coordinates in the recording's unit; only GLB is in metres, by its specification.  Normals and
-scalars are written where the format can contain them, unit and frame where the format allows comments.  docs/formats.md
-lists which program reads which format.
+Points keep their world coordinates in the recording's unit, or in another one that is asked for; GLB and bags of ROS are in
+metres, and GLB has y up, by their specifications.  Normals and scalars are written where the format can contain them, unit and
+frame where the format allows comments.  docs/formats.md lists which program reads which format.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,48 +18,87 @@ from numpy.typing import NDArray
 
 from scan3d.choices import EXPORTS
 from scan3d.errors import InputError
+from scan3d.files.adapting import colored, in_unit, named_for
 from scan3d.files.atomic import atomic, folder
+from scan3d.files.bags import packed_points, point_cloud_bag
+from scan3d.files.gltf import glb
 from scan3d.files.journal import locate
 from scan3d.files.ownership import Inputs, check_belongs, check_file, read_report
 from scan3d.files.ply import ply
-from scan3d.files.shapes import FRAME, NORMAL, POINT, Shape, read_shape
+from scan3d.files.shapes import FRAME, LENGTHS, NORMAL, POINT, Shape, read_shape
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.units import UNITS_M
 
 # The formats of clouds and of surfaces, in the order in which messages list them.
 CLOUD_ENDINGS = (".ply", ".pcd", ".vtp", ".xyz", ".xyzn", ".csv")
+"""The formats of clouds that are read back as well."""
+POINT_ENDINGS = (*CLOUD_ENDINGS, ".glb", ".mcap")
 SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
 # The formats of each of `EXPORTS`, the default first.
-_ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, CLOUD_ENDINGS), strict=True))
+_ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, POINT_ENDINGS), strict=True))
 # Formats whose coordinates are in float32.
 _SINGLE = (".stl", ".glb")
+# Formats in metres by their specification, those without a place for colours, and that whose names of scalars are chosen.
+_METRES, _COLORLESS, _NAMED = (".glb", ".mcap"), (".stl", ".xyz", ".xyzn"), ".ply"
 
-# Scalars that have a unit: lengths are in the unit of the file, forces in newtons.
-_LENGTHS, _FORCES = ("quality", "bound", "place_sd"), ("force",)
+# Scalars that have a unit beside lengths: forces are in newtons.
+_FORCES = ("force",)
 # The layout of binary STL: 80 bytes of header, then one row per triangle.
 _STL_HEADER = 80
+# Decimals of a colour in OBJ: enough for the 256 steps of each component.
+_COLOR_DECIMALS = 4
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def export(source: str | Path, to: str | Path, what: str | None = None, *, overwrite: bool = False) -> dict[str, Any]:
+def export(
+    source: str | Path,
+    to: str | Path,
+    what: str | None = None,
+    *,
+    unit: str | None = None,
+    color: str | None = None,
+    scalar_names: str | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
     """Write the cloud or the surface of a scan's folder, or of one of its PLY files, to a file of another format.
 
-    The ending of `to` determines the format.  Where the format can contain either (.ply, .vtp) `what` is 'cloud' or
-    'surface'; the default is the surface, unless `source` is a cloud.  Returns what was written, as plain values.  Raises
-    InputError for unknown endings and sources, for sources that cannot be written in the format, for missing normals that the
-    format needs, and if `to` is part of a scan's folder, the source itself, or, unless `overwrite` is true, a file that can't
-    be recognised as an earlier export.
+    what
+        'cloud' or 'surface' where the ending of `to`, which determines the format, allows either (.ply, .vtp, .glb); the
+        default is the surface, unless `source` is a cloud.
+    unit
+        of the lengths in the file, such as 'm' for ROS (REP 103); the recording's by default.  GLB and bags are in metres.
+    color
+        the scalar by which points have red, green and blue; it is written as well.
+    scalar_names
+        the program, one of `choices.SCALAR_NAMES`, whose names the scalars of a .ply have.
+
+    Returns what was written, as plain values.  Raises InputError for unknown endings and sources, for sources that cannot be
+    written in the format, for units, colours and names that it does not have, for missing normals that it needs, and if `to`
+    is part of a scan's folder, the source itself, or, unless `overwrite` is true, a file that can't be recognised as an
+    earlier export.
     """
     source, to = Path(source), Path(to)
     ending = to.suffix.lower()
     contents = _contents(ending, what)
+    _check_options(ending, unit, color, scalar_names)
     shape = _read(source, contents[0])
     if shape.what not in contents:
         raise InputError(
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
             f"{listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
+    shape = named_for(colored(in_unit(shape, unit), color), scalar_names, color)
     return write_shape(shape, to, {"source": source}, contents, overwrite=overwrite)
+
+
+def _check_options(ending: str, unit: str | None, color: str | None, scalar_names: str | None) -> None:
+    """Raises InputError for what a format does not have."""
+    if ending in _METRES and unit not in (None, "m"):
+        raise InputError(f"{ending} is in metres by its specification, and can't be in {unit}; leave the unit out")
+    if ending in _COLORLESS and color is not None:
+        raise InputError(f"{ending} has no place for colours; choose .ply, .pcd, .vtp, .csv, .obj, .glb or .mcap")
+    if ending != _NAMED and scalar_names is not None:
+        raise InputError(f"names of scalars are chosen for {_NAMED}, which {scalar_names} reads, and not for {ending}")
 
 
 def write_shape(
@@ -77,7 +117,7 @@ def write_shape(
     contents
         what may be written, of `EXPORTS`; by default what a file with this ending can contain.
 
-    Returns and raises as `export`.
+    Returns and raises as `export`.  Of a cloud in GLB points without a normal are left out and counted, unless none has one.
     """
     to = Path(to)
     ending = to.suffix.lower()
@@ -87,8 +127,12 @@ def write_shape(
             f"a {shape.what} can't be written as {ending}, which holds a {contents[0]}; a {shape.what} can be written as "
             f"{listed(_ENDINGS[shape.what])}"
         )
+    before = len(shape.rows)
     if shape.faces is not None:
         shape = _readable(shape, ending)
+    elif ending == ".glb":
+        shape = _with_normals(shape)
+    left_out = 0 if shape.faces is not None else before - len(shape.rows)
     data = None if ending == ".vtp" else _WRITERS[ending](shape)
     check_file(to, inputs or {}, overwrite, option, data)
     with folder(to.parent, option=option), atomic(to, option=option) as file:
@@ -97,8 +141,15 @@ def write_shape(
         else:
             file.write_bytes(data)
     faces = 0 if shape.faces is None else len(shape.faces)
-    unit = "m" if ending == ".glb" else shape.unit
-    return {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
+    unit = "m" if ending in _METRES else shape.unit
+    written = {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
+    return written | {"left_out": left_out}
+
+
+def _with_normals(shape: Shape) -> Shape:
+    """The points of a cloud that have a normal; all if none has one."""
+    known = np.linalg.norm(shape.normals, axis=1) > 0
+    return replace(shape, rows=shape.rows[known]) if known.any() else shape
 
 
 def _readable(shape: Shape, ending: str) -> Shape:
@@ -113,7 +164,7 @@ def _readable(shape: Shape, ending: str) -> Shape:
     if (chosen == np.arange(len(points))).all():
         return shape
     used, faces = without_unused(collapsed(shape.faces, chosen))
-    return Shape(shape.rows[used], faces.astype(np.int32), shape.unit)
+    return replace(shape, rows=shape.rows[used], faces=faces.astype(np.int32))
 
 
 def _contents(ending: str, what: str | None) -> list[str]:
@@ -124,7 +175,7 @@ def _contents(ending: str, what: str | None) -> list[str]:
     if not contents:
         raise InputError(
             f"can't export to files {f'ending in {ending!r}' if ending else 'without an ending'}: a cloud can be written as "
-            f"{listed(CLOUD_ENDINGS)}, a surface as {listed(SURFACE_ENDINGS)}"
+            f"{listed(POINT_ENDINGS)}, a surface as {listed(SURFACE_ENDINGS)}"
         )
     if what is None:
         return contents
@@ -162,8 +213,8 @@ def _ply(shape: Shape) -> bytes:
 
 def _pcd(shape: Shape) -> bytes:
     """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
-    names = shape.rows.dtype.names or ()
-    fields = [f"normal_{name[1:]}" if name in NORMAL else name for name in names]
+    points = packed_points(shape)
+    fields = list(points.dtype.names or ())
     count = len(fields)
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -180,7 +231,7 @@ def _pcd(shape: Shape) -> bytes:
         "DATA binary",
         "",
     ]
-    body = np.stack(_columns(shape, names), axis=1).astype("<f4")
+    body = np.stack([points[name].astype("<f4") for name in fields], axis=1)
     return "\n".join(header).encode() + body.tobytes()
 
 
@@ -197,7 +248,7 @@ def _xyzn(shape: Shape) -> bytes:
 
 def _csv(shape: Shape) -> bytes:
     names = shape.rows.dtype.names or ()
-    units = dict.fromkeys(POINT + _LENGTHS, f"_{shape.unit}") | dict.fromkeys(_FORCES, "_N")
+    units = dict.fromkeys(POINT + LENGTHS, f"_{shape.unit}") | dict.fromkeys(_FORCES, "_N")
     header = ",".join(name + units.get(name, "") for name in names)
     return f"{header}\n".encode() + _lines(_columns(shape, names), ",")
 
@@ -220,12 +271,14 @@ def _obj(shape: Shape) -> bytes:
     assert shape.faces is not None
     _need_normals(shape, ".obj", "choose .stl or .ply")
     remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
+    # after the point, as most programs read it, from 0 to 1
+    colors = [] if shape.colors is None else list(np.round(shape.colors.T / 255, _COLOR_DECIMALS))
     corners = (map(str, column) for column in (shape.faces + 1).T)
     faces = (f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in zip(*corners, strict=True))
     return b"".join(
         [
             remarks,
-            _lines(_columns(shape, POINT), " ", "v "),
+            _lines([*_columns(shape, POINT), *colors], " ", "v "),
             _lines(_columns(shape, NORMAL), " ", "vn "),
             "".join(faces).encode(),
         ]
@@ -233,34 +286,13 @@ def _obj(shape: Shape) -> bytes:
 
 
 def _glb(shape: Shape) -> bytes:
-    """Binary glTF, float32, in metres by its specification; the axes are kept, although the vertical axis of glTF is y."""
-    from trimesh import Scene, Trimesh
-    from trimesh.exchange.gltf import export_glb
+    if shape.faces is not None:
+        _need_normals(shape, ".glb", "choose .stl or .ply")
+    return glb(shape)
 
-    _need_normals(shape, ".glb", "choose .stl or .ply")
-    scale = UNITS_M[shape.unit]
-    # glTF has neither NaN nor infinity: a scalar with unknown values is left out
-    known = {name: column.astype(np.float32) for name, column in shape.scalars.items() if np.isfinite(column).all()}
-    mesh = Trimesh(
-        shape.points * scale,
-        shape.faces,
-        vertex_normals=shape.normals,
-        vertex_attributes={
-            f"_{name.upper()}": column * (scale if name in _LENGTHS else 1) for name, column in known.items()
-        },
-        process=False,
-    )
-    extras = {
-        "unit": "m",
-        "unit_of_recording": shape.unit,
-        "metres_per_unit_of_recording": scale,
-        "frame": f"{FRAME}; axes not turned to glTF's y up",
-    }
 
-    def add_extras(tree: dict[str, Any]) -> None:
-        tree["asset"]["extras"] = extras
-
-    return bytes(export_glb(Scene({"surface": mesh}), include_normals=True, tree_postprocessor=add_extras))
+def _mcap(shape: Shape) -> bytes:
+    return point_cloud_bag(in_unit(shape, "m"))
 
 
 def to_polydata(shape: Shape) -> Any:
@@ -273,6 +305,8 @@ def to_polydata(shape: Shape) -> Any:
         data = pyvista.PolyData.from_regular_faces(shape.points, shape.faces)
     data.point_data["Normals"] = shape.normals
     data.point_data.active_normals_name = "Normals"
+    if shape.colors is not None:
+        data.point_data["RGB"] = shape.colors
     for name, column in shape.scalars.items():
         data.point_data[name] = column
     data.set_active_scalars(None)
@@ -290,6 +324,7 @@ _WRITERS = {
     ".stl": _stl,
     ".obj": _obj,
     ".glb": _glb,
+    ".mcap": _mcap,
 }
 
 

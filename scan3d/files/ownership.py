@@ -49,6 +49,7 @@ _MARKS = {
     ".obj": rb"\A# scan3d surface\n",
     ".stl": rb"\Ascan3d surface, unit ",
     ".glb": rb"metres_per_unit_of_recording",
+    ".mcap": rb"\A\x89MCAP0\r\n(?s:.*)/scan3d/contacts",
     ".vtp": rb'Name="unit"(?s:.*)Name="frame"',
     ".csv": rf"\A(x_({_UNIT}),y_({_UNIT}),z_({_UNIT}),nx,ny,nz|x0(_m)?,x(_m)?,y(_m)?,s1(_m)?,phase,status)\b".encode(),
     ".png": rb"\A\x89PNG(?s:.*)Software\0scan3d",

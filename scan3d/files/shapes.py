@@ -15,7 +15,9 @@ from scan3d.files.ply import read_ply
 from scan3d.units import UNITS_M
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
-POINT, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+POINT, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+LENGTHS = ("quality", "bound", "place_sd", "distance")
+"""Scalars that are lengths, in the unit of the file."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +25,12 @@ class Shape:
     """A cloud or a surface as in a PLY file written by scan3d."""
 
     rows: NDArray[Any]
-    """(n,) structured: x, y, z, nx, ny, nz, then the scalars."""
+    """(n,) structured: x, y, z, nx, ny, nz, in exports with colours red, green, blue, then the scalars."""
     faces: NDArray[np.int32] | None
     """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
     unit: str
+    notes: tuple[str, ...] = ()
+    """What else stands in the comments of the file."""
 
     @property
     def what(self) -> str:
@@ -43,15 +47,22 @@ class Shape:
         return np.stack([self.rows[name] for name in NORMAL], axis=1)
 
     @property
+    def colors(self) -> NDArray[np.uint8] | None:
+        """(n, 3) red, green and blue, None without colours."""
+        if not set(COLOR) <= set(self.rows.dtype.names or ()):
+            return None
+        return np.stack([self.rows[name] for name in COLOR], axis=1).astype(np.uint8)
+
+    @property
     def scalars(self) -> dict[str, NDArray[Any]]:
         """(n,) each, by name."""
         names = self.rows.dtype.names or ()
-        return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in POINT + NORMAL}
+        return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in POINT + NORMAL + COLOR}
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Comments for the file: what it contains, its unit and its frame."""
-        return f"scan3d {self.what}", f"unit {self.unit}", f"frame {FRAME}"
+        return f"scan3d {self.what}", f"unit {self.unit}", f"frame {FRAME}", *self.notes
 
 
 def read_shape(path: str | Path) -> Shape:

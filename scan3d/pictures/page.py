@@ -1,11 +1,13 @@
 """A page that shows a scan in any browser: one file, which needs WebGL 2 and no access to the network.
 
-`page.html` beside this module is the page without a scan: ``@NAME@``, ``@KEYFIGURES@`` and ``@DATA@`` are filled in here.
+`page.html` beside this module is the page without a scan: ``@NAME@``, ``@KEYFIGURES@`` and the like are filled in here, and so
+are the style and the scripts, `page.css` and `page_*.js`.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
 import json
 import re
@@ -18,15 +20,16 @@ import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
+from scan3d.pictures.encoding import floats, integers
 from scan3d.pictures.figures import quiet
-from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, sections, shown_surface, shown_sweep
+from scan3d.pictures.parts import has_rods, normal_lines, sections, shown_surface
+from scan3d.pictures.player import player
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
     BODY,
     INK,
     NORMAL,
-    ROD,
-    TANGENTIAL,
+    ON_DEVIATION,
     TIP,
     largest_known,
     shade_contacts,
@@ -35,16 +38,17 @@ from scan3d.pictures.words import out_of_plane_deg, unit_symbol
 
 # Colours of a scale in the page, which interpolates between them: the difference to the exact scale is not visible.
 _STOPS = 33
-# Rods drawn along a sweep, as in the window, and points on each: no corners are seen, and the page stays small.
-_STATES, _ROD_POINTS = 9, 40
+# The scripts in the order in which they run: one script, whose parts see each other's names.
+_SCRIPTS = ("view", "layers", "rod", "player", "tools", "main")
 # Opacity of the truth: the surface is seen through it.
 _TRUTH_OPACITY = 0.45
 
 
 def page(scene: Scene) -> bytes:
-    """The page (HTML, UTF-8) of a scene: its layers to switch, colours by values with their scales, and its key figures.
+    """The page (HTML, UTF-8) of a scene: its layers, colours by values with scales and histograms, a player of its sweeps.
 
-    The same scene gives the same bytes.  Raises InputError for a scene without anything to show.
+    The same scene gives the same bytes.  Raises InputError for a scene without anything to show, and for contacts that do not
+    come from its recording.
     """
     if not len(scene.corners):
         raise InputError(f"{scene.name} has nothing to show: neither contacts nor a surface")
@@ -52,21 +56,32 @@ def page(scene: Scene) -> bytes:
     center = (corners.min(axis=0) + corners.max(axis=0)) / 2
     with quiet():
         layers = [layer for layer in _layers(scene, center) if layer is not None]
-    data = {
+    data: dict[str, Any] = {
+        "name": scene.name,
         "unit": unit_symbol(scene.unit),
         "center": center.tolist(),
         "radius": float(np.linalg.norm(corners - center, axis=1).max()) or 1.0,
         "layers": layers,
     }
+    if has_rods(scene):
+        data["player"] = player(scene, center)
     rows = "".join(
         f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in scene.key_figures
     )
     # "</script>" within the data would end the script element that contains them
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    filled = {"NAME": html.escape(scene.name), "KEYFIGURES": rows, "DATA": text}
+    script = '"use strict";\n' + "".join(_part(f"page_{name}.js") for name in _SCRIPTS)
+    # the browser runs the script with this hash and no other
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    filled = {"NAME": html.escape(scene.name), "KEYFIGURES": rows, "DATA": text, "STYLE": _part("page.css")}
+    filled |= {"SCRIPT": script, "HASH": f"sha256-{digest}"}
     # in one pass, as what is filled in may contain the text of a placeholder
-    blank = files("scan3d.pictures").joinpath("page.html").read_text(encoding="utf-8")
-    return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], blank).encode(errors="replace")
+    return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], _part("page.html")).encode(errors="replace")
+
+
+def _part(name: str) -> str:
+    """A file beside this module, whose lines end alike on all systems."""
+    return files("scan3d.pictures").joinpath(name).read_text(encoding="utf-8")
 
 
 def _layers(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
@@ -99,8 +114,8 @@ def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str,
     return {
         "name": name,
         "kind": "triangles",
-        "position": _floats(corners),
-        "index": base64.b64encode(np.asarray(mesh.faces).astype("<u4").tobytes()).decode(),
+        "position": floats(corners),
+        "index": integers(np.asarray(mesh.faces)),
         "color": BODY,
         **options,
     }
@@ -116,9 +131,9 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
         shaded, values = shade_contacts(scene, color), scene.column(color)
         assert values is not None
         if shaded.norm is None:
-            kinds = [["tangential", TANGENTIAL], ["tip", TIP]]
+            kinds = [[name, color] for name, color in zip(("tangential", "tip"), ON_DEVIATION, strict=True)]
             colors.append(
-                {"title": "kind of contact", "kinds": kinds, "values": _floats(planar.Phase.TANGENTIAL - values)}
+                {"title": "kind of contact", "kinds": kinds, "values": floats(planar.Phase.TANGENTIAL - values)}
             )
         else:
             shown = values * 1e3 if color == "force" else out_of_plane_deg(values) if color == "bending" else values
@@ -127,13 +142,13 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
             colors.append(_scale(shaded.title, shown, low, high, shaded.map, log=log))
     names = {name: scene.column(name) for name in ("sweep", "slice")}
     columns = {name: values.astype(int).tolist() for name, values in names.items() if values is not None}
-    position = _floats(scene.points - center)
+    position = floats(scene.points - center)
     return {"name": "contacts", "kind": "points", "on": True, "position": position, "colors": colors, "columns": columns,
-            "color": TANGENTIAL}  # fmt: skip
+            "color": ON_DEVIATION[0]}  # fmt: skip
 
 
 def _lines(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
-    """Normals, slices or paths of contacts, and the rod along one sweep, where they are known."""
+    """Normals, and slices or paths of contacts, where they are known."""
     layers: list[dict[str, Any] | None] = []
     normals = normal_lines(scene)
     if len(normals):
@@ -141,16 +156,12 @@ def _lines(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
     name, lines = sections(scene)
     if lines:
         layers.append(_strips(name, [line for line, _ in lines], center, INK, 1.2))
-    if has_rods(scene):
-        sweep = shown_sweep(scene, points=_ROD_POINTS)
-        rods = sweep.rods[evenly_chosen(len(sweep.base), _STATES)]
-        layers.append(_strips("rod in one sweep", [*rods, sweep.base[[0, -1]]], center, ROD, 3.0))
     return layers
 
 
 def _strips(name: str, lines: list[Array], center: Array, color: str, width: float) -> dict[str, Any]:
     starts = np.cumsum([0, *map(len, lines)]).tolist()
-    points = _floats(np.concatenate(lines) - center)
+    points = floats(np.concatenate(lines) - center)
     return {"name": name, "kind": "lines", "position": points, "starts": starts, "color": color, "width": width}
 
 
@@ -159,10 +170,5 @@ def _scale(title: str, values: Array, low: float, high: float, map: str, *, log:
     from matplotlib.colors import to_hex
 
     stops = [to_hex(color) for color in colormaps[map](np.linspace(0, 1, _STOPS))]
-    return {"title": title.replace(" um", " µm"), "values": _floats(values), "low": low, "high": high, "log": log,
+    return {"title": title.replace(" um", " µm"), "values": floats(values), "low": low, "high": high, "log": log,
             "stops": stops}  # fmt: skip
-
-
-def _floats(values: Array) -> str:
-    with np.errstate(over="ignore"):  # what is too large for float32 is drawn as infinite
-        return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()

@@ -182,13 +182,13 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         raise InputError(
             f"{scene.name} has no recording, which rods are drawn from: show a scan's folder, or a recording"
         )
-    chosen = _most_informative_sweep(scene, slices, sweeps) if number is None else number
+    chosen = most_informative_sweep(scene, slices, sweeps) if number is None else number
     selected = sweeps == chosen
     if not selected.any():
         raise InputError(
             f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweeps))} that have, such as {int(sweeps[0])}"
         )
-    rod, rows = recording.rod, _rows(scene, recording)[selected]
+    rod, rows = recording.rod, recording_rows(scene, recording)[selected]
     axes = recording.axes()[rows]
     if is_spatial(scene):
         reactions, in_plane, plane = _spatial_reactions(recording, rows, axes)
@@ -248,7 +248,7 @@ def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Arra
     return np.column_stack([force, moment]), np.column_stack([across, force[:, 1], about]), plane
 
 
-def _rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
+def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     """(n,) rows of the recording that the contacts come from."""
     rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
@@ -263,7 +263,7 @@ def _rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     )
 
 
-def _most_informative_sweep(scene: Scene, slices: Array | None, sweeps: Array) -> int:
+def most_informative_sweep(scene: Scene, slices: Array | None, sweeps: Array) -> int:
     """The sweep whose contacts extend farthest, in the slice nearest to the middle among the widest slices.
 
     Without slices it is the sweep with the longest path of contacts.

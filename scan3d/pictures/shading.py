@@ -18,6 +18,10 @@ from scan3d.pictures.words import out_of_plane_deg
 # A pale body, on which contacts and rods of saturated colours stand out.  Red and orange differ in lightness, so that readers
 # with deficient colour vision can distinguish them.
 BODY, INK, ROD, TIP, TANGENTIAL = "#c3ccd6", "#222222", "#1b6ca8", "#d98200", "#b2182b"
+# Tangential and tip contacts on a surface that is coloured from blue over white to red, from which black and yellow stand out.
+ON_DEVIATION = "#161616", "#ffd60a"
+# Reactions of the rod, the contacts of the sweep that is shown, and the curves of components along x, y and z.
+FORCE, SELECTED, REACTION_COLORS = "#8e24aa", "#00c853", (ROD, TIP, TANGENTIAL)
 UNKNOWN, NORMAL, SLICE, EDGE, BACKDROP = "#9a9a9a", "#6b6b6b", "#5b6672", "#4a4f55", "#eef0f3"
 # Powers of ten below the largest error that its scale shows: more would spend most colours on rounding errors, fewer would
 # show all small errors in one colour.

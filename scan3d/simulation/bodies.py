@@ -16,6 +16,7 @@ from trimesh.exchange.load import mesh_loaders
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.declared import shortfall
+from scan3d.files.gltf import is_turned, z_up
 from scan3d.files.reading import check_file
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_hull
 from scan3d.geometry.distance import bounding_box
@@ -266,6 +267,8 @@ def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
             if len(mesh.faces) and (mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices)):
                 raise IndexError("a face has a vertex that does not exist")
             meshes.append((trimesh.transform_points(mesh.vertices, transform), np.asarray(mesh.faces)))
+    if is_turned(data):  # as exported by scan3d, with y up; back to the axes of the world
+        meshes = [(z_up(vertices), faces) for vertices, faces in meshes]
     return meshes
 
 

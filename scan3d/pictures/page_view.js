@@ -1,0 +1,247 @@
+// The camera, and what WebGL draws: triangles, points and lines in the coordinates of the scan about its centre.
+const byId = id => document.getElementById(id);
+const data = JSON.parse(byId("data").textContent);
+const canvas = byId("view"), panel = byId("panel"), dock = byId("dock"), picked = byId("picked");
+const gl = canvas.getContext("webgl2", {antialias: false});
+const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
+const rgb = hex => [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16) / 255);
+const plus = (a, b, t = 1) => [a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]];
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unitVector = a => a.map(x => x / (Math.hypot(...a) || 1));
+const fontSize = () => parseFloat(getComputedStyle(document.body).fontSize);
+const number = x => x === 0 ? "0"
+  : (Math.abs(x) >= 1e-3 && Math.abs(x) < 1e5 ? String(+x.toPrecision(3)) : x.toExponential(2)).replaceAll("-", "−");
+// A window up to this width, in CSS pixels, is that of a phone: the panel then covers the body instead of standing beside it.
+const narrow = 700;
+// In a window up to this height the panel is closed at first.
+const low = 500;
+// Part of the free space that the body fills at first.
+const fill = 0.94;
+// Diameters of a contact in CSS pixels, by the distance between contacts: many stay apart, few are seen.
+// Closer than `dense` they let the surface shine through.
+const contactSize = {share: 0.6, least: 1.4, most: 7, zoomed: 12, dense: 2.5, faintest: 0.25};
+// From this diameter, in pixels of the screen, points have a rim, which sets them off from what they lie on.
+const leastRimmed = 5;
+
+// Where frames come late, as without a graphics processor, the picture is drawn in less detail as long as it moves: frames that
+// begin this many ms after they were asked for are late, so many in a row lower the detail, and after so many ms it is still.
+const late = {after: 36, inARow: 3, still: 200};
+// The detail of each level but the first, which has all: contacts at most, cells of the surface across the body, and pixels for
+// each CSS pixel at most.
+const levels = [null, {contacts: 20000, cells: 36, ratio: 0.75}, {contacts: 8000, cells: 24, ratio: 0.5}];
+// Samples for each pixel in a picture that is still, and in one that moves where frames are not late.
+const samples = 4;
+
+const head = `#version 300 es
+precision highp float; uniform mat3 turn; uniform vec2 scale, shift; uniform float depth; uniform vec4 cut; out float beyond;
+vec4 place(vec3 p) { vec3 q = turn * p; return vec4(q.xy * scale + shift, -q.z * depth, 1.0); }
+float side(vec3 p) { return dot(cut.xyz, p) - cut.w; }`;
+const programs = gl && {
+  triangles: program(head + `
+in vec3 position; in vec3 tint; out vec3 seen, shade;
+void main() { seen = turn * position; shade = tint; beyond = side(position); gl_Position = place(position); }`, `
+in vec3 seen, shade; uniform float alpha; out vec4 color;
+void main() { if (beyond > 0.0) discard; vec3 n = normalize(cross(dFdx(seen), dFdy(seen)));
+  float light = 0.5 + 0.5 * max(dot(n, normalize(vec3(0.25, 0.45, 0.86))), 0.0);
+  vec3 front = gl_FrontFacing ? shade : mix(vec3(0.62, 0.58, 0.5), shade, 0.25);
+  color = vec4(front * light, alpha); }`),
+  points: program(head + `
+in vec3 position; in vec3 tint; out vec3 shade; uniform float size, nearer;
+void main() { shade = tint; beyond = side(position); gl_Position = place(position); gl_Position.z -= nearer;
+  gl_PointSize = size; }`, `
+in vec3 shade; uniform float core, alpha; out vec4 color;
+void main() { if (beyond > 0.0) discard; vec2 d = 2.0 * gl_PointCoord - 1.0; float r = dot(d, d); if (r > 1.0) discard;
+  vec3 rim = vec3(dot(shade, vec3(0.3, 0.6, 0.1)) < 0.5 ? 0.96 : 0.1);
+  color = vec4(r > core ? rim : shade * (0.75 + 0.25 * sqrt(1.0 - r)), alpha); }`),
+  lines: program(head + `
+in vec3 begin, end; uniform vec2 pixel; uniform float width;
+void main() { vec4 a = place(begin), b = place(end); vec2 along = (b.xy - a.xy) / pixel;
+  vec2 normal = length(along) > 0.0 ? normalize(vec2(-along.y, along.x)) : vec2(0.0);
+  gl_Position = gl_VertexID > 1 ? b : a; gl_Position.z -= 0.003; beyond = side(gl_VertexID > 1 ? end : begin);
+  gl_Position.xy += normal * pixel * width * (float(gl_VertexID & 1) - 0.5); }`, `
+uniform vec3 plain; out vec4 color; void main() { if (beyond > 0.0) discard; color = vec4(plain, 1.0); }`),
+};
+
+function program(vertex, fragment) {
+  const linked = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex],
+    [gl.FRAGMENT_SHADER, "#version 300 es\nprecision highp float; in float beyond;" + fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(linked, shader);
+  }
+  gl.linkProgram(linked);
+  if (!gl.getProgramParameter(linked, gl.LINK_STATUS)) throw Error(gl.getProgramInfoLog(linked));
+  const known = {};
+  return {linked, at: name => known[name] ??= gl.getUniformLocation(linked, name),
+    attribute: name => known["in " + name] ??= gl.getAttribLocation(linked, name)};
+}
+
+function buffer(kind, values, filled = gl.createBuffer()) {
+  gl.bindBuffer(kind, filled); gl.bufferData(kind, values, gl.STATIC_DRAW);
+  return filled;
+}
+
+function attribute(used, name, source, size, type = gl.FLOAT, stride = 0, offset = 0, divisor = 0) {
+  const at = used.attribute(name);
+  gl.bindBuffer(gl.ARRAY_BUFFER, source); gl.enableVertexAttribArray(at);
+  gl.vertexAttribPointer(at, size, type, type === gl.UNSIGNED_BYTE, stride, offset); gl.vertexAttribDivisor(at, divisor);
+}
+
+const start = {azimuth: 0.656, elevation: 0.452, zoom: 1, x: 0, y: 0};
+// Cuts everything with dot(normal, p) > offset off; the zero vector cuts nothing.
+const cutting = {normal: [0, 0, 0], offset: 0};
+let eye = {...start}, frame = 0;
+
+function turned() {  // columns of a mat3: the world's axes as the viewer sees them; z stays upright
+  const [c, s, e, u] = [Math.cos(eye.azimuth), Math.sin(eye.azimuth), Math.cos(eye.elevation), Math.sin(eye.elevation)];
+  return [c, -s * u, s * e, s, c * u, -c * e, 0, e, u];
+}
+
+function measures() {  // of the space beside panel and player, in CSS pixels; `unit` of them are one unit of length
+  const w = canvas.clientWidth, h = canvas.clientHeight, beside = w > narrow;
+  const left = panel.open && beside ? panel.offsetWidth + 20 : 0, top = beside ? 0 : 52;
+  const bottom = dock.hidden ? 0 : dock.offsetHeight + 16;
+  const wide = Math.max(40, w - left), high = Math.max(40, h - top - bottom);
+  const unit = eye.zoom * fill * Math.min(wide, high) / (2 * data.radius);
+  const x = left + wide / 2 + eye.x, y = top + high / 2 - eye.y;
+  const scale = [2 * unit / w, 2 * unit / h], shift = [2 * x / w - 1, 1 - 2 * y / h];
+  return {w, h, left, bottom, wide, high, unit, x, y, scale, shift};
+}
+
+function onScreen(p, m = turned(), view = measures()) {  // x and y in CSS pixels, and the depth, larger nearer to the viewer
+  const [u, v, d] = [0, 1, 2].map(i => m[i] * p[0] + m[3 + i] * p[1] + m[6 + i] * p[2]);
+  return [view.x + u * view.unit, view.y - v * view.unit, d];
+}
+
+function use(kind, view, cuts = true) {
+  const used = programs[kind];
+  gl.useProgram(used.linked);
+  gl.uniformMatrix3fv(used.at("turn"), false, turned());
+  gl.uniform2fv(used.at("scale"), view.scale); gl.uniform2fv(used.at("shift"), view.shift);
+  gl.uniform1f(used.at("depth"), 0.2 / data.radius);
+  gl.uniform4f(used.at("cut"), ...(cuts ? cutting.normal : [0, 0, 0]), cuts ? cutting.offset : 0);
+  for (let k = 0; k < 4; k++) gl.disableVertexAttribArray(k);
+  return used;
+}
+
+function drawPoints(layer, {size, alpha}, view, ratio, cuts = true, nearer = 0.004, every = 1) {
+  const used = use("points", view, cuts), pixels = Math.max(1, size * ratio);
+  gl.uniform1f(used.at("alpha"), alpha);
+  gl.uniform1f(used.at("size"), pixels); gl.uniform1f(used.at("nearer"), nearer);
+  gl.uniform1f(used.at("core"), pixels < leastRimmed ? 2 : (1 - 2 * Math.max(1, 0.8 * ratio) / pixels) ** 2);
+  attribute(used, "position", layer.buffer, 3, gl.FLOAT, 12 * every);
+  if (layer.tint) attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4 * every);
+  else gl.vertexAttrib3f(used.attribute("tint"), ...rgb(layer.color));
+  if (alpha < 1) gl.enable(gl.BLEND);
+  gl.drawArrays(gl.POINTS, 0, Math.ceil(layer.points.length / 3 / every));
+  gl.disable(gl.BLEND);
+}
+
+function drawLines(layer, view, ratio, cuts = true) {
+  const used = use("lines", view, cuts);
+  gl.uniform2f(used.at("pixel"), 2 / canvas.width, 2 / canvas.height);
+  gl.uniform1f(used.at("width"), layer.width * ratio * Math.min(2, Math.max(1, Math.sqrt(eye.zoom))));
+  gl.uniform3fv(used.at("plain"), rgb(layer.color));
+  for (let k = 0; k + 1 < layer.starts.length; k++) {
+    attribute(used, "begin", layer.buffer, 3, gl.FLOAT, 12, 12 * layer.starts[k], 1);
+    attribute(used, "end", layer.buffer, 3, gl.FLOAT, 12, 12 * layer.starts[k] + 12, 1);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, layer.starts[k + 1] - layer.starts[k] - 1);
+  }
+}
+
+function drawTriangles(layer, view, level) {
+  const used = use("triangles", view), transparent = layer.alpha < 1;
+  layer.coarse ||= [layer];
+  const {elements, faces} = layer.coarse[level] ||= coarser(layer, levels[level].cells);
+  attribute(used, "position", layer.buffer, 3); attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4);
+  gl.uniform1f(used.at("alpha"), layer.alpha || 1);
+  if (transparent) { gl.enable(gl.BLEND); gl.depthMask(false); }
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, elements);
+  gl.drawElements(gl.TRIANGLES, faces.length, gl.UNSIGNED_INT, 0);
+  if (transparent) { gl.disable(gl.BLEND); gl.depthMask(true); }
+}
+
+function coarser(layer, cells) {  // the triangles that remain where all vertices in a cell of a grid become one of them
+  const p = layer.points, cell = 2 * data.radius / cells, first = new Map(), chosen = new Uint32Array(p.length / 3);
+  for (let k = 0; k < chosen.length; k++) {
+    const key = [0, 1, 2].reduce((sum, i) => sum * 1024 + Math.round(p[3 * k + i] / cell) + 512, 0);
+    if (!first.has(key)) first.set(key, k);
+    chosen[k] = first.get(key);
+  }
+  const faces = [];
+  for (let k = 0; k < layer.faces.length; k += 3) {
+    const [a, b, c] = [0, 1, 2].map(i => chosen[layer.faces[k + i]]);
+    if (a !== b && b !== c && c !== a) faces.push(a, b, c);
+  }
+  return {faces, elements: buffer(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(faces))};
+}
+
+function pointStyle(layer, view) {
+  const apart = view.unit * data.radius * Math.sqrt(2 * Math.PI / (layer.points.length / 3));
+  const most = eye.zoom > 1 ? contactSize.zoomed : contactSize.most;
+  return {size: Math.min(most, Math.max(contactSize.least, contactSize.share * apart)),
+    alpha: Math.min(1, Math.max(contactSize.faintest, apart / contactSize.dense))};
+}
+
+function drawLayers(view, ratio, level) {
+  gl.viewport(0, 0, canvas.width, canvas.height);
+  gl.clearColor(1, 1, 1, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
+  gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);  // the picture is opaque
+  for (const layer of data.layers) {
+    if (!layer.on || layer.alpha < 1) continue;
+    if (layer.kind === "lines") drawLines(layer, view, ratio);
+    else if (layer.kind === "triangles") drawTriangles(layer, view, level);
+    else {
+      const every = level ? Math.ceil(layer.points.length / 3 / levels[level].contacts) : 1;
+      drawPoints(layer, pointStyle(layer, view), view, ratio, true, 0.004, every);
+    }
+  }
+  if (player) drawRod(view, ratio);
+  for (const layer of data.layers) if (layer.on && layer.alpha < 1) drawTriangles(layer, view, level);
+}
+
+const smooth = gl && {target: gl.createFramebuffer(), color: gl.createRenderbuffer(), depth: gl.createRenderbuffer()};
+
+function drawSmooth(view, ratio) {  // the layers with several samples for each pixel
+  const {width, height} = canvas;
+  gl.bindFramebuffer(gl.FRAMEBUFFER, smooth.target);
+  if (smooth.width !== width || smooth.height !== height) {
+    const count = Math.min(samples, gl.getParameter(gl.MAX_SAMPLES));
+    for (const [store, format, at] of [[smooth.color, gl.RGBA8, gl.COLOR_ATTACHMENT0],
+      [smooth.depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
+      gl.bindRenderbuffer(gl.RENDERBUFFER, store);
+      gl.renderbufferStorageMultisample(gl.RENDERBUFFER, count, format, width, height);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, store);
+    }
+    Object.assign(smooth, {width, height});
+  }
+  drawLayers(view, ratio, 0);
+  gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth.target); gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+  gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+}
+
+const pace = {asked: 0, lateFrames: 0, level: 0, settle: 0};
+
+function draw(level = 0) {
+  frame = 0;
+  const full = window.devicePixelRatio || 1, ratio = level ? Math.min(full, levels[level].ratio) : full, view = measures();
+  const width = Math.max(1, Math.round(view.w * ratio)), height = Math.max(1, Math.round(view.h * ratio));
+  if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+  if (cutting.follow) cutting.follow();
+  if (level) drawLayers(view, ratio, level); else drawSmooth(view, ratio);
+  drawMarks(view, full);
+}
+
+function redraw() {
+  if (frame) return;
+  pace.asked = performance.now();
+  frame = requestAnimationFrame(() => {
+    pace.lateFrames = performance.now() - pace.asked > late.after ? pace.lateFrames + 1 : 0;
+    if (pace.lateFrames >= late.inARow) { pace.level = Math.min(levels.length - 1, pace.level + 1); pace.lateFrames = 0; }
+    draw(pace.level);
+    clearTimeout(pace.settle);
+    if (pace.level) pace.settle = setTimeout(draw, late.still);
+  });
+}
