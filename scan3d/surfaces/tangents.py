@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 import planar
 from scan3d.arrays import Array, Index
@@ -69,7 +69,7 @@ def tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> TangentPlanes:
     # the map stretches errors by no more than its largest factor, and angles by no more than its condition
     stretched = errors * float(np.linalg.norm(to_frame, 2))
     turns = turns[rows] * float(np.linalg.cond(shape))
-    vertices, edges = edges_of(ConvexHull(points))
+    vertices, edges = edges_of(_hull(points))
     intervals = normal_intervals(
         points[rows], tangents[rows], stretched[rows], turns, points[vertices], stretched[vertices], edges
     )
@@ -86,6 +86,14 @@ def tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> TangentPlanes:
         table = _table_plane(cloud.table - cloud.rod_radius, centre, shape)
         planes = SupportingPlanes(*(np.concatenate(pair) for pair in zip(planes, table, strict=True)))
     return TangentPlanes(planes, rows, centre, shape, ball)
+
+
+def _hull(points: Array) -> ConvexHull:
+    """The hull of points (n, 3), moved by rounding (Qhull's option QJ) where very many of them in one plane make Qhull fail."""
+    try:
+        return ConvexHull(points)
+    except QhullError:
+        return ConvexHull(points, qhull_options="QJ")
 
 
 def _table_plane(height: float, centre: Array, shape: Array) -> SupportingPlanes:
