@@ -8,9 +8,9 @@ import trimesh
 from scipy.spatial import ConvexHull
 from shapes import as_mesh, ball, cube, letter_l, moved, rotation, without
 
-from scan3d.geometry.edges import opposite_edges, planes_by_edges, turns
+from scan3d.geometry.edges import opposite_edges, outward_faces, planes_by_edges, turns
 from scan3d.geometry.hull_distance import CONVEX_DEPTH, against_hull, distance_to_hull, prepare_facets
-from scan3d.simulation.bodies import read_mesh
+from scan3d.simulation.bodies import load_mesh, read_mesh
 
 MESHES = sorted(path for path in (Path(__file__).parents[1] / "meshes").iterdir() if path.suffix != ".py")
 
@@ -145,3 +145,35 @@ def test_how_often_a_surface_winds_around_a_point():
     assert turns(corners[:, ::-1]) == pytest.approx(-1, abs=1e-12)
     assert turns(corners - [3.0, 0, 0]) == pytest.approx(0, abs=1e-12)
     assert turns(twice_around().triangles.view(np.ndarray)) == pytest.approx(2, abs=1e-12)
+
+
+def rows(faces):
+    """Triangles as a set, whichever corner comes first."""
+    return {tuple(np.roll(face, -face.argmin()).tolist()) for face in np.asarray(faces)}
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_the_faces_of_a_strictly_convex_body_are_the_facets_of_its_hull_turned_outwards(inside_out):
+    body = ball(7, 300)
+    points, faces = body.vertices.view(np.ndarray), body.faces.view(np.ndarray)
+    outward = outward_faces(points, faces[:, ::-1] if inside_out else faces)
+    hull = ConvexHull(points)
+    assert rows(np.sort(outward, axis=1)) == rows(np.sort(hull.simplices, axis=1))
+    assert trimesh.Trimesh(points, outward, process=False).volume == pytest.approx(hull.volume, rel=1e-12)
+
+
+@pytest.mark.parametrize("mesh", [cube(), denting(1e-14), denting(0.1), letter_l(), without(ball(7, 300), 5)])
+def test_faces_that_may_not_be_the_facets_of_the_hull_are_left_to_qhull(mesh):
+    assert outward_faces(facets_of(mesh).vertices, facets_of(mesh).faces) is None
+
+
+@pytest.mark.parametrize("path", MESHES, ids=[path.name for path in MESHES])
+def test_bodies_are_the_same_as_by_qhull(path, monkeypatch):
+    by_edges = load_mesh(path)
+    monkeypatch.setattr("scan3d.simulation.bodies.outward_faces", lambda *_: None)
+    by_qhull = load_mesh(path)
+    assert by_edges.metadata["geometry_sha256"] == by_qhull.metadata["geometry_sha256"]
+    assert rows(by_edges.faces) == rows(by_qhull.faces)
+    for name in ("hull", "file_faces"):
+        assert by_edges.metadata[name] == by_qhull.metadata[name]
+    assert by_edges.metadata["dent_relative"] <= by_qhull.metadata["dent_relative"] <= 1e-6

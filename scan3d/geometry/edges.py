@@ -53,6 +53,19 @@ def opposite_edges(faces: Index) -> Index | None:
     return opposite.reshape(-1, 3)
 
 
+def outward_faces(points: Array, faces: Index) -> Index | None:
+    """The triangles (m, 3) of points (n, 3) at unit size, turned outwards, if their edges prove that they are the facets of a
+    strictly convex body; None otherwise."""
+    corners = points[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
+    planes, bound = planes_by_edges(faces, corners, normals)
+    if bound > _COORDINATES:  # an edge is reflex, or may be
+        return None
+    return faces if dot(planes[0, :3], normals[0]) > 0 else faces[:, ::-1]
+
+
 def planes_by_edges(faces: Index, corners: Array, normals: Array) -> tuple[Array, float]:
     """Planes (m, 4) of the faces of a closed mesh, and an upper bound of the Hausdorff distance between its surface and that of
     its convex hull.
