@@ -133,9 +133,8 @@ def welded(mesh: trimesh.Trimesh, centre: Array, scale: float) -> tuple[Array, I
     used, faces = np.unique(mesh.faces, return_inverse=True)
     scaled = (np.asarray(mesh.vertices, dtype=np.float64)[used] - centre) / scale
     first, number = distinct_rows(scaled[:, ::-1])
-    vertices, faces = scaled[first], number[faces.reshape(-1, 3)]
-    faces = np.take_along_axis(faces, longest_first(vertices[faces]), axis=1)
-    return vertices, faces
+    vertices, renumbered = scaled[first], number[faces.reshape(-1, 3)]
+    return vertices, np.take_along_axis(renumbered, longest_first(vertices[renumbered]), axis=1)
 
 
 class Search:
