@@ -9,7 +9,7 @@ import numpy as np
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare
+from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare, two_sided_distance
 from scan3d.geometry.hull_distance import CONVEX_DEPTH
 from scan3d.geometry.triangles import areas, dot, halve
 from scan3d.shown import Rows, Shown, described
@@ -94,14 +94,8 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     their normals.  Raises InputError if either has no faces, coordinates that aren't finite, or no extent.  The methods are
     described in `scan3d.geometry.hausdorff`.
     """
-    boxes = np.array([bounding_box(surface, "surface"), bounding_box(mesh, "mesh")])
-    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-    centre, scale = (low + high) / 2, float(np.linalg.norm(high - low))
-    diagonal = float(np.linalg.norm(boxes[1, 1] - boxes[1, 0]))
-    bodies = prepare(surface, centre, scale), prepare(mesh, centre, scale)
-    pairs = bodies, bodies[::-1]
-
-    exact = max(body.slack for body in bodies) <= CONVEX_DEPTH
+    bodies, centre, scale, diagonal = _prepared(surface, mesh)
+    pairs, exact = (bodies, bodies[::-1]), _are_convex(bodies)
     sides = one_sided_distances(pairs, exact)
     worst = max(sides, key=lambda side: side.lower)
 
@@ -139,6 +133,25 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
         normal_p95_deg=_quantile(np.concatenate(angles), weight, 0.95),
         volume_error=bodies[0].volume / bodies[1].volume - 1 if bodies[1].volume else np.nan,
     )
+
+
+def hausdorff_distance(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> float:
+    """`Comparison.hausdorff` alone, which takes a fraction of the time of `compare`.  Raises InputError as `compare`."""
+    bodies, _, scale, _ = _prepared(surface, mesh)
+    return two_sided_distance((bodies, bodies[::-1]), _are_convex(bodies)) * scale
+
+
+def _prepared(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[tuple[Body, Body], Array, float, float]:
+    """Both meshes at the size of their common bounding box, its middle (3,), its diagonal, and that of the mesh alone."""
+    boxes = np.array([bounding_box(surface, "surface"), bounding_box(mesh, "mesh")])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    centre, scale = (low + high) / 2, float(np.linalg.norm(high - low))
+    diagonal = float(np.linalg.norm(boxes[1, 1] - boxes[1, 0]))
+    return (prepare(surface, centre, scale), prepare(mesh, centre, scale)), centre, scale, diagonal
+
+
+def _are_convex(bodies: tuple[Body, Body]) -> bool:
+    return max(body.slack for body in bodies) <= CONVEX_DEPTH
 
 
 class _Samples(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.comparison import compare
+from scan3d.comparison import compare, hausdorff_distance
 from scan3d.errors import InputError
 from scan3d.files.ownership import RECORDING
 from scan3d.files.ply import ply
@@ -85,7 +85,7 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
             mesh_comparison=None if itself is None else compare(mesh, itself),
             contact_error=distances(cloud.points, truth),
             comparison=compare(mesh, truth),
-            hull_error=compare(bounds.inner, truth).hausdorff,
+            hull_error=hausdorff_distance(bounds.inner, truth),
         )
 
 

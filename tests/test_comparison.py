@@ -11,7 +11,7 @@ from brute_force import EXACT, certified
 from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
 from scan3d import comparison
-from scan3d.comparison import SAMPLES, compare
+from scan3d.comparison import SAMPLES, compare, hausdorff_distance
 from scan3d.errors import InputError
 
 
@@ -44,6 +44,12 @@ def test_units_do_not_matter(pair, scale):
             assert after == pytest.approx(scale * before, rel=1e-4)
         else:
             assert after == pytest.approx(scale * before, rel=1e-6)
+
+
+@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
+def test_the_hausdorff_distance_alone_is_that_of_the_comparison(pair):
+    surface, mesh = pair
+    assert hausdorff_distance(surface, mesh) == compare(surface, mesh).hausdorff
 
 
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
@@ -192,6 +198,8 @@ def test_what_cannot_be_compared_is_refused(mesh, words):
         compare(mesh, cube())
     with pytest.raises(InputError, match=f"the mesh should .*{words}"):
         compare(cube(), mesh)
+    with pytest.raises(InputError, match=f"the mesh should .*{words}"):
+        hausdorff_distance(cube(), mesh)
 
 
 @pytest.mark.parametrize("apart", [1e18, 1e25, 1e33])

@@ -11,7 +11,15 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.geometry.triangles import areas, distance_to, dot, longest_first, offset_from, row_minima
+from scan3d.geometry.triangles import (
+    areas,
+    distance_to,
+    distinct_rows,
+    dot,
+    longest_first,
+    offset_from,
+    row_minima,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -124,10 +132,9 @@ def welded(mesh: trimesh.Trimesh, centre: Array, scale: float) -> tuple[Array, I
     """
     used, faces = np.unique(mesh.faces, return_inverse=True)
     scaled = (np.asarray(mesh.vertices, dtype=np.float64)[used] - centre) / scale
-    vertices, number = np.unique(scaled, axis=0, return_inverse=True)
-    faces = number.ravel()[faces.reshape(-1, 3)]
-    faces = np.take_along_axis(faces, longest_first(vertices[faces]), axis=1)
-    return vertices, faces
+    first, number = distinct_rows(scaled[:, ::-1])
+    vertices, renumbered = scaled[first], number[faces.reshape(-1, 3)]
+    return vertices, np.take_along_axis(renumbered, longest_first(vertices[renumbered]), axis=1)
 
 
 class Search:

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.distance import Search
 from scan3d.geometry.hull_distance import against_hull, prepare_facets
 from scan3d.geometry.triangles import distance_to, halve, row_minima
@@ -102,9 +102,33 @@ def prepare(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Body:
     )
 
 
+def two_sided_distance(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> float:
+    """The largest of the lower bounds of `one_sided_distances`, in less time if all bodies are convex (`exact`)."""
+    if exact:
+        return _at_vertices(pairs)[1]
+    return max(side.lower for side in one_sided_distances(pairs, exact))
+
+
 def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> list[Side]:
     """The one-sided distances from each pair's source to its target; if all bodies are convex (`exact`), the larger one of the
     distances has equal bounds."""
+    found, largest = _at_vertices(pairs)
+    slacks = [source.slack for source, _ in pairs]
+    upper = largest if exact else largest + sum(slacks) + max(slacks)
+    sides = []
+    for (source, target), (distance, face, exactly) in zip(pairs, found, strict=True):
+        farthest = int(np.where(exactly, distance, -1.0).argmax())
+        start = Side(float(distance[farthest]), source.vertices[farthest], float(distance.max()))
+        sides.append(_split(source, target, face, start, upper))
+    return sides
+
+
+def _at_vertices(pairs: tuple[tuple[Body, Body], ...]) -> tuple[list[tuple[Array, Index, Mask]], float]:
+    """Distances (n,) of each source's vertices from its target, the target's faces (n,) there, and whether they are exact (n,),
+    and the largest distance.
+
+    Distances that are not exact are upper bounds, and no larger than the largest distance.
+    """
     quick = [target.search.near(source.vertices)[:2] for source, target in pairs]
     known = [np.zeros(len(distance), dtype=bool) for distance, _ in quick]
 
@@ -131,14 +155,7 @@ def one_sided_distances(pairs: tuple[tuple[Body, Body], ...], exact: bool) -> li
         return float(max(largest))
 
     largest = settle(floor=settle(floor=0.0, gap=RELATIVE_GAP / 2), gap=0.0)
-    slacks = [source.slack for source, _ in pairs]
-    upper = largest if exact else largest + sum(slacks) + max(slacks)
-    sides = []
-    for (source, target), (distance, face), exactly in zip(pairs, quick, known, strict=True):
-        farthest = int(np.where(exactly, distance, -1.0).argmax())
-        start = Side(float(distance[farthest]), source.vertices[farthest], float(distance.max()))
-        sides.append(_split(source, target, face, start, upper))
-    return sides
+    return [(*estimate, exactly) for estimate, exactly in zip(quick, known, strict=True)], largest
 
 
 def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float) -> Side:

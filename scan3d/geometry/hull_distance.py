@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.distance import bounding_box, welded
+from scan3d.geometry.edges import planes_by_edges, turns
 from scan3d.geometry.triangles import areas, dot, mirrored_faces
 
 if TYPE_CHECKING:
@@ -107,12 +108,18 @@ def _planes(points: Array) -> Array:
 def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[Array, float]:
     """A supporting plane (m, 4) for every face, and a bound of the distance between the surface and the surface of its hull.
 
-    The depth below the hull's surface is concave on a face and not negative, so it is nowhere more than three times that of the
-    face's middle.  If the surface winds once around a point c inside, every ray from c meets the surface, at no more than the
-    largest depth; along the ray the hull's surface is within depth * R / r, with r and R the smallest and the largest distance
-    of c from it.  Faces that are known to be no deeper than `precision` are not examined further.
+    They follow from the edges of a closed surface without its hull, if the bound is then no larger than `precision`.  Otherwise
+    the surface is held against the hull's planes.  The depth below the hull's surface is concave on a face and not negative, so
+    it is nowhere more than three times that of the face's middle.  If the surface winds once around a point c inside, every ray
+    from c meets the surface, at no more than the largest depth; along the ray the hull's surface is within depth * R / r, with
+    r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than `precision` are not
+    examined further.
     """
-    vertices, _, corners, normals, closed, _ = facets
+    vertices, faces, corners, normals, closed, _ = facets
+    if closed:
+        planes, distance = planes_by_edges(faces, corners, normals)
+        if distance <= precision:
+            return planes, distance
     unbounded = np.empty((0, 4)), np.inf
     planes = _planes(vertices)
     if len(planes) == 0:
@@ -122,12 +129,7 @@ def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[
     r = float((planes[:, 3] - planes[:, :3] @ c).min())
     big_r = float(np.linalg.norm(vertices - c, axis=1).max())
 
-    rays = corners - c
-    length = np.linalg.norm(rays, axis=2)
-    cosines = (dot(rays, np.roll(rays, -1, axis=1)) * np.roll(length, 1, axis=1)).sum(axis=1)
-    sines = dot(rays[:, 0], np.cross(rays[:, 1], rays[:, 2]))
-    winding = float(np.arctan2(sines, length.prod(axis=1) + cosines).sum()) / (2 * np.pi)  # Van Oosterom, Strackee 1983
-    missing = abs(abs(winding) - 1)
+    missing = abs(abs(turns(corners - c)) - 1)
     if r <= 0 or missing > _MAX_HOLE:
         return unbounded
     # The part that an open surface leaves uncovered has room for a disc of this radius; a closed surface covers everything.

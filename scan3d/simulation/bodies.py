@@ -20,6 +20,7 @@ from scan3d.files.gltf import is_turned, z_up
 from scan3d.files.reading import check_file
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_hull
 from scan3d.geometry.distance import bounding_box
+from scan3d.geometry.edges import outward_faces
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
 from scan3d.settings import dent_size
@@ -108,16 +109,15 @@ def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> 
     points = (vertices - center) / diagonal
     _check_thickness(name, _thickness(points), diagonal)
 
-    outer, faces = outward_hull(points), inverse.reshape(-1, 3)
-    dent, deepest = deepest_dent(points[faces], outer)
+    faces = inverse.reshape(-1, 3)
+    outer, dent, deepest, covered = _against_hull(points, faces)
     place = center + diagonal * deepest
-    covered = float(areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
     if not hull:
         size, share = dent_size(clip_dent)
         _check_convex(name, dent, diagonal, place, max(DENT_TOLERANCE, size / diagonal + share))
         _check_closed(name, covered)
 
-    used, facets = np.unique(outer.facets, return_inverse=True)
+    used, facets = np.unique(outer, return_inverse=True)
     body = trimesh.Trimesh(vertices=vertices[used], faces=facets.reshape(-1, 3), process=False)
     body.metadata.update(
         file_faces=len(faces),
@@ -138,6 +138,18 @@ def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> 
         # as arrays, which are the only large metadata that pyvista takes over
         body.metadata.update(filled=filled, mesh_vertices=vertices, mesh_faces=faces)
     return body
+
+
+def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
+    """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
+    where they are deepest (3,), and the fraction of its area that they cover."""
+    facets = outward_faces(points, faces)
+    if facets is not None:
+        return facets, 0.0, points[0], 1.0
+    outer = outward_hull(points)
+    dent, deepest = deepest_dent(points[faces], outer)
+    covered = float(areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
+    return outer.facets, dent, deepest, covered
 
 
 def _check_thickness(name: str, thickness: float, diagonal: float) -> None:

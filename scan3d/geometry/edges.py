@@ -1,0 +1,127 @@
+"""Convexity of a closed mesh by its edges, in linear time.
+
+Let every edge of a closed mesh belong to two faces that run through it in opposite directions, let a point c lie below the
+planes of all faces by at least r, let the surface wind once around c, and lie within R of it.  Then every ray from c meets the
+surface exactly once.  If also no edge is reflex, the body is locally convex, and therefore convex (Tietze and Nakajima).
+
+If some edges are reflex, or may be because of rounding, by angles whose sum is s, the surface is within 2 tan(t) D R / r of
+that of its hull, with t = (π/2) s R / r and D the diameter.  Proof.  (1) In a plane through c, the part of a unit normal that
+lies in the plane is at least r / R long, so the contour of the section turns back at an edge by at most (π/2) R / r times the
+edge's angle, by t in all.  Where the contour leaves a segment between two of its points to the inside, its directions from the
+first point to the second therefore stay within t of the segment's, so that it goes no deeper than tan(t) D.  (2) So every
+segment between two points of the body is within e = tan(t) D of it.  A point of the hull lies in a tetrahedron of points of the
+body, on a segment between points of two of its edges, so it is within 2 e of the body.  (3) The body contains the cone of each
+of its points over the ball of radius r about c, so along the ray from c the surface is within 2 e R / r.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+
+from scan3d.arrays import Array, Index
+from scan3d.geometry.triangles import areas, dot
+
+# Rounding of the sine of an edge's angle, divided by the slenderness of its faces, in units of the last place.  Larger, edges
+# between nearly coplanar faces count as reflex that are not; smaller, rounding could hide a reflex edge.
+_ROUNDING = 8
+# Largest error of the number of turns, and of coordinates of unit size.  Larger, surfaces with holes would pass; smaller, the
+# rounding of the solid angles of fine meshes would count as one.
+_MISSING_TURN, _COORDINATES = 1e-6, 1e-15
+# Largest t of the proof above, in radians, far below a quarter turn.  Larger, bounds are returned that are of no use.
+_LARGEST_TURN = 0.1
+
+
+def opposite_edges(faces: Index) -> Index | None:
+    """For each directed edge (m, 3) of faces (m, 3), from a corner to the next, the number of the same edge in the opposite
+    direction, with ``3 f + k`` for the edge of the face f that begins at its corner k.
+
+    None unless every edge belongs to exactly two faces, which run through it in opposite directions.
+    """
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    number, count = np.arange(faces.size), int(faces.max(initial=-1)) + 1
+    forward = coo_array((number, (start, end)), shape=(count, count)).tocsr()  # adds up edges that occur twice
+    backward = coo_array((number, (end, start)), shape=(count, count)).tocsr()
+    if forward.nnz < faces.size or not np.array_equal(forward.indptr, backward.indptr):
+        return None
+    forward.sort_indices()
+    backward.sort_indices()
+    if not np.array_equal(forward.indices, backward.indices):
+        return None
+    opposite = np.empty(faces.size, dtype=np.int64)
+    opposite[forward.data] = backward.data
+    return opposite.reshape(-1, 3)
+
+
+def outward_faces(points: Array, faces: Index) -> Index | None:
+    """The triangles (m, 3) of points (n, 3) at unit size, turned outwards, if their edges prove that they are the facets of a
+    strictly convex body; None otherwise."""
+    corners = points[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
+    planes, bound = planes_by_edges(faces, corners, normals)
+    if bound > _COORDINATES:  # an edge is reflex, or may be
+        return None
+    return faces if dot(planes[0, :3], normals[0]) > 0 else faces[:, ::-1]
+
+
+def planes_by_edges(faces: Index, corners: Array, normals: Array) -> tuple[Array, float]:
+    """Planes (m, 4) of the faces of a closed mesh, and an upper bound of the Hausdorff distance between its surface and that of
+    its convex hull.
+
+    faces (m, 3), corners (m, 3, 3)
+        vertices of the faces, and where they are, at unit size.
+    normals (m, 3)
+        unit normals, zero where a face has no area.
+
+    A plane is n and c with ``<n, x> <= c`` for all points x of the hull, rounding included.  Where the edges do not prove the
+    mesh to be nearly convex there are no planes, and the bound is infinite.
+    """
+    unproven = np.empty((0, 4)), np.inf
+    opposite = opposite_edges(faces)
+    if opposite is None or not normals.any(axis=1).all():
+        return unproven
+    area = areas(corners)
+    c = np.average(corners.mean(axis=1), axis=0, weights=area)
+    rays = corners - c
+    depths = dot(rays, normals[:, None])
+    outwards = 1.0 if depths.sum() > 0 else -1.0
+    r, big_r = float((outwards * depths).min()), float(np.sqrt(dot(rays, rays).max()))
+    if r <= _COORDINATES or abs(outwards * turns(rays) - 1) > _MISSING_TURN:
+        return unproven
+    edges = np.roll(corners, -1, axis=1) - corners
+    # a normal is wrong by rounding times the longest edge divided by the height above it, length² / (2 area)
+    error = _ROUNDING * np.finfo(np.float64).eps * dot(edges, edges).max(axis=1) / (2 * area)
+    turned = np.pi / 2 * big_r / r * _reflex_angles(opposite, edges, outwards * normals, error, outwards)
+    if turned > _LARGEST_TURN:
+        return unproven
+    bound = 4 * float(np.tan(turned)) * big_r**2 / r + _COORDINATES
+    heights = dot(corners, outwards * normals[:, None]).max(axis=1)
+    return np.column_stack([outwards * normals, heights + 2 * big_r * error + bound]), bound
+
+
+def _reflex_angles(opposite: Index, edges: Array, normals: Array, error: Array, outwards: float) -> float:
+    """Sum of the angles of all edges that are reflex, or that may be by the errors (m,) of the outward normals (m, 3).
+
+    `outwards` is -1 where the edges (m, 3, 3) run around the outward normals clockwise.
+    """
+    number = np.flatnonzero(opposite.ravel() > np.arange(opposite.size))  # each edge once
+    one, other = number // 3, opposite.ravel()[number] // 3
+    edge = edges.reshape(-1, 3)[number]
+    sine = outwards * dot(np.cross(normals[one], normals[other]), edge) / np.sqrt(dot(edge, edge))
+    reflex = error[one] + error[other] - sine
+    doubtful = reflex > 0
+    cosine = dot(normals[one[doubtful]], normals[other[doubtful]])
+    return float(np.arctan2(reflex[doubtful], cosine).sum())
+
+
+def turns(rays: Array) -> float:
+    """How often triangles (m, 3, 3) wind around the origin, positive if they are wound to the outside.
+
+    The solid angle of a triangle is that of Van Oosterom and Strackee (1983).
+    """
+    length = np.sqrt(dot(rays, rays))
+    cosines = (dot(rays, np.roll(rays, -1, axis=1)) * np.roll(length, 1, axis=1)).sum(axis=1)
+    sines = dot(rays[:, 0], np.cross(rays[:, 1], rays[:, 2]))
+    return float(np.arctan2(sines, length.prod(axis=1) + cosines).sum()) / (2 * np.pi)
