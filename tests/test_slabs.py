@@ -15,7 +15,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces import Gap, enclosure
-from scan3d.surfaces.slabs import _corner_is_straight, _goes_on_straight, _half_spaces, slab_keys, slabs
+from scan3d.surfaces.slabs import _corners_are_straight, _goes_on_straight, _half_spaces, slab_keys, slabs
 
 
 def test_nothing_bounds_a_body_past_its_end_slices_unless_an_empty_slice_does():
@@ -301,7 +301,10 @@ def test_upright_walls_go_on_straight_where_three_slices_agree(box_cloud, levels
     ],
 )
 def test_a_corner_is_straight_if_all_its_half_spaces_are(side, straight, one_sided, expected):
-    assert _corner_is_straight(np.array(side, float), np.array(straight), one_sided) == expected
+    facets, before = [[0, 1], list(range(2, 2 + len(side)))], [0.0, 1.0]
+    found = _corners_are_straight(facets, np.array(before + side, float), np.array([True, False, *straight]), one_sided)
+    assert tuple(found[1]) == expected
+    assert tuple(found[0]) == ((False, False) if one_sided else (True, False))
 
 
 def slices_of_squares(heights, halves):

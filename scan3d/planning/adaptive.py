@@ -52,10 +52,13 @@ class SlabMemory:
 
     def gap(self, keys: list[SlabKey], parts: list[Slab], inner: Any) -> Array:
         """Gaps (w,) of the corners of all slabs, computed for those slabs that are new."""
-        for key, slab in zip(keys, parts, strict=True):
-            if key not in self.gaps:
-                bounded = np.isfinite(slab.corners).all()
-                self.gaps[key] = outside(slab.corners, inner) if bounded else np.full(1, np.inf)
+        new = {key: slab.corners for key, slab in zip(keys, parts, strict=True) if key not in self.gaps}
+        bounded = [key for key, corners in new.items() if np.isfinite(corners).all()]
+        self.gaps |= dict.fromkeys(new, np.full(1, np.inf))
+        if bounded:
+            gaps = outside(np.concatenate([new[key] for key in bounded]), inner)
+            ends = np.cumsum([len(new[key]) for key in bounded])
+            self.gaps |= dict(zip(bounded, np.split(gaps, ends[:-1]), strict=True))
         return np.concatenate([self.gaps[key] for key in keys])
 
 

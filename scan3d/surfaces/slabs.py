@@ -150,7 +150,7 @@ def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
     one_sided = above is None or below is None
     _, side, goes_on = half_spaces
-    straight = np.array([_corner_is_straight(side[rows], goes_on[rows], one_sided) for rows in facets])
+    straight = _corners_are_straight(facets, side, goes_on, one_sided)
     return Slab(corners @ stack.frame, kind, straight & ~on_end[:, None], volume)
 
 
@@ -267,16 +267,22 @@ def _run_qhull(build: Any, *inputs: Array) -> Any:
         return build(*inputs, qhull_options="QJ")
 
 
-def _corner_is_straight(side: Array, straight: Mask, one_sided: bool) -> tuple[bool, bool]:
-    """Whether a corner's half-spaces from below, and from above, all go on straight behind the slab.
+def _corners_are_straight(facets: list[list[int]], side: Array, straight: Mask, one_sided: bool) -> Mask:
+    """(w, 2) whether the half-spaces from below, and from above, that meet in each corner all go on straight behind the slab.
+
+    facets
+        the half-spaces (k,) of each corner; `side` and `straight` are as in `_HalfSpaces`.
 
     Where the slab has slices on one side only, both say whether those of that side do.
     """
+    rows = np.concatenate([np.asarray(facet, dtype=np.intp) for facet in facets])
+    first = np.cumsum([0, *map(len, facets[:-1])])
     if one_sided:
-        both = bool(straight.all())
-        return both, both
-    below, above = side == 0, side == 1
-    return bool(below.any() and straight[below].all()), bool(above.any() and straight[above].all())
+        goes_on = np.logical_and.reduceat(straight[rows], first)
+        return np.stack([goes_on, goes_on], axis=1)
+    of_side = side[rows, None] == np.arange(2)
+    all_straight = np.logical_and.reduceat(straight[rows, None] | ~of_side, first)
+    return np.logical_or.reduceat(of_side, first) & all_straight
 
 
 def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
