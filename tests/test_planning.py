@@ -12,7 +12,6 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import (
     FIRST_SLICES,
-    _parts,
     cosine_heights_left,
     first_heights,
     heights,
@@ -78,50 +77,37 @@ def test_heights_at_gaps_are_those_of_the_worst_corners():
     slab, corners = np.array([1, 1, 2, 2]), np.array([0.3, 0.4, 0.6, 0.7])
     gaps, creases = np.array([1.0, 3.0, 2.0, 0.5]), np.ones(4, dtype=bool)
     # one height per slab, the slab with the widest gap first
-    assert heights_at_gaps(known, slab, corners, gaps, creases, 4, 4).tolist() == [0.4, 0.6]
-    assert heights_at_gaps(known, slab, corners, gaps, creases, 1, 4).tolist() == [0.4]
-    assert len(heights_at_gaps(known, slab, corners, np.zeros(4), creases, 4, 4)) == 0
+    assert heights_at_gaps(known, slab, corners, gaps, creases, 4).tolist() == [0.4, 0.6]
+    assert heights_at_gaps(known, slab, corners, gaps, creases, 1).tolist() == [0.4]
+    assert len(heights_at_gaps(known, slab, corners, np.zeros(4), creases, 4)) == 0
     # a corner on an end slice gives no height; the new slice is between the end slice and the empty one
-    on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), creases[:1], 4, 4)
+    on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), creases[:1], 4)
     assert on_end == pytest.approx([0.35])
     # not where slices stand close enough
     close = np.array([0.0, 0.5, 0.5 + 1e-8, 1.0])
-    assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), creases[:1], 4, 4)) == 0
+    assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), creases[:1], 4)) == 0
 
 
-def test_a_bent_slab_that_will_need_a_few_parts_gets_all_heights_at_once():
-    """The density of slices is 10 and 6.67 in the middles of the slabs, and linear between them."""
+def test_a_bent_slab_is_halved_by_the_density_of_slices():
+    """The density is 10 and 6.67 in the middles of the slabs, and linear between them."""
     known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
     slab, corners, gaps = np.array([1, 2]), np.array([0.14, 0.46]), np.array([9.0, 4.0])
     bent, creased = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
-    # three cuts make parts of 9/3² and 4/2²
-    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 3) == pytest.approx([0.0941, 0.1938, 0.4417], abs=1e-4)
-    assert heights_at_gaps(known, slab, corners, gaps, creased, 3, 3) == pytest.approx([0.14, 0.46])
-    # a third of the density's integral lies below the first of them
-    u = 0.0941 / 0.3
-    assert 10 * u - 0.8333 * u**2 == pytest.approx((10 + 8.333) / 2 / 3, rel=1e-3)
-    # if only one height is left, it halves the worst slab
-    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 1) == pytest.approx([0.1432], abs=1e-4)
-    # a slab that will need many parts is halved first
-    assert len(heights_at_gaps(known, slab[:1], corners[:1], gaps[:1], bent[:1], 3, 9)) == 1
-
-
-def test_parts_make_the_widest_gap_as_small_as_cuts_can():
-    rng = np.random.default_rng(0)
-    for left in (0, 1, 5, 20):
-        weight = rng.uniform(0.1, 3, 6)
-        parts = _parts(weight, left)
-        assert parts.sum() == len(weight) + left
-        level = (weight / parts).max()
-        # to lower it anywhere takes more cuts than there are
-        assert np.ceil(weight / (level * (1 - 1e-9))).sum() > parts.sum()
+    halves = heights_at_gaps(known, slab, corners, gaps, bent, 3)
+    for half, low, ends in zip(halves, (0.0, 0.3), ((10, 8.3333), (8.3333, 6.6667)), strict=True):
+        u = (half - low) / 0.3
+        assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(sum(ends) / 4, rel=1e-4)
+    assert heights_at_gaps(known, slab, corners, gaps, creased, 3) == pytest.approx([0.14, 0.46])
+    # of both, the wider one comes first, and gaps within the tolerance none
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1) == pytest.approx(halves[:1])
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 5.0) == pytest.approx([0.15])
 
 
 def test_an_unknown_end_is_sliced_in_the_middle():
     known = np.array([0.0, 1.0, 2.0, 3.0])
     for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
         slab, creases = np.array([0 if corner == 0 else 2]), np.zeros(1, dtype=bool)
-        assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), creases, 4, 4) == pytest.approx([middle])
+        assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), creases, 4) == pytest.approx([middle])
 
 
 @pytest.mark.parametrize("samples", [2, 3, 64])
@@ -222,7 +208,7 @@ def test_without_tangential_contacts_there_are_no_further_directions():
         (dict(samples=1), "samples must be a whole number of at least 2, got 1"),
         (dict(seed=-1), "seed must be a whole number of at least 0, got -1"),
         (dict(sweeps=0), "sweeps must be a whole number of at least 1, got 0"),
-        (dict(spacing="random"), "spacing must be one of cosine, uniform, adaptive, got 'random'"),
+        (dict(spacing="random"), "spacing must be one of adaptive, cosine, uniform, got 'random'"),
         (dict(unit="furlong"), "unit must be one of m, cm, mm, um, in, got 'furlong'"),
         (dict(friction=-0.1), "friction must be a number >= 0 or a rising range LOW:HIGH of such, got -0.1"),
         (dict(friction=math.nan), "friction must be .*, got nan"),

@@ -121,7 +121,7 @@ def next_heights(
     creases = straight[between].all(axis=1)
     tolerance = plan.tolerance * diagonal
     at = corners[between] @ stack.frame[2]
-    return heights_at_gaps(levels, number, at, gap[between], creases, count, left, tolerance)
+    return heights_at_gaps(levels, number, at, gap[between], creases, count, tolerance)
 
 
 def _stack(cloud: Cloud, axis: Array | None) -> SliceStack:

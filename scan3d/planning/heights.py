@@ -21,6 +21,12 @@ LEAST_OVERSHOOT = 1e-4
 # Weight of a gap in a cap relative to one in another slab, because the body is known least beyond its end slices.  Larger,
 # slices are spent on the ends of the body; smaller, on its middle.
 _CAP_WEIGHT = 1.5
+# Heights of slices and of cosine spacing are equal if they differ by less than this fraction of the height.  Larger, heights
+# that were chosen by edges count as those of cosine spacing; smaller, the digits of a robot's poses make them different.
+_SAME_HEIGHT = 1e-5
+# Decimals of the gaps' roots, over the largest, by which slabs are compared.  More, and rounding decides between slabs of a
+# symmetric body; fewer, and slabs count as equal that are not.
+_TIED_DECIMALS = 6
 # Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner: just before the tip of a
 # vertex, and at about a third at a smooth pole, whose cap is shallower than its corner.  Larger, the slice may be empty;
 # smaller, the cap that remains is larger.
@@ -31,11 +37,9 @@ _ON_EMPTY_SLICE = 1e-9
 # Slices closer to each other than this fraction of the height add no information.  Larger, the heights of two close vertices
 # could not be told apart; smaller, slopes between two slices are rounding.
 CLOSEST = 1e-7
-# Largest number of parts into which a slab is cut at once.  Larger, heights are chosen by gaps that are known poorly; smaller,
-# slabs are halved that need three or five parts, which makes some parts smaller than others.
+# Largest number of parts into which a slab of a smooth body is cut at once.  Larger, heights are chosen by gaps that are known
+# poorly; smaller, slabs are halved that need three parts, which makes some parts smaller than they need be.
 _AT_ONCE = 4
-# Points of a slab at which the density of slices is summed.
-_STEPS = 65
 
 
 def heights(low: float, high: float, plan: Plan) -> Array:
@@ -68,10 +72,14 @@ def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
         numbers of parts that the slabs between two slices need; those that need many are halved first.
     slices
         number of slices of cosine spacing.
+
+    There are none if some of the known heights are others: the body has edges, by which those were chosen.
     """
     nodes = -np.cos(np.pi * (np.arange(slices) + 0.5) / slices)
     middle, half = (known[0] + known[-1]) / 2, (known[-1] - known[0]) / 2
     nodes = middle + half * nodes / nodes[-1]
+    if np.abs(known[:, None] - nodes).min(axis=1).max() > _SAME_HEIGHT * 2 * half:
+        return np.empty(0)
     near = CLOSEST * 2 * half
     chosen = []
     for low, high, needed in zip(known[:-1], known[1:], parts, strict=True):
@@ -97,26 +105,24 @@ def heights_at_gaps(
     gaps: Array,
     creases: Mask,
     count: int,
-    left: int,
     tolerance: float = 0.0,
 ) -> Array:
-    """About `count` further heights (k,), no more than `left`, where the enclosure of the body is widest.
+    """`count` further heights (k,) at most, where the enclosure of the body is widest.
 
     known (s,)
         heights that have been scanned, rising, with those of the nearest empty slices at both ends.
     slab, corners, gaps, creases (w,)
         the outer body's corners: number of the known height below each, the corner's own height, its distance from the inner
         body, and whether the body goes on straight on both sides of its slab.
-    count, left
-        number of heights wanted, and of those that may still be scanned.
+    count
+        number of heights wanted.
     tolerance
         gap that is small enough.
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
-    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab.  If it
-    will need a few parts by the time that no slices are left, it gets all their heights at once, otherwise one that halves it.
-    Parts have equal gaps if the density of slices is that of the root of the gap over the thickness, which is taken to change
-    linearly from the middle of a slab to that of the next.  A corner on an empty slice
+    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab, and it
+    gets a height that halves it: both parts have equal gaps if the density of slices is that of the root of the gap over the
+    thickness, which is taken to change linearly from the middle of a slab to that of the next.  A corner on an empty slice
     means only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the
     new height is in the middle of the slab.
     """
@@ -136,47 +142,24 @@ def heights_at_gaps(
     in_cap = end + into_cap * (beyond - end)
     on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
     single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
-    useful = np.minimum(single - low, high - single) > CLOSEST * size
     bent = ~(first | last | crease)
-    parts = np.where(bent, np.minimum(_parts(weight, left), parts_within(gaps[worst], tolerance)), 1)
-    ends = _densities(slab, np.where(bent, weight / (high - low), np.nan))
-
-    chosen: list[float] = []
-    for i in np.argsort(-weight, kind="stable"):
-        if len(chosen) >= count:
-            break
-        if useful[i]:
-            cuts = parts[i] if parts[i] <= _AT_ONCE else 2
-            new = _cuts(low[i], high[i], ends[i], cuts) if cuts > 1 else [single[i]]
-            chosen += new[: left - len(chosen)]
-    return np.array(chosen)
+    single = np.where(bent, _halves(slab, np.where(bent, weight / (high - low), np.nan), low, high), single)
+    useful = np.minimum(single - low, high - single) > CLOSEST * size
+    # of slabs that are equal up to rounding, as in symmetric bodies, the lowest first
+    widest_first = np.argsort(-np.round(weight / weight.max(initial=1e-300), _TIED_DECIMALS), kind="stable")
+    chosen: Array = single[widest_first[useful[widest_first]][:count]]
+    return chosen
 
 
-def _densities(slab: Index, density: Array) -> Array:
-    """Densities (n, 2) of slices at the lower and upper ends of slabs, from those at their middles (n,), NaN if not known.
+def _halves(slab: Index, density: Array, low: Array, high: Array) -> Array:
+    """Heights (n,) between `low` and `high` (n,) that leave as many slices below as above, by densities of slices (n,).
 
-    `slab` (n,) are the slabs' numbers, rising; where a neighbour is not known the density is constant.
+    `slab` (n,) are the slabs' numbers, rising.  The densities are those in the middles of the slabs, NaN if not known, and
+    linear between them; where a neighbour is not known, the density is constant.
     """
     before = np.where(np.diff(slab, prepend=-2) == 1, np.roll(density, 1), np.nan)
-    after = np.where(np.diff(slab, append=slab[-1] + 2 if len(slab) else 0) == 1, np.roll(density, -1), np.nan)
-    ends: Array = np.stack(
-        [(density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after)], axis=1
-    )
-    return ends
-
-
-def _cuts(low: float, high: float, ends: Array, parts: int) -> list[float]:
-    """Heights that cut a slab into parts with equally many slices by a density that is linear between its ends (2,)."""
-    up = np.linspace(0.0, 1.0, _STEPS)
-    density = ends[0] + (ends[1] - ends[0]) * up
-    total = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    cuts: list[float] = (low + (high - low) * np.interp(np.arange(1, parts) / parts, total / total[-1], up)).tolist()
-    return cuts
-
-
-def _parts(weight: Array, left: int) -> Index:
-    """Numbers of parts (n,) into which `left` cuts divide slabs so that the largest ``weight / parts`` is smallest."""
-    parts = np.ones(len(weight), dtype=np.int64)
-    for _ in range(left if len(weight) else 0):
-        parts[np.argmax(weight / parts)] += 1
-    return parts
+    after = np.where(np.diff(slab, append=-2) == 1, np.roll(density, -1), np.nan)
+    a, b = ((density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after))
+    # the fraction u with a u + (b - a) u²/2 = (a + b)/4, without a difference of nearly equal numbers
+    halves: Array = low + (high - low) * (a + b) / 2 / (a + np.sqrt((a * a + b * b) / 2))
+    return halves

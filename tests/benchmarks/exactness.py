@@ -53,10 +53,10 @@ def regular():
     ring = create.cylinder(15, 1e-3, sections=80).vertices
     return {
         "cone": create.cone(12, 35, sections=200),
-        "cylinder": create.cylinder(10, 40, sections=200),
-        "capsule": hull_of(create.capsule(30, 8, count=[64, 64]).vertices),
-        "needle": hull_of(create.icosphere(4).vertices * [40, 2, 2]),
-        "disc": create.cylinder(30, 1.5, sections=150),
+        "tube": create.cylinder(10, 40, sections=200),
+        "pill": hull_of(create.capsule(30, 8, count=[64, 64]).vertices),
+        "spindle": hull_of(create.icosphere(4).vertices * [40, 2, 2]),
+        "coin": create.cylinder(30, 1.5, sections=150),
         "wedge": hull_of([[0, 0, 0], [40, 0, 0], [0, 20, 0], [40, 20, 0], [0, 0, 8], [0, 20, 8]]),
         "plate": create.box((40, 25, 2)),
         "frustum": hull_of(np.concatenate([ring, ring * [0.4, 0.4, 1] + [0, 0, 25]])),
