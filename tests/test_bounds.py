@@ -69,7 +69,7 @@ def test_adaptive_slices_find_the_corners_of_an_oblique_cube():
     mesh.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8])))
     plan = scan3d.Plan(slices=64, spacing="adaptive", friction=(0.0, 0.4))
     cloud = contacts(scan3d.simulate(mesh, plan))
-    assert len(cloud.slice_height) <= 64
+    assert len(cloud.slice_height) <= 64 + 2  # those beyond the ends
     assert scan3d.compare(hull(cloud.points), mesh).relative < 1e-5
 
 

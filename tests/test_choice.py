@@ -20,7 +20,7 @@ from scan3d.surfaces.tuning import Tuning
 @pytest.fixture(scope="module")
 def box():
     mesh = rotated(trimesh.creation.box((40, 30, 50)))
-    return mesh, scanned(mesh)
+    return mesh, scanned(mesh, spacing="cosine")
 
 
 @pytest.fixture(scope="module")

@@ -110,7 +110,7 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, command, name, se
         (["--sweeps", "0"], "sweeps must be a whole number of at least 1, got 0"),
         (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
         (["--sweeps", "2.5"], r"sweeps must be 'auto' or a whole number, got '2\.5'"),
-        (["--spacing", "random"], "spacing must be one of cosine, uniform.*, got 'random'"),
+        (["--spacing", "random"], "spacing must be one of adaptive, cosine, uniform, got 'random'"),
         (["--unit", "furlong"], "unit must be one of m, cm, mm, um, in, got 'furlong'"),
         (["--axis", "w"], "axis must be .*, got 'w'"),
         (["--axis", "0,0,0"], r"axis must be .*, got \(0\.0, 0\.0, 0\.0\)"),

@@ -84,7 +84,7 @@ def test_every_shell_gets_a_script_of_all_commands_and_options(capsys, shell):
         for flag in (flag for action in command._actions for flag in action.option_strings):
             option = f" -l {flag[2:]} " if flag.startswith("--") else f" -s {flag[1:]} "
             assert (option if shell == "fish" else flag) in stdout
-    assert "cosine uniform adaptive" in stdout
+    assert "adaptive cosine uniform" in stdout
 
 
 def test_no_completion_for_other_shells(capsys):

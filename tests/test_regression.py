@@ -102,7 +102,7 @@ def noisy(recording, fraction, seed):
 
 
 def scan(mesh, fraction, slices, seed=1):
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=slices, friction=(0.0, 0.4)))
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=slices, spacing="cosine", friction=(0.0, 0.4)))
     return scan3d.reconstruct(noisy(recording, fraction, seed))
 
 

@@ -115,7 +115,7 @@ def watched_sweeps(monkeypatch):
 @pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
 @pytest.mark.slow
 def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(path, watched_sweeps):
-    recording, cloud = places(scan3d.load_mesh(path), slices=12, friction=(0.0, 0.4), seed=7)
+    recording, cloud = places(scan3d.load_mesh(path), slices=12, spacing="cosine", friction=(0.0, 0.4), seed=7)
 
     assert contour_errors(cloud, recording, *as_in_the_file(path)).max() <= EXACT
     # every row with a force gives its contact: all but each sweep's first, which only touches, and some that have left
@@ -530,14 +530,14 @@ def test_adaptive_slices_go_where_the_body_has_edges():
     body = trimesh.Trimesh(vertices, faces, process=False)
     recording, cloud = places(body, slices=40, spacing="adaptive", samples=24)
     assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
-    assert len(cloud.slice_height) <= 40
+    assert len(cloud.slice_height) <= 40 + 2
     # at most, because some lie beyond the ends and are empty
     inside = np.unique(cloud.slice)
-    assert len(inside) <= 40 - 2
+    assert len(inside) <= 40
     height = cloud.slice_height[inside]
     away = np.abs(vertices[:, 2][:, None] - height).min(axis=1)
     assert away.max() < 1e-3 * np.ptp(vertices[:, 2])
-    _, cosine_cloud = places(body, slices=40, samples=24)
+    _, cosine_cloud = places(body, slices=40, spacing="cosine", samples=24)
     assert (
         scan3d.compare(hull(cloud.points), body).relative
         < 0.1 * scan3d.compare(hull(cosine_cloud.points), body).relative
@@ -551,7 +551,7 @@ def test_adaptive_slices_stop_at_their_tolerance():
         len(places(mesh, slices=32, spacing="adaptive", samples=24, tolerance=tolerance)[1].slice_height)
         for tolerance in (0.0, 0.02)
     ]
-    assert number[0] == 32
+    assert number[0] == 32 + 2  # those beyond the ends
     assert 10 <= number[1] < 20
 
 

@@ -42,8 +42,8 @@ def tiny(cube):
     [
         (dict(model="flat"), r"model must be one of planar, spatial, got 'flat'"),
         (
-            dict(spacing="adaptive"),
-            r"spacing is a setting of slices, and the spatial model has none; leave out spacing 'adaptive'",
+            dict(spacing="cosine"),
+            r"spacing is a setting of slices, and the spatial model has none; leave out spacing 'cosine'",
         ),
         (dict(axis="x"), r"axis is a setting of slices"),
         (dict(axis=[0.0, 0.0, 1.0]), r"axis is a setting of slices"),

@@ -145,7 +145,7 @@ assert_type(result.surface, trimesh.Trimesh)
 assert_type(scan3d.Session("sphere:3").surface, trimesh.Trimesh)
 """
 WRONG = {
-    'scan3d.Plan(spacing="cosin")': "expected \"Literal['cosine', 'uniform', 'adaptive']\"",
+    'scan3d.Plan(spacing="cosin")': "expected \"Literal['adaptive', 'cosine', 'uniform']\"",
     'scan3d.surface(cloud, "hul")': "expected \"Literal['auto', 'hull'",
     "scan3d.surface(recording)": 'expected "Cloud"',
     "scan3d.reconstruct(mesh)": 'expected "Recording',

@@ -106,12 +106,12 @@ def next_heights(
     count = max(1, min(round(_GROWTH * (plan.slices - left)), left // _LEFT_PER_HEIGHT))
     between = np.isfinite(gap) & (kind != Gap.CONTACTS)
     number = np.repeat(np.arange(len(parts)), [len(slab.corners) for slab in parts])
-    if straight[between].any(axis=1).mean() < _FEW_STRAIGHT:
+    if not between.any() or straight[between].any(axis=1).mean() < _FEW_STRAIGHT:
         widest = np.zeros(len(parts))
         np.maximum.at(widest, number, gap)
         parts_needed = parts_within(widest[1:-1], plan.tolerance * diagonal)
         further = cosine_heights_left(np.array(stack.heights), parts_needed, plan.slices)
-        if len(further):
+        if len(further) or not between.any():
             return further[:left]
     number = number[between]
     ends = (stack.floor, stack.heights[0]), (stack.ceiling, stack.heights[-1])

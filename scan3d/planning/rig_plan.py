@@ -212,7 +212,7 @@ def overtravel(clearance: float) -> float:
 def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
     """Horizontal sweeps: all heights from one side, then from the next."""
     clearance, frame = plan.resolved_clearance(), slice_frame(np.array([0.0, 0.0, 1.0]))
-    inside = first_heights(space.floor, plan.around.height, Plan(slices=plan.slices))
+    inside = first_heights(space.floor, plan.around.height, Plan(slices=plan.slices, spacing="cosine"))
     heights = np.concatenate([inside[:-2], inside[-1:]])  # none below the table
     return [
         swept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -244,11 +244,19 @@ def _check_size(plan: Plan) -> None:
     )
 
 
+def _cosine_heights(scan: _AxisScan) -> Array:
+    """All heights of cosine spacing."""
+    return first_heights(*extent_along(scan.mesh, scan.frame[2]), replace(scan.plan, spacing="cosine"))
+
+
 def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
     memory = SlabMemory()
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
-        heights = next_heights(contacts(_recording([scan], rod)), scan.plan, left=left, memory=memory)
+        try:
+            heights = next_heights(contacts(_recording([scan], rod)), scan.plan, left=left, memory=memory)
+        except InputError:  # too few contacts to say where others are needed
+            heights = np.setdiff1d(_cosine_heights(scan), scan.heights)
         if not len(heights):
             break
         scan.scan(heights)

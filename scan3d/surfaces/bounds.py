@@ -44,7 +44,7 @@ _FEW_FACETS = 500
 # Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
 # radius; the second is tried where the outer body leaves the first.  Larger, heights are more uncertain.
 _WIDENED = (0.25, 2.0)
-# Heights that differ by less than this fraction of their size are equal: a few thousand units in the last place.
+# Rounding of volumes, relative to them: a few thousand units in the last place.
 _ROUNDING = 1e-12
 
 
@@ -235,7 +235,7 @@ def _of_stack(
     gap[bounded] = outside(corners[bounded], inner)
     margin, excess = errors
     within = _shrunk(inner, excess) if excess else inner
-    least = 0.0 if within is None else within.volume
+    least = 0.0 if within is None else within.volume * (1 - _ROUNDING)
     return SliceEnclosure(
         inner=inner,
         corners=corners,
@@ -246,7 +246,7 @@ def _of_stack(
         stack=stack,
         bound=max(float(gap.max()), excess) + margin,
         margin=margin,
-        volume=(least, max(sum(part.volume for part in parts), least)),
+        volume=(least, max(sum(part.volume for part in parts), least) * (1 + _ROUNDING)),
         confidence=confidence,
         excess=excess,
     )
