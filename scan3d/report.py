@@ -148,6 +148,7 @@ def _counts(analysis: Analysis) -> dict[str, int]:
     return {
         "slices": slices,
         "empty_slices": len(cloud.slice_height) - slices,
+        "unproven_slices": 0 if cloud.unresolved is None else int(cloud.unresolved.sum()),
         "sweeps": len(np.unique(recording.sweep)),
         "samples": len(recording),
         "contacts": len(cloud),

@@ -71,7 +71,9 @@ def summary(data: Mapping[str, Any]) -> Summary:
     else:
         nothing = "nothing, because no contact bounds the body on some side of it"
         hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
-        rows.append(("certified", nothing + hint))
+        count = data["counts"].get("unproven_slices", 0)
+        unproven = f"; {count} slices without contact prove no end, because their sweeps miss places that it may reach"
+        rows.append(("certified", nothing + (unproven if count else "") + hint))
     return Summary(heading, rows)
 
 

@@ -10,7 +10,10 @@ import scan3d
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.empty_slices import _area, _clipped, _covered, unproven
 from scan3d.reconstruction.planes import slices_of
+from scan3d.report import report
+from scan3d.summaries import summary
 from scan3d.surfaces import enclosure
+from scan3d.workflow import analyse
 
 SPHERE = trimesh.creation.icosphere(4, 10.0)
 
@@ -39,6 +42,11 @@ def test_slices_out_of_reach_end_no_body(scanned):
     bounds = enclosure(found)
     assert bounds.bound == np.inf
     assert scan3d.compare(bounds.inner, SPHERE).hausdorff > 0.05 * 20
+    analysis = analyse(out_of_reach(scanned, upper, 1.2))
+    data = report(analysis, settings={})
+    assert data["counts"]["unproven_slices"] == found.unresolved.sum() == 5
+    (certified,) = [text for name, text in summary(data).rows if name == "certified"]
+    assert "5 slices without contact prove no end" in certified
     # the same slices within reach prove that nothing is there
     assert enclosure(contacts(scanned)).bound < 0.3
 

@@ -87,7 +87,7 @@ def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
         cuts = needed if needed <= _AT_ONCE else 2
         at = np.arange(1, cuts) * (len(between) + 1) / cuts - 1
         chosen.append(between[np.unique(np.clip(np.round(at), 0, None).astype(np.intp))] if len(between) else between)
-    return np.concatenate(chosen)
+    return np.concatenate([np.empty(0), *chosen])
 
 
 def parts_within(gaps: Array, tolerance: float) -> Index:
