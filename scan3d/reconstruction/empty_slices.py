@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud
-from scan3d.reconstruction.slices import Slice, stacks
+from scan3d.reconstruction.slices import SAME_AXIS, Slice, stacks
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
@@ -20,8 +20,6 @@ from scan3d.units import UNITS_M
 _ROUNDING = 1e-9
 # Side of a square that contains every section that slices bound, in widths of the contacts.
 _FAR = 1e3
-# Parallel axes differ by less than this in each component.
-_SAME_AXIS = 1e-8
 
 
 def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: float) -> Mask:
@@ -36,7 +34,7 @@ def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt
     filled = np.zeros(len(found), dtype=bool)
     filled[cloud.slice] = True
     for stack in stacks(cloud):
-        empty = np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < _SAME_AXIS))
+        empty = np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS))
         for k in empty:
             height = float(cloud.slice_height[k])
             nearest_first = stack.slices if height < stack.heights[0] else stack.slices[::-1]

@@ -28,7 +28,7 @@ _SAME_NORMAL = 1e-9
 _STEINER_DIRECTIONS = 360
 # Parallel axes differ by less than this in each component.  Larger, distinct axes merge; smaller, rounding separates equal
 # axes.
-_SAME_AXIS = 1e-8
+SAME_AXIS = 1e-8
 # The known normals enclose a slice if every gap between them is smaller than half a turn by at least this angle, in radians.
 # Larger, slices that are enclosed count as open; smaller, support lines that are parallel to rounding count as closed.
 _HALF_TURN_MARGIN = 1e-9
@@ -175,7 +175,7 @@ def stacks(cloud: Cloud) -> list[SliceStack]:
     by_axis = []
     rows = _rows_of_slices(cloud)
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
-        members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < _SAME_AXIS)
+        members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
         order = members[np.argsort(cloud.slice_height[members])]
         slices = [_slice(cloud, frame, number, rows[number]) for number in order]
@@ -200,7 +200,7 @@ def _on_table(stack: SliceStack, height: float) -> SliceStack:
     A table that lies across the axis, and above an end slice by errors only, is in that slice.
     """
     down = -stack.frame[:, 2]
-    if np.abs(down[:2]).max() > _SAME_AXIS:
+    if np.abs(down[:2]).max() > SAME_AXIS:
         return replace(stack, table=np.append(down, height))
     if down[2] < 0:
         return replace(stack, floor=max(stack.floor, min(height, float(stack.heights[0]))))

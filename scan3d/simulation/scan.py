@@ -256,7 +256,7 @@ def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
         try:
             heights = next_heights(contacts(_recording([scan], rod)), scan.plan, left=left, memory=memory)
         except InputError:  # too few contacts to say where others are needed
-            heights = np.setdiff1d(_cosine_heights(scan), scan.heights)
+            heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
             break
         scan.scan(heights)
