@@ -8,11 +8,13 @@ ARGS ?=
 WORKERS ?= 2
 # Random inputs, and random scans, of `make trust`.
 FUZZ ?= 2000
+# Pictures of `make figures`, by name; empty: all.
+FIGURES ?=
 PYTEST = OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist worksteal
 PIP = .venv/bin/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help scan test fast trust lint format check mutants docs dev
+.PHONY: help scan test fast trust lint format check mutants docs figures dev
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -21,10 +23,12 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/installed ## run all tests but the long ones of make trust (20 minutes on two cores)
+test: .venv/installed ## run all tests but the long ones of make trust (25 minutes on two cores)
+	@echo "All tests, $(WORKERS) at a time: about 25 minutes on two cores.  make fast takes 3 minutes."
 	$(PYTEST) $(ARGS)
 
 fast: .venv/installed ## run the tests that are not marked slow (3 minutes on two cores)
+	@echo "The tests that are not marked slow, $(WORKERS) at a time: about 3 minutes on two cores."
 	$(PYTEST) -m "not slow and not trust" $(ARGS)
 
 lint: .venv/dev ## check style, format, types and imports
@@ -61,6 +65,9 @@ docs: .venv/docs ## build the manual in docs/_build/html
 	.venv/bin/python -m sphinx --fresh-env --fail-on-warning --keep-going --quiet -b html docs docs/_build/html
 	.venv/bin/python docs/check_links.py docs/_build/html
 
+figures: .venv/installed ## remake the pictures of README and manual (half an hour), or FIGURES='NAME ...'
+	.venv/bin/python docs/make_pictures.py $(FIGURES)
+
 dev: .venv/dev .venv/docs ## set up .venv with the linters, the type checker and Sphinx
 
 .venv/dev: .venv/installed
@@ -72,6 +79,7 @@ dev: .venv/dev .venv/docs ## set up .venv with the linters, the type checker and
 	touch $@
 
 .venv/installed: pyproject.toml
+	@echo "Setting up .venv with everything that the tests need: a minute or more, as the network is."
 	$(PYTHON) -m venv .venv
 	$(PIP) --editable '.[test]'
 	touch $@

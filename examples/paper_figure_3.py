@@ -43,7 +43,8 @@ SWEEPS = [
 ]
 SWEEPS.append(planar.sweep(CONTOUR, RANDOM, base=BASE))
 LABELS = [*(rf"$\mu = {mu:g}$" for mu in FRICTIONS), r"random $\mu \in [0, 0.4]$"]
-COLORS = ["black", "tab:green", "orange", "red", "0.65"]
+# Okabe and Ito's green, orange and red, which colour-blind readers can distinguish.
+COLORS = ["black", "#009E73", "#E69F00", "#D55E00", "0.65"]
 
 # The states at the transitions from tip to tangential contact and from tangential to tip contact.
 TRANSITIONS = [

@@ -6,6 +6,7 @@ numerical library is imported, so that ``scan3d --help`` is quick.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 Model = Literal["planar", "spatial"]
@@ -21,9 +22,12 @@ Method = Literal["auto", "hull", "bracket", "support", "regression", "poisson", 
 METHODS: tuple[str, ...] = get_args(Method)
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes
 to noisy contacts."""
-View = Literal["cloud", "surface", "bound", "compare", "explain"]
+View = Literal["cloud", "surface", "bound", "compare", "explain", "histogram", "forces"]
 VIEWS: tuple[str, ...] = get_args(View)
 """What a picture can show."""
+NamedCamera = Literal["front", "back", "left", "right", "top", "bottom", "iso"]
+CAMERAS: tuple[str, ...] = get_args(NamedCamera)
+"""Cameras of pictures with a name: from -y, y, -x, x, z and -z, and with x, y and z equally short."""
 Color = Literal["phase", "force", "friction", "error", "bending"]
 COLORS: tuple[str, ...] = get_args(Color)
 """The quantities by which contacts can be coloured."""
@@ -42,3 +46,8 @@ TARES: tuple[str, ...] = get_args(Tare)
 Shell = Literal["bash", "zsh", "fish"]
 SHELLS: tuple[str, ...] = get_args(Shell)
 """Shells for which there is a completion script."""
+
+
+def one_of(values: Sequence[str]) -> str:
+    """The values as a list in a sentence: ``a, b or c``."""
+    return f"{', '.join(values[:-1])} or {values[-1]}"

@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
@@ -142,7 +142,7 @@ class RigErrors:
         To the first order each error of a contact is a linear function of the same p standard normal numbers, and all such
         functions together stay within the root of their sum of squares (Scheffé).
         """
-        return float(np.sqrt(chi2.isf(alpha, self.count))) if self.count else 0.0
+        return float(np.sqrt(chdtri(self.count, alpha))) if self.count else 0.0
 
 
 def one_rig(rigs: Sequence[RigUncertainty | None]) -> RigUncertainty | None:

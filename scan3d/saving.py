@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
+from scan3d.extras import import_open3d
 from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, listed, to_polydata, write_shape
 from scan3d.files.imports import read_cloud, stated_unit
 from scan3d.files.ownership import check_recording
@@ -231,13 +232,7 @@ def to_pyvista(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> An
 
 def to_open3d(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> Any:
     """An `open3d.t.geometry.PointCloud`, or `TriangleMesh` of a surface, with ``normals`` and every other column of `save`."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise InputError(
-            f"to_open3d needs open3d, which can't be imported ({error}): install it and its libraries (on Debian or Ubuntu "
-            "apt-get install libgl1 libgomp1)"
-        ) from None
+    open3d = import_open3d("to_open3d needs")
     shape = to_shape(what, truth)
     geometry, tensor = open3d.t.geometry, open3d.core.Tensor
     target = geometry.PointCloud() if shape.faces is None else geometry.TriangleMesh()

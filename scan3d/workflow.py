@@ -30,8 +30,17 @@ from scan3d.report import Analysis, report
 from scan3d.simulation.bodies import mesh_itself
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
+Step = Callable[[str], None]
+"""Is called with the name of each step when it begins; the names are those of `timings_s` in the report."""
 
-def analyse(recording: Recording, truth: Any = None, method: str = "auto", model: str | None = None) -> Analysis:
+
+def analyse(
+    recording: Recording,
+    truth: Any = None,
+    method: str = "auto",
+    model: str | None = None,
+    step: Step = lambda _: None,
+) -> Analysis:
     """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
 
     truth
@@ -40,11 +49,13 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
         the method of the surface, as in `scan3d.surface`.
     model
         the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
+    step
+        is called with the name of each step when it begins.
 
     Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
     InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
     """
-    clock = _Clock()
+    clock = _Clock(step=step)
     with clock("reconstruct"):
         try:
             cloud = reconstruct(recording, model=model)
@@ -66,14 +77,7 @@ def analyse(recording: Recording, truth: Any = None, method: str = "auto", model
             certified = certificate(bounds, mesh)
     mesh.vertex_attributes["bound"] = certified.at_vertices
     analysis = Analysis(
-        recording,
-        cloud,
-        bounds,
-        mesh,
-        certified,
-        seconds=clock.seconds,
-        warnings=tuple(warnings),
-        diagnosis=diagnosis,
+        recording, cloud, bounds, mesh, certified, seconds=clock.seconds, warnings=tuple(warnings), diagnosis=diagnosis
     )
     if truth is None:
         return analysis
@@ -100,6 +104,7 @@ def write(
     overwrite: bool = False,
     mesh_path: bool = False,
     drawing: AbstractContextManager[Drawing] | None = None,
+    step: Step = lambda _: None,
 ) -> dict[str, Any]:
     """Write an analysis into a folder: cloud, surface, pictures, page and report, which is returned.
 
@@ -121,14 +126,16 @@ def write(
         whether the report states where the true body's file lies, relative to the folder.
     drawing
         gives the child process that draws; by default one that is started and ended here.
+    step
+        is called with the name of each step when it begins.
 
     Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
     """
     if not isinstance(folder, Result):
         with opened(folder, with_recording=with_recording, overwrite=overwrite) as result:
             rest: dict[str, Any] = {"seconds": seconds, "notify": notify, "mesh_path": mesh_path, "drawing": drawing}
-            return write(analysis, result, settings=settings, with_recording=with_recording, **rest)
-    clock = _Clock({**(seconds or {}), **analysis.seconds})
+            return write(analysis, result, settings=settings, with_recording=with_recording, step=step, **rest)
+    clock = _Clock({**(seconds or {}), **analysis.seconds}, step)
     friction = settings.get("friction") if with_recording else None
     with drawing or Drawing() as child:
         with clock("pictures"):  # while the child process imports what it needs
@@ -201,13 +208,15 @@ def _draw(scene: Scene, result: Result, drawing: Drawing | None, notify: Callabl
 
 
 class _Clock:
-    """Seconds spent on each step, by name."""
+    """Seconds spent on each step, by name; `step` is told when one begins."""
 
-    def __init__(self, seconds: Mapping[str, float] | None = None) -> None:
+    def __init__(self, seconds: Mapping[str, float] | None = None, step: Step = lambda _: None) -> None:
         self.seconds: dict[str, float] = dict(seconds or {})
+        self._step = step
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
+        self._step(name)
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

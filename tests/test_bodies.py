@@ -136,7 +136,7 @@ def test_a_flat_body_is_refused_with_its_thickness(tmp_path, turn):
     assert "flat" in error(save(tmp_path, sheet))  # in float32: not quite flat when oblique
     assert "flat" in error(save(tmp_path, sheet), hull=True)
     thin = as_mesh(box(3, 4, 2e-6).vertices, box().faces)
-    assert "2e-06 thick (4e-07 of its diagonal" in error(save(tmp_path, thin))
+    assert "it is 2e-06 thick, in the unit of the mesh (4e-07 of its diagonal" in error(save(tmp_path, thin))
     assert load_mesh(save(tmp_path, box(3, 4, 1e-5))).volume == pytest.approx(12e-5)
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from scan3d import Plan, choices, surfaces
+from scan3d.choices import one_of
 from scan3d.cli.completion import script
-from scan3d.cli.parser import VALUES, one_of, parser
+from scan3d.cli.parser import VALUES, parser
 from scan3d.files import exports
 from scan3d.settings import Settings
 from scan3d.units import UNITS_M
@@ -18,10 +19,16 @@ LISTS = {name: values for name, values in vars(choices).items() if name.isupper(
 MODULES = sorted((ROOT / "scan3d").rglob("*.py"))
 # Options that take one of the values, by command.
 OPTIONS = [
-    *((command, name, values) for command in ("scan", "simulate") for name, values in VALUES.items() if name != "axis"),
+    *(
+        (command, name, values)
+        for command in ("scan", "simulate")
+        for name, values in VALUES.items()
+        if name not in ("axis", "camera")
+    ),
     ("reconstruct", "method", choices.METHODS),
     ("show", "view", choices.VIEWS),
     ("show", "color", choices.COLORS),
+    ("show", "camera", choices.CAMERAS),
     ("show", "movie_of", choices.MOVIES),
     ("export", "what", choices.EXPORTS),
     ("completion", "shell", choices.SHELLS),

@@ -536,7 +536,8 @@ def test_progress_on_a_terminal(monkeypatch, tmp_path):
         assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv"), *FEW, *quiet]) == 0
         shown[bool(quiet)] = terminal.getvalue()
     assert shown[True] == ""
-    assert "\rsimulate 3/3 slices" in shown[False]
+    assert shown[False].startswith("\rsimulate: starting")
+    assert "\rsimulate: simulating 3/3 slices" in shown[False]
     # the line is erased: overwritten by blanks, with the cursor at the start
     assert re.search(r"\r +\r$", shown[False])
     assert "\n" not in shown[False]
@@ -550,7 +551,8 @@ def test_ctrl_c_on_a_terminal_begins_a_line(monkeypatch, tmp_path):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv")]) == 130
-    assert terminal.getvalue() == "\nscan3d: interrupted\n"
+    # below the line that says what was interrupted, and below ^C
+    assert re.fullmatch(r"(\rsimulate: \w+ *\r)+\nscan3d: interrupted\n", terminal.getvalue())
 
 
 def test_hull_scans_a_body_that_is_not_convex(call, bad, tmp_path, no_pictures):

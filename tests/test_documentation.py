@@ -13,16 +13,20 @@ from pathlib import Path
 
 import matplotlib
 import pytest
+import yaml
 
 import planar
 import scan3d
 from scan3d.cli import main
 from scan3d.cli.parser import parser
 from scan3d.files.recordings import COLUMNS
+from scan3d.pictures import rendering
 
 ROOT = Path(__file__).parents[1]
 EGG = ROOT / "meshes" / "egg.stl"
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if "_build" not in page.parts)]
+# Pages whose commands and code are run together, from top to bottom.
+WALKED = [ROOT / "docs" / name for name in ("tutorial.md", "recipes.md")]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
@@ -68,7 +72,11 @@ def test_the_reading_of_pages_finds_what_it_should() -> None:
     assert {"README.md", "docs/index.md", "docs/formats.md", "docs/api/planar.md"} <= set(map(name_of, PAGES))
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python")], ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python") and page not in WALKED],
+    ids=name_of,
+)
 @pytest.mark.slow
 def test_the_code_of_a_page_runs(page: Path, repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # in the order of the page, with the same variables
@@ -111,6 +119,60 @@ def test_every_command_of_the_page_on_an_own_rig_runs(repository: Path, capsys: 
     assert len(bounds) == 2
     assert bounds[1] < 0.8 * bounds[0]
     assert "certified" in capsys.readouterr().out
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WALKED, ids=name_of)
+def test_every_command_and_all_code_of_a_page_runs(
+    page: Path, repository: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names: dict[str, object] = {"__name__": "__main__"}
+    shown = []
+    for language, block in re.findall(
+        r"^```(\w+)\n(.*?)^```$", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL
+    ):
+        if language == "python":
+            exec(compile(block, name_of(page), "exec"), names)
+        elif language == "toml":
+            Path(block.partition("\n")[0].removeprefix("# ")).write_text(block, encoding="utf-8")
+        elif language == "sh":
+            for line in block.splitlines():
+                command, _, comment = line.partition("    # ")
+                words = shlex.split(command)
+                assert words[0] == "scan3d"
+                with monkeypatch.context() as patch:
+                    if words[1] != "show":  # the pictures of a scan are drawn in other tests
+                        patch.setattr(rendering, "can_render", lambda: False)
+                    assert main(words[1:]) == (1 if comment == "refused" else 0), line
+                shown.append(words[1])
+    assert {"tutorial.md": "reconstruct", "recipes.md": "export"}[page.name] in shown
+    # with the bound that is promised, from touch alone
+    assert "certified" in capsys.readouterr().out
+
+
+def test_the_recipe_asks_for_what_the_package_asks_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = yaml.safe_load((ROOT / "docs" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    assert recipe["context"]["version"] == project["version"]
+    assert recipe["about"]["summary"] == project["description"]
+    # names of other packages are the same, but for matplotlib, which without a toolkit for windows is matplotlib-base
+    asked = {line.replace("matplotlib-base", "matplotlib").replace(" ", "") for line in recipe["requirements"]["run"]}
+    assert asked == {*project["dependencies"], "python>=${{python_min}}"}
+    extras = [project["optional-dependencies"][name] for name in ("open3d", "cluster", "movies", "parquet", "ros")]
+    optional = {line.partition(";")[0].replace("-cpu", "") for extra in extras for line in extra}
+    assert {line.replace(" ", "") for line in recipe["requirements"]["run_constraints"]} <= optional | {"open3d>=0.19"}
+    least = (ROOT / "docs" / "conda" / "variants.yaml").read_text(encoding="utf-8")
+    assert yaml.safe_load(least)["python_min"] == [project["requires-python"].removeprefix(">=")]
+    (command,) = recipe["build"]["python"]["entry_points"]
+    assert command == "scan3d = " + project["scripts"]["scan3d"]
+
+
+def test_every_extra_is_described() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    rows = "\n".join(row.split("|")[1] for row in page.split("\n") if row.startswith("| `"))
+    assert set(re.findall(r"`(\w+)`", rows)) == set(project["optional-dependencies"])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -205,3 +267,21 @@ def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
         "c.html: gone%20away.png does not exist",
         "c.html: #bottom has no such anchor",
     ]
+
+
+def test_every_picture_of_the_manual_is_made_by_one_command(capsys: pytest.CaptureFixture[str]) -> None:
+    path = ROOT / "docs" / "make_pictures.py"
+    spec = importlib.util.spec_from_file_location("make_pictures", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    made = {*module.scripts(), *module.VIEWS}
+    assert {picture.stem for picture in (ROOT / "docs" / "pictures").iterdir()} == made
+    assert "docs/make_pictures.py $(FIGURES)" in (ROOT / "Makefile").read_text(encoding="utf-8")
+    # the views are drawn with options that the program has
+    for _, *options in module.VIEWS.values():
+        parser().parse_args(["show", "out", "--screenshot", "a.png", *options])
+    with pytest.raises(SystemExit):
+        module.main(["nonsense"])
+    assert "there is no picture nonsense: expected" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from small_scans import scanned
 
 import scan3d
-from scan3d.pictures import drawing
+from scan3d.pictures import drawing, rendering
 
 MESHES = Path(__file__).parents[1] / "meshes"
 JOBS = [(".png", {"view": "cloud"})]
@@ -102,3 +103,29 @@ def test_a_scene_that_lacks_what_is_to_be_shown_does_not_end_the_process(scenes)
         with pytest.raises(scan3d.InputError, match=r"."):
             child.draw(scenes[0], [(".png", {"view": "nonsense"})])
         assert child.draw(scenes[0], JOBS)
+
+
+def test_a_process_that_is_started_early_is_there_when_it_is_needed(monkeypatch):
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    early = drawing.EarlyDrawing()
+    with early as child:
+        assert child.is_running
+    assert not child.is_running
+    early.stop()  # once more does nothing
+
+
+def test_a_process_that_is_not_needed_is_ended_while_it_starts(monkeypatch):
+    may_go_on = threading.Event()
+
+    def can_render():
+        may_go_on.wait(10)
+        return True
+
+    monkeypatch.setattr(rendering, "can_render", can_render)
+    monkeypatch.setattr(drawing, "Drawing", None)  # it must not be started
+    early = drawing.EarlyDrawing()
+    early.stop()
+    may_go_on.set()
+    early._starting.join(10)
+    assert not early._starting.is_alive()
+    assert early._drawing is None

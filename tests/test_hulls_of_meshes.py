@@ -68,7 +68,8 @@ def test_dents_up_to_a_depth_are_filled(dimpled, size):
 @pytest.mark.parametrize("size", [0, 0.0099, "0.5%"])
 def test_deeper_dents_are_refused_with_what_would_fill_them(dimpled, size):
     with pytest.raises(
-        scan3d.InputError, match=r"isn't convex: .* 0\.01 deep .* --clip-dent 0\.01\d?\d? \(clip_dent\)"
+        scan3d.InputError,
+        match=r"isn't convex: .* 0\.01 deep, in the unit of the mesh .* --clip-dent 0\.01\d?\d? \(clip_dent\)",
     ):
         load_mesh(dimpled, clip_dent=size)
 

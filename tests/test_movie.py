@@ -15,7 +15,7 @@ from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import scan3d
 from scan3d.choices import COLORS, MOVIES, VIEWS
-from scan3d.cli import main, verbs
+from scan3d.cli import main, showing
 from scan3d.cli.parser import parser
 from scan3d.pictures import movie, rendering, shading
 from scan3d.pictures.parts import evenly_chosen
@@ -179,12 +179,12 @@ def test_growth_without_a_renderer(egg, tmp_path, monkeypatch):
     [
         ("movie", "x.avi", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
         ("movie", "x.mp4", "an .mp4 needs the package imageio-ffmpeg"),
-        ("screenshot", "x.bmp", r"a picture is written as \.png or \.pdf, got 'x\.bmp'"),
+        ("screenshot", "x.bmp", r"a picture is written as \.png, \.pdf or \.svg, got 'x\.bmp'"),
     ],
 )
 def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, capsys, what, name, sentence):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(verbs, "_scene", None)  # calling it would fail in another way
+    monkeypatch.setattr(showing, "read_scene", None)  # calling it would fail in another way
     assert main(["show", "x", f"--{what}", str(tmp_path / name)]) == 1
     assert re.search(sentence, capsys.readouterr().err)
 
@@ -211,7 +211,7 @@ def test_help_loads_no_library_for_pictures():
 @pytest.mark.parametrize(
     ("option", "choices"),
     [
-        ("--view", ("cloud", "surface", "bound", "compare", "explain")),
+        ("--view", ("cloud", "surface", "bound", "compare", "explain", "histogram", "forces")),
         ("--color", ("phase", "force", "friction", "error", "bending")),
         ("--movie-of", ("sweep", "growth")),
     ],

@@ -244,10 +244,15 @@ def test_unsuitable_contacts_are_refused(method, points, normals, message):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    "error", ["ImportError('No module named open3d')", "OSError('libGL.so.1: cannot open shared object file')"]
+    ("error", "command"),
+    [
+        ("ModuleNotFoundError('No module named open3d')", "pip install 'scan3d[open3d]'"),
+        ("ImportError('libX11.so.6: cannot open shared object file')", "apt-get install libgl1 libgomp1"),
+        ("OSError('libGL.so.1: cannot open shared object file')", "apt-get install libgl1 libgomp1"),
+    ],
 )
 @pytest.mark.slow
-def test_without_open3d_a_sentence_says_what_to_install(method, error):
+def test_without_open3d_a_sentence_says_what_to_install(method, error, command):
     """In a child process whose import of open3d fails, as it does where the package or a system library is missing."""
     code = f"""
 import sys
@@ -267,7 +272,7 @@ except InputError as error:
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert error.split("'")[1] in run.stdout
-    assert "apt-get install libgl1 libgomp1" in run.stdout
+    assert command in run.stdout
     assert "auto, bracket, hull or support" in run.stdout
     assert run.stdout.count("\n") == 1
 

@@ -195,7 +195,7 @@ def test_an_export_replaces_an_earlier_one_and_nothing_else(folder, ending):
 
 @pytest.mark.rendering
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["a.html", "a.png", "a.pdf", "a.gif"])
+@pytest.mark.parametrize("name", ["a.html", "a.png", "a.pdf", "a.svg", "a.gif"])
 def test_what_show_writes_replaces_an_earlier_one_and_nothing_else(made, tmp_path, capsys, name):
     option = {".html": "--html", ".gif": "--movie"}.get(Path(name).suffix, "--screenshot")
     show = ["show", str(made), option, str(tmp_path / name)]

@@ -1,5 +1,6 @@
 """Plans: heights, directions and frames of the slices, and impossible settings."""
 
+import itertools
 import math
 
 import numpy as np
@@ -12,10 +13,12 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import (
     FIRST_SLICES,
+    cosine_gap,
     cosine_heights_left,
     first_heights,
     heights,
     heights_at_gaps,
+    least_parts,
     parts_within,
 )
 
@@ -101,6 +104,42 @@ def test_a_bent_slab_is_halved_by_the_density_of_slices():
     # of both, the wider one comes first, and gaps within the tolerance none
     assert heights_at_gaps(known, slab, corners, gaps, bent, 1) == pytest.approx(halves[:1])
     assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 5.0) == pytest.approx([0.15])
+
+
+def test_a_bent_slab_is_cut_by_the_parts_that_make_the_largest_gap_least():
+    known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
+    slab, corners, bent = np.array([1, 2]), np.array([0.1, 0.5]), np.zeros(2, dtype=bool)
+    # with three slices left, one slab gets three parts and the other two; the density of slices is the same in both
+    cuts = heights_at_gaps(known, slab, corners, np.array([1.0, 0.999]), bent, 1, left=3)
+    assert cuts == pytest.approx([0.1], rel=1e-3)
+    # a tolerance that two parts meet is not divided further
+    cuts = heights_at_gaps(known, slab, corners, np.array([1.0, 0.999]), bent, 1, 0.3, left=3)
+    assert cuts == pytest.approx([0.15], rel=1e-3)
+
+
+def test_parts_are_shared_so_that_the_largest_gap_is_least():
+    """The numbers of parts by trying all of them."""
+    gaps = np.array([1.0, 0.2, 3.0, 0.0])
+    for left in range(7):
+        parts, gap = least_parts(gaps, left)
+        every = np.array(list(itertools.product(range(1, left + 2), repeat=4)))
+        allowed = every[(every - 1).sum(axis=1) <= left]
+        assert (parts - 1).sum() <= left
+        assert gap == pytest.approx((gaps / allowed**2).max(axis=1).min())
+        assert (gaps / parts**2).max() == pytest.approx(gap)
+    # the third has its two parts, and five slices are left for the others
+    assert least_parts(gaps, 6, np.array([9, 9, 2, 9]))[0].tolist() == [5, 2, 2, 1]
+    assert least_parts(np.zeros(2), 3) == (pytest.approx([1, 1]), 0.0)
+
+
+@pytest.mark.parametrize("slices", [8, 13, 64])
+def test_the_gap_of_cosine_spacing_is_that_of_its_slabs(slices):
+    """Each slab's gap falls with the square of the number of parts into which the nodes divide it."""
+    nodes = heights(-3.0, 7.0, Plan(slices=slices, spacing="cosine"))
+    known = nodes[np.unique(np.linspace(0, slices - 1, 8).round().astype(int))]
+    parts = np.diff(np.flatnonzero(np.isin(nodes, known)))
+    gaps = np.linspace(1.0, 2.0, len(known) - 1)
+    assert cosine_gap(known * (1 + 1e-9), gaps, slices) == pytest.approx((gaps / parts**2).max())
 
 
 def test_an_unknown_end_is_sliced_in_the_middle():

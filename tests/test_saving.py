@@ -136,6 +136,9 @@ def test_a_missing_library_is_named(result, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(scan3d.InputError, match=rf"to_{library} needs {library}, which can't be imported"):
         getattr(result.cloud, f"to_{library}")()
+    if library == "open3d":
+        with pytest.raises(scan3d.InputError, match=r"pip install 'scan3d\[open3d\]'$"):
+            scan3d.saving.to_open3d(result.surface)
 
 
 def test_what_can_not_be_saved(result, tmp_path):

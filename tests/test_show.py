@@ -10,7 +10,7 @@ from image_checks import pixels
 from small_scans import CUBE, FEW, scanned_folder
 from without_renderer import MISSING, hidden_renderer
 
-from scan3d.cli import main, verbs
+from scan3d.cli import main, showing
 from scan3d.pictures import rendering, views
 
 COMMAND = Path(sys.executable).with_name("scan3d")
@@ -78,7 +78,7 @@ def test_a_colour_shows_the_contacts(folder, tmp_path, options, same_as):
     written = tmp_path / "written.png"
     assert main(["show", str(folder), "--screenshot", str(written), "--quiet", *options]) == 0
     expected = tmp_path / "expected.png"
-    scene = verbs._scene(folder, None, False, "mm")
+    scene = showing.read_scene(folder, None, False, "mm")
     views.picture(scene, expected, same_as, "phase")
     assert written.read_bytes() == expected.read_bytes()
 

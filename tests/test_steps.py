@@ -78,7 +78,7 @@ def test_surfaces_state_their_unit():
 def test_a_plot_takes_the_truth_by_its_path(monkeypatch):
     result = scan3d.scan(CUBE, slices=4, sweeps=4, samples=8, method="hull")
     shown = []
-    monkeypatch.setattr("scan3d.pictures.notebook.scene_image", lambda scene, *_: shown.append(scene))
+    monkeypatch.setattr("scan3d.pictures.notebook.scene_image", lambda scene, *_, **__: shown.append(scene))
     result.plot(str(CUBE))
     assert np.array_equal(shown[0].truth.vertices, result.analysis.truth.vertices)
 

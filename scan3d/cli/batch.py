@@ -11,7 +11,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from scan3d.cli import interruptions
-from scan3d.cli.terminal import is_terminal, one_line, print_result, print_settings, table
+from scan3d.cli.progress import Progress, duration
+from scan3d.cli.terminal import one_line, print_result, print_settings, table
 from scan3d.settings import UsageError, settings, varied_settings
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ EXAMPLES = {
 }
 # Failures that are printed; the summary has all of them.
 _MOST_PRINTED = 20
-# Width of the progress, which is erased in the end.
-_WIDTH = 60
 
 
 def add_batch(commands: Any) -> argparse.ArgumentParser:
@@ -73,7 +72,7 @@ def batch(arguments: Namespace) -> int:
     if arguments.print_config:
         if arguments.grid:
             raise UsageError("--print-config prints one setting; leave out --grid")
-        return print_settings(dataclasses.asdict(choices[0][1]))
+        return print_settings(arguments, dataclasses.asdict(choices[0][1]))
     from scan3d.batches import scheduled
     from scan3d.batches.study import perform_batch
     from scan3d.workers import Workers
@@ -88,8 +87,8 @@ def batch(arguments: Namespace) -> int:
             inputs={"grid": arguments.grid, "file of settings": arguments.config},
             overwrite=arguments.overwrite,
             mesh_path=arguments.mesh_path,
-            progress=_progress(arguments),
-            notify=lambda sentence: print(f"scan3d: {one_line(sentence)}", file=sys.stderr),
+            progress=_report(arguments.progress),
+            notify=arguments.progress.say,
         )
     return _print(arguments, done, time.monotonic() - start)
 
@@ -107,38 +106,22 @@ def _choices(arguments: Namespace) -> list[tuple[dict[str, Any], Any]]:
     return list(zip(grid, chosen, strict=True))
 
 
-def _progress(arguments: Namespace) -> Callable[[BatchProgress], None]:
-    """Shows a line on stderr that counts the runs and is erased at the end; nothing if stderr is not a terminal."""
-    shown = not arguments.quiet and is_terminal(sys.stderr)
+def _report(progress: Progress) -> Callable[[BatchProgress], None]:
+    """Shows how many runs are finished, and the time left."""
 
-    def show(progress: BatchProgress) -> None:
+    def show(done: BatchProgress) -> None:
         interruptions.check()
-        if not shown:
-            return
-        failed = f", {progress.failed} failed" if progress.failed else ""
-        left = "" if progress.seconds_left is None else f", {_duration(progress.seconds_left)} left"
-        line = f"batch {progress.done}/{progress.total} runs{failed}{left}"
-        end = f"\r{'':{_WIDTH}}\r" if progress.done >= progress.total else ""
-        print(f"\r{line:{_WIDTH}}{end}", end="", file=sys.stderr, flush=True)
+        failed = f", {done.failed} failed" if done.failed else ""
+        left = "" if done.seconds_left is None else f", {duration(done.seconds_left)} left"
+        progress.tell(f"{done.done}/{done.total} runs{failed}{left}")
 
     return show
-
-
-def _duration(seconds: float) -> str:
-    """A duration in words: ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    minutes, rest = divmod(whole, 60)
-    if minutes < 60:
-        return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
 
 
 def _print(arguments: Namespace, done: Batch, seconds: float) -> int:
     failed, total = done.failures, len(done.rows)
     before = f", {total - done.computed} of them by an earlier call" if done.computed < total else ""
-    heading = f"{total} runs{before}: {total - len(failed)} done, {len(failed)} failed, in {_duration(seconds)}"
+    heading = f"{total} runs{before}: {total - len(failed)} done, {len(failed)} failed, in {duration(seconds)}"
     rows = [(name, _figures(row)) for name, row in done.ranks._asdict().items() if row is not None]
     rows += [("failed", f"{row['run']}: {row['error']}") for row in failed[:_MOST_PRINTED]]
     if len(failed) > _MOST_PRINTED:

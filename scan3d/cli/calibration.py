@@ -91,6 +91,7 @@ def calibrate(arguments: argparse.Namespace) -> int:
         recording, _reference(arguments), unit=arguments.unit, tare=arguments.tare, pose_noise_m=noise
     )
     write_rig(found, arguments.out, overwrite=True)  # checked above
+    arguments.progress.end()
     if arguments.json:
         print(printable_json(to_json(sections(found)).decode()), end="")
     elif not arguments.quiet:

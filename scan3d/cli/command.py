@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 
 from scan3d.cli.guide import print_guide
 from scan3d.cli.parser import parser
+from scan3d.cli.progress import Progress
 from scan3d.cli.terminal import one_line
 from scan3d.errors import InputError
 from scan3d.settings import UsageError
@@ -31,9 +32,9 @@ def run(argv: Sequence[str] | None = None) -> int:
         if not (sys.argv[1:] if argv is None else argv):
             return print_guide()
         arguments = parser().parse_args(argv)
-        from scan3d.cli.verbs import VERBS
+        with _quiet(), Progress(arguments) as arguments.progress:
+            from scan3d.cli.verbs import VERBS
 
-        with _quiet():
             code = VERBS[arguments.command](arguments)
         if sys.stdout is not None:  # it is None if closed by the shell, with >&-
             sys.stdout.flush()

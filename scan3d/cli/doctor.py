@@ -17,7 +17,7 @@ from scan3d.processes import python
 # Packages that every scan needs, and what the others are used for.
 NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
 OPTIONAL = {
-    "open3d": "Poisson and ball pivoting surfaces",
+    "open3d": "the surfaces poisson and ball-pivoting, and to_open3d",
     "imageio-ffmpeg": "movies as .mp4",
     "pyarrow": "recordings and tables as Parquet",
     "rosbags": "the import of ROS bags",
@@ -80,16 +80,25 @@ def summary(state: dict[str, Any]) -> list[tuple[str, str]]:
         ("scan3d", f"{state['scan3d']}, Python {state['python']}, {state['platform']}"),
         ("scans", _works(state["scan"]["works"], state["scan"]["why_not"])),
         ("pictures", _works(state["rendering"], "nothing can render off screen")),
-        ("open3d", _works(state["open3d"]["works"], state["open3d"]["why_not"], "works", "doesn't work")),
+        ("open3d", _open3d(state)),
         ("recordings", ", ".join(ending for ending, works in state["recordings"].items() if works) or "none"),
         ("packages", ", ".join(f"{name} {number}" for name, number in packages.items() if number)),
     ]
-    for item in state["missing"]:
+    # what a scan does not need and nobody asked for is not missing
+    optional = [item["what"] in OPTIONAL and packages[item["what"]] is None for item in state["missing"]]
+    for item, is_optional in zip(state["missing"], optional, strict=True):
         command = f": {item['command']}" if item["command"] else ""
-        rows.append(("missing", f"{item['what']} ({item['why']}), for {item['for']}{command}"))
-    if not state["missing"]:
+        label = "optional" if is_optional else "missing"
+        rows.append((label, f"{item['what']} ({item['why']}), for {item['for']}{command}"))
+    if all(optional):
         rows.append(("missing", "nothing"))
     return rows
+
+
+def _open3d(state: dict[str, Any]) -> str:
+    if state["packages"]["open3d"] is None:
+        return "not installed (no scan needs it by default)"
+    return _works(state["open3d"]["works"], state["open3d"]["why_not"], "works", "doesn't work")
 
 
 def _works(works: bool, why_not: str | None, yes: str = "work", no: str = "don't work") -> str:
@@ -112,10 +121,9 @@ def _version(name: str) -> str | None:
 
 def _pip(name: str) -> str:
     """The command that installs a package in the version that scan3d requires."""
-    requirement = name
-    if name == "open3d" and sys.platform == "linux" and platform.machine() == "x86_64":
-        requirement = "open3d-cpu"
-    elif name != "open3d":
+    if name == "open3d":
+        requirement = "scan3d[open3d]"  # which of its two distributions suits the machine
+    else:
         matches = [re.match(rf"{name}\b[^;\s]*", line) for line in requires("scan3d") or ()]
         requirement = next((match[0] for match in matches if match), name)
     return shlex.join([sys.executable, "-m", "pip", "install", requirement])

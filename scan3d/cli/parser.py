@@ -6,11 +6,10 @@ This module does not import a numerical library, so that ``scan3d --help`` takes
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import fields
 
-from scan3d.choices import COLORS, METHODS, MODELS, MOVIES, SHELLS, SPACINGS, STANDOFFS, VIEWS
-from scan3d.cli import batch, calibration, exporting, guide, laboratory_parser, one_sweep, rig_parser
+from scan3d.choices import CAMERAS, METHODS, MODELS, SHELLS, SPACINGS, STANDOFFS, one_of
+from scan3d.cli import batch, calibration, exporting, guide, laboratory_parser, one_sweep, rig_parser, showing
 from scan3d.cli.usage import Parser, Version
 from scan3d.settings import Settings
 from scan3d.units import UNITS_M
@@ -55,12 +54,6 @@ _EXAMPLES = {
     "compare": """\
   scan3d compare out/surface.ply part.stl
   scan3d compare a.stl b.stl --unit in --json""",
-    "show": """\
-  scan3d show out
-  scan3d show out --screenshot egg.png --view compare
-  scan3d show out/cloud.ply --screenshot friction.pdf --color friction
-  scan3d show log.csv --html log.html --truth part.stl
-  scan3d show out --movie sweep.gif""",
     "doctor": """\
   scan3d doctor
   scan3d doctor --json""",
@@ -78,13 +71,8 @@ VALUES = {
     "unit": tuple(UNITS_M),
     "method": METHODS,
     "axis": ("x", "y", "z", "xyz"),
+    "camera": CAMERAS,
 }
-
-
-def one_of(values: Sequence[str]) -> str:
-    """The values as a list in a sentence: ``a, b or c``."""
-    return f"{', '.join(values[:-1])} or {values[-1]}"
-
 
 _METHOD = f"surface from the contacts: {one_of(METHODS)}; bracket estimates it between the certified bounds"
 # Name, placeholder and description of each setting; types and defaults are those of `Settings`.
@@ -198,46 +186,7 @@ def parser() -> argparse.ArgumentParser:
     _add_output(compare)
     compare.set_defaults(command="compare")
 
-    show = commands.add_parser("show", help="show a scan in a window, a picture, a page or a movie")
-    show.add_argument(
-        "path", metavar="DIR|FILE", help="a scan's folder, a recording (.csv), a cloud or surface (.ply), a mesh"
-    )
-    show.add_argument("--screenshot", metavar="FILE", help="a picture, .png or .pdf, instead of a window")
-    show.add_argument(
-        "--html", metavar="FILE", help="an interactive page for any browser; it does not need the network"
-    )
-    show.add_argument("--movie", metavar="FILE", help="a .gif, or an .mp4 (needs imageio-ffmpeg)")
-    show.add_argument(
-        "--view",
-        choices=VIEWS,
-        metavar="VIEW",
-        help=f"what the picture shows: {one_of(VIEWS)} (default surface, with --color cloud)",
-    )
-    show.add_argument(
-        "--color",
-        choices=COLORS,
-        metavar="WHAT",
-        help=f"colour of the contacts in a picture or the window: {one_of(COLORS)} (default force)",
-    )
-    show.add_argument(
-        "--movie-of",
-        choices=MOVIES,
-        metavar="WHAT",
-        help=f"what the movie shows: {one_of(MOVIES)} (default {MOVIES[0]})",
-    )
-    show.add_argument(
-        "--truth",
-        metavar="MESH",
-        help="mesh of the true body; by default the mesh that the report names, if it is found",
-    )
-    show.add_argument("--hull", action="store_true", help="take the convex hull of the true body")
-    show.add_argument(
-        "--unit", default="mm", choices=tuple(UNITS_M), metavar="UNIT", help="unit of a mesh (default mm)"
-    )
-    _add_overwrite(show)
-    _add_output(show)
-    show.set_defaults(command="show", misuse=show.error)
-
+    _add_output(showing.add_show(commands, _add_overwrite))
     _add_output(exporting.add_export(commands, _add_overwrite))
     _add_output(guide.add_demo(commands, _add_overwrite))
     guide.add_explain(commands)
@@ -261,6 +210,7 @@ def parser() -> argparse.ArgumentParser:
         _EXAMPLES
         | batch.EXAMPLES
         | exporting.EXAMPLES
+        | showing.EXAMPLES
         | guide.EXAMPLES
         | rig_parser.EXAMPLES
         | laboratory_parser.EXAMPLES

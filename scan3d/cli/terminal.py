@@ -98,6 +98,7 @@ def print_result(arguments: Namespace, data: Any, text: str) -> int:
     """Print a result as JSON or as text, as the options say; the exit code."""
     from scan3d.files.text import to_json
 
+    arguments.progress.end()
     if arguments.json:
         print(printable_json(to_json(data).decode()), end="")
     elif not arguments.quiet:
@@ -105,9 +106,10 @@ def print_result(arguments: Namespace, data: Any, text: str) -> int:
     return 0
 
 
-def print_settings(values: Mapping[str, Any]) -> int:
+def print_settings(arguments: Namespace, values: Mapping[str, Any]) -> int:
     """Print settings as a TOML file; the exit code."""
     from scan3d.files.text import to_toml
 
+    arguments.progress.end()
     print(printable_json(to_toml(values)), end="")
     return 0

@@ -14,6 +14,11 @@ from scan3d.files.reading import did_you_mean
 class Parser(argparse.ArgumentParser):
     """A parser whose error messages are one line, which names what was probably meant and ends with a reference to the help."""
 
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        # by default "-60,25" would be an option
+        self._negative_number_matcher = re.compile(r"-[\d.][\d.,eE+-]*$")
+
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:

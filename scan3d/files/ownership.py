@@ -54,6 +54,7 @@ _MARKS = {
     ".csv": rf"\A(x_({_UNIT}),y_({_UNIT}),z_({_UNIT}),nx,ny,nz|x0(_m)?,x(_m)?,y(_m)?,s1(_m)?,phase,status)\b".encode(),
     ".png": rb"\A\x89PNG(?s:.*)Software\0scan3d",
     ".pdf": rb"/Creator \(scan3d\)",
+    ".svg": rb"\A<\?xml [^\n]*\n(?s:.*)<dc:title>scan3d</dc:title>",
     ".toml": rb"\A# rig calibrated by scan3d\n",
     ".gif": rb"\AGIF8(?s:.*)scan3d",
     ".mp4": rb"scan3d",

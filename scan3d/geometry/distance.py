@@ -190,14 +190,16 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
     locator.BuildLocator()
 
     def nearest(queries: Array) -> tuple[Index, Array]:
-        cells, feet = np.empty(len(queries), dtype=np.int64), np.empty((len(queries), 3))
+        cells: list[int] = []
+        feet: list[float] = []
         foot, work = [0.0] * 3, vtkGenericCell()
         cell: Any = reference(0)
         part: Any = reference(0)
         squared: Any = reference(0.0)
-        for i, query in enumerate(queries.tolist()):
+        for query in queries.tolist():
             locator.FindClosestPoint(query, foot, work, cell, part, squared)
-            cells[i], feet[i] = cell, foot
-        return order[cells], feet
+            cells.append(cell.get())
+            feet += foot
+        return order[np.array(cells, dtype=np.intp)], np.array(feet).reshape(-1, 3)
 
     return nearest

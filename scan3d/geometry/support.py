@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -96,8 +97,24 @@ class SupportFit:
         return unit(np.asarray(np.linalg.solve(self.shape, directions.T).T))
 
     def _gradient(self, directions: Array) -> Array:
-        parts = np.array_split(directions, max(1, len(directions) // _BLOCK))
-        return np.concatenate([np.tensordot(self.coefficients, harmonics(part, self.degree)[1], 1).T for part in parts])
+        """Gradient (n, 3) of the series at unit vectors (n, 3); its components are sums of harmonics as well."""
+        slopes, radial = self._slopes
+        found = np.empty_like(directions)
+        for first in range(0, len(directions), _BLOCK):
+            part = directions[first : first + _BLOCK]
+            value = _by_order(_levels(part.T, self.degree))
+            found[first : first + _BLOCK] = (slopes @ value + (radial @ value) * part.T).T
+        return found
+
+    @cached_property
+    def _slopes(self) -> tuple[Array, Array]:
+        """Coefficients (3, c) of the sums ``Σ c_lm ∇R_lm``, and (c,) of ``Σ c_lm (1 - l) R_lm``."""
+        count = len(self.coefficients)
+        # the gradients of harmonics are sums of harmonics: those of harmonics that are unit vectors are their coefficients
+        unit_vectors = _split(np.eye(count), self.degree)
+        gradient = np.stack([part for key in _keys(self.degree) for part in _slopes(unit_vectors, *key)])
+        degrees = np.repeat(np.arange(self.degree + 1), 2 * np.arange(self.degree + 1) + 1)
+        return np.einsum("c,cxk->xk", self.coefficients, gradient), self.coefficients * (1 - degrees)
 
 
 def fit_support(
@@ -194,8 +211,22 @@ def fitted_body(fit: SupportFit) -> Any:
 
 def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
     """Values (c, n) and gradients (c, 3, n) at unit vectors u (n, 3) of the functions ``|u|^(1-l) R_lm``, l <= degree."""
-    x, y, z = u.T
-    xy, sectoral = x + 1j * y, np.ones(len(u), dtype=complex)
+    along = np.ascontiguousarray(u.T)
+    levels = _levels(along, degree)
+    value, gradient = _by_order(levels), np.empty(((degree + 1) ** 2, 3, len(u)))
+    row = 0
+    for n, m in _keys(degree):
+        part = slice(row, row + (2 if m else 1))
+        gradient[part] = _slopes(levels, n, m)
+        gradient[part] += ((1 - n) * value[part])[:, None] * along
+        row = part.stop
+    return value, gradient
+
+
+def _levels(u: Array, degree: int) -> dict[tuple[int, int], Array]:
+    """Real and imaginary parts (2, n) of the solid harmonics R_lm at unit vectors u (3, n), by l and m."""
+    x, y, z = u
+    xy, sectoral = x + 1j * y, np.ones(len(x), dtype=complex)
     level = {(0, 0): _parts(sectoral)}
     for m in range(1, degree + 1):
         sectoral = sectoral * xy * np.sqrt((2 * m - 1) / (2 * m))
@@ -205,23 +236,43 @@ def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
         for n in range(m + 2, degree + 1):
             above = (2 * n - 1) * z * level[n - 1, m] - np.sqrt((n - 1) ** 2 - m * m) * level[n - 2, m]
             level[n, m] = above * (1 / np.sqrt(n * n - m * m))
-    count = (degree + 1) ** 2
-    value, gradient = np.empty((count, len(u))), np.empty((count, 3, len(u)))
-    zero, along = np.zeros((2, len(u))), np.ascontiguousarray(u.T)
-    row = 0
-    for n in range(degree + 1):
-        for m in range(n + 1):
-            plus = -np.sqrt((n - m) * (n - m - 1)) * level.get((n - 1, m + 1), zero)  # (∂x + i∂y) R
-            minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else _CONJUGATE * plus  # (∂x - i∂y) R
-            part = slice(row, row + (2 if m else 1))
-            here, slopes = level[n, m][: part.stop - row], gradient[part]
-            value[part] = here
-            slopes[:, 0] = (0.5 * (plus + minus))[: len(here)]
-            slopes[:, 1] = (_CONJUGATE * 0.5 * (plus - minus)[::-1])[: len(here)]  # divided by 2i
-            slopes[:, 2] = (np.sqrt(n * n - m * m) * level.get((n - 1, m), zero))[: len(here)]
-            slopes += ((1 - n) * here)[:, None] * along
-            row = part.stop
-    return value, gradient
+    return level
+
+
+def _slopes(level: dict[tuple[int, int], Array], n: int, m: int) -> Array:
+    """Gradients (1 or 2, 3, k) of the real and, unless m is 0, imaginary part of R_nm, from the harmonics (2, k)."""
+    zero = np.zeros_like(level[0, 0])
+    plus = -np.sqrt((n - m) * (n - m - 1)) * level.get((n - 1, m + 1), zero)  # (∂x + i∂y) R
+    minus = np.sqrt((n + m) * (n + m - 1)) * level[n - 1, m - 1] if m else _CONJUGATE * plus  # (∂x - i∂y) R
+    slopes = np.stack(
+        [
+            0.5 * (plus + minus),
+            _CONJUGATE * 0.5 * (plus - minus)[::-1],  # divided by 2i
+            np.sqrt(n * n - m * m) * level.get((n - 1, m), zero),
+        ],
+        axis=1,
+    )
+    return slopes[: 2 if m else 1]
+
+
+def _keys(degree: int) -> list[tuple[int, int]]:
+    """l and m of the harmonics, in their order."""
+    return [(n, m) for n in range(degree + 1) for m in range(n + 1)]
+
+
+def _by_order(level: dict[tuple[int, int], Array]) -> Array:
+    """Values (c, n) of the harmonics in their order; those of m = 0 have no imaginary part."""
+    degree = max(level)[0]
+    return np.concatenate([level[n, m][: 2 if m else 1] for n, m in _keys(degree)])
+
+
+def _split(rows: Array, degree: int) -> dict[tuple[int, int], Array]:
+    """The reverse of `_by_order`."""
+    level, row = {}, 0
+    for n, m in _keys(degree):
+        level[n, m] = rows[row : row + 2] if m else np.stack([rows[row], np.zeros_like(rows[row])])
+        row += 2 if m else 1
+    return level
 
 
 def _parts(values: Any) -> Array:

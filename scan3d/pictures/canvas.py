@@ -17,6 +17,8 @@ from scan3d.pictures.shading import BACKDROP, EDGE, INK, ROD, TANGENTIAL
 # Images are rendered this many times larger and averaged: edges are smooth on any renderer.  Time and memory grow with its
 # square.
 _SUPERSAMPLING = 2
+# Narrowest line, in pixels: thinner ones would have gaps.
+_NARROWEST = 1.0
 # Toward the camera: three sides of a box are seen, and none of them hides another's contacts.
 DIRECTION = (1.0, -1.3, 0.8)
 # The size of a window, in pixels, which fits on the screens of laptops.
@@ -48,12 +50,21 @@ class Canvas:
     """Bodies, points and lines before a camera in parallel projection, whose image contains the given corners (k, 3)."""
 
     def __init__(
-        self, corners: Array, direction: Any = DIRECTION, up: Any = (0.0, 0.0, 1.0), *, off_screen: bool = True
+        self,
+        corners: Array,
+        direction: Any = DIRECTION,
+        up: Any = (0.0, 0.0, 1.0),
+        *,
+        off_screen: bool = True,
+        scale: float = 1.0,
+        sampling: int = _SUPERSAMPLING,
     ) -> None:
+        """`scale` are the pixels that points and lines of one pixel have; an image is rendered `sampling` times larger."""
         import pyvista
 
         self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=[64, 64] if off_screen else [*WINDOW_SIZE])
-        self.pixel = _SUPERSAMPLING if off_screen else 1
+        self.sampling = sampling if off_screen else 1
+        self.pixel = self.sampling * scale
         self.plotter.set_background("white")
         self.plotter.suppress_rendering = off_screen  # until `image` is called
         if off_screen:
@@ -84,7 +95,7 @@ class Canvas:
         )
         if sharp.n_cells and opacity == 1:
             sharp.points = sharp.points + _EDGES_FORWARD * self.size * self.toward
-            self.plotter.add_mesh(sharp, color=EDGE, line_width=self.pixel)
+            self.plotter.add_mesh(sharp, color=EDGE, line_width=self._line_width(1))
         return actor
 
     def add_backdrop(self, scene: Scene) -> None:
@@ -119,7 +130,10 @@ class Canvas:
             return []
         cells = np.column_stack([np.full(k, p), np.arange(k * p).reshape(k, p)])
         shape = pyvista.PolyData(lines.reshape(-1, 3) + _LINES_FORWARD * self.size * self.toward, lines=cells.ravel())
-        return [self.plotter.add_mesh(shape, color=color, line_width=width * self.pixel, lighting=False)]
+        return [self.plotter.add_mesh(shape, color=color, line_width=self._line_width(width), lighting=False)]
+
+    def _line_width(self, width: float) -> float:
+        return max(width * self.pixel, _NARROWEST)
 
     def add_tube(self, line: Array, color: str, radius: float) -> Any:
         """Add a line (p, 3) as a tube; the radius is a fraction of the size.  Returns its actor."""
@@ -130,8 +144,11 @@ class Canvas:
         tube = pyvista.lines_from_points(distinct).tube(radius=radius * self.size, n_sides=_TUBE_SIDES, capping=True)
         return self.plotter.add_mesh(tube, color=color)
 
-    def add_rods(self, sweep: ShownSweep, states: NDArray[np.integer]) -> list[Any]:
-        """Add the rods of some samples of a sweep with their clamps and contacts.  Returns their actors."""
+    def add_rods(self, sweep: ShownSweep, states: NDArray[np.integer], forward: float = 0.0) -> list[Any]:
+        """Add the rods of some samples of a sweep with their clamps and contacts.  Returns their actors.
+
+        Contacts are moved toward the camera by `forward`, a fraction of the size.
+        """
         import pyvista
 
         actors, rods = [], sweep.rods
@@ -142,7 +159,7 @@ class Canvas:
             center = sweep.base[k] - 1.5 * mark * sweep.turns[k, 1]  # the rod begins at the clamp's face
             clamp.points = center + clamp.points @ sweep.turns[k]
             actors.append(self.plotter.add_mesh(clamp, color=INK))
-            ball = pyvista.Sphere(radius=1.7 * mark, center=sweep.contact[k])
+            ball = pyvista.Sphere(radius=1.7 * mark, center=sweep.contact[k] + forward * self.size * self.toward)
             actors.append(self.plotter.add_mesh(ball, color=TANGENTIAL))
         return actors
 
@@ -158,8 +175,8 @@ class Canvas:
         )
         self.plotter.add_mesh(cone, color=INK)
 
-    def aim(self, width: int, height: int, floor: float = 0.0) -> float:
-        """Point the camera so that the corners fill an image of so many pixels, `floor` rows at the bottom left free.
+    def aim(self, width: int, height: int, zoom: float = 1.0) -> float:
+        """Point the camera so that the corners fill an image of so many pixels, or are `zoom` times larger.
 
         Returns the width of the image as a length in the world.
         """
@@ -167,10 +184,9 @@ class Canvas:
         low, high = projected.min(axis=0), projected.max(axis=0)
         middle = (low + high) / 2
         depth = self.corners @ self.toward
-        free = height - floor
         # pixels to the unit of length
-        unit = min(FILLED * free / (high[1] - low[1] or 1.0), FILLED * width / (high[0] - low[0] or 1.0))
-        center = middle[0] * self.right + (middle[1] - floor / 2 / unit) * self.up + depth.mean() * self.toward
+        unit = zoom * min(FILLED * height / (high[1] - low[1] or 1.0), FILLED * width / (high[0] - low[0] or 1.0))
+        center = middle[0] * self.right + middle[1] * self.up + depth.mean() * self.toward
         camera = self.plotter.camera
         camera.parallel_projection = True
         camera.focal_point = center
@@ -180,16 +196,16 @@ class Canvas:
         self.plotter.renderer.ResetCameraClippingRange()
         return float(width / unit)
 
-    def image(self, width: int, height: int, floor: float = 0.0) -> tuple[NDArray[np.uint8], float]:
+    def image(self, width: int, height: int, zoom: float = 1.0) -> tuple[NDArray[np.uint8], float]:
         """What the camera sees, (height, width, 3), and the width of the image as a length in the world."""
         from PIL import Image
 
-        across = self.aim(width, height, floor)
-        size = [width * _SUPERSAMPLING, height * _SUPERSAMPLING]
+        across = self.aim(width, height, zoom)
+        size = [width * self.sampling, height * self.sampling]
         if list(self.plotter.window_size) != size:
             self.plotter.window_size = size
         self.plotter.suppress_rendering = False
         self.plotter.render()
         large = Image.fromarray(self.plotter.screenshot(return_img=True)[:, :, :3])
         self.plotter.suppress_rendering = True
-        return np.asarray(large.reduce(_SUPERSAMPLING)), across
+        return np.asarray(large.reduce(self.sampling)), across

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
@@ -19,9 +19,10 @@ from typing import Any
 from scan3d.errors import InputError
 from scan3d.pictures import rendering
 from scan3d.pictures.scene import Scene
+from scan3d.pictures.sheet import CHARTS, Sheet
 from scan3d.processes import python
 
-Job = tuple[str, dict[str, str]]
+Job = tuple[str, dict[str, Any]]
 """What is drawn: the file ending, and the keywords of `views.picture`, or of `movie.movie` for the ending of a movie."""
 
 # A child is ended after this time.  Shorter, a large scan on a slow machine without a graphics card would not get its
@@ -110,6 +111,60 @@ class Drawing:
         return list(answer[0])
 
 
+class EarlyDrawing:
+    """A `Drawing` that is started in the background where pictures can be rendered, so that it is ready after other work.
+
+    Entered, it is waited for; `stop` ends it, or its start.
+    """
+
+    def __init__(self) -> None:
+        self._drawing: Drawing | None = None
+        self._is_over = False
+        self._changing = threading.Lock()
+        # what fails here fails again, with its message, when the process is needed
+        self._starting = threading.Thread(target=self._start, daemon=True)
+        self._starting.start()
+
+    def _start(self) -> None:
+        with suppress(OSError):
+            if rendering.can_render():
+                with self._changing:
+                    if not self._is_over:
+                        self._drawing = Drawing().__enter__()
+
+    def __enter__(self) -> Drawing:
+        self._starting.join()
+        if self._drawing is None:
+            self._drawing = Drawing().__enter__()
+        return self._drawing
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End the child process."""
+        with self._changing:
+            self._is_over = True
+            if self._drawing is not None:
+                self._drawing.stop()
+
+
+@contextmanager
+def prepared(drawing: AbstractContextManager[Drawing] | None) -> Iterator[AbstractContextManager[Drawing]]:
+    """What gives a process that draws: `drawing`, or one that starts in the background and ends with the block.
+
+    One that is given is not started early: it may be needed elsewhere until then.
+    """
+    if drawing is not None:
+        yield drawing
+        return
+    early = EarlyDrawing()
+    try:
+        yield early
+    finally:
+        early.stop()
+
+
 _shared: Drawing | None = None
 
 
@@ -147,6 +202,22 @@ def draw(scene: Scene, jobs: Sequence[Job]) -> list[bytes]:
     rendering.need_renderer()
     with Drawing() as drawing:
         return drawing.draw(scene, jobs)
+
+
+def picture(scene: Scene, path: Path, view: str, color: str, sheet: Sheet) -> bytes:
+    """The bytes of a picture (`views.picture`) for a path: charts are drawn here, and bodies in a child process.
+
+    Raises InputError as `Drawing.draw`.
+    """
+    from scan3d.pictures import views
+
+    if view not in CHARTS:
+        keywords = {"view": view, "color": color, "sheet": sheet}
+        return draw(scene, [(path.suffix.lower(), keywords)])[0]
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"chart{path.suffix.lower()}"
+        views.picture(scene, file, view, color, sheet)
+        return file.read_bytes()
 
 
 def serve() -> None:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
-from scan3d.pictures.figures import FONT, SPATIAL_LABELS, quiet
+from scan3d.pictures.figures import SPATIAL_LABELS, quiet
 from scan3d.pictures.shading import INK, UNKNOWN
+from scan3d.pictures.sheet import FONT
 
 # Colours of the components x, y and z, which also the colour-blind can distinguish (Okabe and Ito).
 _COLORS = ("#0072B2", "#D55E00", "#009E73")

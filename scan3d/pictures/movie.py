@@ -16,7 +16,7 @@ from scan3d.arrays import Array
 from scan3d.choices import MOVIES
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.figures import FONT, REACTION_LABELS, SPATIAL_LABELS, blank_figure, quiet
+from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, quiet
 from scan3d.pictures.parts import ShownSweep, evenly_chosen, is_spatial, outlines, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
@@ -28,6 +28,7 @@ from scan3d.pictures.shading import (
     TANGENTIAL,
     TIP,
 )
+from scan3d.pictures.sheet import FONT
 from scan3d.pictures.words import unit_symbol
 
 ENDINGS = (".gif", ".mp4")

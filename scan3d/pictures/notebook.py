@@ -9,17 +9,23 @@ import base64
 import functools
 import html
 import io
+import os
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan3d.choices import Color, View
+from scan3d.choices import Color, View, one_of
 from scan3d.cloud import Cloud
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
+from scan3d.files.atomic import atomic
+from scan3d.files.ownership import check_file
 from scan3d.pictures import charts, rendering, views
-from scan3d.pictures.figures import quiet
+from scan3d.pictures.figures import quiet, save
 from scan3d.pictures.scene import Scene, of_cloud
+from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
 from scan3d.recording import Recording
 from scan3d.shown import Rows
 from scan3d.units import UNITS_M, Unit, unit_of
@@ -36,43 +42,84 @@ def plot(
     what: Recording | Cloud | trimesh.Trimesh | Comparison,
     truth: trimesh.Trimesh | None = None,
     *,
+    against: trimesh.Trimesh | None = None,
     view: View | None = None,
     color: Color | None = None,
     unit: Unit | None = None,
+    size: str | None = None,
+    dpi: int | None = None,
+    camera: str | None = None,
+    path: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
 ) -> Image:
     """A picture, drawn off screen, of a recording, a cloud, a surface (`trimesh.Trimesh`) or a comparison.
 
     truth
         the true body, a `trimesh.Trimesh`: a cloud can then be coloured by its error, and a surface is by its deviation.
+    against
+        another surface, a `trimesh.Trimesh` in the same unit, in the place of the truth: a surface is coloured by its signed
+        distance from it.
     view
         one of `scan3d.choices.VIEWS`: by default 'cloud' of a cloud and 'surface' of a surface, or 'compare' for a surface
-        and the truth side by side; of a recording by default the reactions of all sweeps, or 'cloud' for its contacts, or
-        'explain' for the rod along one sweep.
+        and the truth side by side, or 'histogram'; of a recording by default the reactions of all sweeps ('forces'), or 'cloud'
+        for its contacts, or 'explain' for the rod along one sweep.
     color
         what contacts are coloured by, one of `scan3d.choices.COLORS`; by default 'force'.
     unit
         of a surface; by default that which the surface states (`Trimesh.units`), or mm.
+    size
+        ``WIDTH`` or ``WIDTHxHEIGHT`` with a unit, mm, cm, in, pt or px, such as '85mm' or '85x60mm'; by default 7 inches wide,
+        and as high as what is drawn needs.
+    dpi
+        pixels to the inch, from 50 to 2400; by default 200.
+    camera
+        one of `scan3d.choices.CAMERAS`, such as 'top', or azimuth and elevation in degrees, such as '300,25'; a comma and a
+        factor after either of them zoom.
+    path
+        a file, .png, .pdf or .svg, that the picture is also written to; one that this program did not write is replaced only
+        with `overwrite`.
 
-    Returns a `PIL.Image.Image`, which notebooks show and `.save("FILE.png")` writes.  Raises InputError for other results and
-    views, and where nothing can be rendered, which reactions and comparisons do not need.
+    Returns a `PIL.Image.Image`, which notebooks show.  Raises InputError for other results and values, where the picture can't
+    be written, and where nothing can be rendered, which reactions, histograms and comparisons do not need.
     """
+    drawn = sheet(size, dpi, camera)
+    if path is not None:
+        _check_place(path, overwrite)
+    if isinstance(what, Comparison):
+        if camera is not None:
+            raise InputError(
+                "the picture of a comparison shows no body, so that it has no camera: leave the camera out"
+            )
+        return _written(lambda: charts.distances(what, drawn), path)
+    _check(truth, against, unit)
+    default, scene = _shown(what, truth, view, unit)
+    return scene_image(scene, view or default, color or "force", drawn, against=against, path=path, overwrite=overwrite)
+
+
+def _check(truth: Any, against: Any, unit: str | None) -> None:
+    """Raises InputError for bodies that are no meshes, and for unknown units."""
     import trimesh
 
-    if isinstance(what, Comparison):
-        return _image(charts.distances(what))
-    if isinstance(what, Recording) and view is None:
-        return _image(charts.reactions(what))
-    if truth is not None and not isinstance(truth, trimesh.Trimesh):
-        raise InputError(
-            f"truth must be a trimesh.Trimesh, such as `scan3d.load_mesh` gives, got a {type(truth).__name__}"
-        )
+    for name, body in (("truth", truth), ("against", against)):
+        if body is not None and not isinstance(body, trimesh.Trimesh):
+            raise InputError(
+                f"{name} must be a trimesh.Trimesh, such as `scan3d.load_mesh` gives, got a {type(body).__name__}"
+            )
     if unit not in (None, *UNITS_M):
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
-    if isinstance(what, Recording | Cloud):
-        return scene_image(_scene(what, truth), view or "cloud", color or "force")
+
+
+def _shown(what: Any, truth: Any, view: str | None, unit: str | None) -> tuple[str, Scene]:
+    """The view in which a result is drawn by default, and its scene."""
+    import trimesh
+
+    if isinstance(what, Recording):
+        reads_contacts = view not in (None, "forces")
+        return "forces", _scene(what, truth) if reads_contacts else Scene("the recording", what.unit, recording=what)
+    if isinstance(what, Cloud):
+        return "cloud", _scene(what, truth)
     if isinstance(what, trimesh.Trimesh):
-        scene = Scene("the surface", unit_of(what, unit), surface=what, truth=truth)
-        return scene_image(scene, view or "surface", color or "force")
+        return "surface", Scene("the surface", unit_of(what, unit), surface=what, truth=truth)
     raise InputError(
         f"only a recording, a cloud, a surface (trimesh.Trimesh) or a comparison can be plotted, got a {type(what).__name__}"
     )
@@ -89,10 +136,39 @@ def _scene(result: Recording | Cloud, truth: Any) -> Scene:
                     recording=recording)  # fmt: skip
 
 
-def scene_image(scene: Scene, view: str, color: str) -> Image:
-    """A picture of a scene, drawn off screen; `view` and `color` as in `plot`."""
+def scene_image(
+    scene: Scene,
+    view: str,
+    color: str,
+    drawn: Sheet | None = None,
+    *,
+    against: Any = None,
+    path: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> Image:
+    """A picture of a scene, drawn off screen on a sheet; the other arguments as in `plot`."""
+    if path is not None:
+        _check_place(path, overwrite)
+    if against is not None:
+        if view not in WITH_OTHER:
+            raise InputError(f"surfaces are compared in the views {one_of(WITH_OTHER)}, got {view!r}")
+        scene = scene.against(against)
+    return _written(lambda: views.figure(scene, view, color, drawn), path)
+
+
+def _check_place(path: str | os.PathLike[str], overwrite: bool) -> None:
+    """Raises InputError for a path at which no picture can or may be written."""
+    check_file(views.check_path(Path(path)), {}, overwrite, "path")
+
+
+def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Image:
+    """The image of a figure, which is also written to a path if there is one."""
     with quiet():
-        return _image(views.figure(scene, view, color))
+        figure = draw()
+        if path is not None:
+            with atomic(Path(path), "path") as place:
+                save(figure, place)
+        return _image(figure)
 
 
 def _image(figure: Any) -> Image:

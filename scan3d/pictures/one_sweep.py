@@ -10,9 +10,10 @@ import numpy as np
 import planar
 from scan3d.arrays import Array, Mask
 from scan3d.one_sweep import SweepContacts
-from scan3d.pictures.figures import FONT, WIDTH, blank_figure, legend, quiet, save
+from scan3d.pictures.figures import blank_figure, legend, quiet, save
 from scan3d.pictures.parts import evenly_chosen
 from scan3d.pictures.shading import INK, TANGENTIAL, TIP, UNKNOWN
+from scan3d.pictures.sheet import FONT, WIDTH
 
 # Error bars drawn at most: more merge into an area.
 _MOST_BARS = 60

@@ -31,6 +31,7 @@ from scan3d.pictures.shading import (
     NORMAL,
     ON_DEVIATION,
     TIP,
+    deviation_limit,
     largest_known,
     shade_contacts,
 )
@@ -95,7 +96,7 @@ def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
     mesh, deviation, bound = shown_surface(scene)
     colors = []
     if deviation is not None:
-        largest = float(np.abs(deviation).max()) or 1.0
+        largest = deviation_limit(scene, deviation)
         colors.append(_scale(scene.deviation_title, deviation, -largest, largest, "RdBu_r"))
     if bound is not None and scene.bound is not None:
         largest = largest_known(scene.bound) or 1.0
@@ -106,7 +107,7 @@ def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
 def _truth(scene: Scene, center: Array) -> dict[str, Any] | None:
     if scene.truth is None:
         return None
-    return _triangles(scene.truth_name, scene.truth, center, color=TIP, alpha=_TRUTH_OPACITY)
+    return _triangles(scene.reference, scene.truth, center, color=TIP, alpha=_TRUTH_OPACITY)
 
 
 def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str, Any]:

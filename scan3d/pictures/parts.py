@@ -62,8 +62,24 @@ def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
         # an infinite bound does not count where its weight is zero but for rounding
         counts = weights > 0
         bound = np.where(counts, scene.bound[corners] * np.where(counts, weights, 1.0), 0.0).sum(axis=1)
-    deviation = None if scene.truth is None else signed_distances(np.asarray(mesh.vertices), scene.truth)
-    return mesh, deviation, bound
+    if scene.truth is None:
+        return mesh, None, bound
+    distances = _distances_from_other if scene.is_other else signed_distances
+    return mesh, distances(np.asarray(mesh.vertices), scene.truth), bound
+
+
+def _distances_from_other(points: Array, other: Any) -> Array:
+    """Distances (p,) of points (p, 3) from a mesh that need not be convex, negative inside, or behind where it is open.
+
+    The sign is that of the normals at the nearest facet, edge or vertex (J. A. Bærentzen, H. Aanæs, Signed Distance Computation
+    Using the Angle Weighted Pseudonormal, IEEE TVCG 11, 2005).
+    """
+    import pyvista
+
+    inward = other.is_watertight and other.volume < 0
+    cloud = pyvista.PolyData(points).compute_implicit_distance(pyvista.wrap(other), inplace=True)
+    values = np.asarray(cloud["implicit_distance"], dtype=float)
+    return -values if inward else values
 
 
 def _subdivide(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.integer]]:

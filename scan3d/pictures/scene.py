@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ class Scene:
     truth: Any = None
     """The true body, a `trimesh.Trimesh`."""
     recording: Recording | None = None
+    is_other: bool = False
+    """Whether another surface, which need not be convex, is in the place of the true body, to be compared with."""
     key_figures: tuple[tuple[str, str], ...] = ()
     """Pairs of a quantity's name and its value, for tables."""
 
@@ -44,10 +46,21 @@ class Scene:
         return HULL_OF_MESH if is_hull else "truth"
 
     @property
+    def reference(self) -> str:
+        """What pictures call the body that the surface is compared with."""
+        return "other surface" if self.is_other else self.truth_name
+
+    @property
     def deviation_title(self) -> str:
         """The title of the surface's deviation."""
+        if self.is_other:
+            return f"signed distance from the other surface in {self.unit}"
         of_hull = "" if self.truth_name == "truth" else f" from the {self.truth_name}"
         return f"signed deviation{of_hull} in {self.unit}"
+
+    def against(self, other: Any) -> Scene:
+        """The scene in which the surface is compared with another one, a `trimesh.Trimesh` in the same unit."""
+        return replace(self, truth=other, is_other=True)
 
     @property
     def points(self) -> Array:

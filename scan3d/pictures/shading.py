@@ -29,6 +29,9 @@ _DECADES = 4.0
 # Coefficients of friction that differ by less are shown as one value, in the middle of a scale of twice this half width:
 # a scale of their own range would show rounding errors.
 _SAME_FRICTION, _FRICTION_HALF_WIDTH = 1e-6, 0.05
+# Smallest end of the scale of deviations, relative to the diagonal: a scale of rounding errors would show a body that was found
+# exactly in the colours of a large deviation.
+_SMALLEST_DEVIATION = 1e-9
 # The bending angle has a sign and a middle: a diverging map, whose middle is grey enough to be seen on a white page.
 _BENDING_MAP = "coolwarm"
 # Smallest end of the scale of bending angles, in degrees: a scale of rounding errors would show differences that do not exist.
@@ -62,6 +65,11 @@ def shade(values: Array, title: str, low: float, high: float, *, map: str = "vir
     rgb = np.tile(np.array(to_rgb(UNKNOWN)), (len(values), 1))
     rgb[known] = matplotlib.colormaps[map](norm(values[known]))[:, :3]
     return Shade((255 * rgb + 0.5).astype(np.uint8), title, map, norm)
+
+
+def deviation_limit(scene: Scene, deviation: Array) -> float:
+    """Upper end of the symmetric scale of a surface's deviation (v,)."""
+    return max(float(np.abs(deviation).max()), _SMALLEST_DEVIATION * scene.diagonal) or 1.0
 
 
 def shade_contacts(scene: Scene, color: str) -> Shade:
@@ -106,7 +114,7 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
     if view != "bound" and scene.truth is not None:
         mesh, deviation, _ = shown_surface(scene)
         assert deviation is not None
-        largest = float(np.abs(deviation).max()) or 1.0
+        largest = deviation_limit(scene, deviation)
         return mesh, shade(deviation, scene.deviation_title, -largest, largest, map="RdBu_r")
     if scene.bound is not None and np.isfinite(scene.bound).any():
         mesh, _, bound = shown_surface(scene)

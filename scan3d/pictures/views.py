@@ -8,24 +8,37 @@ from typing import Any
 import numpy as np
 
 import planar
+from scan3d.arrays import Array
 from scan3d.choices import VIEWS
 from scan3d.errors import InputError
-from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.figures import blank_figure, color_bar, figure_height, legend, quiet, save, show_canvas
+from scan3d.pictures.canvas import DIRECTION, Canvas
+from scan3d.pictures.charts import reactions
+from scan3d.pictures.figures import blank_figure, box_of, color_bar, legend, picture_height, quiet, save, show_canvas
+from scan3d.pictures.histograms import histograms
 from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, sections, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import BODY, INK, NORMAL, ROD, SLICE, TANGENTIAL, TIP, shade_contacts, shade_surface
+from scan3d.pictures.sheet import CHARTS, Sheet
 
-PICTURES = (".png", ".pdf")
+PICTURES = (".png", ".pdf", ".svg")
 # Rods drawn along a sweep: fewer show less of how the rod bends, more would merge.
 _STATES = 7
-# Fractions of a figure's width: a picture beside a colour bar, beside a legend, and one of two beside a colour bar.
-_BESIDE_BAR, _BESIDE_LEGEND, _HALF = 0.78, 0.70, 0.40
-# Inches below the picture of a sweep for its legend, and above two pictures for their titles.
-_LEGEND_HEIGHT, _TITLE_HEIGHT = 0.7, 0.3
+# In sizes of letters: the margin around a picture, the room of a colour bar or a legend before it is measured, and that of a
+# title above a picture.
+_MARGIN, _BESIDE, _TITLE = 0.8, 8.0, 1.8
+# Room of the legend below the picture of a sweep, likewise.
+_LEGEND = 4.2
 # Radius of the outline of a sweep's slice as a fraction of the size: more than that of a rod, which distinguishes the two.
 _OUTLINE_RADIUS = 0.004
+# Paths of contacts that are drawn at most in space, where they cross each other: more cover the body.
+_MOST_LINES = 60
+# The line and the contacts of the sweep are moved toward the camera by this fraction of the size: less, and parts of the line
+# are hidden in the body; more, and they are seen through the body's edges.
+_FORWARD = 0.01
+# Distance from a sweep to which the body is drawn, in sizes of the rods: more makes the rods of a long body small, less cuts
+# off more of it.
+_REACH = 0.6
 # The base line is drawn longer by this fraction of its length at each end, so that its arrow is clear of the clamps.
 _BASE_LINE_MARGIN = 0.12
 # Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
@@ -36,87 +49,123 @@ def check_path(path: str | Path) -> Path:
     """The path of a picture.  Raises InputError for an ending other than those in `PICTURES`."""
     path = Path(path)
     if path.suffix.lower() not in PICTURES:
-        raise InputError(f"a picture is written as {' or '.join(PICTURES)}, got {path.name!r}")
+        raise InputError(f"a picture is written as {', '.join(PICTURES[:-1])} or {PICTURES[-1]}, got {path.name!r}")
     return path
 
 
-def picture(scene: Scene, path: str | Path, view: str = "cloud", color: str = "force") -> None:
-    """Draw a view (of `VIEWS`) of the scene into a .png or a .pdf 7 inches wide; contacts have `color` (of `COLORS`).
+def picture(
+    scene: Scene, path: str | Path, view: str = "cloud", color: str = "force", sheet: Sheet | None = None
+) -> None:
+    """Draw a view (of `VIEWS`) of the scene into a .png, .pdf or .svg; contacts have `color` (of `COLORS`).
 
-    Raises InputError if the scene lacks what the view shows, or where nothing can be rendered.
+    Without a sheet it is 7 inches wide.  Raises InputError if the scene lacks what the view shows, or where nothing can be
+    rendered.
     """
     path = check_path(path)
     with quiet():
-        save(figure(scene, view, color), path)
+        save(figure(scene, view, color, sheet), path)
 
 
-def figure(scene: Scene, view: str = "cloud", color: str = "force") -> Any:
+def figure(scene: Scene, view: str = "cloud", color: str = "force", sheet: Sheet | None = None) -> Any:
     """The matplotlib figure that `picture` writes.  Raises InputError as `picture` does."""
+    sheet = sheet or Sheet()
     if view not in VIEWS:
         raise InputError(f"view must be one of {', '.join(VIEWS)}, got {view!r}")
+    if view in CHARTS:
+        return _chart(scene, view, sheet)
     need_renderer()
-    return {"cloud": _cloud, "compare": _compare, "explain": _explain}.get(view, _surface)(scene, view, color)
+    draw = {"cloud": _cloud, "compare": _compare, "explain": _explain}.get(view, _surface)
+    return draw(scene, view, color, sheet)
 
 
-def _cloud(scene: Scene, view: str, color: str) -> Any:
+def _chart(scene: Scene, view: str, sheet: Sheet) -> Any:
+    if sheet.camera is not None:
+        raise InputError(f"the view {view} shows no body, so that it has no camera: leave the camera out")
+    if view == "histogram":
+        return histograms(scene, sheet)
+    if scene.recording is None:
+        raise InputError(
+            f"{scene.name} has no recording, whose reactions the view forces shows: show a scan's folder, or a recording"
+        )
+    return reactions(scene.recording, sheet)
+
+
+def _canvas(corners: Array, sheet: Sheet, direction: Any = DIRECTION, up: Any = (0.0, 0.0, 1.0)) -> Canvas:
+    """A canvas, seen from the sheet's camera or else from a direction."""
+    if sheet.camera is not None:
+        direction, up = sheet.camera.toward, sheet.camera.up
+    return Canvas(corners, direction, up, scale=sheet.scale, sampling=sheet.sampling)
+
+
+def _sized(canvas: Canvas, sheet: Sheet, share: float = 1.0, beside: float = _BESIDE, above: float = 0.0) -> Any:
+    """A figure, in which the canvas has a share of the width that is left beside a bar or legend."""
+    width = share * (sheet.width - beside * sheet.em)
+    return blank_figure(picture_height(canvas, sheet, width, above), sheet.dpi, sheet.width)
+
+
+def _place(figure: Any, sheet: Sheet, right: float, bottom: float = 0.0) -> tuple[float, float, float, float]:
+    """Left, bottom, width and height in inches of the picture in a figure, of which `right` inches of the width are left."""
+    margin = _MARGIN * sheet.em
+    return margin, bottom + margin, right - margin, figure.get_size_inches()[1] - bottom - 2 * margin
+
+
+def _cloud(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     if scene.contacts is None:
         raise InputError(f"{scene.name} has no contacts to show; it has a surface: give the view surface")
     shaded = shade_contacts(scene, color)
-    canvas = Canvas(np.concatenate([scene.corners, *normal_lines(scene)]))
+    canvas = _canvas(np.concatenate([scene.corners, *normal_lines(scene)]), sheet)
     canvas.add_backdrop(scene)
     canvas.add_points(scene.points, shaded.rgb, _CONTACT_SIZE)
     canvas.add_lines(normal_lines(scene), NORMAL, 1)
-    width = _BESIDE_LEGEND if shaded.norm is None else _BESIDE_BAR
-    figure = blank_figure(figure_height(canvas, width))
-    show_canvas(figure, canvas, (0.02, 0.02, width, 0.96), scene.unit)
+    figure = _sized(canvas, sheet)
     if shaded.norm is None:
         entries = [("tangential contact", TANGENTIAL, "o"), ("tip contact", TIP, "o"), ("normal", NORMAL, "-")]
-        legend(figure, entries, 1)
+        right = box_of(figure, legend(figure, entries, 1, sheet.font)).x0
     else:
         is_tip = scene.column("phase") == planar.Phase.TIP
-        color_bar(figure, shaded, unknown="tip contact" if color == "friction" and np.any(is_tip) else "")
+        right = color_bar(
+            figure, shaded, sheet, unknown="tip contact" if color == "friction" and np.any(is_tip) else ""
+        )
+    show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
     return figure
 
 
-def _surface(scene: Scene, view: str, color: str) -> Any:
+def _surface(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     mesh, shaded = shade_surface(scene, view)
-    canvas = Canvas(scene.corners)
+    canvas = _canvas(scene.corners, sheet)
     canvas.add_body(mesh, BODY if shaded is None else shaded.rgb, edges=scene.surface)
-    figure = blank_figure(figure_height(canvas, _BESIDE_BAR))
-    show_canvas(figure, canvas, (0.02, 0.02, _BESIDE_BAR, 0.96), scene.unit)
-    if shaded is not None:
-        color_bar(figure, shaded)
+    figure = _sized(canvas, sheet)
+    right = sheet.width - _BESIDE * sheet.em if shaded is None else color_bar(figure, shaded, sheet)
+    show_canvas(figure, canvas, _place(figure, sheet, right), sheet, scene.unit)
     return figure
 
 
-def _compare(scene: Scene, view: str, color: str) -> Any:
+def _compare(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     if scene.truth is None:
         raise InputError(
             f"the true body of {scene.name} is not known, which the view compare shows: give --truth MESH (in Python truth=)"
         )
     mesh, shaded = shade_surface(scene)
-    figure = blank_figure(figure_height(Canvas(scene.corners), _HALF) + _TITLE_HEIGHT)
-    for k, (title, body) in enumerate(((scene.truth_name, scene.truth), ("reconstruction", mesh))):
-        canvas = Canvas(scene.corners)
-        if k and shaded is not None:
-            canvas.add_body(body, shaded.rgb, edges=scene.surface)
-        else:
-            canvas.add_body(body, BODY)
-        place = (0.01 + 0.41 * k, 0.02, _HALF, 0.86)
-        show_canvas(figure, canvas, place, scene.unit, scaled=k == 0)
-        figure.text(place[0] + place[2] / 2, 0.93, title, ha="center", va="center")
-    if shaded is not None:
-        color_bar(figure, shaded)
+    canvases = [_canvas(scene.corners, sheet) for _ in range(2)]
+    canvases[0].add_body(scene.truth, BODY)
+    canvases[1].add_body(mesh, BODY if shaded is None else shaded.rgb, edges=scene.surface)
+    title, gap = _TITLE * sheet.em, _MARGIN * sheet.em
+    figure = _sized(canvases[0], sheet, 0.5, above=title)
+    right = sheet.width if shaded is None else color_bar(figure, shaded, sheet)
+    left, bottom, width, height = _place(figure, sheet, right)
+    result = "this surface" if scene.is_other else "reconstruction"
+    for k, (name, canvas) in enumerate(zip((scene.reference, result), canvases, strict=True)):
+        place = (left + k * (width + gap) / 2, bottom, (width - gap) / 2, height - title)
+        show_canvas(figure, canvas, place, sheet, scene.unit, scaled=k == 0)
+        x, y = (place[0] + place[2] / 2) / sheet.width, 1 - (_MARGIN * sheet.em + title / 2) / figure.get_figheight()
+        figure.text(x, y, name, ha="center", va="center", fontsize=sheet.font)
     return figure
 
 
-def _explain(scene: Scene, view: str, color: str) -> Any:
+def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     sweep = shown_sweep(scene)
-    canvas = _sweep_canvas(scene, sweep)
-    canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))
-    figure = blank_figure(figure_height(canvas, 1.0) + _LEGEND_HEIGHT)
-    bottom = _LEGEND_HEIGHT / figure.get_size_inches()[1]
-    show_canvas(figure, canvas, (0.0, bottom, 1.0, 1 - bottom), scene.unit)
+    canvas = _sweep_canvas(scene, sweep, sheet)
+    canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES), _FORWARD)
     lines = "contact path" if sweep.slice is None else "slice"
     entries = [
         ("body", BODY, "s"),
@@ -127,11 +176,13 @@ def _explain(scene: Scene, view: str, color: str) -> Any:
         ("clamp", INK, "s"),
         ("clamp travel", INK, "->"),
     ]
-    legend(figure, entries, 4)
+    figure = _sized(canvas, sheet, beside=0.0, above=_LEGEND * sheet.em)
+    bottom = box_of(figure, legend(figure, entries, 4, sheet.font)).y1
+    show_canvas(figure, canvas, _place(figure, sheet, sheet.width - _MARGIN * sheet.em, bottom), sheet, scene.unit)
     return figure
 
 
-def _sweep_canvas(scene: Scene, sweep: ShownSweep) -> Canvas:
+def _sweep_canvas(scene: Scene, sweep: ShownSweep, sheet: Sheet) -> Canvas:
     """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
     x, _, z = sweep.axes
     rod_points = np.concatenate([sweep.straight[:, 1], sweep.base, sweep.contact])
@@ -140,16 +191,34 @@ def _sweep_canvas(scene: Scene, sweep: ShownSweep) -> Canvas:
     body = scene.truth if scene.truth is not None else scene.surface
     slice_points = sweep.contact if sweep.slice is None else scene.points[scene.column("slice") == sweep.slice]
     size = float(np.linalg.norm(np.ptp(np.concatenate([rod_points, slice_points]), axis=0)))
-    # a long body is seen only as far from the slice as the rods reach
-    near = scene.corners[np.abs((scene.corners - slice_points[0]) @ z) < size]
-    canvas = Canvas(np.concatenate([rod_points, base_line, slice_points, near]), sweep_direction(sweep), z)
+    # a long body is cut off where the rods do not reach
+    middle, reach = slice_points[0], _REACH * size
+    if body is not None:
+        body = _cut(body, middle, z, reach)
+    near = scene.points[np.abs((scene.points - middle) @ z) < reach] if body is None else np.asarray(body.points)
+    corners = np.concatenate([rod_points, base_line, slice_points, near])
+    canvas = _canvas(corners, sheet, sweep_direction(sweep), z)
     canvas.size = size
     if body is not None:
         canvas.add_body(body, BODY)
     drawn = sweep.number if sweep.slice is None else sweep.slice
-    for line, number in sections(scene)[1]:
-        canvas.add_lines(line[None], SLICE, 1)
+    lines = [(line, number) for line, number in sections(scene)[1] if (np.abs((line - middle) @ z) < reach).all()]
+    for k in evenly_chosen(len(lines), _MOST_LINES if sweep.slice is None else len(lines)):
+        canvas.add_lines(lines[k][0][None], SLICE, 1)
+    for line, number in lines:
         if number == drawn:
-            canvas.add_tube(line, INK, _OUTLINE_RADIUS)
+            # toward the camera, because between samples it lies inside of the body
+            canvas.add_tube(line + _FORWARD * size * canvas.toward, INK, _OUTLINE_RADIUS)
     canvas.add_arrow(base_line)
     return canvas
+
+
+def _cut(body: Any, middle: Array, normal: Array, reach: float) -> Any:
+    """A closed body as far as it is from a plane through a point, with faces where it is cut: a `pyvista.PolyData`."""
+    import pyvista
+
+    shape = pyvista.wrap(body)
+    for side in (1.0, -1.0):
+        if (side * (shape.points - middle) @ normal > reach).any():
+            shape = shape.clip_closed_surface(normal=-side * normal, origin=middle + side * reach * normal)
+    return shape

@@ -109,7 +109,7 @@ def build_window(
         if shaded is not None:
             _color_bar(canvas.plotter, shaded)
     if scene.truth is not None:
-        window.layers[scene.truth_name] = [canvas.add_body(scene.truth, TIP, opacity=_TRUTH_OPACITY)]
+        window.layers[scene.reference] = [canvas.add_body(scene.truth, TIP, opacity=_TRUTH_OPACITY)]
     known = [name for name in COLORS if scene.column(name) is not None]
     if scene.contacts is not None:
         window.contacts = pyvista.PolyData(scene.points)

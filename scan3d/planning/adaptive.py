@@ -10,22 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
-from scan3d.planning.heights import BEYOND, cosine_heights_left, heights_at_gaps, parts_within
+from scan3d.planning.heights import BEYOND, cosine_gap, cosine_heights_left, heights_at_gaps, least_parts, parts_within
 from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.bounds import outside
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 
-# Fraction of the number of slices so far that is added in one round.  Larger rounds need fewer evaluations, but choose more
-# heights without knowing the contacts of the others in the same round.
-_GROWTH = 0.12
-# Smallest number of slices left for each height that a round adds.  Smaller, the last rounds choose many heights at once;
-# larger, there are more rounds.
-_LEFT_PER_HEIGHT = 3
+# Fraction of the number of slices so far that is added in one round, and the smallest number of slices left for each height
+# that it adds: of bodies that are bent nearly everywhere, and of others.  Larger rounds need fewer evaluations, but choose more
+# heights without knowing the contacts of the others, which shift the corners where vertices are expected.
+_GROWTH_OF_BENT, _LEFT_OF_BENT = 0.3, 2
+_GROWTH, _LEFT_PER_HEIGHT = 0.12, 3
 # Largest difference of the components of two unit normals that are the same axis: in the cloud, where slices along one axis
 # have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
 # parallel would be mixed; smaller, rounding would separate what belongs together.
@@ -34,6 +33,12 @@ _SAME_AXIS, _GIVEN_AXIS = 1e-8, 1e-6
 # are sliced without regard to where they are; smaller, heights for smooth bodies are chosen one by one, which leaves some gaps
 # wider than others.
 _FEW_STRAIGHT = 0.1
+# Corners count for this if their gaps are wider than this fraction of the widest.  Larger, few corners decide; smaller, those
+# decide at which nothing is left to be found.
+_WIDE = 0.01
+# The heights of cosine spacing are taken if they leave at most this many times the gap of those that make it least, as far as
+# the slices so far tell.  Larger, edges are sliced too coarsely; smaller, bodies for which cosine spacing is best are not.
+_AS_GOOD = 1.4
 # Decimals of the axes in messages.
 _AXIS_DECIMALS = 6
 
@@ -103,14 +108,14 @@ def next_heights(
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     if gap.max() <= plan.tolerance * diagonal:
         return np.empty(0)
-    count = max(1, min(round(_GROWTH * (plan.slices - left)), left // _LEFT_PER_HEIGHT))
     between = np.isfinite(gap) & (kind != Gap.CONTACTS)
     number = np.repeat(np.arange(len(parts)), [len(slab.corners) for slab in parts])
-    if not between.any() or straight[between].any(axis=1).mean() < _FEW_STRAIGHT:
+    tolerance = plan.tolerance * diagonal
+    bent = _nearly_all_bent(gap[between], straight[between])
+    if bent:
         widest = np.zeros(len(parts))
         np.maximum.at(widest, number, gap)
-        parts_needed = parts_within(widest[1:-1], plan.tolerance * diagonal)
-        further = cosine_heights_left(np.array(stack.heights), parts_needed, plan.slices)
+        further = _cosine_heights(np.array(stack.heights), widest[1:-1], plan.slices, tolerance, left)
         if len(further) or not between.any():
             return further[:left]
     number = number[between]
@@ -119,9 +124,28 @@ def next_heights(
     low, high = (end if np.isfinite(end) else nearest for end, nearest in ends)
     levels = np.array([low, *stack.heights, high])
     creases = straight[between].all(axis=1)
-    tolerance = plan.tolerance * diagonal
     at = corners[between] @ stack.frame[2]
-    return heights_at_gaps(levels, number, at, gap[between], creases, count, tolerance)
+    count = _heights_of_round(plan.slices - left, left, bent=bent)
+    return heights_at_gaps(levels, number, at, gap[between], creases, count, tolerance, left if bent else None)
+
+
+def _nearly_all_bent(gaps: Array, straight: Mask) -> bool:
+    """Whether the body is bent at nearly all corners that are still open; their gaps (w,) and where it is straight (w, 2)."""
+    wide = gaps > _WIDE * gaps.max(initial=0.0)
+    return not wide.any() or bool(straight[wide].any(axis=1).mean() < _FEW_STRAIGHT)
+
+
+def _heights_of_round(done: int, left: int, *, bent: bool) -> int:
+    """Number of heights that a round adds to those that are done; `bent` says whether the body is bent nearly everywhere."""
+    growth, each = (_GROWTH_OF_BENT, _LEFT_OF_BENT) if bent else (_GROWTH, _LEFT_PER_HEIGHT)
+    return max(1, min(round(growth * done), left // each))
+
+
+def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, left: int) -> Array:
+    """Heights (k,) of cosine spacing that are still to be swept in slabs with gaps (s - 1,); none if others are better."""
+    if np.isfinite(gaps).all() and cosine_gap(known, gaps, slices) > _AS_GOOD * least_parts(gaps, left)[1]:
+        return np.empty(0)
+    return cosine_heights_left(known, parts_within(gaps, tolerance), slices)
 
 
 def _stack(cloud: Cloud, axis: Array | None) -> SliceStack:

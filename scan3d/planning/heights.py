@@ -26,7 +26,7 @@ _CAP_WEIGHT = 1.5
 _SAME_HEIGHT = 1e-5
 # Decimals of the gaps' roots, over the largest, by which slabs are compared.  More, and rounding decides between slabs of a
 # symmetric body; fewer, and slabs count as equal that are not.
-_TIED_DECIMALS = 6
+_TIED_DECIMALS = 4
 # Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner: just before the tip of a
 # vertex, and at about a third at a smooth pole, whose cap is shallower than its corner.  Larger, the slice may be empty;
 # smaller, the cap that remains is larger.
@@ -37,6 +37,11 @@ _ON_EMPTY_SLICE = 1e-9
 # Slices closer to each other than this fraction of the height add no information.  Larger, the heights of two close vertices
 # could not be told apart; smaller, slopes between two slices are rounding.
 CLOSEST = 1e-7
+# Gaps below this fraction of the height are rounding.  Larger, gaps remain that further slices would close; smaller, slices are
+# spent on rounding.
+_NO_GAP = 1e-10
+# Halvings of the interval in which the least gap lies: to rounding.
+_BISECTIONS = 60
 # Largest number of parts into which a slab of a smooth body is cut at once.  Larger, heights are chosen by gaps that are known
 # poorly; smaller, slabs are halved that need three parts, which makes some parts smaller than they need be.
 _AT_ONCE = 4
@@ -75,12 +80,11 @@ def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
 
     There are none if some of the known heights are others: the body has edges, by which those were chosen.
     """
-    nodes = -np.cos(np.pi * (np.arange(slices) + 0.5) / slices)
-    middle, half = (known[0] + known[-1]) / 2, (known[-1] - known[0]) / 2
-    nodes = middle + half * nodes / nodes[-1]
-    if np.abs(known[:, None] - nodes).min(axis=1).max() > _SAME_HEIGHT * 2 * half:
+    nodes = _cosine_nodes(known, slices)
+    size = known[-1] - known[0]
+    if np.abs(known[:, None] - nodes).min(axis=1).max() > _SAME_HEIGHT * size:
         return np.empty(0)
-    near = CLOSEST * 2 * half
+    near = CLOSEST * size
     chosen = []
     for low, high, needed in zip(known[:-1], known[1:], parts, strict=True):
         between = nodes[(nodes > low + near) & (nodes < high - near)]
@@ -88,6 +92,28 @@ def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
         at = np.arange(1, cuts) * (len(between) + 1) / cuts - 1
         chosen.append(between[np.unique(np.clip(np.round(at), 0, None).astype(np.intp))] if len(between) else between)
     return np.concatenate([np.empty(0), *chosen])
+
+
+def cosine_gap(known: Array, gaps: Array, slices: int) -> float:
+    """The largest gap that all heights of cosine spacing leave, if that of a slab falls with the square of its parts.
+
+    known (s,), slices
+        as in `cosine_heights_left`.
+    gaps (s - 1,)
+        of the slabs between two slices.
+    """
+    # each slab counts the node at its upper end
+    upper = known[1:] + _SAME_HEIGHT * (known[-1] - known[0])
+    parts = np.bincount(np.searchsorted(upper, _cosine_nodes(known, slices)[1:]), minlength=len(upper))
+    return float((gaps / parts.clip(1) ** 2).max(initial=0.0))
+
+
+def _cosine_nodes(known: Array, slices: int) -> Array:
+    """Heights (slices,) of cosine spacing whose end slices are those of the known heights (s,)."""
+    nodes = -np.cos(np.pi * (np.arange(slices) + 0.5) / slices)
+    middle, half = (known[0] + known[-1]) / 2, (known[-1] - known[0]) / 2
+    heights: Array = middle + half * nodes / nodes[-1]
+    return heights
 
 
 def parts_within(gaps: Array, tolerance: float) -> Index:
@@ -106,6 +132,7 @@ def heights_at_gaps(
     creases: Mask,
     count: int,
     tolerance: float = 0.0,
+    left: int | None = None,
 ) -> Array:
     """`count` further heights (k,) at most, where the enclosure of the body is widest.
 
@@ -118,18 +145,23 @@ def heights_at_gaps(
         number of heights wanted.
     tolerance
         gap that is small enough.
+    left
+        number of heights that may be chosen in this call and all later ones, of bodies that are bent nearly everywhere;
+        without it, bent slabs are halved.
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
-    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab, and it
-    gets a height that halves it: both parts have equal gaps if the density of slices is that of the root of the gap over the
+    bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab.  From
+    this follows how many parts of which slab make the largest gap least, and the slab gets the height between the lower and
+    the upper half of its parts.  The parts have equal gaps if the density of slices is that of the root of the gap over the
     thickness, which is taken to change linearly from the middle of a slab to that of the next.  A corner on an empty slice
     means only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the
     new height is in the middle of the slab.
     """
     size = known[-1] - known[0]
-    order = np.lexsort((-gaps, slab))
+    # of corners that are equal up to rounding, as in symmetric bodies, the lowest of those where the body goes on straight
+    order = np.lexsort((corners, ~creases, -np.round(gaps / gaps.max(initial=1e-300), _TIED_DECIMALS), slab))
     worst = order[np.unique(slab[order], return_index=True)[1]]
-    worst = worst[gaps[worst] > tolerance]
+    worst = worst[gaps[worst] > max(tolerance, _NO_GAP * size)]
     slab, corner, crease = slab[worst], corners[worst], creases[worst]
     low, high = known[slab], known[slab + 1]
     first, last = slab == 0, slab == len(known) - 2
@@ -143,7 +175,10 @@ def heights_at_gaps(
     on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
     single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
     bent = ~(first | last | crease)
-    single = np.where(bent, _halves(slab, np.where(bent, weight / (high - low), np.nan), low, high), single)
+    most = np.where(bent & (left is not None), parts_within(weight**2, tolerance), 2)
+    parts = least_parts(weight**2, left or 0, most)[0].clip(2)
+    below = parts // 2 / parts
+    single = np.where(bent, _cuts(slab, np.where(bent, weight / (high - low), np.nan), below, low, high), single)
     useful = np.minimum(single - low, high - single) > CLOSEST * size
     # of slabs that are equal up to rounding, as in symmetric bodies, the lowest first
     widest_first = np.argsort(-np.round(weight / weight.max(initial=1e-300), _TIED_DECIMALS), kind="stable")
@@ -151,15 +186,34 @@ def heights_at_gaps(
     return chosen
 
 
-def _halves(slab: Index, density: Array, low: Array, high: Array) -> Array:
-    """Heights (n,) between `low` and `high` (n,) that leave as many slices below as above, by densities of slices (n,).
+def least_parts(gaps: Array, left: int, most: Array | float = np.inf) -> tuple[Array, float]:
+    """Numbers of parts (n,) into which `left` slices divide slabs so that their largest gap is least, and that gap.
 
-    `slab` (n,) are the slabs' numbers, rising.  The densities are those in the middles of the slabs, NaN if not known, and
-    linear between them; where a neighbour is not known, the density is constant.
+    gaps (n,)
+        of the undivided slabs; they fall with the square of the number of parts.
+    most (n,)
+        largest numbers of parts; the gaps of slabs that have them count no more.
+    """
+    root = np.sqrt(gaps)
+    low, high = 0.0, float(root.max(initial=0.0))
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        enough = middle > 0 and (np.minimum(np.ceil(root / middle), most) - 1).clip(0).sum() <= left
+        low, high = (low, middle) if enough else (middle, high)
+    # slabs that are equal up to rounding, as in symmetric bodies, get equal numbers
+    parts = np.minimum(np.ceil(np.round(root / high, _TIED_DECIMALS)), most).clip(1) if high else np.ones(len(root))
+    return parts, high**2
+
+
+def _cuts(slab: Index, density: Array, below: Array, low: Array, high: Array) -> Array:
+    """Heights (n,) between `low` and `high` (n,) with the fraction `below` (n,) of the slices to come below them.
+
+    `slab` (n,) are the slabs' numbers, rising.  The densities (n,) of slices are those in the middles of the slabs, NaN if not
+    known, and linear between them; where a neighbour is not known, the density is constant.
     """
     before = np.where(np.diff(slab, prepend=-2) == 1, np.roll(density, 1), np.nan)
     after = np.where(np.diff(slab, append=-2) == 1, np.roll(density, -1), np.nan)
     a, b = ((density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after))
-    # the fraction u with a u + (b - a) u²/2 = (a + b)/4, without a difference of nearly equal numbers
-    halves: Array = low + (high - low) * (a + b) / 2 / (a + np.sqrt((a * a + b * b) / 2))
-    return halves
+    # the fraction u with a u + (b - a) u²/2 = below (a + b)/2, without a difference of nearly equal numbers
+    cuts: Array = low + (high - low) * below * (a + b) / (a + np.sqrt(a * a * (1 - below) + b * b * below))
+    return cuts

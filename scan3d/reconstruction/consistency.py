@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud, Tilt
@@ -141,7 +141,7 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
     Tilted planes of contacts in one slice lie at different heights; there the body's slope up and down the axis, which lies
     between the secants to the neighbouring slices, is allowed for, and end slices are left out.
     """
-    kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
+    kappa = float(np.sqrt(chdtri(3, _FALSE_ALARM / max(len(cloud), 1))))
     off, turned = _by_calibration(cloud)
     rounding = _ROUNDING * cloud.rod_length + 2 * (cloud.pose_error + off)
     worst = 0.0, rounding
@@ -215,7 +215,7 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
     """Whether contacts lie below the table, farther than noise and rounding allow; an empty list if they do not."""
     if cloud.table is None:
         return []
-    kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / max(len(cloud), 1), 3)))
+    kappa = float(np.sqrt(chdtri(3, _FALSE_ALARM / max(len(cloud), 1))))
     allowed = np.full(len(cloud), _ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
     if (rig := cloud.calibration) is not None:
         allowed += rig.factor(_FALSE_ALARM) * rig.place_sd

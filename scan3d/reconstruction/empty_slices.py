@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud
-from scan3d.reconstruction.slices import SAME_AXIS, Slice, stacks
+from scan3d.reconstruction.slices import SAME_AXIS, Slice, SliceStack, stacks
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
@@ -20,6 +20,8 @@ from scan3d.units import UNITS_M
 _ROUNDING = 1e-9
 # Side of a square that contains every section that slices bound, in widths of the contacts.
 _FAR = 1e3
+# Slices next to an end that are built first.  More take longer; if they do not bound the body, all are built.
+_NEXT = 3
 
 
 def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: float) -> Mask:
@@ -33,15 +35,34 @@ def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt
     found = np.zeros(len(cloud.slice_height), dtype=bool)
     filled = np.zeros(len(found), dtype=bool)
     filled[cloud.slice] = True
-    for stack in stacks(cloud):
+    everything: list[SliceStack] = []
+    for i, stack in enumerate(stacks(_ends_of(cloud))):
         empty = np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS))
         for k in empty:
             height = float(cloud.slice_height[k])
-            nearest_first = stack.slices if height < stack.heights[0] else stack.slices[::-1]
-            polygon = _section(nearest_first, height)
+            polygon = _section(_from(stack, height), height)
+            if polygon is None:
+                everything = everything or stacks(cloud)
+                polygon = _section(_from(everything[i], height), height)
             areas = _swept(recording, number == k, stack.frame, felt)
             found[k] = polygon is None or not _covered(polygon, areas)
     return found
+
+
+def _ends_of(cloud: Cloud) -> Cloud:
+    """The cloud with contacts in the slices next to the ends of each axis only, which nearly always bound the body there."""
+    filled = np.unique(cloud.slice)
+    kept = np.zeros(len(cloud.slice_height), dtype=bool)
+    for axis in np.unique(np.round(cloud.slice_axis[filled], 9), axis=0):
+        along = filled[np.abs(cloud.slice_axis[filled] - axis).max(axis=1) < SAME_AXIS]
+        along = along[np.argsort(cloud.slice_height[along])]
+        kept[along[:_NEXT]] = kept[along[-_NEXT:]] = True
+    return cloud.select(kept[cloud.slice])
+
+
+def _from(stack: SliceStack, height: float) -> tuple[Slice, ...]:
+    """The slices of a stack from the nearest to a height beyond them."""
+    return stack.slices if height < stack.heights[0] else stack.slices[::-1]
 
 
 def _section(slices: tuple[Slice, ...], height: float) -> Array | None:

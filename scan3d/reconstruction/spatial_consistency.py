@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import Array, Index
@@ -138,7 +138,7 @@ def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
     except (QhullError, ValueError):
         return 0.0, rounding
     outward, offset = hull.equations[:, :3], hull.equations[:, 3]
-    kappa = float(np.sqrt(chi2.isf(_FALSE_ALARM / len(points), 3)))
+    kappa = float(np.sqrt(chdtri(3, _FALSE_ALARM / len(points))))
     place, turn = np.zeros(len(points)), np.zeros(len(points))
     if known.error is not None and cloud.place_sd is not None:
         place, turn = kappa * cloud.place_sd, kappa * known.error.tangent[cloud.row]

@@ -13,12 +13,13 @@ from typing import Any
 from scan3d import workflow
 from scan3d.files.ownership import Inputs
 from scan3d.files.results import opened
-from scan3d.pictures.drawing import Drawing
+from scan3d.pictures.drawing import Drawing, prepared
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.settings import Settings
 from scan3d.simulation.bodies import judge_mesh, load_mesh
 from scan3d.simulation.scan import Progress, simulate
+from scan3d.surfaces.open3d_methods import check_method
 
 
 def perform(
@@ -32,6 +33,7 @@ def perform(
     progress: Progress | None = None,
     notify: Callable[[str], None] = lambda _: None,
     drawing: AbstractContextManager[Drawing] | None = None,
+    step: workflow.Step = lambda _: None,
 ) -> tuple[Analysis, dict[str, Any]]:
     """Simulate a scan of a mesh, analyse it, and write the results into the folder `out`: the analysis and its report.
 
@@ -43,30 +45,31 @@ def perform(
         as in `workflow.write` and `files.results.opened`: what the run reads besides the mesh, whether files that the program
         did not write may be replaced, whether the report states where the mesh lies, what is called with a sentence if
         pictures cannot be rendered, and what gives the process that draws.
-    progress
-        called with the numbers of slices that are done and of all slices.
+    progress, step
+        called with the numbers of slices that are done and of all slices; and with the name of each step when it begins.
 
     Raises InputError as `load_mesh`, `simulate`, `workflow.analyse` and `workflow.write`.
     """
+    check_method(chosen.method)
     plan, start = chosen.plan(), time.perf_counter()
-    is_path = isinstance(mesh, (str, os.PathLike))
-    load = load_mesh if is_path else judge_mesh
-    body = load(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+    step("load")
+    body = _loaded(mesh, chosen)
     seconds = {"load": time.perf_counter() - start}
 
     def analysed() -> Analysis:
+        step("simulate")
         begin = time.perf_counter()
         recording = with_origin(simulate(body, plan, progress), body)
         seconds["simulate"] = time.perf_counter() - begin
-        return workflow.analyse(recording, body, chosen.method)
+        return workflow.analyse(recording, body, chosen.method, step=step)
 
     values = dataclasses.asdict(chosen)
     if out is None:
-        analysis = analysed()
-        times = {**seconds, **analysis.seconds}
-        return analysis, report(analysis, settings=values, friction_set=chosen.friction, timings_s=times)
-    read = {**({"mesh": mesh} if is_path else {}), **(inputs or {})}
-    with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result:
+        found = analysed()
+        times = {**seconds, **found.seconds}
+        return found, report(found, settings=values, friction_set=chosen.friction, timings_s=times)
+    read = {**({"mesh": mesh} if _is_path(mesh) else {}), **(inputs or {})}
+    with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result, prepared(drawing) as drawn_by:
         analysis = analysed()
         return analysis, workflow.write(
             analysis,
@@ -76,8 +79,19 @@ def perform(
             seconds=seconds,
             notify=notify,
             mesh_path=mesh_path,
-            drawing=drawing,
+            drawing=drawn_by,
+            step=step,
         )
+
+
+def _is_path(mesh: Any) -> bool:
+    return isinstance(mesh, (str, os.PathLike))
+
+
+def _loaded(mesh: Any, chosen: Settings) -> Any:
+    """The body of a file or of a `trimesh.Trimesh`, judged by the settings."""
+    load = load_mesh if _is_path(mesh) else judge_mesh
+    return load(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
 
 
 def with_origin(recording: Recording, body: Any) -> Recording:

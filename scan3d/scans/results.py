@@ -23,9 +23,11 @@ from scan3d.files.recordings import read_recording
 from scan3d.files.results import opened
 from scan3d.pictures import notebook, stored
 from scan3d.pictures.scene import Scene, columns
+from scan3d.pictures.sheet import sheet
 from scan3d.reconstruction import reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis
+from scan3d.scans.others import other_surface
 from scan3d.shown import Rows, Shown, described
 from scan3d.simulation.bodies import judge_mesh, load_mesh
 from scan3d.summaries import summary
@@ -56,27 +58,39 @@ class _Result(Shown):
         self,
         truth: trimesh.Trimesh | str | os.PathLike[str] | None = None,
         *,
+        against: Any = None,
         view: View = "surface",
         color: Color = "force",
+        size: str | None = None,
+        dpi: int | None = None,
+        camera: str | None = None,
+        path: str | os.PathLike[str] | None = None,
+        overwrite: bool = False,
     ) -> Image:
         """A picture, drawn off screen.
 
         truth
             the true body, a `trimesh.Trimesh` or the path of its mesh, where it is not known: that of a folder is known if the
             mesh file lies in it, beside it, or in the current folder.
+        against
+            another result, its folder, or a surface or mesh file: the surface is coloured by its signed distance from that one.
         view
             one of `scan3d.choices.VIEWS`.
         color
             what contacts are coloured by in the view 'cloud', one of `scan3d.choices.COLORS`.
+        size, dpi, camera, path, overwrite
+            as in `scan3d.plot`: ``plot(size="85x60mm", dpi=600, camera="300,25", path="egg.pdf")`` also writes a file.
 
         Raises InputError for other values, and where nothing can be rendered.
         """
+        drawn = sheet(size, dpi, camera)
         scene = self._scene()
         if truth is not None:
             is_path = isinstance(truth, (str, os.PathLike))
             body = load_mesh(truth, hull=True) if is_path else judge_mesh(truth, hull=True)
             scene = dataclasses.replace(scene, truth=body)
-        return notebook.scene_image(scene, view, color)
+        other = None if against is None else other_surface(against, scene.unit)
+        return notebook.scene_image(scene, view, color, drawn, against=other, path=path, overwrite=overwrite)
 
     def _repr_html_(self) -> str:
         heading, rows = summary(self.report)

@@ -156,8 +156,8 @@ def _check_thickness(name: str, thickness: float, diagonal: float) -> None:
     """Raises InputError for a flat body; `thickness` is relative to the diagonal of the bounding box."""
     if thickness < FLAT:
         raise InputError(
-            f"{name} is flat: it is {thickness * diagonal:.3g} thick ({thickness:.2g} of its diagonal, where at least "
-            f"{FLAT:g} is needed); check that the file holds a solid body"
+            f"{name} is flat: it is {thickness * diagonal:.3g} thick, in the unit of the mesh ({thickness:.2g} of its "
+            f"diagonal, where at least {FLAT:g} is needed); check that the file holds a solid body"
         )
 
 
@@ -166,9 +166,9 @@ def _check_convex(name: str, dent: float, diagonal: float, deepest: Array, allow
     if dent > allowed:
         place = ", ".join(f"{x:.6g}" for x in deepest)
         raise InputError(
-            f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep ({dent:.3g} of its diagonal, where "
-            f"{allowed:.3g} is allowed), at ({place}); to scan its convex hull instead, give --hull (hull=True), or to fill "
-            f"dents up to that depth --clip-dent {_above(dent * diagonal):g} (clip_dent)"
+            f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep, in the unit of the mesh ({dent:.3g} of its "
+            f"diagonal, where {allowed:.3g} is allowed), at ({place}); to scan its convex hull instead, give --hull "
+            f"(hull=True), or to fill dents up to that depth --clip-dent {_above(dent * diagonal):g} (clip_dent)"
         )
 
 

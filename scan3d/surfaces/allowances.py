@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
@@ -24,7 +24,7 @@ def sigmas(count: int, confidence: float = CONFIDENCE) -> float:
     Averages are counted as well, two for every run of rows, once for the inner and once for the outer polygon.
     """
     events = max(count, 1) * (1 + 4 * sum(1 / size for size in AVERAGED))
-    return float(np.sqrt(chi2.isf((1 - confidence) / events, 3)))
+    return float(np.sqrt(chdtri(3, (1 - confidence) / events)))
 
 
 class Allowed(NamedTuple):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from scan3d.arrays import Array, Index
 
@@ -108,5 +108,5 @@ def _beside(middle: Array, reach: Array, sweep: NDArray[np.int32]) -> Index:
 
 def _widened(kappa: float, choices: Array) -> Array:
     """κ for events of which there are `choices` (k,) as many."""
-    widened: Array = np.sqrt(chi2.isf(chi2.sf(kappa**2, 3) / choices, 3))
+    widened: Array = np.sqrt(chdtri(3, chdtrc(3, kappa**2) / choices))
     return widened

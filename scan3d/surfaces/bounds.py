@@ -200,6 +200,7 @@ def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> SliceEnclosu
         inner=inner,
         corners=np.full((1, 3), np.inf),
         gap=np.full(1, np.inf),
+        foot=np.full((1, 3), np.inf),
         kind=np.full(1, Gap.SLICES, dtype=np.int8),
         straight=np.zeros((1, 2), dtype=bool),
         slab=np.zeros(1, dtype=np.intp),
@@ -230,9 +231,10 @@ def _of_stack(
 ) -> SliceEnclosure:
     """The enclosure by the slabs of one stack; `errors` are the margin, and how far the inner body may stick out."""
     corners = np.concatenate([part.corners for part in parts])
-    gap = np.full(len(corners), np.inf)
+    gap, foot = np.full(len(corners), np.inf), np.full((len(corners), 3), np.inf)
     bounded = np.isfinite(corners).all(axis=1)
-    gap[bounded] = outside(corners[bounded], inner)
+    distance, _, foot[bounded] = nearest(corners[bounded], inner)
+    gap[bounded] = np.maximum(distance, 0.0)
     margin, excess = errors
     within = _shrunk(inner, excess) if excess else inner
     least = 0.0 if within is None else within.volume * (1 - _ROUNDING)
@@ -240,6 +242,7 @@ def _of_stack(
         inner=inner,
         corners=corners,
         gap=gap,
+        foot=foot,
         kind=np.concatenate([part.kind for part in parts]),
         straight=np.concatenate([part.straight for part in parts]),
         slab=np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts]),

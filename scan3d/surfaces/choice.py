@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scan3d.arrays import Array
 from scan3d.choices import METHODS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.polytopes import clipped
@@ -119,10 +120,10 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
     # where cross-validation hardly distinguishes them, bent edges are chosen: if wrong, their error is smaller
     advantage = {Edges.SHARP: tuning.sharp_advantage}
-    best = min(errors.estimates, key=lambda edges: errors.estimates[edges].rms / advantage.get(edges, 1.0))
-    estimate = errors.estimates[best]
     # under noise the largest error is that of the noisiest contact
     name = "rms" if cloud.noise else "largest"
+    best = min(errors.estimates, key=lambda edges: getattr(errors.estimates[edges], name) / advantage.get(edges, 1.0))
+    estimate = errors.estimates[best]
     regressed = errors.regression is not None and errors.regression.rms <= estimate.rms
     other = errors.regression if regressed else estimate
     assert other is not None
@@ -205,7 +206,8 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
         return None
     kept, held_out = parts
     bounds = slice_enclosure(kept, margin=0.0)
-    estimates = {edges: error_of_surface(_between(kept, bounds, edges, tuning), held_out) for edges in Edges}
+    tried = zip(Edges, _all_between(kept, bounds, Edges, tuning), strict=True)
+    estimates = {edges: error_of_surface(estimate, held_out) for edges, estimate in tried}
     fit = regressed = None
     if with_fit and cloud.noisy:
         regressed = error_of_surface(regression(kept)[0], held_out)
@@ -221,16 +223,25 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
 
 def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
     """Hull of the contacts, of points between it and the outer body's corners, and of contours between the slices."""
+    return next(_all_between(cloud, bounds, (edges,), tuning))
+
+
+def _all_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Iterable[Edges], tuning: Tuning) -> Iterator[Any]:
+    """`_between` with several assumptions on the edges, one after another."""
     bounded = np.isfinite(bounds.corners).all(axis=1) & (bounds.gap > 0)
-    if not bounded.any():
-        return bounds.inner.copy()
-    _, _, feet = nearest(bounds.corners[bounded], bounds.inner)
-    away = bounds.corners[bounded] - feet
-    fraction = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], edges, tuning)
-    points = [cloud.points, feet + fraction[:, None] * away]
-    if edges is not Edges.NONE:
-        points.append(contours_between(bounds.stack, tuning))
-    return hull(np.concatenate(points))
+    foot = bounds.foot[bounded]
+    away = bounds.corners[bounded] - foot
+    contours: Array | None = None
+    for edges in assumed:
+        if not bounded.any():
+            yield bounds.inner.copy()
+            continue
+        fraction = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], edges, tuning)
+        points = [cloud.points, foot + fraction[:, None] * away]
+        if edges is not Edges.NONE:
+            contours = contours_between(bounds.stack, tuning) if contours is None else contours
+            points.append(contours)
+        yield hull(np.concatenate(points))
 
 
 def _degree(fit: SupportFit) -> str:
@@ -248,7 +259,8 @@ def _readable(mesh: Any, *, convex: bool) -> Any:
     import trimesh
 
     vertices = mesh.vertices.view(np.ndarray)
-    chosen = representatives(vertices, distance_of_readers(vertices))
+    # twice the distance: what an export rounds to float32 may come closer by as much
+    chosen = representatives(vertices, 2 * distance_of_readers(vertices))
     apart = np.unique(chosen)
     if len(apart) == len(vertices):
         return mesh

@@ -86,6 +86,8 @@ class SliceEnclosure(Enclosure):
     the tighter ones of the slabs' and of those by `tangents`.
     """
 
+    foot: Array
+    """(w, 3) points of the inner body nearest to the corners; infinite where the outer body is unbounded."""
     kind: NDArray[np.int8]
     """(w,) of `Gap`."""
     straight: Mask

@@ -26,6 +26,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.extras import import_open3d
 from scan3d.geometry.hulls import hull
 
 # Lengths here are in radii of the stretched cloud, whose hull has the second moments of the unit ball.
@@ -312,13 +313,13 @@ def _point_cloud(o3d: Any, points: Array, normals: Array) -> Any:
     return cloud
 
 
+def check_method(method: str) -> None:
+    """Raise InputError if a method of surfaces needs open3d, and that can't be imported: before a scan, not after it."""
+    if method in ("poisson", "ball-pivoting"):
+        _open3d()
+
+
 def _open3d() -> Any:
-    """The module open3d.  Raises InputError, with the command to run, if it or a system library that it needs is missing."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise InputError(
-            f"the methods poisson and ball-pivoting need open3d, which can't be imported ({error}): install it and its "
-            "libraries (on Debian or Ubuntu apt-get install libgl1 libgomp1), or use the method auto, bracket, hull or support"
-        ) from None
-    return open3d
+    return import_open3d(
+        "the methods poisson and ball-pivoting need", ", or use the method auto, bracket, hull or support"
+    )

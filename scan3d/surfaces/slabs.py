@@ -25,14 +25,15 @@ one near the end of a body, does not widen the outer body.
 from __future__ import annotations
 
 from enum import IntEnum
-from itertools import pairwise
-from typing import Any, NamedTuple
+from itertools import chain, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+from scipy.spatial import HalfspaceIntersection, QhullError
 
 from scan3d.arrays import Array, Mask
+from scan3d.geometry.polytopes import volume_about
 from scan3d.reconstruction.slices import Slice, SliceStack
 
 # Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
@@ -246,25 +247,24 @@ def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, lis
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     try:
         with np.errstate(divide="ignore", invalid="ignore"):
-            intersection = _run_qhull(HalfspaceIntersection, planes, np.zeros(3))
-        # the intersection is bounded only if the inner point lies inside the hull of the dual points
-        if not (intersection.dual_equations[:, 3] < -_ZERO_OFFSET).all():
-            return None
-        corners = intersection.intersections
-        volume = _run_qhull(ConvexHull, corners).volume * float(np.prod(size))
+            intersection = _run_qhull(planes)
     except (QhullError, ValueError):
         return None
+    # the intersection is bounded only if the inner point lies inside the hull of the dual points
+    if not (intersection.dual_equations[:, 3] < -_ZERO_OFFSET).all():
+        return None
+    corners, facets = intersection.intersections, intersection.dual_facets
     if np.abs(corners[:, :2]).max() > _FAR:
         return None
-    return inside + corners * size, intersection.dual_facets, volume
+    return inside + corners * size, facets, volume_about(corners, planes[:, :3], facets) * float(np.prod(size))
 
 
-def _run_qhull(build: Any, *inputs: Array) -> Any:
-    """Qhull, with its input perturbed by rounding (its option QJ) where nearly equal planes or points make it fail."""
+def _run_qhull(planes: Array) -> HalfspaceIntersection:
+    """Qhull, with its input perturbed by rounding (its option QJ) where nearly equal planes make it fail."""
     try:
-        return build(*inputs)
+        return HalfspaceIntersection(planes, np.zeros(3))
     except QhullError:
-        return build(*inputs, qhull_options="QJ")
+        return HalfspaceIntersection(planes, np.zeros(3), qhull_options="QJ")
 
 
 def _corners_are_straight(facets: list[list[int]], side: Array, straight: Mask, one_sided: bool) -> Mask:
@@ -275,7 +275,7 @@ def _corners_are_straight(facets: list[list[int]], side: Array, straight: Mask, 
 
     Where the slab has slices on one side only, both say whether those of that side do.
     """
-    rows = np.concatenate([np.asarray(facet, dtype=np.intp) for facet in facets])
+    rows = np.fromiter(chain.from_iterable(facets), dtype=np.intp)
     first = np.cumsum([0, *map(len, facets[:-1])])
     if one_sided:
         goes_on = np.logical_and.reduceat(straight[rows], first)

@@ -38,6 +38,6 @@ class Tuning:
     """The fitted body is chosen if its error at held-out slices is below this many times that of the estimate between the
     bounds.  With all slices the error of the estimate falls to about half, while that of the fit stays.  Larger, the fit is
     chosen where the estimate would be better; smaller, the reverse."""
-    proven: float = 5e-5
+    proven: float = 1e-4
     """A hull with a bound this small, relative to the diagonal, is taken as it is.  Larger, estimates that are closer than the
     hull are not made; smaller, time is spent on improvements that cannot be seen."""

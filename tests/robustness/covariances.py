@@ -78,7 +78,8 @@ def check(noisy: Cloud, exact: Cloud) -> Checked:
 def scans(name: str, noise: tuple[float, ...] = NOISE, slices: int = 24, seed: int = 0) -> dict[float, Checked]:
     """What is stated of the contacts of a body's scans, by their noise."""
     mesh = scan3d.load_mesh(MESHES / name)
-    plan = scan3d.Plan(slices=slices, friction=0.3, seed=seed)
+    # heights that do not depend on the noise
+    plan = scan3d.Plan(slices=slices, spacing="cosine", friction=0.3, seed=seed)
     exact = contacts(scan3d.simulate(mesh, plan))
     noisy = {level: dataclasses.replace(plan, noise=level, seed=seed + k) for k, level in enumerate(noise)}
     return {level: check(contacts(scan3d.simulate(mesh, plan)), exact) for level, plan in noisy.items()}

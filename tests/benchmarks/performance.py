@@ -1,0 +1,367 @@
+"""Times of every stage over slices, facets and contacts, and of nearest points and Hausdorff distances beside other programs.
+
+    python tests/benchmarks/performance.py [--only slices facets contacts nearest hausdorff] [--page docs/performance.md]
+
+Prints tables in Markdown; with `--page` they replace those of the same name in the manual's page, between its marks.  Each
+measurement runs in a process of its own, with one thread.  Times are the processor's, so that other programs disturb them
+little; memory is the largest of the process.  An exponent is that of a power of the size, fitted to all times of at least
+`WORTH` seconds.  Other programs are measured where they are installed: libigl, open3d, pymeshlab, trimesh (with rtree).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull
+
+import planar
+import scan3d
+from scan3d.geometry.distance import nearest
+
+EGG = Path(__file__).resolve().parents[2] / "meshes" / "egg.stl"
+SEMI_AXES = np.array([40.0, 30.0, 25.0])
+TURN = trimesh.transformations.rotation_matrix(0.3, (1.0, 2.0, 3.0))
+LARGER = 1 + 1e-4
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS", "LP_NUM_THREADS")
+# Points whose nearest ones are sought, and how far they lie outside of an ellipsoid, relative to it.
+POINTS, BESIDE = 100_000, 1e-3
+# Seconds below which a time does not count for an exponent, and after which a measurement is given up.
+WORTH, LONGEST = 0.05, 1500
+SIZES = {
+    "slices": [64, 128, 256, 512, 1024],
+    "facets": [10_000, 100_000, 1_000_000, 2_000_000],
+    "contacts": [10_000, 100_000, 1_000_000],
+    "reconstruct": [10_000, 100_000, 1_000_000, 10_000_000],
+    "nearest": [20_000, 80_000, 320_000],
+    "hausdorff": [20_000, 80_000, 320_000, 1_300_000],
+}
+TITLES = {
+    "slices": "slices of a scan of the egg",
+    "facets": "facets of an ellipsoid",
+    "contacts": "contacts in 64 slices of the egg",
+    "reconstruct": "contacts",
+    "nearest": f"facets; nearest points of {POINTS:,} points",
+    "hausdorff": "facets of each of the two ellipsoids",
+}
+Steps = dict[str, float]
+
+
+def seconds(task: Callable[[], Any]) -> float:
+    """Time of the processor for a task."""
+    start = time.process_time()
+    task()
+    return time.process_time() - start
+
+
+def ellipsoid(facets: int) -> trimesh.Trimesh:
+    """An ellipsoid of about so many facets of similar size: the hull of a spiral of points."""
+    number = np.arange(facets // 2 + 2) + 0.5
+    z, angle = 1 - 2 * number / len(number), np.pi * (1 + 5**0.5) * number
+    radius = np.sqrt(1 - z**2)
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    inward = (
+        np.einsum("fx,fx->f", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]) < 0
+    )
+    faces = hull.simplices.astype(np.int64)
+    faces[inward] = faces[inward, ::-1]
+    return trimesh.Trimesh(points * SEMI_AXES, faces, process=False)
+
+
+def changed(body: trimesh.Trimesh, how: str) -> trimesh.Trimesh:
+    """The ellipsoid turned, or hardly larger."""
+    other = body.copy()
+    other.apply_transform(TURN) if how == "turned" else other.apply_scale(LARGER)
+    return other
+
+
+def timings(mesh: Any, **settings: Any) -> tuple[scan3d.scans.Scan, Steps]:
+    """A scan without pictures, and seconds for each of its steps."""
+    scan3d.scan(EGG, slices=8)  # imports
+    with patch("time.perf_counter", time.process_time):  # the clock of the steps
+        result = scan3d.scan(mesh, **settings)
+    steps = dict(result.report["timings_s"])
+    return result, {**steps, "sum": sum(steps.values())}
+
+
+# What is measured, by name: a function from the size to the seconds of its steps
+
+
+def slices(size: int) -> Steps:
+    return timings(EGG, slices=size)[1]
+
+
+def facets(size: int) -> Steps:
+    body = ellipsoid(size)
+    turned, larger = changed(body, "turned"), changed(body, "larger")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "body.ply"
+        body.export(path)
+        steps = timings(path, slices=64)[1]
+    shown = {name: steps[name] for name in ("load", "simulate", "compare", "sum")}
+    return {
+        **{f"scan of 64 slices: {name}": value for name, value in shown.items()},
+        "`compare` with it turned": seconds(lambda: scan3d.compare(turned, body)),
+        "`compare` with it hardly larger": seconds(lambda: scan3d.compare(larger, body)),
+    }
+
+
+def contacts(size: int) -> Steps:
+    result, steps = timings(EGG, slices=64, samples=size // 850)
+    return {"contacts": len(result.cloud), **steps}
+
+
+def reconstruct(size: int) -> Steps:
+    circle = planar.Circle(radius=0.9, center=(0.0, 1.3))
+    swept = planar.sweep(circle, 0.2, samples=1000)
+    columns = [np.resize(column, size) for column in (swept.x0, swept.f0x, swept.f0y, swept.m0z)]
+    planar.reconstruct(*(column[:1000] for column in columns))
+    return {"`planar.reconstruct`": seconds(lambda: planar.reconstruct(*columns))}
+
+
+def beside(body: trimesh.Trimesh) -> Any:
+    """Points near the surface."""
+    directions = np.random.default_rng(0).standard_normal((POINTS, 3))
+    return directions / np.linalg.norm(directions, axis=1)[:, None] * SEMI_AXES * (1 + BESIDE)
+
+
+def nearest_points(size: int) -> Steps:
+    body = ellipsoid(size)
+    points = beside(body)
+    exact = np.abs(nearest(points, body)[0])
+    steps: Steps = {}
+    for name, find in others_nearest(body, points):
+        start = time.process_time()
+        try:
+            found = find()
+        except ImportError:
+            continue
+        steps[name] = time.process_time() - start
+        steps[f"error of {name}"] = float(np.abs(found - exact).max())
+    return steps
+
+
+def others_nearest(body: trimesh.Trimesh, points: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Distances of points from a mesh, by several programs; imports and conversions do not count."""
+    vertices, faces = body.vertices.view(np.ndarray), np.asarray(body.faces)
+    yield "scan3d", lambda: np.abs(nearest(points, body)[0])
+    try:
+        import igl
+
+        yield "libigl", lambda: np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+    except ImportError:
+        pass
+    try:
+        import open3d
+
+        tensors = [open3d.core.Tensor(part) for part in (vertices.astype(np.float32), faces.astype(np.uint32))]
+        queries = open3d.core.Tensor(points.astype(np.float32))
+
+        def by_open3d() -> Any:
+            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            scene.add_triangles(*tensors)
+            return scene.compute_distance(queries, nthreads=1).numpy()
+
+        yield "Open3D, single precision", by_open3d
+    except ImportError:
+        pass
+    try:
+        import pymeshlab
+
+        cloud, mesh = pymeshlab.Mesh(points), pymeshlab.Mesh(vertices, faces.astype(np.int32))
+
+        def by_meshlab() -> Any:
+            meshes = pymeshlab.MeshSet()
+            meshes.add_mesh(mesh)
+            meshes.add_mesh(cloud)
+            meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
+                measuremesh=1, refmesh=0, signeddist=False, maxdist=pymeshlab.PercentageValue(100)
+            )
+            return meshes.current_mesh().vertex_scalar_array()
+
+        yield "MeshLab", by_meshlab
+    except ImportError:
+        pass
+    yield "trimesh", lambda: trimesh.proximity.closest_point(body, points)[1]
+
+
+def hausdorff(size: int) -> Steps:
+    body = ellipsoid(size)
+    larger = changed(body, "larger")
+    exact = scan3d.compare(larger, body).hausdorff
+    steps: Steps = {}
+    for name, find in others_hausdorff(larger, body):
+        start = time.process_time()
+        found = find()
+        steps[name] = time.process_time() - start
+        steps[f"error of {name}"] = abs(float(found) - exact) / exact
+    return steps
+
+
+def others_hausdorff(one: trimesh.Trimesh, other: trimesh.Trimesh) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Hausdorff distances of two meshes, by several programs; those of the others are taken at vertices only."""
+    parts = [(mesh.vertices.view(np.ndarray), np.asarray(mesh.faces)) for mesh in (one, other)]
+    yield "scan3d, `compare`", lambda: scan3d.compare(one, other).hausdorff
+    try:
+        import igl
+
+        yield "libigl", lambda: igl.hausdorff(*parts[0], *parts[1])
+    except ImportError:
+        pass
+    try:
+        import open3d
+
+        def one_sided(points: Any, mesh: tuple[Any, Any]) -> float:
+            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            scene.add_triangles(
+                *(open3d.core.Tensor(part) for part in (mesh[0].astype(np.float32), mesh[1].astype(np.uint32)))
+            )
+            return float(
+                scene.compute_distance(open3d.core.Tensor(points.astype(np.float32)), nthreads=1).numpy().max()
+            )
+
+        yield (
+            "Open3D, single precision",
+            lambda: max(one_sided(parts[0][0], parts[1]), one_sided(parts[1][0], parts[0])),
+        )
+    except ImportError:
+        pass
+    try:
+        import pymeshlab
+
+        meshes = pymeshlab.MeshSet()
+        for vertices, faces in parts:
+            meshes.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32)))
+
+        def sampled(source: int, target: int) -> float:
+            found = meshes.get_hausdorff_distance(
+                sampledmesh=source, targetmesh=target, samplevert=True, sampleedge=False, sampleface=False,
+                samplenum=len(parts[source][0]), maxdist=pymeshlab.PercentageValue(100),
+            )  # fmt: skip
+            return float(found["max"])
+
+        yield "MeshLab", lambda: max(sampled(0, 1), sampled(1, 0))
+    except ImportError:
+        pass
+
+
+CASES: dict[str, Callable[[int], Steps]] = {
+    "slices": slices,
+    "facets": facets,
+    "contacts": contacts,
+    "reconstruct": reconstruct,
+    "nearest": nearest_points,
+    "hausdorff": hausdorff,
+}
+
+
+# Measurements in processes of their own, and their tables
+
+
+def measured(name: str, size: int) -> Steps:
+    """The steps of one measurement, and its largest memory in GB; nothing if it took too long or failed."""
+    command = [sys.executable, __file__, "--case", name, str(size)]
+    single = dict.fromkeys(THREADS, "1")
+    try:
+        run = subprocess.run(command, env={**os.environ, **single}, capture_output=True, text=True, timeout=LONGEST)
+    except subprocess.TimeoutExpired:
+        return {}
+    if run.returncode:
+        print(run.stderr[-2000:], file=sys.stderr)
+        return {}
+    steps: Steps = json.loads(run.stdout.splitlines()[-1])
+    return steps
+
+
+def exponent(sizes: list[int], times: list[float | None]) -> str:
+    """The fitted power of the size; a dash with fewer than two times that are long enough."""
+    known = [(size, value) for size, value in zip(sizes, times, strict=True) if value is not None and value >= WORTH]
+    if len(known) < 2:
+        return "–"
+    size, value = np.log(known).T
+    return f"{np.polyfit(size, value, 1)[0]:.2f}"
+
+
+def table(name: str, sizes: list[int], results: list[Steps]) -> str:
+    """A table in Markdown: a row for each step, a column for each size."""
+    # contacts are as many as the sweeps gave
+    sizes = [int(steps.pop("contacts", size)) for size, steps in zip(sizes, results, strict=True)]
+    rows = list(dict.fromkeys(key for steps in results for key in steps))
+    lines = [
+        f"| seconds, by {TITLES[name]} | " + " | ".join(f"{size:,}" for size in sizes) + " | exponent |",
+        "|---" * (len(sizes) + 2) + "|",
+    ]
+    for row in rows:
+        values = [steps.get(row) for steps in results]
+        is_time = not row.startswith(("error", "memory"))
+        shown = [cell(row, value) for value in values]
+        lines.append(f"| {row} | " + " | ".join(shown) + f" | {exponent(sizes, values) if is_time else ''} |")
+    return "\n".join(lines)
+
+
+def cell(row: str, value: float | None) -> str:
+    if value is None:
+        return "–"
+    if row.startswith("error"):
+        return f"{value:.0e}"
+    return f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def machine() -> str:
+    """What the times depend on."""
+    model = platform.processor() or platform.machine()
+    with Path("/proc/cpuinfo").open(encoding="utf-8") as file:
+        model = next((line.split(":")[1].strip() for line in file if line.startswith("model name")), model)
+    return f"{model}, {os.cpu_count()} cores; Python {platform.python_version()}, numpy {np.__version__}"
+
+
+def replace(page: Path | None, name: str, text: str) -> None:
+    """Replace what stands between the marks of a name in a page."""
+    if page:
+        before = page.read_text(encoding="utf-8")
+        marks = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
+        after, count = re.subn(marks, lambda found: f"{found[1]}{text}\n{found[2]}", before, count=1, flags=re.DOTALL)
+        if not count:
+            raise SystemExit(f"{page} has no marks <!-- {name} --> and <!-- end -->")
+        page.write_text(after, encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=list(CASES), default=list(CASES))
+    parser.add_argument("--largest", type=int, default=10**9, help="leave out larger sizes")
+    parser.add_argument("--page", type=Path, help="the page whose tables are replaced")
+    parser.add_argument("--case", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.case:
+        steps = CASES[options.case[0]](int(options.case[1]))
+        unit = 1 if sys.platform == "darwin" else 1024
+        print(json.dumps({**steps, "memory, GB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e9}))
+        return
+    print(machine())
+    replace(options.page, "machine", machine())
+    for name in options.only:
+        sizes = [size for size in SIZES[name] if size <= options.largest]
+        text = table(name, sizes, [measured(name, size) for size in sizes])
+        print(f"\n{text}", flush=True)
+        replace(options.page, name, text)
+
+
+if __name__ == "__main__":
+    main()
