@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.integrate import lebedev_rule
 
-from scan3d.geometry.support import _roughness, fit_support, harmonics
+from scan3d.geometry.support import _roughness, fit_support, fitted_body, harmonics
 
 
 def test_harmonics_have_their_gradients():
@@ -39,6 +39,24 @@ def test_an_ellipsoid_of_any_aspect_is_fitted_exactly(axes):
     # the moments of inertia are those of the points' hull: the degrees above 1 make up for what it lacks
     fitted = fit_support(points, normals, 8)
     assert np.abs(fitted.points(normals) - points).max() < 1e-3 * min(axes)
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (3.0, 2.0, 1.0), (5.0, 5.0, 0.5)])
+def test_the_facets_of_a_fitted_body_lie_as_far_inside_as_its_vertices_outside(axes):
+    semi_axes, normals = np.array(axes), directions(8000)
+    scaled = normals * semi_axes**2
+    body = fitted_body(fit_support(scaled / np.linalg.norm(normals * semi_axes, axis=1)[:, None], normals, 8))
+
+    def outside(points):
+        """Distances (n,) from the ellipsoid, to first order, over its diagonal."""
+        slope = points / semi_axes**2
+        return ((points * slope).sum(axis=1) - 1) / np.linalg.norm(slope, axis=1) / 2 / np.linalg.norm(2 * semi_axes)
+
+    vertices, middles = outside(body.vertices), outside(body.triangles_center)
+    assert vertices.min() > 0 > middles.max()
+    assert vertices.max() == pytest.approx(-middles.min(), rel=0.2)
+    assert vertices.max() < 1.6e-5  # 81,920 facets with their corners on the ellipsoid lie up to 3.4e-5 inside
+    assert abs(body.volume / (4 / 3 * np.pi * semi_axes.prod()) - 1) < 5e-5
 
 
 # --- bodies in any place and orientation, from contacts with inexact normals ---

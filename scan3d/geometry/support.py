@@ -30,7 +30,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import ConvexHull
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.vectors import across, unit
 
@@ -56,8 +56,8 @@ _POSITION_WEIGHT = (0.1, 0.02)
 # Weight of the table on which a body stands, relative to that of all contacts together.  Larger, rounding counts; smaller,
 # contacts far from the table move the fitted body off it.
 _TABLE_WEIGHT = 1e3
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the sagitta
-# of the facets by four and multiplies the number of vertices by four; one fewer does the opposite.
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the distance
+# of the facets from the body by four and multiplies the number of vertices by four; one fewer does the opposite.
 _SUBDIVISIONS = 6
 # Points that are evaluated at once.  More need more memory; fewer take more calls.
 _BLOCK = 1000
@@ -201,12 +201,28 @@ def _standing(center: Array, shape: Array, degree: int, table: float) -> tuple[A
 
 
 def fitted_body(fit: SupportFit) -> Any:
-    """The convex hull of points of a fitted body, a `trimesh.Trimesh`."""
+    """The convex hull of points near a fitted body, a `trimesh.Trimesh` from which the body is as far outwards as inwards."""
     from trimesh.creation import icosphere
 
     # spread evenly over the ball-like body to which the fit maps its own, so that needles and discs get even facets as well
-    directions = icosphere(subdivisions=_SUBDIVISIONS).vertices.view(np.ndarray)
-    return hull(fit.points(directions @ np.linalg.inv(fit.shape)))
+    sphere = icosphere(subdivisions=_SUBDIVISIONS)
+    normals = unit(sphere.vertices.view(np.ndarray) @ np.linalg.inv(fit.shape))
+    points = fit.points(normals)
+    lift = _sagitta(points, normals, sphere.faces.view(np.ndarray)) / 2
+    return hull(points + lift[:, None] * normals)
+
+
+def _sagitta(points: Array, normals: Array, faces: Index) -> Array:
+    """Mean depth (n,) of the facets' middles at each of the points (n, 3) of a body with the outward normals (n, 3).
+
+    On a paraboloid the middle of a triangle lies below the surface by 1/18 of the sum over its edges of the products of the
+    differences of the points and of the normals.
+    """
+    across_edges = [values[faces] - np.roll(values[faces], 1, axis=1) for values in (points, normals)]
+    depth = np.einsum("fex,fex->f", *across_edges).clip(0) / 18
+    count = np.bincount(faces.ravel(), minlength=len(points))
+    mean: Array = np.bincount(faces.ravel(), np.repeat(depth, 3), minlength=len(points)) / count
+    return mean
 
 
 def harmonics(u: Array, degree: int) -> tuple[Array, Array]:
