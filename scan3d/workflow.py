@@ -193,13 +193,15 @@ def _name(analysis: Analysis) -> str:
 
 def _draw(scene: Scene, result: Result, drawing: Drawing | None, notify: Callable[[str], None]) -> None:
     """Add the page and, where they can be rendered, the pictures to a result."""
+    names = ("cloud", "surface")
+    if drawing is not None:  # while the page is made
+        drawing.begin(scene, [(".png", {"view": name}) for name in names])
     result.put("view.html", page.page(scene))
     if drawing is None:
         notify(rendering.NO_RENDERER)
         return
-    names = ("cloud", "surface")
     try:
-        pictures = drawing.draw(scene, [(".png", {"view": name}) for name in names])
+        pictures = drawing.finish()
     except DrawingError as error:
         notify(f"no pictures: {error}; all other files are written")
         return

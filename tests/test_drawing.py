@@ -41,6 +41,8 @@ def test_a_process_that_is_kept_draws_the_same_pictures(scenes):
     kept = [drawn(scene) for scene in (*scenes, *scenes)]
     assert [pictures for pictures, _ in kept] == [*fresh, *fresh]
     assert len({number for _, number in kept}) == 1
+    with drawing.Drawing(warm=True) as child:
+        assert [child.draw(scene, JOBS) for scene in scenes] == fresh
 
 
 @pytest.mark.slow
@@ -70,6 +72,19 @@ def test_a_process_without_work_ends(scenes, monkeypatch):
         end = time.monotonic() + 20
         while child.is_running and time.monotonic() < end:
             time.sleep(0.05)
+        assert not child.is_running
+
+
+@pytest.mark.parametrize(
+    "hung", ["import time; time.sleep(60)", "import sys; sys.stdin.buffer.read(1); import time; time.sleep(60)"]
+)
+def test_a_process_that_hangs_is_ended(scenes, monkeypatch, hung):
+    # the scene does not fit into the pipe: without an end, one that reads nothing would be waited for
+    monkeypatch.setattr(drawing, "_CODE", hung)
+    monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.5)
+    with drawing.Drawing() as child:
+        with pytest.raises(drawing.DrawingError, match=r"^drawing took more than 0\.5 s$"):
+            child.draw(scenes[0], JOBS)
         assert not child.is_running
 
 

@@ -31,7 +31,7 @@ _TIMEOUT_S = 600
 # A child that has drawn ends if no further scene comes within this time.  Longer, a worker of a cluster holds its memory for
 # longer; shorter, a long computation between two pictures ends it.
 _IDLE_S = 120
-_CODE = "from scan3d.pictures.drawing import serve; serve()"
+_CODE = "from scan3d.pictures.drawing import serve; serve(warm={})"
 # What goes through the pipes is preceded by its length.
 _LENGTH = struct.Struct("<Q")
 
@@ -44,14 +44,23 @@ class Drawing:
     """A child process that draws; entered, it begins to import what it needs, and `draw` gives it scenes.
 
     It ends when the ``with`` block does.
+
+    warm
+        whether it also renders something small at once, after which the first pictures take less time.  It must be known that
+        pictures can be rendered.
     """
+
+    def __init__(self, *, warm: bool = False) -> None:
+        self._warm = warm
+        self._watch: threading.Timer | None = None
+        self._is_late = False
 
     def __enter__(self) -> Drawing:
         environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
         self._errors = TemporaryFile()
         # in a separate session: Ctrl-C in the terminal ends this process, which then ends the child without a message
         self._child = subprocess.Popen(
-            python(_CODE),
+            python(_CODE.format(self._warm)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -70,6 +79,7 @@ class Drawing:
 
     def stop(self) -> None:
         """End the child process."""
+        self._end_watch()
         self._child.kill()
         self._child.wait()
         for stream in (self._child.stdin, self._child.stdout, self._errors):
@@ -78,37 +88,49 @@ class Drawing:
                     stream.close()
 
     def draw(self, scene: Scene, jobs: Sequence[Job]) -> list[bytes]:
-        """The bytes of each picture.
+        """The bytes of each picture, as `begin` and `finish`."""
+        self.begin(scene, jobs)
+        return self.finish()
 
-        Raises InputError where nothing can be rendered and for a scene that lacks what is to be shown, and DrawingError if the
-        child process crashes or takes too long, after which it is ended.
-        """
+    def begin(self, scene: Scene, jobs: Sequence[Job]) -> None:
+        """Let the child process draw pictures, which `finish` waits for.  Raises InputError where nothing can be rendered."""
         rendering.need_renderer()
         window = {rendering.WINDOW: os.environ[rendering.WINDOW]} if rendering.WINDOW in os.environ else {}
-        late: list[bool] = []
 
         def end() -> None:
-            late.append(True)
+            self._is_late = True
             self._child.kill()
 
-        watch = threading.Timer(_TIMEOUT_S, end)
-        watch.daemon = True
-        watch.start()
+        # a child that hangs reads nothing either
+        self._watch = threading.Timer(_TIMEOUT_S, end)
+        self._watch.daemon = True
+        self._watch.start()
+        with suppress(OSError):  # the child has ended: it sends no answer
+            _send(self._child.stdin, (window, scene, list(jobs)))
+
+    def finish(self) -> list[bytes]:
+        """The bytes of each picture that `begin` has asked for.
+
+        Raises InputError for a scene that lacks what is to be shown, and DrawingError if the child process crashes or takes too
+        long, after which it is ended.
+        """
         try:
-            with suppress(OSError):  # the child has ended: it sends no answer
-                _send(self._child.stdin, (window, scene, list(jobs)))
             answer = _received(self._child.stdout)
         finally:
-            watch.cancel()
+            self._end_watch()
         if answer is None:
             code = self._child.wait()
             self._errors.seek(0)
-            cause = f"drawing took more than {_TIMEOUT_S} s" if late else _cause(code, self._errors.read())
+            cause = f"drawing took more than {_TIMEOUT_S} s" if self._is_late else _cause(code, self._errors.read())
             self.stop()
             raise DrawingError(cause)
         if isinstance(answer[0], InputError):
             raise answer[0]
         return list(answer[0])
+
+    def _end_watch(self) -> None:
+        if self._watch is not None:
+            self._watch.cancel()
 
 
 class EarlyDrawing:
@@ -130,7 +152,7 @@ class EarlyDrawing:
             if rendering.can_render():
                 with self._changing:
                     if not self._is_over:
-                        self._drawing = Drawing().__enter__()
+                        self._drawing = Drawing(warm=True).__enter__()
 
     def __enter__(self) -> Drawing:
         self._starting.join()
@@ -220,8 +242,11 @@ def picture(scene: Scene, path: Path, view: str, color: str, sheet: Sheet) -> by
         return file.read_bytes()
 
 
-def serve() -> None:
-    """What the child process does: read scenes from the standard input, and write pictures to the standard output."""
+def serve(*, warm: bool = False) -> None:
+    """What the child process does: read scenes from the standard input, and write pictures to the standard output.
+
+    With `warm` it first renders something small, while the process that needs the pictures does other work.
+    """
     # what libraries print goes elsewhere
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -230,7 +255,11 @@ def serve() -> None:
     import pyvista  # noqa: F401
     import trimesh  # noqa: F401
 
+    from scan3d.pictures import movie, views  # noqa: F401
+
     rendering.assume_renderer()
+    if warm:
+        _warm_up()
     with os.fdopen(0, "rb") as source, answer:
         request = _received(source)
         while request is not None:
@@ -242,6 +271,21 @@ def serve() -> None:
             idle.start()
             request = _received(source)
             idle.cancel()
+
+
+def _warm_up() -> None:
+    """Render a sphere and a letter, for which the driver and the fonts are loaded."""
+    import pyvista
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
+    plotter.add_mesh(pyvista.Sphere())
+    plotter.screenshot(None, return_img=True)
+    plotter.close()
+    figure = Figure(figsize=(1, 1))
+    figure.text(0.5, 0.5, "a")
+    FigureCanvasAgg(figure).draw()
 
 
 def _drawn(scene: Scene, jobs: Any) -> list[bytes] | InputError:
