@@ -5,19 +5,22 @@ This module knows no simulation: a simulated scan and a real rig both ask it for
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+from scipy.spatial import QhullError
 
 from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
+from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.hulls import hull
 from scan3d.planning.heights import BEYOND, cosine_gap, cosine_heights_left, heights_at_gaps, least_parts, parts_within
 from scan3d.planning.plan import Plan
-from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.surfaces.bounds import outside
+from scan3d.reconstruction.slices import Slice, SliceKey, SliceStack, stacks
+from scan3d.surfaces.slab_gaps import SlabGaps
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 
 # Fraction of the number of slices so far that is added in one round, and the smallest number of slices left for each height
@@ -25,6 +28,10 @@ from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 # heights without knowing the contacts of the others, which shift the corners where vertices are expected.
 _GROWTH_OF_BENT, _LEFT_OF_BENT = 0.3, 2
 _GROWTH, _LEFT_PER_HEIGHT = 0.12, 3
+# With at least so many slices, the fraction that a round adds to all bodies, and the fraction that is no longer divided into
+# rounds.  A round takes a time that grows with the number of slices; larger, scans of many slices take less, and their bounds
+# are up to a tenth wider if that begins with 128 slices.
+_MANY, _GROWTH_OF_MANY, _REST_OF_MANY = 256, 0.3, 1 / 32
 # Largest difference of the components of two unit normals that are the same axis: in the cloud, where slices along one axis
 # have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
 # parallel would be mixed; smaller, rounding would separate what belongs together.
@@ -45,26 +52,23 @@ _AXIS_DECIMALS = 6
 
 @dataclass
 class SlabMemory:
-    """Slabs and gaps that earlier calls of `next_heights` have computed for the same growing cloud.
+    """Slices, slabs and gaps that the last call of `next_heights` has computed, for the next call with the same cloud grown."""
 
-    The gaps of a slab are those of the first call with that slab.  They are upper bounds of the present gaps, because the hull
-    of the contacts only grows.
-    """
-
+    slices: dict[SliceKey, Slice] = field(default_factory=dict)
     slabs: dict[SlabKey, Slab] = field(default_factory=dict)
     gaps: dict[SlabKey, Array] = field(default_factory=dict)
-    """(w,) distances of each slab's corners from the hull of the contacts; (1,) infinite where the slab is unbounded."""
+    """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
+    present ones, because the hull only grows; (1,) infinite where the slab is unbounded."""
 
-    def gap(self, keys: list[SlabKey], parts: list[Slab], inner: Any) -> Array:
-        """Gaps (w,) of the corners of all slabs, computed for those slabs that are new."""
-        new = {key: slab.corners for key, slab in zip(keys, parts, strict=True) if key not in self.gaps}
-        bounded = [key for key, corners in new.items() if np.isfinite(corners).all()]
-        self.gaps |= dict.fromkeys(new, np.full(1, np.inf))
-        if bounded:
-            gaps = outside(np.concatenate([new[key] for key in bounded]), inner)
-            ends = np.cumsum([len(new[key]) for key in bounded])
-            self.gaps |= dict(zip(bounded, np.split(gaps, ends[:-1]), strict=True))
-        return np.concatenate([self.gaps[key] for key in keys])
+    def measured(self, stack: SliceStack, distances: Callable[[int, Array], Array]) -> tuple[list[Slab], Array]:
+        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, the `distances` by number and corners."""
+        parts, keys = slabs(stack, known=self.slabs), slab_keys(stack)
+        for i, (key, slab) in enumerate(zip(keys, parts, strict=True)):
+            if key not in self.gaps:
+                bounded = np.isfinite(slab.corners).all()
+                self.gaps[key] = distances(i, slab.corners) if bounded else np.full(1, np.inf)
+        self.slabs, self.gaps = {key: self.slabs[key] for key in keys}, {key: self.gaps[key] for key in keys}
+        return parts, np.concatenate([self.gaps[key] for key in keys])
 
 
 def next_heights(
@@ -93,15 +97,14 @@ def next_heights(
     Raises InputError if the axis is not among those of the cloud, or is not given where there are several, and if the contacts
     span no body.
     """
-    stack = _stack(cloud, axis)
-    inner = hull(cloud.points)
+    memory = memory or SlabMemory()
+    candidates = stacks(cloud, memory.slices)
+    stack = _stack(candidates, cloud, axis)
     done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < _SAME_AXIS).sum())
     left = plan.slices + BEYOND - done if left is None else left
     if left <= 0:
         return np.empty(0)
-    memory = memory or SlabMemory()
-    parts = slabs(stack, known=memory.slabs)
-    gap = memory.gap(slab_keys(stack), parts, inner)
+    parts, gap = memory.measured(stack, _distances(stack, cloud, alone=len(candidates) == 1))
     corners = np.concatenate([slab.corners for slab in parts])
     kind = np.concatenate([slab.kind for slab in parts])
     straight = np.concatenate([slab.straight for slab in parts])
@@ -138,6 +141,8 @@ def _nearly_all_bent(gaps: Array, straight: Mask) -> bool:
 def _heights_of_round(done: int, left: int, *, bent: bool) -> int:
     """Number of heights that a round adds to those that are done; `bent` says whether the body is bent nearly everywhere."""
     growth, each = (_GROWTH_OF_BENT, _LEFT_OF_BENT) if bent else (_GROWTH, _LEFT_PER_HEIGHT)
+    if done >= _MANY:
+        growth, each = max(growth, _GROWTH_OF_MANY), 1 if left <= _REST_OF_MANY * done else each
     return max(1, min(round(growth * done), left // each))
 
 
@@ -148,9 +153,20 @@ def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, le
     return cosine_heights_left(known, parts_within(gaps, tolerance), slices)
 
 
-def _stack(cloud: Cloud, axis: Array | None) -> SliceStack:
-    """The cloud's slices along an axis."""
-    candidates = stacks(cloud)
+def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Callable[[int, Array], Array]:
+    """A function from the number of a slab and its corners (w, 3) to their distances (w,) from the hull of a cloud's contacts.
+
+    `alone` says whether all of the contacts are those of the stack.  Raises InputError if they span no body.
+    """
+    if alone:
+        with suppress(QhullError):
+            return SlabGaps(stack).at
+    distances = nearest_on(hull(cloud.points))
+    return lambda _, corners: np.maximum(distances(corners)[0], 0.0)
+
+
+def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:
+    """That of the cloud's stacks along an axis."""
     if axis is not None:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
         candidates = [stack for stack in candidates if np.abs(stack.frame[2] - unit).max() < _GIVEN_AXIS]

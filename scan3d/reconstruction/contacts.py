@@ -14,7 +14,7 @@ from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError
 from scan3d.reconstruction.empty_slices import unproven
 from scan3d.reconstruction.planes import planes
-from scan3d.reconstruction.resolution import noise_of
+from scan3d.reconstruction.resolution import Noise, noise_of
 from scan3d.reconstruction.rig_effects import tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -44,10 +44,36 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     Rows without contact, and rows whose force does not stand out from the noise, give no contact.  Raises InputError if no row
     gives one.
     """
+    found = in_slices(recording, noise_of(recording), method)
+    if not len(found.cloud):
+        raise NoContactError(
+            f"the recording has no contact: none of its {len(recording)} rows has reactions of a bent rod "
+            f"(fx and mz not zero, base moving in -x of the clamp's frame); check its axes, signs and units"
+        )
+    return with_unresolved_slices(found.cloud, recording, found.number, found.left_out, found.felt)
+
+
+class InSlices(NamedTuple):
+    """Contacts of a recording and its slices, before it is known which of those without contact prove an end."""
+
+    cloud: Cloud
+    """May have no contact."""
+    number: NDArray[np.int32]
+    """(n,) number of the slice of each row."""
+    left_out: Index
+    """Slices without contact in which forces stand out from the noise."""
+    felt: float
+    """Deflection of a rod's tip, in rod lengths, from which it is felt."""
+
+
+def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *, tips: bool = True) -> InSlices:
+    """Contacts and slices of a recording with known errors; without `tips`, tip contacts get no normals.
+
+    The contacts of a slice depend on those of the others only where there is noise, a rig's calibration or a common friction.
+    """
     rod = recording.rod
     fx, fy = (recording.force_N / rod.force_unit_N).T
     moment = recording.moment_Nm / rod.moment_unit_Nm
-    known = noise_of(recording)
     noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
     error = errors_in_plane(fx, fy, moment, *noise)
     columns = np.zeros(len(moment)), fx, fy, moment
@@ -57,14 +83,14 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     touching = felt & (in_plane.phase != planar.Phase.NONE)
     light = touching & error.light(touching)
     touching &= ~light
-    common = _common_friction(in_plane.friction_angle[touching], max(noise))
+    common = _common_friction(in_plane.friction_angle[touching], max(noise)) if tips else None
     if common is not None:
         in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, friction=common)
-    rows = _rows(touching)
+    rows = np.flatnonzero(touching)
     axes = recording.axes()
     scale = UNITS_M[recording.unit]
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
-    slices = planes(recording, axes[:, 2], points.mean(axis=0), known.place_m)
+    slices = planes(recording, axes[:, 2], points.mean(axis=0) if len(rows) else np.zeros(3), known.place_m)
     pose, length = known.pose_m / scale, rod.length_m / scale
     in_world = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
     place_sd = np.hypot(length * error.largest[rows], pose)
@@ -87,7 +113,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         slice_height=slices.height / scale,
         unit=recording.unit,
         rod_length=length,
-        noise=float(np.median(place_sd)),
+        noise=float(np.median(place_sd)) if len(rows) else 0.0,
         covariance=length**2 * in_world + pose**2 * np.eye(3) if noisy else None,
         place_sd=place_sd if noisy else None,
         normal_sd=np.where(tangential, error.slope[rows], np.inf) if noisy else None,
@@ -97,32 +123,25 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
         table=None if recording.table_m is None else recording.table_m / scale,
         independent=known.independent,
     )
-    return _with_unresolved_slices(cloud, recording, slices.number, felt, max(noise))
-
-
-def _with_unresolved_slices(
-    cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: Mask, noise: float
-) -> Cloud:
-    """The cloud with the slices without contact that may not be empty, from the slices (n,) and the force of its rows."""
     # a rod's tip is bent by a third of the force that is felt
-    unresolved = unproven(cloud, recording, number, FORCE_SIGMAS * noise / 3)
-    unresolved[np.setdiff1d(number[felt], cloud.slice)] = True
+    left_out = np.setdiff1d(slices.number[felt], cloud.slice)
+    return InSlices(cloud, slices.number, left_out, FORCE_SIGMAS * max(noise) / 3)
+
+
+def with_unresolved_slices(
+    cloud: Cloud, recording: Recording, number: NDArray[np.int32], left_out: Index, felt: float
+) -> Cloud:
+    """The cloud with the slices without contact that may not be empty.
+
+    The arguments are as in `InSlices`; of the recording the rows of slices without contact suffice, and their numbers (n,).
+    """
+    unresolved = unproven(cloud, recording, number, felt)
+    unresolved[left_out] = True
     return replace(cloud, unresolved=unresolved) if unresolved.any() else cloud
 
 
 class NoContactError(InputError):
     """No row of a recording has the reactions of a bent rod."""
-
-
-def _rows(touching: Mask) -> Index:
-    """The rows that give a contact.  Raises NoContactError if there is none."""
-    rows = np.flatnonzero(touching)
-    if not len(rows):
-        raise NoContactError(
-            f"the recording has no contact: none of its {len(touching)} rows has reactions of a bent rod "
-            f"(fx and mz not zero, base moving in -x of the clamp's frame); check its axes, signs and units"
-        )
-    return rows
 
 
 class PlaneErrors(NamedTuple):

@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import blake2b
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -170,15 +171,34 @@ class SliceStack:
         return np.array([slice_.height for slice_ in self.slices])
 
 
-def stacks(cloud: Cloud) -> list[SliceStack]:
-    """The cloud's slices, one stack for each axis it was sliced along."""
+SliceKey = tuple[bytes, ...]
+"""What a slice is computed from: its frame and height, and its contacts with their normals and phases."""
+
+
+def stacks(cloud: Cloud, known: dict[SliceKey, Slice] | None = None) -> list[SliceStack]:
+    """The cloud's slices, one stack for each axis it was sliced along.
+
+    Those in `known`, by key, are not computed again; afterwards it has all slices of this cloud, and no others.
+    """
+    before = {} if known is None else dict(known)
+    if known is not None:
+        known.clear()
+
+    def made(frame: Array, number: int) -> Slice:
+        if known is None:
+            return _slice(cloud, frame, number, rows[number])
+        key = _key(cloud, frame, number, rows[number])
+        found = before.get(key) or _slice(cloud, frame, number, rows[number])
+        known[key] = found if np.array_equal(found.rows, rows[number]) else replace(found, rows=rows[number])
+        return known[key]
+
     by_axis = []
     rows = _rows_of_slices(cloud)
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
         members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
         order = members[np.argsort(cloud.slice_height[members])]
-        slices = [_slice(cloud, frame, number, rows[number]) for number in order]
+        slices = [made(frame, number) for number in order]
         filled = [slice_ for slice_ in slices if len(slice_.rows)]
         if not filled:
             continue
@@ -212,6 +232,12 @@ def _rows_of_slices(cloud: Cloud) -> list[Index]:
     order = np.argsort(cloud.slice, kind="stable")
     first = np.searchsorted(cloud.slice[order], np.arange(len(cloud.slice_height) + 1))
     return [order[start:end] for start, end in itertools.pairwise(first)]
+
+
+def _key(cloud: Cloud, frame: Array, number: int, rows: Index) -> SliceKey:
+    contacts = cloud.points[rows], cloud.in_plane_normals[rows], cloud.phase[rows]
+    of_contacts = blake2b(b"".join(part.tobytes() for part in contacts)).digest()
+    return frame.tobytes(), cloud.slice_height[number].tobytes(), of_contacts
 
 
 def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:

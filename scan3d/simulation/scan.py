@@ -22,6 +22,7 @@ from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
 from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.growing_contacts import GrowingContacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.spatial import simulate_spatial
@@ -251,10 +252,15 @@ def _cosine_heights(scan: _AxisScan) -> Array:
 
 def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
-    memory = SlabMemory()
+    memory, grown, done = SlabMemory(), GrowingContacts(), 0
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
+        if not scan.plan.noise and len(scan.swept) > done:
+            grown.add(_recording([scan], rod, done))
+            done = len(scan.swept)
         try:
-            heights = next_heights(contacts(_recording([scan], rod)), scan.plan, left=left, memory=memory)
+            # contacts under noise depend on each other, those of exact reactions on their own slice only
+            cloud = contacts(_recording([scan], rod)) if scan.plan.noise else grown.cloud()
+            heights = next_heights(cloud, scan.plan, left=left, memory=memory)
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
@@ -273,11 +279,11 @@ def _width(mesh: Any, frame: Array) -> float:
     return float(max(widths))
 
 
-def _recording(scans: list[_AxisScan], rod: Rod) -> Recording:
-    """The recording of all sweeps so far, as a rig would log it."""
+def _recording(scans: list[_AxisScan], rod: Rod, first: int = 0) -> Recording:
+    """The recording of all sweeps so far, as a rig would log it; of each axis from sweep number `first` on."""
     plan, length = scans[0].plan, scans[0].length
     metres = UNITS_M[plan.unit]
-    all_swept = [(scan, swept) for scan in scans for swept in scan.swept]
+    all_swept = [(scan, swept) for scan in scans for swept in scan.swept[first:]]
     unreached = sum(scan.unreached for scan in scans)
     count = np.array([len(swept.result) for _, swept in all_swept])
     clamp_positions, axes, wrenches = [], [], []
@@ -292,7 +298,7 @@ def _recording(scans: list[_AxisScan], rod: Rod) -> Recording:
     if plan.noise > 0:
         measured += plan.noise * np.random.default_rng([plan.seed, 1]).standard_normal(measured.shape)
     return Recording(
-        sweep=np.repeat(np.arange(len(all_swept)), count),
+        sweep=np.repeat(first + np.arange(len(all_swept)), count),
         position_m=np.concatenate(clamp_positions) * metres,
         quaternion=np.repeat(quaternion, count, axis=0),
         force_N=measured[:, :2] * rod.force_unit_N,
