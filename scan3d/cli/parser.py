@@ -94,7 +94,7 @@ _OPTIONS = (
     (
         "tolerance",
         "X",
-        "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices as it takes",
+        "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices and samples as it takes",
     ),
     (
         "accuracy",

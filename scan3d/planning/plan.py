@@ -39,7 +39,8 @@ class Plan:
         heights of the slices: ``cosine`` (dense at the ends), ``uniform``, or ``adaptive`` (where the contacts so far leave
         most room for the body).
     tolerance
-        adaptive spacing stops when the certified bound, relative to the diagonal of the contacts' bounding box, is this small.
+        adaptive spacing stops when the certified bound, relative to the diagonal of the contacts' bounding box, is this small;
+        slices whose contours need more contacts for it are swept again with up to 16 times the samples.
     axis
         normal of the slices: ``"x"``, ``"y"``, ``"z"``, several such as ``"xyz"``, or a vector of three numbers.
     sweeps

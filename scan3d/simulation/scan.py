@@ -17,6 +17,7 @@ from scan3d.geometry.meshes import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
+from scan3d.planning.contours import open_contours
 from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
@@ -35,6 +36,9 @@ _SLICES_AT_ONCE = 16
 # Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.  More rounds close smaller gaps at
 # the cost of more sweeps; fewer leave gaps.
 _ROUNDS = 2
+# Times the samples of the plan to which those of a sweep are doubled, so that contacts show its contour within the tolerance.
+# More are for tolerances near rounding; with fewer, the gaps between contacts stay above it.
+_FINEST = 16
 # Heights at which the body's width is evaluated to choose a rod for it.  More take longer; fewer could miss the widest slice
 # of a pointed body, for which the rod would be too short.
 _WIDTH_HEIGHTS = 33
@@ -90,6 +94,13 @@ class _AxisScan:
         for i in new:
             if not len(self.polygons[i]):
                 self.swept += self._sweep_empty(i)
+
+    def sweep_again(self, heights: Array) -> None:
+        """Sweep slices again, with twice the samples in a sweep, as all further slices."""
+        self.plan = replace(self.plan, samples=2 * self.plan.samples)
+        chosen = set(np.abs(np.array(self.heights) - heights[:, None]).argmin(axis=1).tolist())
+        self.swept = [swept for swept in self.swept if swept.sweep.slice not in chosen]
+        self.swept += self._sweep_slices(sorted(chosen))
 
     def _sweep_slices(self, slices: list[int]) -> list[_Swept]:
         """All sweeps of some slices, in the order of slices and directions."""
@@ -253,6 +264,7 @@ def _cosine_heights(scan: _AxisScan) -> Array:
 def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
     memory, grown, done = SlabMemory(), GrowingContacts(), 0
+    finest, widest = _FINEST * scan.plan.samples, np.inf
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
         if not scan.plan.noise and len(scan.swept) > done:
             grown.add(_recording([scan], rod, done))
@@ -264,7 +276,16 @@ def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
-            break
+            if not scan.plan.tolerance or scan.plan.samples >= finest:
+                break
+            # gaps fall with the square of the samples, but not those that are due to noise
+            again, gap = open_contours(contacts(_recording([scan], rod)), scan.plan.tolerance)
+            if not len(again) or gap > widest / 2:
+                break
+            widest = gap
+            scan.sweep_again(again)
+            memory, grown, done = SlabMemory(), GrowingContacts(), 0
+            continue
         scan.scan(heights)
         report(len(scan.heights))
 

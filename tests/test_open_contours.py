@@ -1,0 +1,64 @@
+"""Scans with a tolerance: slices whose contours need more contacts than their sweeps have samples for."""
+
+from pathlib import Path
+
+import numpy as np
+
+import scan3d
+from scan3d.planning.contours import open_contours
+from scan3d.simulation import scan as simulated
+from scan3d.surfaces import enclosure
+from scan3d.surfaces.slabs import Gap
+
+MESHES = Path(__file__).parents[1] / "meshes"
+FEW_SAMPLES = {"slices": 60, "samples": 10, "friction": (0.0, 0.4)}
+
+
+def scanned(name, **settings):
+    body = scan3d.load_mesh(MESHES / name)
+    return scan3d.simulate(body, scan3d.Plan(**FEW_SAMPLES, **settings))
+
+
+def samples_of_sweeps(recording):
+    return np.bincount(recording.sweep)
+
+
+def relative_gaps(recording):
+    """The largest gaps of all slices' contours, and of all, over the diagonal of the contacts."""
+    cloud = scan3d.reconstruct(recording)
+    bounds, diagonal = enclosure(cloud), np.linalg.norm(np.ptp(cloud.points, axis=0))
+    return bounds.part(Gap.CONTACTS) / diagonal, bounds.bound / diagonal
+
+
+def test_contours_are_swept_again_until_they_are_known_within_the_tolerance():
+    recording = scanned("gem.glb", tolerance=4e-3)
+    assert set(samples_of_sweeps(recording)) == {10, 20}
+    assert relative_gaps(recording)[1] < 4e-3
+    without = scanned("gem.glb")
+    assert set(samples_of_sweeps(without)) == {10}
+    assert relative_gaps(without)[0] > 4e-3
+
+
+def test_the_slices_with_wide_gaps_are_named():
+    cloud = scan3d.reconstruct(scanned("gem.glb"))
+    diagonal = np.linalg.norm(np.ptp(cloud.points, axis=0))
+    every, largest = open_contours(cloud, 0.0)
+    some, again = open_contours(cloud, 0.5 * largest / diagonal)
+    none, _ = open_contours(cloud, 1.01 * largest / diagonal)
+    assert largest == again
+    assert len(none) == 0 < len(some) < len(every)
+    assert set(some) <= set(every) <= set(cloud.slice_height)
+
+
+def test_gaps_that_more_samples_do_not_close_are_left(monkeypatch):
+    asked = []
+
+    def noisy(cloud, tolerance):
+        heights, _ = open_contours(cloud, tolerance)
+        asked.append(len(heights))
+        return heights, 1.0
+
+    monkeypatch.setattr(simulated, "open_contours", noisy)
+    recording = scanned("gem.glb", tolerance=4e-3)
+    assert len(asked) == 2
+    assert set(samples_of_sweeps(recording)) == {10, 20}
