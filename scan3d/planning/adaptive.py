@@ -28,10 +28,6 @@ from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 # heights without knowing the contacts of the others, which shift the corners where vertices are expected.
 _GROWTH_OF_BENT, _LEFT_OF_BENT = 0.3, 2
 _GROWTH, _LEFT_PER_HEIGHT = 0.12, 3
-# With at least so many slices, the fraction that a round adds to all bodies, and the fraction that is no longer divided into
-# rounds.  A round takes a time that grows with the number of slices; larger, scans of many slices take less, and their bounds
-# are up to a tenth wider if that begins with 128 slices.
-_MANY, _GROWTH_OF_MANY, _REST_OF_MANY = 256, 0.3, 1 / 32
 # Largest difference of the components of two unit normals that are the same axis: in the cloud, where slices along one axis
 # have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
 # parallel would be mixed; smaller, rounding would separate what belongs together.
@@ -141,8 +137,6 @@ def _nearly_all_bent(gaps: Array, straight: Mask) -> bool:
 def _heights_of_round(done: int, left: int, *, bent: bool) -> int:
     """Number of heights that a round adds to those that are done; `bent` says whether the body is bent nearly everywhere."""
     growth, each = (_GROWTH_OF_BENT, _LEFT_OF_BENT) if bent else (_GROWTH, _LEFT_PER_HEIGHT)
-    if done >= _MANY:
-        growth, each = max(growth, _GROWTH_OF_MANY), 1 if left <= _REST_OF_MANY * done else each
     return max(1, min(round(growth * done), left // each))
 
 
