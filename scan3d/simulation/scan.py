@@ -21,6 +21,7 @@ from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directi
 from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
+from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.reconstruction.contacts import contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -216,6 +217,9 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(_width(mesh, frame) for frame in frames))
     scans = [_AxisScan(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]
+    if plan.spacing == "adaptive" and len(scans) > 1 and not plan.noise:
+        _scan_together(scans, rod, progress)
+        return _recording(scans, rod)
     for k, scan in enumerate(scans):
         count = plan.slices * len(scans)
 
@@ -261,6 +265,35 @@ def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
             break
         scan.scan(heights)
         report(len(scan.heights))
+
+
+def _scan_together(scans: list[_AxisScan], rod: Rod, progress: Progress | None) -> None:
+    """Scan along several axes, of which the contacts along all choose the next heights, and the axis.
+
+    Only exact contacts along different axes agree well enough for this.
+    """
+    plan = scans[0].plan
+    count = plan.slices * len(scans)
+
+    def scanned(scan: _AxisScan, heights: Array) -> None:
+        scan.scan(heights)
+        if progress is not None:
+            progress(min(sum(len(scan.heights) for scan in scans), count), count)
+
+    for scan in scans:
+        scanned(scan, first_heights_together(*extent_along(scan.mesh, scan.frame[2]), plan))
+    while (left := count + BEYOND * len(scans) - sum(len(scan.heights) for scan in scans)) > 0:
+        try:
+            further = next_slices(contacts(_recording(scans, rod)), plan, left)
+        except InputError:  # too few contacts to say where others are needed
+            share = -(-left // len(scans))
+            apart = [np.setdiff1d(_cosine_heights(scan), scan.heights)[:share] for scan in scans]
+            further = [(scan.frame[2], heights) for scan, heights in zip(scans, apart, strict=True) if len(heights)]
+        if not further:
+            break
+        for axis, heights in further:
+            scanned(min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max())), heights[:left])
+            left = max(left - len(heights), 0)
 
 
 def _width(mesh: Any, frame: Array) -> float:
