@@ -105,7 +105,7 @@ def watched_sweeps(monkeypatch):
         sweeps.extend(made)
         return made
 
-    monkeypatch.setattr(simulation.planar, "sweep_all", sweep_all)
+    monkeypatch.setattr(planar, "sweep_all", sweep_all)
     return sweeps
 
 

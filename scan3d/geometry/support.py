@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.hulls import hull
@@ -42,6 +42,9 @@ _NOISY_CONTACTS = 20_000
 # Rounds in which the normals follow the fit.  Each improves them by a factor of ten or more and takes as long as the first;
 # with fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
+# Extents of points in their narrowest over their widest direction below which they span no body.  Larger, flat bodies have no
+# moments of inertia; smaller, rounding passes for a body.
+_FLAT = 1e-9
 # Steps in which directions follow the fit, and the damping of a step.  More steps take longer; fewer stop before the
 # directions have settled.  With less damping (a larger number) a step overshoots where the body is flatter than the ball;
 # with more, more steps are needed.
@@ -314,7 +317,14 @@ def inertia(points: Array) -> tuple[Array, Array]:
     The shape is the symmetric map from the unit ball to the ellipsoid that has the hull's moments of inertia.
     """
     middle = points.mean(axis=0)
-    qhull = ConvexHull(points - middle)
+    try:
+        qhull = ConvexHull(points - middle)
+    except QhullError:
+        extents = np.linalg.svd(points - middle, compute_uv=False)
+        if len(extents) < 3 or extents[2] < _FLAT * extents[0]:
+            raise
+        # moved by rounding where very many points in one plane make Qhull fail
+        qhull = ConvexHull(points - middle, qhull_options="QJ")
     corners = qhull.points[qhull.simplices]
     volume = np.abs(np.linalg.det(corners)) / 6
     centroid = (volume[:, None] * corners.sum(axis=1) / 4).sum(axis=0) / volume.sum()

@@ -30,7 +30,7 @@ _TIED_DECIMALS = 4
 # Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner: just before the tip of a
 # vertex, and at about a third at a smooth pole, whose cap is shallower than its corner.  Larger, the slice may be empty;
 # smaller, the cap that remains is larger.
-_AT_VERTEX, _AT_POLE = 0.98, 0.35
+AT_VERTEX, _AT_POLE = 0.98, 0.35
 # A worst corner counts as lying on the empty slice if it is nearer than this fraction of the cap's height.  Larger, corners
 # of real caps would count as unknown ends; smaller, rounding would decide.
 _ON_EMPTY_SLICE = 1e-9
@@ -170,7 +170,7 @@ def heights_at_gaps(
     end, beyond = np.where(first, high, low), np.where(first, low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (corner - end) / (beyond - end)
-    into_cap = np.where(depth > 1 - _ON_EMPTY_SLICE, 0.5, np.where(crease, _AT_VERTEX, _AT_POLE) * depth)
+    into_cap = np.where(depth > 1 - _ON_EMPTY_SLICE, 0.5, np.where(crease, AT_VERTEX, _AT_POLE) * depth)
     in_cap = end + into_cap * (beyond - end)
     on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
     single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.meshes import check_body
-from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
+from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
 from scan3d.planning.contours import open_contours
-from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directions, further_directions
+from scan3d.planning.directions import first_directions
 from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
-from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
+from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.growing_contacts import GrowingContacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.simulation.axis_scans import AxisScan, recording_of, width_of
 from scan3d.simulation.spatial import simulate_spatial
 from scan3d.units import UNITS_M
 
@@ -33,175 +32,12 @@ Progress = Callable[[int, int], None]
 
 # Slices that are swept in one call.  More make progress reports rare; fewer leave the arrays short, which takes longer.
 _SLICES_AT_ONCE = 16
-# Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.  More rounds close smaller gaps at
-# the cost of more sweeps; fewer leave gaps.
-_ROUNDS = 2
 # Times the samples of the plan to which those of a sweep are doubled, so that contacts show its contour within the tolerance.
 # More are for tolerances near rounding; with fewer, the gaps between contacts stay above it.
 _FINEST = 16
-# Heights at which the body's width is evaluated to choose a rod for it.  More take longer; fewer could miss the widest slice
-# of a pointed body, for which the rod would be too short.
-_WIDTH_HEIGHTS = 33
-# Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.  Larger, such
-# sweeps are longer than needed; smaller, they could end before the contour does.
-_BEYOND = 0.2
 # Bytes that a sample takes while a scan is simulated and analysed, and those that a slice takes beside its samples.  A noisy
 # scan of 576,000 samples took 600 bytes for each.  Larger, scans are refused that would fit; smaller, memory runs out.
 _MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE = 1000, 10_000
-
-
-class _Sweep(NamedTuple):
-    """One sweep in a slice."""
-
-    slice: int
-    number: int
-    """Of the slice's sweeps."""
-    line: BaseLine
-
-
-class _Swept(NamedTuple):
-    """One sweep and what it measured."""
-
-    sweep: _Sweep
-    result: planar.Sweep
-
-
-@dataclass
-class _AxisScan:
-    """The slices and sweeps made so far along one axis."""
-
-    mesh: Any
-    plan: Plan
-    length: float
-    """Of the rod, in the mesh's unit."""
-    frame: Array
-    """(3, 3) axes of the slices' frame in the world, as rows."""
-    number: int
-    """Of the axis among those of the plan."""
-    heights: list[float] = field(default_factory=list)
-    polygons: list[Array] = field(default_factory=list)
-    swept: list[_Swept] = field(default_factory=list)
-    unreached: int = 0
-    """Sweeps that were not made, because the slice is out of the rod's reach."""
-
-    def scan(self, heights: Array) -> None:
-        """Sweep further slices."""
-        first = len(self.heights)
-        self.heights += heights.tolist()
-        self.polygons += slice_polygons(self.mesh, self.frame, heights)
-        new = range(first, len(self.heights))
-        self.swept += self._sweep_slices([i for i in new if len(self.polygons[i])])
-        for i in new:
-            if not len(self.polygons[i]):
-                self.swept += self._sweep_empty(i)
-
-    def sweep_again(self, heights: Array) -> None:
-        """Sweep slices again, with twice the samples in a sweep, as all further slices."""
-        self.plan = replace(self.plan, samples=2 * self.plan.samples)
-        chosen = set(np.abs(np.array(self.heights) - heights[:, None]).argmin(axis=1).tolist())
-        self.swept = [swept for swept in self.swept if swept.sweep.slice not in chosen]
-        self.swept += self._sweep_slices(sorted(chosen))
-
-    def _sweep_slices(self, slices: list[int]) -> list[_Swept]:
-        """All sweeps of some slices, in the order of slices and directions."""
-        directions = {i: first_directions(self.plan) for i in slices}
-        done: dict[int, list[_Swept]] = {i: [] for i in slices}
-        for rounds_done in range(1 + _ROUNDS):
-            sweeps = [
-                _Sweep(i, len(done[i]) + k, self._base_line(angle, self.polygons[i]))
-                for i, angles in directions.items()
-                for k, angle in enumerate(angles)
-            ]
-            for sweep, result in zip(sweeps, self._simulate(sweeps), strict=True):
-                # a sweep out of the rod's reach is left out, because an empty sweep is evidence that nothing is there
-                if result is not None:
-                    done[sweep.slice].append(_Swept(sweep, result))
-                else:
-                    self.unreached += 1
-            if self.plan.sweeps is not None or rounds_done == _ROUNDS:
-                break
-            directions = {
-                i: self._open_directions(done[i], self.polygons[i])[: MAX_SWEEPS - len(done[i])] for i in directions
-            }
-            directions = {i: angles for i, angles in directions.items() if len(angles)}
-        return [swept for i in slices for swept in done[i]]
-
-    def _sweep_empty(self, i: int) -> list[_Swept]:
-        """Sweeps without contact of an empty slice, past the nearest contour and where it would be if the body went on."""
-        filled = [j for j, polygon in enumerate(self.polygons) if len(polygon)]
-        if not filled:
-            return []
-        nearest = min(filled, key=lambda j: abs(self.heights[j] - self.heights[i]))
-        outline = np.concatenate([self.polygons[nearest], self._extrapolated(nearest, filled, self.heights[i])])
-        swept = []
-        for k, angle in enumerate(first_directions(self.plan)):
-            line = self._base_line(angle, outline)
-            across = (outline - line.origin) @ line.axes[0] / self.length
-            swept.append(_Swept(_Sweep(i, k, line), self._nothing(across)))
-        return swept
-
-    def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
-        """Slice i's contour (n, 2) at another height, moved and scaled as from the nearest of the other filled slices."""
-        contour = self.polygons[i]
-        others = [j for j in filled if j != i]
-        if not others:
-            return contour
-        behind = min(others, key=lambda j: abs(self.heights[j] - self.heights[i]))
-        (centre, size), (before, size_before) = (
-            (polygon.mean(axis=0), np.ptp(polygon, axis=0)) for polygon in (contour, self.polygons[behind])
-        )
-        ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
-        scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
-        moved: Array = centre + ahead * (centre - before) + scaled * (contour - centre)
-        return moved
-
-    def _nothing(self, across: Array) -> planar.Sweep:
-        """A sweep without contact, past positions (n,) along its base line in rod lengths."""
-        n = self.plan.samples
-        x0 = np.linspace(across.max() + _BEYOND, across.min() - _BEYOND, n)
-        unknown = np.full(n, np.nan)
-        phase = np.full(n, planar.Phase.NONE, dtype=np.int8)
-        return planar.Sweep(x0, unknown, unknown, unknown, unknown, np.full((n, 2), np.nan), unknown, phase, unknown)
-
-    def _base_line(self, angle: float, polygon: Array) -> BaseLine:
-        fixed = self.plan.standoff == "fixed"
-        outline = self.mesh.vertices.view(np.ndarray) @ self.frame[:2].T if fixed else polygon
-        return base_line(outline, angle, self.plan.clearance * self.length)
-
-    def _simulate(self, sweeps: list[_Sweep]) -> list[planar.Sweep | None]:
-        """The results of sweeps, None where the slice is out of the rod's reach."""
-        outlines = [(self.polygons[s.slice] - s.line.origin) @ s.line.axes.T / self.length for s in sweeps]
-        within = [k for k, outline in enumerate(outlines) if outline[:, 1].min() <= 1]
-        low, high = self.plan.friction_range
-        friction: list[Any] = [low] * len(sweeps)
-        if high > low:
-            # a separate random stream for each sweep, so that its draws don't depend on the order of work
-            keys = [[self.plan.seed, 0, self.number, s.slice, s.number] for s in sweeps]
-            friction = [np.random.default_rng(key).uniform(low, high, self.plan.samples) for key in keys]
-        fractions = base_fractions(self.plan.samples)
-        try:
-            contours = [planar.Polygon(outlines[k]) for k in within]
-            results = planar.sweep_all(contours, [friction[k] for k in within], shares=fractions) if within else []
-        except ValueError as error:
-            raise InputError(
-                f"this body can't be swept with a rod {self.length:.3g} {self.plan.unit} long and a clearance of "
-                f"{self.plan.clearance:g}: {error}"
-            ) from None
-        by_sweep = dict(zip(within, results, strict=True))
-        return [by_sweep.get(k) for k in range(len(sweeps))]
-
-    def _open_directions(self, done: list[_Swept], polygon: Array) -> Array:
-        """Approach directions for the parts of a slice's contour that the sweeps have left open."""
-        points, normals = [], []
-        for sweep, result in done:
-            tangential = result.phase == planar.Phase.TANGENTIAL
-            slope = result.slope[tangential]
-            points.append(result.point[tangential] @ sweep.line.axes * self.length + sweep.line.origin)
-            normals.append(np.stack([np.sin(slope), -np.cos(slope)], axis=1) @ sweep.line.axes)
-        if not sum(map(len, points)):
-            return np.empty(0)
-        width = float(np.ptp(polygon, axis=0).max())
-        return further_directions(np.concatenate(points), np.concatenate(normals), width)
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
@@ -226,8 +62,11 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
         return simulate_spatial(mesh, plan, progress)
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
-    rod = plan.rod or Rod.of_length(metres * max(_width(mesh, frame) for frame in frames))
-    scans = [_AxisScan(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]
+    rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
+    scans = [AxisScan(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]
+    if plan.spacing == "adaptive" and len(scans) > 1 and not plan.noise:
+        _scan_together(scans, rod, progress)
+        return recording_of(scans, rod)
     for k, scan in enumerate(scans):
         count = plan.slices * len(scans)
 
@@ -241,7 +80,7 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
             report(len(scan.heights))
         if plan.spacing == "adaptive":
             _adapt(scan, rod, report)
-    return _recording(scans, rod)
+    return recording_of(scans, rod)
 
 
 def _check_size(plan: Plan) -> None:
@@ -256,22 +95,22 @@ def _check_size(plan: Plan) -> None:
     )
 
 
-def _cosine_heights(scan: _AxisScan) -> Array:
+def _cosine_heights(scan: AxisScan) -> Array:
     """All heights of cosine spacing."""
     return first_heights(*extent_along(scan.mesh, scan.frame[2]), replace(scan.plan, spacing="cosine"))
 
 
-def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
+def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
     memory, grown, done = SlabMemory(), GrowingContacts(), 0
     finest, widest = _FINEST * scan.plan.samples, np.inf
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
         if not scan.plan.noise and len(scan.swept) > done:
-            grown.add(_recording([scan], rod, done))
+            grown.add(recording_of([scan], rod, done))
             done = len(scan.swept)
         try:
             # contacts under noise depend on each other, those of exact reactions on their own slice only
-            cloud = contacts(_recording([scan], rod)) if scan.plan.noise else grown.cloud()
+            cloud = contacts(recording_of([scan], rod)) if scan.plan.noise else grown.cloud()
             heights = next_heights(cloud, scan.plan, left=left, memory=memory)
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
@@ -279,7 +118,7 @@ def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
             if not scan.plan.tolerance or scan.plan.samples >= finest:
                 break
             # gaps fall with the square of the samples, but not those that are due to noise
-            again, gap = open_contours(contacts(_recording([scan], rod)), scan.plan.tolerance)
+            again, gap = open_contours(contacts(recording_of([scan], rod)), scan.plan.tolerance)
             if not len(again) or gap > widest / 2:
                 break
             widest = gap
@@ -290,43 +129,30 @@ def _adapt(scan: _AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
         report(len(scan.heights))
 
 
-def _width(mesh: Any, frame: Array) -> float:
-    """Largest diameter of the slices about their middles; a sweep with a rod of that length sees most of a slice."""
-    low, high = extent_along(mesh, frame[2])
-    polygons = slice_polygons(mesh, frame, np.linspace(low, high, _WIDTH_HEIGHTS + 2)[1:-1])
-    widths = [2 * np.linalg.norm(p - (p.min(axis=0) + p.max(axis=0)) / 2, axis=1).max() for p in polygons if len(p)]
-    if not widths:
-        raise InputError("the body is too thin to be sliced along this axis; choose another one")
-    return float(max(widths))
+def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -> None:
+    """Scan along several axes, of which the contacts along all choose the next heights, and the axis.
 
+    Only exact contacts along different axes agree well enough for this.
+    """
+    plan = scans[0].plan
+    count = plan.slices * len(scans)
 
-def _recording(scans: list[_AxisScan], rod: Rod, first: int = 0) -> Recording:
-    """The recording of all sweeps so far, as a rig would log it; of each axis from sweep number `first` on."""
-    plan, length = scans[0].plan, scans[0].length
-    metres = UNITS_M[plan.unit]
-    all_swept = [(scan, swept) for scan in scans for swept in scan.swept[first:]]
-    unreached = sum(scan.unreached for scan in scans)
-    count = np.array([len(swept.result) for _, swept in all_swept])
-    clamp_positions, axes, wrenches = [], [], []
-    for scan, (sweep, result) in all_swept:
-        clamp_positions.append(positions(sweep.line, result.x0 * length, scan.heights[sweep.slice], scan.frame))
-        axes.append(clamp_axes(sweep.line, scan.frame))
-        wrenches.append(np.stack([result.f0x, result.f0y, result.m0z], axis=1))
-    # scipy wants the clamp's axes as columns
-    quaternion = Rotation.from_matrix(np.swapaxes(np.array(axes), 1, 2)).as_quat(scalar_first=True)
-    measured = np.concatenate(wrenches)
-    measured = np.where(np.isnan(measured), 0.0, measured)
-    if plan.noise > 0:
-        measured += plan.noise * np.random.default_rng([plan.seed, 1]).standard_normal(measured.shape)
-    return Recording(
-        sweep=np.repeat(first + np.arange(len(all_swept)), count),
-        position_m=np.concatenate(clamp_positions) * metres,
-        quaternion=np.repeat(quaternion, count, axis=0),
-        force_N=measured[:, :2] * rod.force_unit_N,
-        moment_Nm=measured[:, 2] * rod.moment_unit_Nm,
-        rod=rod,
-        noise_force_N=plan.noise * rod.force_unit_N,
-        noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
-        unit=plan.unit,
-        source={"kind": "simulation", "seed": plan.seed, **({"sweeps_out_of_reach": unreached} if unreached else {})},
-    )
+    def scanned(scan: AxisScan, heights: Array) -> None:
+        scan.scan(heights)
+        if progress is not None:
+            progress(min(sum(len(scan.heights) for scan in scans), count), count)
+
+    for scan in scans:
+        scanned(scan, first_heights_together(*extent_along(scan.mesh, scan.frame[2]), plan))
+    while (left := count + BEYOND * len(scans) - sum(len(scan.heights) for scan in scans)) > 0:
+        try:
+            further = next_slices(contacts(recording_of(scans, rod)), plan, left)
+        except InputError:  # too few contacts to say where others are needed
+            share = -(-left // len(scans))
+            apart = [np.setdiff1d(_cosine_heights(scan), scan.heights)[:share] for scan in scans]
+            further = [(scan.frame[2], heights) for scan, heights in zip(scans, apart, strict=True) if len(heights)]
+        if not further:
+            break
+        for axis, heights in further:
+            scanned(min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max())), heights[:left])
+            left = max(left - len(heights), 0)

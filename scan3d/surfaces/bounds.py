@@ -28,9 +28,11 @@ from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.planes import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.allowances import CONFIDENCE, Allowed, allowed
+from scan3d.surfaces.cells import applicable, cells_of_cloud
 from scan3d.surfaces.confidence import confident
-from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
-from scan3d.surfaces.local_bounds import depths
+from scan3d.surfaces.enclosures import CellEnclosure, Certificate, Enclosure, SliceEnclosure
+from scan3d.surfaces.inclined import exact_error
+from scan3d.surfaces.local_bounds import depths, depths_in
 from scan3d.surfaces.slabs import Gap, Slab, slabs
 from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate, spatial_enclosure
 
@@ -58,16 +60,41 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     confidence
         probability with which the enclosure of noisy contacts holds.
 
-    Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts of
-    a polyhedron bound the body by their tangents as well, of all axes together, if that is tighter.
-    Contacts of the spatial model lie in no slices; their enclosure is that of `scan3d.surfaces.spatial_bounds`.
+    Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts bound
+    the body by the cells between the slices of all axes as well, if that is tighter, and those of a polyhedron by their
+    tangents.  Contacts of the spatial model lie in no slices; their enclosure is that of `scan3d.surfaces.spatial_bounds`.
     Raises InputError for contacts that do not span a body.
     """
     if cloud.model == "spatial":
         return spatial_enclosure(cloud, margin, confidence)
     bounds = slice_enclosure(cloud, margin, confidence)
     exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
+    bounds = _with_cells(bounds, cloud) if exact else bounds
     return _with_tangents(bounds, cloud) if exact and len(bounds.inner.faces) <= _FEW_FACETS else bounds
+
+
+def _with_cells(bounds: SliceEnclosure, cloud: Cloud) -> SliceEnclosure:
+    """The enclosure with that by the cells between the slices of all axes, if it is tighter."""
+    by_axis = stacks(cloud)
+    if not applicable(cloud, by_axis):
+        return bounds
+    found = cells_of_cloud(cloud, by_axis, bounds.inner)
+    bound = max(float(found.gap.max()) if len(found.gap) else np.inf, exact_error(cloud))
+    if bound >= bounds.bound:
+        return bounds
+    volume = bounds.volume[0], max(min(bounds.volume[1], _volume_within(bounds.inner, bound)), bounds.volume[0])
+    inside = CellEnclosure(
+        inner=bounds.inner, corners=found.corners, gap=found.gap, bound=bound, margin=0.0, volume=volume
+    )
+    return replace(bounds, tangents=inside, bound=bound, volume=volume)
+
+
+def _volume_within(body: Any, distance: float) -> float:
+    """Volume of all that is nearer to a convex body than `distance`, by Steiner's formula."""
+    edges = np.linalg.norm(np.diff(body.vertices.view(np.ndarray)[body.face_adjacency_edges], axis=1)[:, 0], axis=1)
+    curvature = float((edges * body.face_adjacency_angles).sum()) / 2
+    volume = body.volume + distance * (body.area + distance * (curvature + 4 / 3 * np.pi * distance))
+    return float(volume) * (1 + _ROUNDING)
 
 
 def _with_tangents(bounds: SliceEnclosure, cloud: Cloud) -> SliceEnclosure:
@@ -281,6 +308,10 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
     if isinstance(bounds.tangents, SpatialEnclosure):
         by_tangents, local_by_tangents = spatial_certificate(bounds.tangents, surface)
         bound, local = min(bound, by_tangents), np.minimum(local, local_by_tangents)
+    elif bounds.tangents is not None:
+        corners = bounds.tangents.corners
+        bound = min(bound, float(max(outwards.max(), outside(corners, surface).max())))
+        local = np.minimum(local, np.minimum(np.maximum(outwards, depths_in(corners, surface)), bound))
     return Certificate(bound + bounds.margin + deviation, local + bounds.margin + deviation)
 
 

@@ -19,6 +19,7 @@ from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.surfaces.bounds import certificate, enclosure, slice_enclosure
+from scan3d.surfaces.cell_estimates import between_cells
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
 from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
@@ -97,7 +98,8 @@ def surface(
 class _CrossValidation:
     """Errors at held-out slices of the estimates between the bounds, and of fits; None of a fit that was not made."""
 
-    estimates: dict[Edges, HeldOutError]
+    estimates: dict[Edges | float, HeldOutError]
+    """Of slices along one axis by what is assumed of the edges, and of those along several by `cell_estimates.FRACTIONS`."""
     fit: HeldOutError | None
     regression: HeldOutError | None = None
 
@@ -119,7 +121,7 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         reason = "between hull and outer body; too few slices for cross-validation"
         return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
     # where cross-validation hardly distinguishes them, bent edges are chosen: if wrong, their error is smaller
-    advantage = {Edges.SHARP: tuning.sharp_advantage}
+    advantage: dict[Edges | float, float] = {Edges.SHARP: tuning.sharp_advantage}
     # under noise the largest error is that of the noisiest contact
     name = "rms" if cloud.noise else "largest"
     best = min(errors.estimates, key=lambda edges: getattr(errors.estimates[edges], name) / advantage.get(edges, 1.0))
@@ -134,11 +136,12 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         return _labelled(fitted_body(cloud.fit), "support", reason)
     if errors.regression is not None and regressed:
         return _regression(cloud, proven, f"held-out slices lie within {errors.regression.largest:.2g} {cloud.unit}")
-    reason = (
-        f"between hull and outer body, as {_DESCRIPTIONS[best]}: held-out slices lie within {estimate.largest:.2g} "
-        f"{cloud.unit}"
-    )
-    return _labelled(_between(cloud, bounds, best, tuning), "bracket", reason)
+    if isinstance(best, Edges):
+        mesh, described = _between(cloud, bounds, best, tuning), f"as {_DESCRIPTIONS[best]}"
+    else:
+        mesh, described = dict(between_cells(cloud, (best,)))[best], f"{100 * best:g} % of the way to its corners"
+    reason = f"between hull and outer body, {described}: held-out slices lie within {estimate.largest:.2g} {cloud.unit}"
+    return _labelled(mesh, "bracket", reason)
 
 
 def _fit_gain(cloud: Cloud, estimate: HeldOutError, tuning: Tuning, *, regressed: bool) -> float:
@@ -207,7 +210,11 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     kept, held_out = parts
     bounds = slice_enclosure(kept, margin=0.0)
     tried = zip(Edges, _all_between(kept, bounds, Edges, tuning), strict=True)
-    estimates = {edges: error_of_surface(estimate, held_out) for edges, estimate in tried}
+    estimates: dict[Edges | float, HeldOutError] = {
+        edges: error_of_surface(estimate, held_out) for edges, estimate in tried
+    }
+    for fraction, estimate in between_cells(kept):
+        estimates[fraction] = error_of_surface(estimate, held_out)
     fit = regressed = None
     if with_fit and cloud.noisy:
         regressed = error_of_surface(regression(kept)[0], held_out)

@@ -99,7 +99,7 @@ class SliceEnclosure(Enclosure):
     excess: float = 0.0
     """How far the inner body may stick out of the true one, by errors of heights by the calibration; `bound` contains it."""
     tangents: Enclosure | None = None
-    """The enclosure of the same contacts by their tangents, whatever slices they lie in, where it is tighter."""
+    """The enclosure of the same contacts by their tangents, along whatever axes their slices lie, where it is tighter."""
 
     def part(self, kind: Gap) -> float:
         """The largest gap of one kind, 0 if no corner is of that kind."""
@@ -115,6 +115,20 @@ class SliceEnclosure(Enclosure):
         if np.isfinite(self.bound) and np.isfinite(self.corners).all():
             upper = highest(self.corners, directions) + self.margin
         return lower, upper if self.tangents is None else np.minimum(upper, self.tangents.support(directions)[1])
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CellEnclosure(Enclosure):
+    """The enclosure by contacts in slices along several axes: what is left of the cells between the slices' planes.
+
+    Its contacts are exact, and all its corners finite.
+    """
+
+    def _support(self, directions: Array) -> tuple[Array, Array]:
+        return highest(self.inner.vertices.view(np.ndarray), directions), highest(self.corners, directions)
+
+    def parts(self) -> dict[str, float]:
+        return {"cells": self.bound}
 
 
 class Certificate(NamedTuple):

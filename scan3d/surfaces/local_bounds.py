@@ -27,21 +27,32 @@ def depths(bounds: SliceEnclosure, surface: Any) -> Array:
     body may reach far beyond one of the faces.  Where a slab is unbounded, they are the vertices' normals, projected into the
     slices' planes, and the bound of the slab's vertices is infinite.
     """
-    vertices: Array = surface.vertices.view(np.ndarray)
-    faces: Index = surface.faces
-    corner = vertices[faces]
-    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    if not np.isfinite(bounds.corners).all():
-        of_vertices = np.zeros_like(vertices)
-        np.add.at(of_vertices, faces.ravel(), np.repeat(normals, 3, axis=0))
-        return _within_slabs(bounds, vertices, of_vertices)
+    if np.isfinite(bounds.corners).all():
+        return depths_in(bounds.corners, surface)
+    vertices, faces, _, normals = _faces(surface)
+    of_vertices = np.zeros_like(vertices)
+    np.add.at(of_vertices, faces.ravel(), np.repeat(normals, 3, axis=0))
+    return _within_slabs(bounds, vertices, of_vertices)
+
+
+def depths_in(corners: Array, surface: Any) -> Array:
+    """`depths` in an outer body with the corners (w, 3)."""
+    vertices, faces, corner, normals = _faces(surface)
     size = np.linalg.norm(normals, axis=1)
     known = np.flatnonzero(size > 0)
     normals = normals[known] / size[known, None]
-    depth = support_values(bounds.corners, normals) - (normals * corner[known, 0]).sum(axis=1)
+    depth = support_values(corners, normals) - (normals * corner[known, 0]).sum(axis=1)
     found = np.full(len(vertices), -np.inf)
     np.maximum.at(found, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
     return np.where(np.isfinite(found), found, np.inf)
+
+
+def _faces(surface: Any) -> tuple[Array, Index, Array, Array]:
+    """Vertices (v, 3), faces (f, 3), their corners (f, 3, 3) and normals (f, 3) with twice the faces' areas as lengths."""
+    vertices: Array = surface.vertices.view(np.ndarray)
+    faces: Index = surface.faces
+    corner = vertices[faces]
+    return vertices, faces, corner, np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
 def _within_slabs(bounds: SliceEnclosure, vertices: Array, normals: Array) -> Array:

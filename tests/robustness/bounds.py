@@ -40,7 +40,7 @@ from scan3d.geometry.sections import slice_frame, slice_polygons
 from scan3d.reconstruction.resolution import _FINE as FINE
 from scan3d.reconstruction.resolution import rounding_sd
 from scan3d.rods import Rod
-from scan3d.simulation.scan import _width
+from scan3d.simulation.axis_scans import width_of
 from scan3d.units import UNITS_M
 from scan3d.workflow import analyse
 
@@ -143,7 +143,7 @@ def drawn(seed, noise=NOISE, fewest=(4, 16), most=(40, 80), model="planar"):
         unit=str(draw.choice(["mm", "mm", "um", "m", "in"])),
     )
     if draw.random() < 0.6:
-        width = max(_width(mesh, slice_frame(axis)) for axis in plan.axes())
+        width = max(width_of(mesh, slice_frame(axis)) for axis in plan.axes())
         length = float(np.exp(draw.uniform(np.log(0.4), np.log(2)))) * width * UNITS_M[plan.unit]
         plan = dataclasses.replace(plan, rod=Rod.of_length(length))
     if draw.random() < 0.1:  # few and long sweeps

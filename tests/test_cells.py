@@ -1,0 +1,194 @@
+"""The outer body between slices along several axes: it contains the body, and no contact and tangent allows less."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import scan3d
+from scan3d.geometry.distance import signed_distances
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.sections import slice_frame
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.slices import stacks
+from scan3d.surfaces import certificate, enclosure, withdrawn
+from scan3d.surfaces.bounds import outside, slice_enclosure
+from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells
+from scan3d.surfaces.cells import cells_of_cloud
+from scan3d.surfaces.enclosures import CellEnclosure
+from scan3d.surfaces.inclined import exact_error
+
+# Directions in which bodies are compared.
+DIRECTIONS = np.random.default_rng(5).normal(size=(400, 3))
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
+
+
+def body(seed):
+    """A random polytope, a round polytope or an ellipsoid, turned."""
+    random = np.random.default_rng(seed)
+    if seed % 3 == 0:
+        points = random.normal(size=(int(random.integers(5, 25)), 3)) * random.uniform(3, 20, 3)
+    elif seed % 3 == 1:
+        points = random.normal(size=(60, 3))
+        points *= random.uniform(3, 20, 3) / np.linalg.norm(points, axis=1)[:, None]
+    else:
+        points = trimesh.creation.icosphere(3).vertices * random.uniform(2, 20, 3)
+    return trimesh.convex.convex_hull(points @ Rotation.random(rng=random).as_matrix())
+
+
+@functools.cache
+def scanned(seed, slices=6, axes="xyz", spacing="cosine"):
+    plan = scan3d.Plan(slices=slices, axis=axes, spacing=spacing, samples=24, friction=(0.0, 0.4), seed=seed)
+    mesh = body(seed)
+    return mesh, contacts(scan3d.simulate(mesh, plan))
+
+
+def found_in(cloud):
+    return cells_of_cloud(cloud, stacks(cloud), hull(cloud.points))
+
+
+def holds(mesh, cloud):
+    """Whether the outer body contains the true one, of which every vertex that is not in the hull is in some cell."""
+    found = found_in(cloud)
+    inner, size = hull(cloud.points), np.linalg.norm(mesh.extents)
+    off = signed_distances(mesh.vertices, inner)
+    if not np.isfinite(found.gap).all():
+        return True
+    assert found.gap.max() >= off.max() - 1e-12 * size
+    assert (
+        (found.corners @ DIRECTIONS.T).max(axis=0) >= (mesh.vertices @ DIRECTIONS.T).max(axis=0) - 1e-12 * size
+    ).all()
+    axes = np.array([stack.frame[2] for stack in stacks(cloud)])
+    planes = [found.planes[i] for i in range(len(found.corners))]
+    for vertex in mesh.vertices[off > 1e-6 * size]:
+        height = axes @ vertex
+        rounding = 10 * exact_error(cloud)
+        at = np.flatnonzero(((height >= found.low - rounding) & (height <= found.high + rounding)).all(axis=1))
+        left = [
+            all(
+                (planes[i][:, :3] @ vertex + planes[i][:, 3] <= rounding).all() for i in np.flatnonzero(found.cell == c)
+            )
+            for c in at
+        ]
+        assert any(left)
+    return True
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_cells_contain_the_body(seed):
+    assert holds(*scanned(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axes", ["xyz", "xy"])
+@pytest.mark.parametrize("slices", [1, 2, 3, 5, 9])
+@pytest.mark.parametrize("seed", range(10, 16))
+def test_the_cells_of_few_and_many_slices_contain_the_body(seed, slices, axes):
+    assert holds(*scanned(seed, slices, axes))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20, 32))
+def test_the_bound_of_adaptive_slices_holds(seed):
+    mesh, cloud = scanned(seed, 9, "xyz", "adaptive")
+    bounds = enclosure(cloud)
+    size = np.linalg.norm(mesh.extents)
+    assert outside(mesh.vertices, bounds.inner).max() <= bounds.bound + 1e-12 * size
+    assert bounds.volume[0] <= mesh.volume * (1 + 1e-12) <= bounds.volume[1] * (1 + 2e-12)
+    lower, upper = bounds.support(DIRECTIONS)
+    support = (mesh.vertices @ DIRECTIONS.T).max(axis=0)
+    assert (lower <= support + 1e-8 * size).all()
+    assert (upper >= support - 1e-12 * size).all()
+    for surface in (bounds.inner, scan3d.surface(cloud, bounds=bounds)):
+        certified = certificate(bounds, surface)
+        assert scan3d.compare(surface, mesh).hausdorff <= certified.bound + 1e-12 * size
+        off = np.abs(signed_distances(surface.vertices, mesh))
+        assert (off <= certified.at_vertices + 1e-9 * size).all()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_contact_and_tangent_allows_a_smaller_bound(seed):
+    """The hull of the contacts and the farthest corner is a convex body with the same contacts and tangents."""
+    mesh, cloud = scanned(seed)
+    found = found_in(cloud)
+    size = np.linalg.norm(mesh.extents)
+    largest = hull(np.concatenate([cloud.points, found.corners[[found.gap.argmax()]]]))
+    assert signed_distances(cloud.points, largest).min() > -2e-6 * size
+    tangential = np.isfinite(cloud.in_plane_normals).all(axis=1) & (cloud.phase == 2)
+    rod = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])[tangential]
+    for step in (-0.05, -0.002, 0.002, 0.05):
+        assert signed_distances(cloud.points[tangential] + step * size * rod, largest).min() > -2e-6 * size
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_cells_are_tighter_than_the_slabs_of_one_axis(seed):
+    _, cloud = scanned(seed)
+    slabs, bounds = slice_enclosure(cloud), enclosure(cloud)
+    assert found_in(cloud).gap.max() < slabs.bound
+    assert bounds.bound < slabs.bound
+    assert (bounds.support(DIRECTIONS)[1] <= slabs.support(DIRECTIONS)[1]).all()
+
+
+def test_every_cell_is_bounded_by_its_planes():
+    _, cloud = scanned(1)
+    found = found_in(cloud)
+    size = np.linalg.norm(np.ptp(cloud.points, axis=0))
+    height = found.corners @ np.array([stack.frame[2] for stack in stacks(cloud)]).T
+    assert (height >= found.low[found.cell] - 1e-8 * size).all()
+    assert (height <= found.high[found.cell] + 1e-8 * size).all()
+    assert len(np.unique(found.number, axis=0)) == len(found.number)
+
+
+@pytest.mark.parametrize("frame", [np.eye(3), slice_frame(np.array([1.0, 2.0, 0.5]))])
+def test_a_box_is_found_exactly(frame):
+    """Of a box that lies along the axes three slices show every face, and a slice near each end its extent."""
+    mesh = trimesh.creation.box((20, 14, 9))
+    mesh.apply_transform(np.block([[frame, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=12, axis="xyz", samples=24)))
+    bounds = enclosure(cloud)
+    assert bounds.bound < 1e-5 * np.linalg.norm(mesh.extents)
+    assert holds(mesh, cloud)
+
+
+def test_the_bound_by_cells_is_withdrawn_with_the_others():
+    _, cloud = scanned(2)
+    bounds = enclosure(cloud)
+    assert isinstance(bounds.tangents, CellEnclosure)
+    assert bounds.tangents.parts() == {"cells": bounds.tangents.bound}
+    nothing, certified = withdrawn(bounds, bounds.inner)
+    assert np.isinf(nothing.bound)
+    assert np.isinf(certified.bound)
+    assert not np.isfinite(nothing.support(DIRECTIONS)).any()
+
+
+def test_estimates_lie_between_the_hull_and_the_corners():
+    mesh, cloud = scanned(1)
+    found, inner = found_in(cloud), hull(cloud.points)
+    size = np.linalg.norm(mesh.extents)
+    estimates = dict(between_cells(cloud, (0.0, 0.5, 1.0)))
+    assert scan3d.compare(estimates[0.0], inner).hausdorff < 1e-9 * size
+    assert outside(found.corners, estimates[1.0]).max() < 1e-6 * size
+    assert outside(inner.vertices, estimates[0.5]).max() < 1e-9 * size
+    assert outside(estimates[0.5].vertices, estimates[1.0]).max() < 1e-9 * size
+    assert estimates[0.0].volume < estimates[0.5].volume < estimates[1.0].volume
+    assert tuple(dict(between_cells(cloud))) == FRACTIONS
+
+
+def test_no_estimates_by_cells_of_one_axis_or_of_noisy_contacts():
+    mesh = body(0)
+    plan = scan3d.Plan(slices=6, spacing="cosine", samples=24)
+    assert not list(between_cells(contacts(scan3d.simulate(mesh, plan))))
+    noisy = replace(plan, axis="xyz", noise=1e-3)
+    assert not list(between_cells(scan3d.reconstruct(scan3d.simulate(mesh, noisy))))
+
+
+@pytest.mark.slow
+def test_the_corners_of_a_polytope_are_its_vertices():
+    """Where the hull misses vertices, the surface that held-out slices choose comes closer to the body."""
+    mesh, cloud = scanned(22, 9, "xyz", "adaptive")
+    surface = scan3d.surface(cloud)
+    near, far = (scan3d.compare(shape, mesh).hausdorff for shape in (surface, hull(cloud.points)))
+    assert near < far
