@@ -18,6 +18,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
+from scan3d.simulation import axis_scans
 from scan3d.simulation import scan as simulation
 from scan3d.surfaces import certificate, enclosure, sigmas
 
@@ -617,7 +618,7 @@ def test_poses_that_are_rounded_or_shake_keep_their_slices(spread):
 
 
 def test_a_body_that_no_slice_meets(monkeypatch):
-    monkeypatch.setattr(simulation, "slice_polygons", lambda mesh, frame, levels: [np.empty((0, 2))] * len(levels))
+    monkeypatch.setattr(axis_scans, "slice_polygons", lambda mesh, frame, levels: [np.empty((0, 2))] * len(levels))
     with pytest.raises(
         scan3d.InputError, match="the body is too thin to be sliced along this axis; choose another one"
     ):
