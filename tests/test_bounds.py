@@ -313,7 +313,8 @@ def test_of_several_stacks_the_one_with_the_smallest_bound_is_used(margin, axes)
 @pytest.mark.slow
 def test_a_margin_moves_the_ends_that_other_stacks_bound(margin):
     """A box that is larger than the contacts show by the margin is still inside."""
-    bounds = enclosure(contacts(scan3d.simulate(BOX, scan3d.Plan(slices=6, axis="xyz", samples=32))), margin)
+    plan = scan3d.Plan(slices=6, axis="xyz", spacing="cosine", samples=32)
+    bounds = enclosure(contacts(scan3d.simulate(BOX, plan)), margin)
     end = HALF @ np.abs(bounds.stack.frame[2])
     assert bounds.stack.floor <= -end - margin * (1 - 1e-9)
     assert bounds.stack.ceiling >= end + margin * (1 - 1e-9)

@@ -301,7 +301,7 @@ def test_the_inner_body_allows_for_the_digits_of_the_poses(noise):
 def test_the_contacts_covariances_hold(name):
     """Against the same scan without noise, row by row: 95 % of the contacts lie in the ellipse of 95 %."""
     mesh = scan3d.load_mesh(MESHES / name)
-    plan = scan3d.Plan(slices=40, friction=0.3)
+    plan = scan3d.Plan(slices=40, spacing="cosine", friction=0.3)
     exact = scan3d.reconstruct(scan3d.simulate(mesh, plan))
     cloud = scan3d.reconstruct(scan3d.simulate(mesh, dataclasses.replace(plan, noise=1e-4)))
     _, noisy, true = np.intersect1d(cloud.row, exact.row, return_indices=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,12 @@ _SLICES_AT_ONCE = 16
 # Times the samples of the plan to which those of a sweep are doubled, so that contacts show its contour within the tolerance.
 # More are for tolerances near rounding; with fewer, the gaps between contacts stay above it.
 _FINEST = 16
+# Part of the tolerance within which contours are to be known before further slices are chosen.  Larger, the gaps between
+# contacts make secants to close slices steep, and many more slices are needed; smaller, samples are needed that show nothing.
+_OF_TOLERANCE = 0.25
+# Crossings of slices along different axes up to which their heights are chosen together.  Larger, plans of many slices take
+# minutes, because all cells between the slices are evaluated in each round; smaller, fewer scans are planned together.
+_MOST_TOGETHER = 2_500
 # Bytes that a sample takes while a scan is simulated and analysed, and those that a slice takes beside its samples.  A noisy
 # scan of 576,000 samples took 600 bytes for each.  Larger, scans are refused that would fit; smaller, memory runs out.
 _MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE = 1000, 10_000
@@ -64,7 +72,7 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
     scans = [AxisScan(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]
-    if plan.spacing == "adaptive" and len(scans) > 1 and not plan.noise:
+    if plan.spacing == "adaptive" and not plan.noise and 0 < comb(len(scans), 2) * plan.slices**2 <= _MOST_TOGETHER:
         _scan_together(scans, rod, progress)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
@@ -103,7 +111,10 @@ def _cosine_heights(scan: AxisScan) -> Array:
 def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
     """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
     memory, grown, done = SlabMemory(), GrowingContacts(), 0
-    finest, widest = _FINEST * scan.plan.samples, np.inf
+    finest = _FINEST * scan.plan.samples
+    if scan.plan.tolerance and not scan.plan.noise:
+        with suppress(InputError):  # the first slices alone may span no body
+            _refine(scan, rod, _OF_TOLERANCE * scan.plan.tolerance, finest)
     while (left := scan.plan.slices + BEYOND - len(scan.heights)) > 0:
         if not scan.plan.noise and len(scan.swept) > done:
             grown.add(recording_of([scan], rod, done))
@@ -115,18 +126,28 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
-            if not scan.plan.tolerance or scan.plan.samples >= finest:
+            if not (scan.plan.tolerance and _refine(scan, rod, scan.plan.tolerance, finest)):
                 break
-            # gaps fall with the square of the samples, but not those that are due to noise
-            again, gap = open_contours(contacts(recording_of([scan], rod)), scan.plan.tolerance)
-            if not len(again) or gap > widest / 2:
-                break
-            widest = gap
-            scan.sweep_again(again)
             memory, grown, done = SlabMemory(), GrowingContacts(), 0
             continue
         scan.scan(heights)
         report(len(scan.heights))
+
+
+def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
+    """Sweep slices again, with up to `finest` samples, whose contours are not known within `wanted`, relative to the diagonal.
+
+    Says whether there are any; further slices are swept with as many samples.
+    """
+    swept_again, widest = False, np.inf
+    while scan.plan.samples < finest:
+        heights, gap = open_contours(contacts(recording_of([scan], rod)), wanted)
+        # gaps fall with the square of the samples, but not those that are due to noise
+        if not len(heights) or gap > widest / 2:
+            break
+        swept_again, widest = True, gap
+        scan.sweep_again(heights)
+    return swept_again
 
 
 def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -> None:

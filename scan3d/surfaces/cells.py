@@ -28,7 +28,9 @@ from scan3d.surfaces.inclined import exact_error, half_spaces
 
 # Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each.
 # Larger, scans of very many slices along several axes take minutes; smaller, their bounds are those of one axis.
-_MOST_CELLS = 15_000
+_MOST_CELLS = 6_000
+# Axes up to which they are.  Larger, the codes of cells do not fit into 64 bits; smaller, more scans have bounds of one axis.
+_MOST_AXES = 6
 # Rounds in which the half-spaces are added that cut off most of a cell's corners.  More take longer; with fewer, some corners
 # lie farther out than the contacts allow.
 _ROUNDS = 20
@@ -70,9 +72,13 @@ class Cells(NamedTuple):
 
 
 def applicable(cloud: Cloud, by_axis: Sequence[SliceStack]) -> bool:
-    """Whether the contacts are exact, along several axes, and their cells not too many."""
+    """Whether the contacts are exact, along several axes, and axes and cells not too many."""
     exact = cloud.covariance is None and cloud.calibration is None and cloud.tilt is None and not cloud.noise
-    return exact and 0 < sum(len(a.slices) * len(b.slices) for a, b in combinations(by_axis, 2)) <= _MOST_CELLS
+    return (
+        exact
+        and 1 < len(by_axis) <= _MOST_AXES
+        and 0 < sum(len(a.slices) * len(b.slices) for a, b in combinations(by_axis, 2)) <= _MOST_CELLS
+    )
 
 
 def cells_of_cloud(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any) -> Cells:
