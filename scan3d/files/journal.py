@@ -16,6 +16,7 @@ import hashlib
 import json
 import os
 import platform
+import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -110,6 +111,17 @@ def work_in(folder: Path, owner: str = "") -> Iterator[Work]:
 
 def claim(folder: Path, owner: str = "") -> Work:
     """Lock the work folder, which is created, and bring it and the folder in order."""
+    try:
+        return _claim(folder, owner)
+    except (OSError, InputError):
+        raise
+    except BaseException:  # an interruption between the creation of the work folder and its lock leaves nothing behind
+        with suppress(OSError, InputError):
+            _claim(folder, owner).release()
+        raise
+
+
+def _claim(folder: Path, owner: str) -> Work:
     path = work_path(folder, owner)
     while True:
         try:
@@ -182,12 +194,10 @@ def locate(path: Path, owner: str | None = None) -> Path:
 
 def sweep(folder: Path) -> None:
     """Remove what killed runs have left in a folder, never the files of one that is running."""
-    for entry in os.scandir(folder):
-        owner = entry.name.removesuffix(WORK).removeprefix(".")
-        if entry.name != work_path(folder, owner).name or not entry.is_dir(follow_symlinks=False):
-            continue
+    for name in os.listdir(folder):
+        owner = name.removesuffix(WORK).removeprefix(".")
         # finishing the moves of another user would be done with this user's rights
-        if _is_mine(entry):
+        if name == work_path(folder, owner).name and _is_my_folder(folder / name):
             with suppress(OSError, InputError):
                 claim(folder, owner).release()
 
@@ -285,9 +295,10 @@ def _is_same(handle: int, path: Path) -> bool:
         return False
 
 
-def _is_mine(entry: os.DirEntry[str]) -> bool:
+def _is_my_folder(path: Path) -> bool:
     with suppress(OSError):
-        return os.name == "nt" or entry.stat(follow_symlinks=False).st_uid == os.geteuid()
+        state = os.lstat(path)
+        return stat.S_ISDIR(state.st_mode) and (os.name == "nt" or state.st_uid == os.geteuid())
     return False
 
 
