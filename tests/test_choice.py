@@ -215,6 +215,8 @@ ALWAYS_SHARP, NEVER_SHARP = {"sharp_advantage": 1e3}, {"sharp_advantage": 1e-3}
         ("parabola", 0.4, "cylinder", {}, "bracket"),
         ("crease", 0.5, "box", NEVER_SHARP, "bracket"),
         ("sharp_advantage", 1e-3, "box", {}, "bracket"),
+        ("round_advantage", 1e-3, "ball", {}, "bracket"),
+        ("flat_advantage", 1e3, "cylinder", {}, "bracket"),
         ("fit_gain", 0.0, "ball", {}, "auto"),
         ("proven", 1.0, "box", {}, "auto"),
     ],

@@ -60,6 +60,9 @@ def test_a_parabola_reaches_a_quarter_of_the_distance():
     """Evenly sliced: chord's height c d²/8, secants' apex 4 times that; the damping draws the estimate to the middle."""
     fraction = fraction_at(lambda z: 10 - z * z, [-3, -2, -1, 0, 1, 2, 3], 0.5, (False, False), Edges.SOME)
     assert fraction == pytest.approx(0.4 * 0.25 + 0.6 * 0.5)
+    # it is that of the parabola itself if the body is bent everywhere
+    fraction = fraction_at(lambda z: 10 - z * z, [-3, -2, -1, 0, 1, 2, 3], 0.5, (False, False), Edges.ROUND)
+    assert fraction == pytest.approx(0.25)
 
 
 def test_two_cones_with_a_common_base_reach_the_corner():

@@ -34,6 +34,7 @@ _FAR = 2.0
 _DESCRIPTIONS = {
     Edges.NONE: "flat between its slices",
     Edges.SOME: "bent, with some edges",
+    Edges.ROUND: "bent everywhere, without edges",
     Edges.SHARP: "a polyhedron's, with sharp edges",
 }
 
@@ -120,16 +121,20 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     if errors is None:
         reason = "between hull and outer body; too few slices for cross-validation"
         return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
-    # where cross-validation hardly distinguishes them, bent edges are chosen: if wrong, their error is smaller
-    advantage: dict[Edges | float, float] = {Edges.SHARP: tuning.sharp_advantage}
-    # under noise the largest error is that of the noisiest contact
-    name = "rms" if cloud.noise else "largest"
-    best = min(errors.estimates, key=lambda edges: getattr(errors.estimates[edges], name) / advantage.get(edges, 1.0))
+    # where cross-validation hardly distinguishes them, some edges are assumed: if wrong, their error is smaller
+    advantage: dict[Edges | float, float] = {
+        Edges.NONE: tuning.flat_advantage,
+        Edges.ROUND: tuning.round_advantage,
+        Edges.SHARP: tuning.sharp_advantage,
+    }
+    best = min(errors.estimates, key=lambda key: errors.estimates[key].score(cloud.noise) / advantage.get(key, 1.0))
     estimate = errors.estimates[best]
     regressed = errors.regression is not None and errors.regression.rms <= estimate.rms
     other = errors.regression if regressed else estimate
     assert other is not None
     gain = _fit_gain(cloud, estimate, tuning, regressed=regressed)
+    # under noise the largest error is that of the noisiest contact
+    name = "rms" if cloud.noise else "largest"
     if errors.fit is not None and getattr(errors.fit, name) <= gain * getattr(other, name):
         assert cloud.fit is not None
         reason = f"{_degree(cloud.fit)}: the body is smooth, held-out slices lie within {errors.fit.largest:.2g} {cloud.unit}"

@@ -15,6 +15,9 @@ from scan3d.geometry.support import SupportFit, fitted_body
 # Slices with contacts that an axis needs before any of them is held out.  Larger, scans of few slices are not judged by
 # cross-validation; smaller, the slices that are kept do not determine a surface.
 _FEWEST_SLICES = 5
+# Weight of the root mean square beside the largest error, as exponents, where estimates from exact contacts are compared.
+# Larger, an estimate is chosen that is far off in one place; smaller, the contact farthest off decides alone.
+_RMS = 0.15
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,10 @@ class HeldOutError:
     largest: float
     rms: float
     """Of noisy contacts weighted by their inverse variances across the surface, without the part that noise explains."""
+
+    def score(self, noise: float) -> float:
+        """What is least for the best estimate: under noise the root mean square, else mainly the largest error."""
+        return self.rms if noise else self.largest ** (1 - _RMS) * self.rms**_RMS
 
 
 def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:

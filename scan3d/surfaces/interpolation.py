@@ -47,6 +47,8 @@ class Edges(Enum):
     """The body is flat between its slices: the surface is that of the hull, except in the caps."""
     SOME = "some"
     """The body is curved, with some edges: the surface lies at the fraction `Tuning.crease` of the distance to the corner."""
+    ROUND = "round"
+    """The body is curved everywhere: as `SOME`, but the estimated fractions are not drawn towards `Tuning.unknown`."""
     SHARP = "sharp"
     """The body is a polyhedron: the surface reaches the outer corner."""
 
@@ -64,14 +66,15 @@ def fractions(stack: SliceStack, away: Array, slab: Index, straight: Mask, edges
     across = away @ stack.frame[:2].T
     angle = np.arctan2(across[:, 1], across[:, 0])
     fraction = np.full(len(angle), tuning.unknown)
+    damping = 0.0 if edges is Edges.ROUND else tuning.damping
     creased: Mask = np.asarray(straight.any(axis=1))
     for i in np.unique(slab):
         rows = slab == i
         turn = _turn(stack, int(i), angle[rows], tuning)
         # where slices on one side only are known, the fraction of a parabola; in the caps nothing is known
         one_sided = tuning.unknown if i in (0, len(stack.slices)) else tuning.parabola
-        fraction[rows] = (1 - tuning.damping) * turn.fraction(one_sided) + tuning.damping * tuning.unknown
-        if edges is Edges.SOME:
+        fraction[rows] = (1 - damping) * turn.fraction(one_sided) + damping * tuning.unknown
+        if edges is not Edges.SHARP:
             creased[rows] = turn.straight
         elif 0 < i < len(stack.slices):
             # a polyhedron is straight on both sides, even where too few slices show it

@@ -16,8 +16,9 @@ class Tuning:
     """Fraction in the caps and where slices lack normals: at one half, the error is at most half the gap.  Larger, the surface
     is too far out for round bodies; smaller, too far in for bodies with edges."""
     damping: float = 0.6
-    """Weight by which every estimated fraction is drawn towards `unknown`.  Larger, the error is smaller where the estimate
-    is wrong, for example where facets end within two slices of each other, and larger where it is right."""
+    """Weight by which every estimated fraction is drawn towards `unknown`, unless it is bent everywhere.  Larger, the error
+    is smaller where the estimate is wrong, for example where facets end within two slices of each other, and larger where it is
+    right."""
     unseen_corners: float = 0.3
     """Fraction of the remaining distance to the corner that is added for a polyhedron where too few slices show its planes.
     Larger, the surface is too far out where it is a plane; smaller, too far in where it has a corner."""
@@ -34,6 +35,12 @@ class Tuning:
     sharp_advantage: float = 0.9
     """Sharp edges are chosen only if their error at held-out slices is below this many times that of bent ones.  Larger, they
     are chosen in a tie as well, where they have the larger error if wrong; smaller, some polyhedra are not recognised."""
+    round_advantage: float = 0.95
+    """As `sharp_advantage`, for a body that is bent everywhere.  Larger, it is chosen for bodies whose edges fall between the
+    slices; smaller, the surfaces of smooth bodies lie too far out."""
+    flat_advantage: float = 0.8
+    """As `sharp_advantage`, for a body that is flat between its slices, which is the hull but for the caps.  Larger, the hull
+    is taken for bodies of which one held-out contact lies far from the estimate; smaller, flat bodies get ridges."""
     fit_gain: float = 0.5
     """The fitted body is chosen if its error at held-out slices is below this many times that of the estimate between the
     bounds.  With all slices the error of the estimate falls to about half, while that of the fit stays.  Larger, the fit is

@@ -70,6 +70,8 @@ FIELDS = (
     Field("parabola", "bracket", NEAR, 1.0),
     Field("crease", "bracket", NEAR, 0.99),
     Field("sharp_advantage", "bracket", NEAR, 1.0),
+    Field("round_advantage", "bracket", NEAR, 1.0),
+    Field("flat_advantage", "bracket", NEAR, 1.0),
     Field("fit_gain", "auto", NEAR, 1.0),
     Field("proven", "auto", DECADES, np.inf),
 )
