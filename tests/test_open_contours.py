@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 import scan3d
 from scan3d.planning.contours import open_contours
 from scan3d.simulation import scan as simulated
+from scan3d.simulation.axis_scans import AxisScan
 from scan3d.surfaces import enclosure
 from scan3d.surfaces.slabs import Gap
 
@@ -60,8 +62,31 @@ def test_gaps_that_more_samples_do_not_close_are_left(monkeypatch):
 
     monkeypatch.setattr(simulated, "open_contours", noisy)
     recording = scanned("gem.glb", tolerance=4e-3)
-    assert len(asked) == 3  # twice before further slices are chosen, and once at their end
+    # the samples are doubled once, and then directions are sought as long as there are any
     assert max(samples_of_sweeps(recording)) == 20
+    assert len(asked) < 12
+
+
+# Corners of a wing's section.
+WING = [
+    [-89, -557], [-12, -306], [131, 313], [131, 319], [132, 320], [132, 321], [131, 331], [129, 350], [125, 359], [106, 339],
+    [94, 320], [59, 235], [-61, -98], [-138, -321], [-209, -541], [-203, -603], [-198, -613], [-186, -623], [-172, -627],
+    [-154, -623], [-117, -597], [-93, -566],
+]  # fmt: skip
+
+
+def test_contours_of_which_the_rods_tip_alone_touched_a_part_are_swept_from_further_directions(monkeypatch):
+    """No normal is measured there, so that more samples do not help."""
+    corners = np.array(WING, dtype=float)
+    ends = [np.column_stack([corners, np.full(len(corners), z)]) for z in (0.0, 600.0)]
+    body = trimesh.convex.convex_hull(np.concatenate(ends))
+    plan = scan3d.Plan(slices=6, samples=16, tolerance=1e-4, friction=(0.0, 0.4))
+    recording = scan3d.simulate(body, plan)
+    assert relative_gaps(recording)[0] < 1e-4
+    monkeypatch.setattr(AxisScan, "sweep_further", lambda *_: False)
+    without = scan3d.simulate(body, plan)
+    assert relative_gaps(without)[0] > 2e-4
+    assert recording.sweep.max() > without.sweep.max()
 
 
 def test_contours_are_known_before_close_slices_are_chosen():

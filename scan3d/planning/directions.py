@@ -46,7 +46,7 @@ def first_directions(plan: Plan) -> Array:
     return 2 * np.pi * np.arange(count) / count
 
 
-def further_directions(points: Array, normals: Array, width: float) -> Array:
+def further_directions(points: Array, normals: Array, width: float, limit: float | None = None) -> Array:
     """Approach directions (k,), in radians, towards those parts of a slice's contour that tangential contacts leave open.
 
     points, normals (n, 2)
@@ -54,6 +54,8 @@ def further_directions(points: Array, normals: Array, width: float) -> Array:
         their tangents.
     width
         of the contour, in the unit of the points.
+    limit
+        height of an open triangle, in the same unit, above which a sweep is aimed at it; by default a part of the width.
 
     Returns no directions where there are no tangential contacts.
     """
@@ -71,6 +73,7 @@ def further_directions(points: Array, normals: Array, width: float) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         height = np.nan_to_num(before * after / (np.hypot(*chord.T) * np.sin(gap)))
     open_height = np.where(gap >= np.pi, width, height)
-    middle = (angle + gap / 2)[open_height > OPEN_FRACTION * width]
+    limit = OPEN_FRACTION * width if limit is None else limit
+    middle = (angle + gap / 2)[open_height > limit]
     # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the undeformed rod, has the direction sought
     return np.unique(np.round(middle + np.pi - AIMED_SLOPE, _DIRECTION_DECIMALS))

@@ -82,6 +82,23 @@ class AxisScan:
         self.swept = [swept for swept in self.swept if swept.sweep.slice not in chosen]
         self.swept += self._sweep_slices(sorted(chosen))
 
+    def sweep_further(self, heights: Array, limit: float) -> bool:
+        """Sweep slices from further directions as well, towards what their contacts leave open by more than `limit`.
+
+        The limit is a length in the mesh's unit.  Says whether there are such sweeps.
+        """
+        chosen = np.abs(np.array(self.heights) - heights[:, None]).argmin(axis=1).tolist()
+        sweeps = []
+        for i in sorted(set(chosen)):
+            done = [swept for swept in self.swept if swept.sweep.slice == i]
+            angles = self._open_directions(done, self.polygons[i], limit)[: max(MAX_SWEEPS - len(done), 0)]
+            lines = [self._base_line(angle, self.polygons[i]) for angle in angles]
+            sweeps += [_Sweep(i, len(done) + k, line) for k, line in enumerate(lines)]
+        results = zip(sweeps, self._simulate(sweeps), strict=True)
+        further = [_Swept(sweep, result) for sweep, result in results if result is not None]
+        self.swept += further
+        return bool(further)
+
     def _sweep_slices(self, slices: list[int]) -> list[_Swept]:
         """All sweeps of some slices, in the order of slices and directions."""
         directions = {i: first_directions(self.plan) for i in slices}
@@ -170,8 +187,8 @@ class AxisScan:
         by_sweep = dict(zip(within, results, strict=True))
         return [by_sweep.get(k) for k in range(len(sweeps))]
 
-    def _open_directions(self, done: list[_Swept], polygon: Array) -> Array:
-        """Approach directions for the parts of a slice's contour that the sweeps have left open."""
+    def _open_directions(self, done: list[_Swept], polygon: Array, limit: float | None = None) -> Array:
+        """Approach directions for the parts of a slice's contour that the sweeps have left open, as `further_directions`."""
         points, normals = [], []
         for sweep, result in done:
             tangential = result.phase == planar.Phase.TANGENTIAL
@@ -181,7 +198,7 @@ class AxisScan:
         if not sum(map(len, points)):
             return np.empty(0)
         width = float(np.ptp(polygon, axis=0).max())
-        return further_directions(np.concatenate(points), np.concatenate(normals), width)
+        return further_directions(np.concatenate(points), np.concatenate(normals), width, limit)
 
 
 def width_of(mesh: Any, frame: Array) -> float:

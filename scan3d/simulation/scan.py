@@ -135,18 +135,23 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
 
 
 def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
-    """Sweep slices again, with up to `finest` samples, whose contours are not known within `wanted`, relative to the diagonal.
+    """Sweep slices again whose contours are not known within `wanted`, relative to the diagonal.
 
-    Says whether there are any; further slices are swept with as many samples.
+    They are swept with up to `finest` samples, as are further slices then.  Where more samples do not help, a part of the
+    contour was touched by the rod's tip only, and they are swept from further directions.  Says whether there are any.
     """
     swept_again, widest = False, np.inf
-    while scan.plan.samples < finest:
+    limit = wanted * float(np.linalg.norm(scan.mesh.extents))
+    while True:
         heights, gap = open_contours(contacts(recording_of([scan], rod)), wanted)
+        if not len(heights):
+            break
         # gaps fall with the square of the samples, but not those that are due to noise
-        if not len(heights) or gap > widest / 2:
+        if gap <= widest / 2 and scan.plan.samples < finest:
+            scan.sweep_again(heights)
+        elif scan.plan.noise or scan.plan.sweeps is not None or not scan.sweep_further(heights, limit):
             break
         swept_again, widest = True, gap
-        scan.sweep_again(heights)
     return swept_again
 
 
