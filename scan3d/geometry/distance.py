@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import (
     areas,
     distance_to,
@@ -103,9 +104,9 @@ def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
             f"the {name} should have at least one triangle, but it has {len(mesh.vertices)} vertices and no faces; "
             "check that its file holds triangles, or build a surface from its points first"
         )
-    used = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
-    bad = int((~np.isfinite(used).all(axis=1)).sum())
-    if bad:
+    used = np.asarray(mesh.vertices, dtype=np.float64)[without_unused(np.asarray(mesh.faces))[0]]
+    if not np.isfinite(used).all():
+        bad = int((~np.isfinite(used).all(axis=1)).sum())
         raise InputError(
             f"the {name} should have finite coordinates, but {bad} of its {len(used)} vertices are NaN or infinite; "
             "repair or export it again"
@@ -130,10 +131,10 @@ def welded(mesh: trimesh.Trimesh, centre: Array, scale: float) -> tuple[Array, I
 
     The vertices are moved by ``-centre`` and divided by `scale`.
     """
-    used, faces = np.unique(mesh.faces, return_inverse=True)
+    used, faces = without_unused(np.asarray(mesh.faces))
     scaled = (np.asarray(mesh.vertices, dtype=np.float64)[used] - centre) / scale
     first, number = distinct_rows(scaled[:, ::-1])
-    vertices, renumbered = scaled[first], number[faces.reshape(-1, 3)]
+    vertices, renumbered = scaled[first], number[faces]
     return vertices, np.take_along_axis(renumbered, longest_first(vertices[renumbered]), axis=1)
 
 

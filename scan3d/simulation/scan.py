@@ -65,6 +65,11 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     if not isinstance(plan, Plan):
         raise InputError(f"the plan must be a scan3d.Plan, got {type(plan).__name__}")
     check_body(mesh)
+    return simulate_judged(mesh, plan, progress)
+
+
+def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
+    """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
     _check_size(plan)
     if plan.model == "spatial":
         return simulate_spatial(mesh, plan, progress)
