@@ -34,7 +34,7 @@ OPEN_TOLERANCE = 1e-3
 """Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding
 of the areas of fine meshes would count as a hole."""
 # Memory while a mesh is read: per byte of its file, and per triangle with its corners, in bytes.
-_MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 300
+_MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 1200
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: float | str = 0.0) -> trimesh.Trimesh:

@@ -18,7 +18,7 @@ from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
 from scan3d.planning.contours import open_contours
-from scan3d.planning.directions import first_directions
+from scan3d.planning.directions import FIRST_SWEEPS
 from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
@@ -43,9 +43,10 @@ _OF_TOLERANCE = 0.25
 # Crossings of slices along different axes up to which their heights are chosen together.  Larger, plans of many slices take
 # minutes, because all cells between the slices are evaluated in each round; smaller, fewer scans are planned together.
 _MOST_TOGETHER = 2_500
-# Bytes that a sample takes while a scan is simulated and analysed, and those that a slice takes beside its samples.  A noisy
-# scan of 576,000 samples took 600 bytes for each.  Larger, scans are refused that would fit; smaller, memory runs out.
-_MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE = 1000, 10_000
+# Bytes that a scan takes while it is simulated and analysed: for each sample, slice and facet of the body, and those of the
+# program itself.  The manual's page on performance has what was measured.  Larger, scans are refused that would fit; smaller,
+# memory runs out.
+_MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE, _MEMORY_PER_FACET, _MEMORY_OF_PROGRAM = 1000, 300_000, 1000, 400_000_000
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
@@ -70,7 +71,7 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
 
 def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
     """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
-    _check_size(plan)
+    _check_size(mesh, plan, plan.sweeps or FIRST_SWEEPS)
     if plan.model == "spatial":
         return simulate_spatial(mesh, plan, progress)
     frames = [slice_frame(axis) for axis in plan.axes()]
@@ -90,22 +91,30 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
         first = first_heights(*extent_along(mesh, scan.frame[2]), plan)
         for start in range(0, len(first), _SLICES_AT_ONCE):
             scan.scan(first[start : start + _SLICES_AT_ONCE])
+            _check_sweeps(scan)
             report(len(scan.heights))
         if plan.spacing == "adaptive":
             _adapt(scan, rod, report)
     return recording_of(scans, rod)
 
 
-def _check_size(plan: Plan) -> None:
-    """Raise InputError if the samples of a plan need more memory than there is."""
-    sweeps = plan.sweeps or len(first_directions(plan))
-    axes = len(plan.axes())
-    slices = axes * plan.slices
+def _check_size(mesh: Any, plan: Plan, sweeps: float) -> None:
+    """Raise InputError if a scan with so many sweeps in a slice needs more memory than there is."""
+    slices = len(plan.axes()) * (plan.slices + BEYOND)
+    samples = to_float(slices) * to_float(sweeps) * to_float(plan.samples)
     check_memory(
-        to_float(slices * (sweeps * plan.samples * _MEMORY_PER_SAMPLE + _MEMORY_PER_SLICE)),
+        samples * _MEMORY_PER_SAMPLE
+        + to_float(slices) * _MEMORY_PER_SLICE
+        + len(mesh.faces) * _MEMORY_PER_FACET
+        + _MEMORY_OF_PROGRAM,
         f"a scan of {to_float(slices):.4g} slices with {to_float(sweeps):.4g} sweeps of {to_float(plan.samples):.4g} samples",
         "choose fewer slices, sweeps or samples",
     )
+
+
+def _check_sweeps(scan: AxisScan) -> None:
+    """`_check_size` with as many sweeps in a slice as those swept so far have needed."""
+    _check_size(scan.mesh, scan.plan, len(scan.swept) / len(scan.heights))
 
 
 def _cosine_heights(scan: AxisScan) -> Array:
@@ -151,6 +160,8 @@ def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
         if not len(heights) or gap > widest / 2:
             break
         swept_again, widest = True, gap
+        finer = replace(scan.plan, samples=2 * scan.plan.samples)
+        _check_size(scan.mesh, finer, len(scan.swept) / len(scan.heights))
         scan.sweep_again(heights)
     return swept_again
 
@@ -165,6 +176,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
 
     def scanned(scan: AxisScan, heights: Array) -> None:
         scan.scan(heights)
+        _check_sweeps(scan)
         if progress is not None:
             progress(min(sum(len(scan.heights) for scan in scans), count), count)
 
