@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
-from shapes import ball, cube, dented, letter_l, rotation, without
+from shapes import ball, cube, dented, letter_l, without
 
 from scan3d.geometry.edges import opposite_edges
 from scan3d.geometry.flips import facets_by_flips
