@@ -94,7 +94,22 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     their normals.  Raises InputError if either has no faces, coordinates that aren't finite, or no extent.  The methods are
     described in `scan3d.geometry.hausdorff`.
     """
-    bodies, centre, scale, diagonal = _prepared(surface, mesh)
+    return _compared(*_prepared(surface, mesh))
+
+
+def compare_both(surface: trimesh.Trimesh, inner: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[Comparison, float]:
+    """`compare` of a surface with a mesh, and `hausdorff_distance` of a second surface of about their size from the mesh.
+
+    The mesh, which may have millions of faces, is prepared once for both.
+    """
+    bounding_box(inner, "surface")
+    prepared = bodies, centre, scale, _ = _prepared(surface, mesh)
+    comparison = _compared(*prepared)
+    return comparison, _distance((prepare(inner, centre, scale), bodies[1])) * scale
+
+
+def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: float) -> Comparison:
+    """`compare` of two bodies at the size of their common bounding box; arguments as returned by `_prepared`."""
     pairs, exact = (bodies, bodies[::-1]), _are_convex(bodies)
     sides = one_sided_distances(pairs, exact)
     worst = max(sides, key=lambda side: side.lower)
@@ -138,7 +153,12 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
 def hausdorff_distance(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> float:
     """`Comparison.hausdorff` alone, which takes a fraction of the time of `compare`.  Raises InputError as `compare`."""
     bodies, _, scale, _ = _prepared(surface, mesh)
-    return two_sided_distance((bodies, bodies[::-1]), _are_convex(bodies)) * scale
+    return _distance(bodies) * scale
+
+
+def _distance(bodies: tuple[Body, Body]) -> float:
+    """The Hausdorff distance of two bodies at their common size."""
+    return two_sided_distance((bodies, bodies[::-1]), _are_convex(bodies))
 
 
 def _prepared(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[tuple[Body, Body], Array, float, float]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.comparison import compare, hausdorff_distance
+from scan3d.comparison import compare, compare_both
 from scan3d.errors import InputError
 from scan3d.files.ownership import RECORDING
 from scan3d.files.ply import ply
@@ -83,13 +83,14 @@ def analyse(
         return analysis
     itself = mesh_itself(truth)
     with clock("compare"):
+        comparison, hull_error = compare_both(mesh, bounds.inner, truth)
         return replace(
             analysis,
             truth=truth,
             mesh_comparison=None if itself is None else compare(mesh, itself),
             contact_error=distances(cloud.points, truth),
-            comparison=compare(mesh, truth),
-            hull_error=hausdorff_distance(bounds.inner, truth),
+            comparison=comparison,
+            hull_error=hull_error,
         )
 
 

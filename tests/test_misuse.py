@@ -2,6 +2,8 @@
 
 import dataclasses
 import os
+import subprocess
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from scan3d.reconstruction import models
 from scan3d.simulation import scan
 from tests.shapes import box, dimpled_box, letter_l, without
 
+EGG = str(Path(__file__).parents[1] / "meshes" / "egg.stl")
 PLAN = scan3d.Plan(slices=4, samples=20)
 
 
@@ -167,6 +170,36 @@ def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monk
             scan3d.simulate(box(), plan)
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
+
+
+def test_a_scan_that_takes_more_sweeps_than_at_first_is_refused_when_that_is_known(monkeypatch):
+    body, plan, amounts = trimesh.creation.icosphere(2), scan3d.Plan(slices=4, samples=20), []
+    with monkeypatch.context() as patched:
+        patched.setattr(scan, "check_memory", lambda needed, *_: amounts.append(needed))
+        scan3d.simulate(body, plan)
+    assert amounts[0] < amounts[-1]  # with so few contacts to a sweep more sweeps are needed
+    monkeypatch.setattr(memory, "memory_bytes", lambda: int((amounts[0] + amounts[-1]) / 2))
+    with pytest.raises(InputError, match=r"a scan of 6 slices with .* sweeps of 20 samples needs about"):
+        scan3d.simulate(body, plan)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="resource is a module of Unix")
+def test_a_scan_takes_no_more_memory_than_was_stated_before():
+    # the largest memory of a process of its own, with 300,000 samples, of which arrays take more than the program
+    script = f"""
+import resource, sys
+from unittest.mock import patch
+import scan3d
+stated = []
+with patch("scan3d.simulation.scan.check_memory", lambda needed, *_: stated.append(needed)):
+    scan3d.scan({EGG!r}, slices=16, samples=2800)
+unit = 1 if sys.platform == "darwin" else 1024
+print(stated[0], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    stated, taken = (float(word) for word in run.stdout.split())
+    assert 3e8 < taken < stated
 
 
 def test_the_memory_is_that_of_the_machine():

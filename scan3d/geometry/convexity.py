@@ -16,8 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from scan3d.arrays import Array, Index
-from scan3d.geometry.triangles import distinct_rows, halve, longest_first, mirrored_faces
+from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.triangles import (
+    distinct_rows,
+    dot,
+    halve,
+    largest_of_three,
+    longest_first,
+    mirrored_faces,
+    spanned,
+)
 
 # All depths are relative to the diagonal of the bounding box.
 DENT_TOLERANCE = 1e-5
@@ -53,11 +61,11 @@ class Hull:
     planes: Array
     """(p, 4) the distinct planes of the facets: n·x + d <= 0 inside."""
     facet_plane: Index
-    """(h,) which plane a facet lies in."""
+    """(f,) which plane a facet lies in, for the facets that are looked up by place, which are the first f."""
     by_place: cKDTree
-    """Of the facets' centres."""
+    """Of these facets' centres."""
     by_direction: cKDTree
-    """Of the planes' normals."""
+    """Of the normals of the first planes, as many as are looked up by direction."""
 
 
 def outward_hull(points: Array) -> Hull:
@@ -73,6 +81,20 @@ def outward_hull(points: Array) -> Hull:
     first, facet_plane = distinct_rows(hull.equations)
     planes = hull.equations[first]
     return Hull(facets, planes, facet_plane, cKDTree(points[facets].mean(axis=1)), cKDTree(planes[:, :3]))
+
+
+def hull_of_facets(points: Array, facets: Index, replaced: Mask) -> Hull:
+    """The hull of points (n, 3) with known facets (m, 3), in which places are looked up among those that replaced a face (m,).
+
+    They lie above all dents, if the other facets are faces of the mesh.
+    """
+    facets = np.concatenate([facets[replaced], facets[~replaced]])
+    corners, count = points[facets], np.count_nonzero(replaced)
+    normals = spanned(corners)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    planes = np.column_stack([normals, -largest_of_three(dot(corners, normals[:, None]))])
+    middles = corners[:count].mean(axis=1)
+    return Hull(facets, planes, np.arange(count), cKDTree(middles), cKDTree(normals[:count]))
 
 
 def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:

@@ -11,14 +11,15 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import (
     areas,
     distance_to,
     distinct_rows,
     dot,
+    largest_of_three,
     longest_first,
     offset_from,
-    row_minima,
 )
 
 if TYPE_CHECKING:
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
 # Faces that `Search.near` tries for each point: those whose middles are nearest.  More take longer; with fewer, the face that
 # is found is more often not the nearest one, and the bounds that rest on it are wider.
 _TRIED_FACES = 4
+# Rounding of distances at unit size, with room to spare.  Larger, faces are tried that can't be nearer; smaller, one might be
+# left out that is nearer by rounding.
+_ROUNDING = 1e-12
+# Points whose nearest ones are sought at once.  Larger, lists of Python take several times the memory of the results; smaller,
+# more arrays are joined.
+_QUERIES = 100_000
 # Largest coordinate, and the inverse of the smallest extent.  Larger, and products of lengths overflow or vanish; smaller,
 # there is no need.
 _LARGEST = 1e100
@@ -103,9 +110,9 @@ def bounding_box(mesh: trimesh.Trimesh, name: str) -> Array:
             f"the {name} should have at least one triangle, but it has {len(mesh.vertices)} vertices and no faces; "
             "check that its file holds triangles, or build a surface from its points first"
         )
-    used = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
-    bad = int((~np.isfinite(used).all(axis=1)).sum())
-    if bad:
+    used = np.asarray(mesh.vertices, dtype=np.float64)[without_unused(np.asarray(mesh.faces))[0]]
+    if not np.isfinite(used).all():
+        bad = int((~np.isfinite(used).all(axis=1)).sum())
         raise InputError(
             f"the {name} should have finite coordinates, but {bad} of its {len(used)} vertices are NaN or infinite; "
             "repair or export it again"
@@ -130,10 +137,10 @@ def welded(mesh: trimesh.Trimesh, centre: Array, scale: float) -> tuple[Array, I
 
     The vertices are moved by ``-centre`` and divided by `scale`.
     """
-    used, faces = np.unique(mesh.faces, return_inverse=True)
+    used, faces = without_unused(np.asarray(mesh.faces))
     scaled = (np.asarray(mesh.vertices, dtype=np.float64)[used] - centre) / scale
     first, number = distinct_rows(scaled[:, ::-1])
-    vertices, renumbered = scaled[first], number[faces.reshape(-1, 3)]
+    vertices, renumbered = scaled[first], number[faces]
     return vertices, np.take_along_axis(renumbered, longest_first(vertices[renumbered]), axis=1)
 
 
@@ -143,7 +150,8 @@ class Search:
     def __init__(self, corners: Array) -> None:
         middles = corners.mean(axis=1)
         self._corners = corners
-        self._radius = float(np.linalg.norm(corners - middles[:, None], axis=2).max())
+        self._radii = largest_of_three(np.linalg.norm(corners - middles[:, None], axis=2))
+        self._radius = float(self._radii.max())
         self._tree = cKDTree(middles, balanced_tree=False)  # balancing is slow where many share a coordinate
         self._locate = locator(corners)
 
@@ -151,8 +159,16 @@ class Search:
         """Quick estimates: distances (p,) of points (p, 3) from a triangle nearby, the number (p,) of that triangle, and lower
         bounds (p,) of the distances from the nearest one."""
         ranks = list(range(1, min(_TRIED_FACES, self._tree.n) + 1))
-        to_middle, face = self._tree.query(points, k=ranks, workers=-1)
-        return *row_minima(distance_to(points[:, None], self._corners[face]), face), to_middle[:, 0] - self._radius
+        to_middle, faces = self._tree.query(points, k=ranks, workers=-1)
+        face = faces[:, 0].copy()
+        distance = distance_to(points, self._corners[face])
+        for rank in range(1, len(ranks)):
+            least = to_middle[:, rank] - self._radii[faces[:, rank]]
+            nearer = np.flatnonzero(least <= distance + _ROUNDING)  # the others are farther than the one that is known
+            trial = distance_to(points[nearer], self._corners[faces[nearer, rank]])
+            best = trial < distance[nearer]
+            distance[nearer[best]], face[nearer[best]] = trial[best], faces[nearer[best], rank]
+        return distance, face, to_middle[:, 0] - self._radius
 
     def nearest(self, points: Array) -> tuple[Array, Index]:
         """Distances (p,) of points (p, 3) from the nearest triangle, and its number (p,); exact to rounding, and slower."""
@@ -190,16 +206,20 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
     locator.BuildLocator()
 
     def nearest(queries: Array) -> tuple[Index, Array]:
-        cells: list[int] = []
-        feet: list[float] = []
+        found, feet = np.empty(len(queries), dtype=np.intp), np.empty((len(queries), 3))
         foot, work = [0.0] * 3, vtkGenericCell()
         cell: Any = reference(0)
         part: Any = reference(0)
         squared: Any = reference(0.0)
-        for query in queries.tolist():
-            locator.FindClosestPoint(query, foot, work, cell, part, squared)
-            cells.append(cell.get())
-            feet += foot
-        return order[np.array(cells, dtype=np.intp)], np.array(feet).reshape(-1, 3)
+        for first in range(0, len(queries), _QUERIES):
+            cells: list[int] = []
+            points: list[float] = []
+            for query in queries[first : first + _QUERIES].tolist():
+                locator.FindClosestPoint(query, foot, work, cell, part, squared)
+                cells.append(cell.get())
+                points += foot
+            found[first : first + _QUERIES] = cells
+            feet[first : first + _QUERIES] = np.reshape(points, (-1, 3))
+        return order[found], feet
 
     return nearest

@@ -17,10 +17,9 @@ of its points over the ball of radius r about c, so along the ray from c the sur
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from scan3d.arrays import Array, Index
-from scan3d.geometry.triangles import areas, dot
+from scan3d.geometry.triangles import areas, dot, largest_of_three, spanned
 
 # Rounding of the sine of an edge's angle, divided by the slenderness of its faces, in units of the last place.  Larger, edges
 # between nearly coplanar faces count as reflex that are not; smaller, rounding could hide a reflex edge.
@@ -39,34 +38,33 @@ def opposite_edges(faces: Index) -> Index | None:
     None unless every edge belongs to exactly two faces, which run through it in opposite directions.
     """
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    number, count = np.arange(faces.size), int(faces.max(initial=-1)) + 1
-    forward = coo_array((number, (start, end)), shape=(count, count)).tocsr()  # adds up edges that occur twice
-    backward = coo_array((number, (end, start)), shape=(count, count)).tocsr()
-    if forward.nnz < faces.size or not np.array_equal(forward.indptr, backward.indptr):
+    up, down, count = np.flatnonzero(start < end), np.flatnonzero(start > end), int(faces.max(initial=-1)) + 1
+    if len(up) != len(down) or len(up) + len(down) < faces.size:
         return None
-    forward.sort_indices()
-    backward.sort_indices()
-    if not np.array_equal(forward.indices, backward.indices):
+    edge, reverse = start[up] * count + end[up], end[down] * count + start[down]
+    order, reverse_order = np.argsort(edge), np.argsort(reverse)
+    edge, up, down = edge[order], up[order], down[reverse_order]
+    if (edge[1:] == edge[:-1]).any() or not np.array_equal(edge, reverse[reverse_order]):
         return None
     opposite = np.empty(faces.size, dtype=np.int64)
-    opposite[forward.data] = backward.data
+    opposite[up], opposite[down] = down, up
     return opposite.reshape(-1, 3)
 
 
-def outward_faces(points: Array, faces: Index) -> Index | None:
+def outward_faces(points: Array, faces: Index, opposite: Index | None = None) -> Index | None:
     """The triangles (m, 3) of points (n, 3) at unit size, turned outwards, if their edges prove that they are the facets of a
-    strictly convex body; None otherwise."""
+    strictly convex body; None otherwise.  Their `opposite_edges` (m, 3) may be given."""
     corners = points[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = spanned(corners)
     size = np.linalg.norm(cross, axis=1, keepdims=True)
     normals = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
-    planes, bound = planes_by_edges(faces, corners, normals)
+    planes, bound = planes_by_edges(faces, corners, normals, opposite)
     if bound > _COORDINATES:  # an edge is reflex, or may be
         return None
     return faces if dot(planes[0, :3], normals[0]) > 0 else faces[:, ::-1]
 
 
-def planes_by_edges(faces: Index, corners: Array, normals: Array) -> tuple[Array, float]:
+def planes_by_edges(faces: Index, corners: Array, normals: Array, opposite: Index | None = None) -> tuple[Array, float]:
     """Planes (m, 4) of the faces of a closed mesh, and an upper bound of the Hausdorff distance between its surface and that of
     its convex hull.
 
@@ -74,13 +72,15 @@ def planes_by_edges(faces: Index, corners: Array, normals: Array) -> tuple[Array
         vertices of the faces, and where they are, at unit size.
     normals (m, 3)
         unit normals, zero where a face has no area.
+    opposite (m, 3)
+        `opposite_edges` of the faces, where they are known.
 
     A plane is n and c with ``<n, x> <= c`` for all points x of the hull, rounding included.  Where the edges do not prove the
     mesh to be nearly convex there are no planes, and the bound is infinite.
     """
     unproven = np.empty((0, 4)), np.inf
-    opposite = opposite_edges(faces)
-    if opposite is None or not normals.any(axis=1).all():
+    opposite = opposite_edges(faces) if opposite is None else opposite
+    if opposite is None or not (dot(normals, normals) > 0).all():
         return unproven
     area = areas(corners)
     c = np.average(corners.mean(axis=1), axis=0, weights=area)
@@ -92,12 +92,12 @@ def planes_by_edges(faces: Index, corners: Array, normals: Array) -> tuple[Array
         return unproven
     edges = np.roll(corners, -1, axis=1) - corners
     # a normal is wrong by rounding times the longest edge divided by the height above it, length² / (2 area)
-    error = _ROUNDING * np.finfo(np.float64).eps * dot(edges, edges).max(axis=1) / (2 * area)
+    error = _ROUNDING * np.finfo(np.float64).eps * largest_of_three(dot(edges, edges)) / (2 * area)
     turned = np.pi / 2 * big_r / r * _reflex_angles(opposite, edges, outwards * normals, error, outwards)
     if turned > _LARGEST_TURN:
         return unproven
     bound = 4 * float(np.tan(turned)) * big_r**2 / r + _COORDINATES
-    heights = dot(corners, outwards * normals[:, None]).max(axis=1)
+    heights = largest_of_three(dot(corners, outwards * normals[:, None]))
     return np.column_stack([outwards * normals, heights + 2 * big_r * error + bound]), bound
 
 

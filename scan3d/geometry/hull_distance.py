@@ -9,8 +9,8 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.distance import bounding_box, welded
-from scan3d.geometry.edges import planes_by_edges, turns
-from scan3d.geometry.triangles import areas, dot, mirrored_faces
+from scan3d.geometry.edges import opposite_edges, planes_by_edges, turns
+from scan3d.geometry.triangles import areas, dot, mirrored_faces, spanned
 
 if TYPE_CHECKING:
     import trimesh
@@ -52,20 +52,25 @@ class Facets(NamedTuple):
     closed: bool
     volume: float
     """NaN unless closed."""
+    opposite: Index | None = None
+    """(m, 3) `opposite_edges`, where every edge has one."""
 
 
 def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets:
     """A mesh moved by ``-centre`` and divided by `scale`, each vertex once."""
     vertices, faces = welded(mesh, centre, scale)
     corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = spanned(corners)
     size = np.linalg.norm(cross, axis=1, keepdims=True)
     normals = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
     # Closed: every directed edge meets its reverse, so that the boundary is zero as a chain.
-    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    closed = np.array_equal(np.sort(start * len(vertices) + end), np.sort(end * len(vertices) + start))
+    opposite = opposite_edges(faces)
+    closed = opposite is not None
+    if not closed:
+        start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+        closed = np.array_equal(np.sort(start * len(vertices) + end), np.sort(end * len(vertices) + start))
     volume = abs(float(dot(corners[:, 0], cross).sum())) / 6 if closed else np.nan
-    return Facets(vertices, faces, corners, normals, closed, volume)
+    return Facets(vertices, faces, corners, normals, closed, volume, opposite)
 
 
 def distance_to_hull(mesh: trimesh.Trimesh) -> float:
@@ -94,7 +99,7 @@ def _wound_alike(facets: Facets) -> Facets:
         return facets
     # in this order the longest edge stays first
     faces[mirrored], corners[mirrored] = faces[mirrored][:, [1, 0, 2]], corners[mirrored][:, [1, 0, 2]]
-    return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True)
+    return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True, opposite=None)
 
 
 def _planes(points: Array) -> Array:
@@ -115,9 +120,9 @@ def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[
     r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than `precision` are not
     examined further.
     """
-    vertices, faces, corners, normals, closed, _ = facets
+    vertices, faces, corners, normals, closed, _, opposite = facets
     if closed:
-        planes, distance = planes_by_edges(faces, corners, normals)
+        planes, distance = planes_by_edges(faces, corners, normals, opposite)
         if distance <= precision:
             return planes, distance
     unbounded = np.empty((0, 4)), np.inf

@@ -89,5 +89,6 @@ def collapsed(faces: Index, chosen: Index) -> Index:
 
 def without_unused(faces: Index) -> tuple[Index, Index]:
     """The vertices (k,) that triangles (m, 3) use, and the triangles by the numbers of these."""
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return used, renumbered.reshape(-1, 3)
+    is_used = np.zeros(int(faces.max(initial=-1)) + 1, dtype=bool)
+    is_used[faces] = True
+    return np.flatnonzero(is_used), (np.cumsum(is_used) - 1)[faces.reshape(-1, 3)]

@@ -10,13 +10,16 @@ from scan3d.errors import InputError
 from scan3d.geometry.convexity import DENT_TOLERANCE
 from scan3d.geometry.distance import check_mesh
 from scan3d.geometry.hull_distance import distance_to_hull
+from scan3d.geometry.merging import without_unused
 
 
 def check_body(mesh: Any) -> None:
     """Raises InputError unless a mesh is a closed and convex `trimesh.Trimesh`, as bodies that are scanned must be."""
     check_mesh(mesh, "body")
     deviation = distance_to_hull(mesh)
-    diagonal = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices)[np.unique(mesh.faces)], axis=0)))
+    diagonal = float(
+        np.linalg.norm(np.ptp(np.asarray(mesh.vertices)[without_unused(np.asarray(mesh.faces))[0]], axis=0))
+    )
     # twice, because a body that `load_mesh` has judged may have been moved, which rounds its vertices
     if not deviation <= 2 * DENT_TOLERANCE * diagonal:
         raise InputError(

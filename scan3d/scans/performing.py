@@ -18,7 +18,7 @@ from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.settings import Settings
 from scan3d.simulation.bodies import judge_mesh, load_mesh
-from scan3d.simulation.scan import Progress, simulate
+from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces.open3d_methods import check_method
 
 
@@ -59,7 +59,7 @@ def perform(
     def analysed() -> Analysis:
         step("simulate")
         begin = time.perf_counter()
-        recording = with_origin(simulate(body, plan, progress), body)
+        recording = with_origin(simulate_judged(body, plan, progress), body)
         seconds["simulate"] = time.perf_counter() - begin
         return workflow.analyse(recording, body, chosen.method, step=step)
 

@@ -18,9 +18,10 @@ from scan3d.errors import InputError
 from scan3d.files.declared import shortfall
 from scan3d.files.gltf import is_turned, z_up
 from scan3d.files.reading import check_file
-from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_hull
+from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, hull_of_facets, outward_hull
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.edges import outward_faces
+from scan3d.geometry.flips import facets_by_flips
+from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
 from scan3d.settings import dent_size
@@ -33,7 +34,7 @@ OPEN_TOLERANCE = 1e-3
 """Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding
 of the areas of fine meshes would count as a hole."""
 # Memory while a mesh is read: per byte of its file, and per triangle with its corners, in bytes.
-_MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 300
+_MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 1200
 
 
 def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: float | str = 0.0) -> trimesh.Trimesh:
@@ -64,7 +65,7 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: fl
     """
     path = Path(path)
     data = _read(path)
-    body = _judged(path.name, _triangles(path, data), hull, clip_dent)
+    body = _judged(path.name, *_merged(*_triangles(path, data)), hull, clip_dent)
     body.metadata.update(file=path.name, path=str(path.resolve()), sha256=hashlib.sha256(data).hexdigest())
     return body
 
@@ -78,7 +79,8 @@ def judge_mesh(mesh: Any, *, hull: bool = False, clip_dent: float | str = 0.0) -
     bounding_box(mesh, "body")
     if "geometry_sha256" in mesh.metadata and mesh.metadata["geometry_sha256"] == _geometry(mesh):
         return mesh
-    body = _judged("the mesh", np.asarray(mesh.triangles, dtype=float), hull, clip_dent)
+    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
+    body = _judged("the mesh", *_merged(vertices, faces), hull, clip_dent)
     body.metadata.update(sha256=body.metadata["geometry_sha256"])
     return body
 
@@ -95,10 +97,18 @@ def _geometry(mesh: trimesh.Trimesh) -> str:
     return hashlib.sha256(np.ascontiguousarray(mesh.vertices, dtype=float).tobytes()).hexdigest()
 
 
-def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> trimesh.Trimesh:
-    """The convex body of triangles (t, 3, 3), as `load_mesh` describes it; `name` is that of the mesh in messages."""
-    first, inverse = distinct_rows(triangles.reshape(-1, 3))
-    vertices = triangles.reshape(-1, 3)[first]
+def _merged(vertices: Array, faces: Index) -> tuple[Array, Index]:
+    """The distinct vertices (v, 3) of faces (t, 3), in a fixed order, and the faces by their numbers."""
+    used, faces = without_unused(faces)
+    first, number = distinct_rows(vertices[used])
+    return vertices[used[first]], number[faces]
+
+
+def _judged(name: str, vertices: Array, faces: Index, hull: bool, clip_dent: float | str) -> trimesh.Trimesh:
+    """The convex body of distinct vertices (v, 3) and faces (t, 3), as `load_mesh` describes it.
+
+    `name` is that of the mesh in messages.
+    """
     if len(vertices) < 4:
         raise InputError(f"{name} has only {len(vertices)} distinct vertices, where a body needs at least 4")
 
@@ -109,7 +119,6 @@ def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> 
     points = (vertices - center) / diagonal
     _check_thickness(name, _thickness(points), diagonal)
 
-    faces = inverse.reshape(-1, 3)
     outer, dent, deepest, covered = _against_hull(points, faces)
     place = center + diagonal * deepest
     if not hull:
@@ -117,8 +126,8 @@ def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> 
         _check_convex(name, dent, diagonal, place, max(DENT_TOLERANCE, size / diagonal + share))
         _check_closed(name, covered)
 
-    used, facets = np.unique(outer, return_inverse=True)
-    body = trimesh.Trimesh(vertices=vertices[used], faces=facets.reshape(-1, 3), process=False)
+    used, facets = without_unused(outer)
+    body = trimesh.Trimesh(vertices=vertices[used], faces=facets, process=False)
     body.metadata.update(
         file_faces=len(faces),
         dent=dent * diagonal,
@@ -143,9 +152,13 @@ def _judged(name: str, triangles: Array, hull: bool, clip_dent: float | str) -> 
 def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
     """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
     where they are deepest (3,), and the fraction of its area that they cover."""
-    facets = outward_faces(points, faces)
-    if facets is not None:
-        return facets, 0.0, points[0], 1.0
+    flipped = facets_by_flips(points, faces)
+    if flipped is not None:
+        facets, replaced = flipped
+        dent, deepest = 0.0, points[0]
+        if replaced.any():
+            dent, deepest = deepest_dent(points[faces[replaced]], hull_of_facets(points, facets, replaced))
+        return facets, dent, deepest, 1.0
     outer = outward_hull(points)
     dent, deepest = deepest_dent(points[faces], outer)
     covered = float(areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
@@ -194,9 +207,7 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     Raises InputError if the file can't be read, has no triangles or isn't finite.
     """
     path = Path(path)
-    triangles = _triangles(path, _read(path))
-    first, inverse = distinct_rows(triangles.reshape(-1, 3))
-    return trimesh.Trimesh(triangles.reshape(-1, 3)[first], inverse.reshape(-1, 3), process=False)
+    return trimesh.Trimesh(*_merged(*_triangles(path, _read(path))), process=False)
 
 
 def _read(path: Path) -> bytes:
@@ -219,8 +230,8 @@ def _read(path: Path) -> bytes:
     return data
 
 
-def _triangles(path: Path, data: bytes) -> Array:
-    """Corners (t, 3, 3) of all triangles in a file, without merging or dropping any."""
+def _triangles(path: Path, data: bytes) -> tuple[Array, Index]:
+    """Vertices (v, 3) and faces (t, 3) of all triangles in a file, without merging or dropping any."""
     kind = path.suffix[1:].lower()
     lacking = shortfall(kind, data)
     if lacking:
@@ -248,7 +259,9 @@ def _triangles(path: Path, data: bytes) -> Array:
             f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, damaged, or not a "
             f"{kind.upper()} file; export the body as a triangle mesh"
         )
-    return np.concatenate([vertices[faces] for vertices, faces in meshes])
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    faces = np.concatenate([faces + before for before, (_, faces) in zip(first, meshes, strict=False)])
+    return np.concatenate([vertices for vertices, _ in meshes]), faces
 
 
 def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:

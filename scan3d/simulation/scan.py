@@ -18,7 +18,7 @@ from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
 from scan3d.planning.contours import open_contours
-from scan3d.planning.directions import first_directions
+from scan3d.planning.directions import FIRST_SWEEPS
 from scan3d.planning.heights import BEYOND, first_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
@@ -43,9 +43,10 @@ _OF_TOLERANCE = 0.25
 # Crossings of slices along different axes up to which their heights are chosen together.  Larger, plans of many slices take
 # minutes, because all cells between the slices are evaluated in each round; smaller, fewer scans are planned together.
 _MOST_TOGETHER = 2_500
-# Bytes that a sample takes while a scan is simulated and analysed, and those that a slice takes beside its samples.  A noisy
-# scan of 576,000 samples took 600 bytes for each.  Larger, scans are refused that would fit; smaller, memory runs out.
-_MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE = 1000, 10_000
+# Bytes that a scan takes while it is simulated and analysed: for each sample, slice and facet of the body, and those of the
+# program itself.  The manual's page on performance has what was measured.  Larger, scans are refused that would fit; smaller,
+# memory runs out.
+_MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE, _MEMORY_PER_FACET, _MEMORY_OF_PROGRAM = 1000, 300_000, 1000, 400_000_000
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
@@ -65,7 +66,12 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     if not isinstance(plan, Plan):
         raise InputError(f"the plan must be a scan3d.Plan, got {type(plan).__name__}")
     check_body(mesh)
-    _check_size(plan)
+    return simulate_judged(mesh, plan, progress)
+
+
+def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> Recording:
+    """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
+    _check_size(mesh, plan, _most_slices(plan), plan.sweeps or FIRST_SWEEPS)
     if plan.model == "spatial":
         return simulate_spatial(mesh, plan, progress)
     frames = [slice_frame(axis) for axis in plan.axes()]
@@ -85,22 +91,38 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
         first = first_heights(*extent_along(mesh, scan.frame[2]), plan)
         for start in range(0, len(first), _SLICES_AT_ONCE):
             scan.scan(first[start : start + _SLICES_AT_ONCE])
+            _check_sweeps(scan, plan.samples)
             report(len(scan.heights))
         if plan.spacing == "adaptive":
             _adapt(scan, rod, report)
     return recording_of(scans, rod)
 
 
-def _check_size(plan: Plan) -> None:
-    """Raise InputError if the samples of a plan need more memory than there is."""
-    sweeps = plan.sweeps or len(first_directions(plan))
-    axes = len(plan.axes())
-    slices = axes * plan.slices
+def _check_size(mesh: Any, plan: Plan, slices: int, sweeps: float) -> None:
+    """Raise InputError if a scan of so many slices, with so many sweeps in each, needs more memory than there is."""
+    samples = to_float(slices) * to_float(sweeps) * to_float(plan.samples)
     check_memory(
-        to_float(slices * (sweeps * plan.samples * _MEMORY_PER_SAMPLE + _MEMORY_PER_SLICE)),
+        samples * _MEMORY_PER_SAMPLE
+        + to_float(slices) * _MEMORY_PER_SLICE
+        + len(mesh.faces) * _MEMORY_PER_FACET
+        + _MEMORY_OF_PROGRAM,
         f"a scan of {to_float(slices):.4g} slices with {to_float(sweeps):.4g} sweeps of {to_float(plan.samples):.4g} samples",
         "choose fewer slices, sweeps or samples",
     )
+
+
+def _most_slices(plan: Plan) -> int:
+    return len(plan.axes()) * (plan.slices + BEYOND)
+
+
+def _check_sweeps(scan: AxisScan, samples: int) -> None:
+    """`_check_size` with as many sweeps in a slice as those swept so far have needed, of so many samples.
+
+    With a tolerance the slices so far count, because it takes as many as are needed.
+    """
+    plan = replace(scan.plan, samples=samples)
+    slices = len(scan.heights) if plan.tolerance else _most_slices(plan)
+    _check_size(scan.mesh, plan, slices, len(scan.swept) / len(scan.heights))
 
 
 def _cosine_heights(scan: AxisScan) -> Array:
@@ -131,6 +153,7 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
             memory, grown, done = SlabMemory(), GrowingContacts(), 0
             continue
         scan.scan(heights)
+        _check_sweeps(scan, scan.plan.samples)
         report(len(scan.heights))
 
 
@@ -148,6 +171,7 @@ def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
             break
         # gaps fall with the square of the samples, but not those that are due to noise
         if gap <= widest / 2 and scan.plan.samples < finest:
+            _check_sweeps(scan, 2 * scan.plan.samples)
             scan.sweep_again(heights)
         elif scan.plan.noise or scan.plan.sweeps is not None or not scan.sweep_further(heights, limit):
             break
@@ -165,6 +189,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
 
     def scanned(scan: AxisScan, heights: Array) -> None:
         scan.scan(heights)
+        _check_sweeps(scan, plan.samples)
         if progress is not None:
             progress(min(sum(len(scan.heights) for scan in scans), count), count)
 

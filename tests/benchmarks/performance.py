@@ -40,12 +40,14 @@ LARGER = 1 + 1e-4
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS", "LP_NUM_THREADS")
 # Points whose nearest ones are sought, and how far they lie outside of an ellipsoid, relative to it.
 POINTS, BESIDE = 100_000, 1e-3
+# Sweeps of 64 slices of the egg, of which each gives about as many contacts as it has samples.
+SWEEPS = 390
 # Seconds below which a time does not count for an exponent, and after which a measurement is given up.
 WORTH, LONGEST = 0.05, 1500
 SIZES = {
     "slices": [64, 128, 256, 512, 1024],
     "facets": [10_000, 100_000, 1_000_000, 2_000_000],
-    "contacts": [10_000, 100_000, 1_000_000],
+    "contacts": [10_000, 100_000, 1_000_000, 10_000_000],
     "reconstruct": [10_000, 100_000, 1_000_000, 10_000_000],
     "nearest": [20_000, 80_000, 320_000],
     "hausdorff": [20_000, 80_000, 320_000, 1_300_000],
@@ -123,7 +125,7 @@ def facets(size: int) -> Steps:
 
 
 def contacts(size: int) -> Steps:
-    result, steps = timings(EGG, slices=64, samples=size // 850)
+    result, steps = timings(EGG, slices=64, samples=size // SWEEPS)
     return {"contacts": len(result.cloud), **steps}
 
 

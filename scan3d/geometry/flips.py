@@ -1,0 +1,116 @@
+"""The hull of a mesh that is convex but for rounding, from the mesh, in linear time.
+
+Of a closed mesh of a convex body in single precision a few of a hundred edges are reflex.  Such an edge is one diagonal of the
+two triangles beside it, and the hull has the other one.  Flips of all reflex edges, and of those that become reflex, therefore
+lead to the hull in nearly all cases, as in Lawson's algorithm for Delaunay triangulations, and every flip adds volume, so that
+they end.  They need not lead there, so the edges of the result have to prove it (`scan3d.geometry.edges`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.edges import opposite_edges, outward_faces
+from scan3d.geometry.triangles import dot, spanned
+
+# Largest number of reflex edges, for each face, for which flips are tried.  Larger, time is lost on meshes that have dents;
+# smaller, nearly convex meshes are left to Qhull, which takes several times as long.
+_MOST_REFLEX = 0.2
+# Largest number of rounds of flips.  Larger, time is lost on meshes that have dents; smaller, as above.
+_ROUNDS = 100
+
+
+def facets_by_flips(points: Array, faces: Index) -> tuple[Index, Mask] | None:
+    """The facets (m, 3), outward, of the hull of points (n, 3) at unit size, and which of them (m,) replace one of the faces
+    (m, 3) of a closed mesh in the same row.
+
+    None unless flips lead to a strictly convex body of all points.
+    """
+    centre = points.mean(axis=0)
+    if dot((points - centre)[faces[:, 0]], spanned(points[faces])).sum() < 0:
+        faces = faces[:, ::-1]
+    found = opposite_edges(faces)
+    if found is None:
+        return None
+    mesh = _Flippable(points - centre, faces.copy(), found.ravel())
+    edges: Index = np.flatnonzero(mesh.opposite > np.arange(faces.size))  # each once
+    for _ in range(_ROUNDS):
+        edges = edges[mesh.reflex(edges)]
+        if not len(edges):
+            facets = outward_faces(points, mesh.faces, mesh.opposite.reshape(-1, 3))
+            return None if facets is None else (facets, (facets != faces).any(axis=1))
+        possible = mesh.independent(edges[mesh.allowed(edges)])
+        if len(edges) > _MOST_REFLEX * len(faces) or not len(possible):
+            return None
+        edges = mesh.flip(edges, possible)
+    return None
+
+
+class _Flippable:
+    """A closed mesh about a point inside, whose edges are flipped.
+
+    An edge is given by the number ``3 f + k`` of one of its two sides, that of the face f from its corner k on.
+    """
+
+    def __init__(self, points: Array, faces: Index, opposite: Index) -> None:
+        self.points, self.faces, self.opposite = points, faces, opposite
+        self._renamed = np.arange(faces.size)
+        self._first = np.full(len(faces), faces.size)
+
+    def _around(self, edges: Index) -> tuple[Array, Array, Array, Array]:
+        """Both ends (e, 3) of edges, and the third corners (e, 3) of the faces on their left and on their right."""
+        other, corners = self.opposite[edges], self.faces.ravel()
+        at = (edges, other, _before(edges), _before(other))
+        start, end, left, right = (self.points[corners[number]] for number in at)
+        return start, end, left, right
+
+    def reflex(self, edges: Index) -> Mask:
+        """Whether the face on the right of edges (e,) rises above the plane of the one on the left."""
+        start, end, left, right = self._around(edges)
+        rises: Mask = dot(np.cross(end - start, left - start), right - start) > 0
+        return rises
+
+    def allowed(self, edges: Index) -> Mask:
+        """Whether the two faces on the other diagonal would be seen from the point inside as they are from outside."""
+        start, end, left, right = self._around(edges)
+        across = np.cross(right, left)
+        proper: Mask = (dot(across, start) > 0) & (dot(across, end) < 0)
+        return proper
+
+    def independent(self, edges: Index) -> Index:
+        """Some of the edges (e,), of which no two have a face in common."""
+        one, other = edges // 3, self.opposite[edges] // 3
+        for face in (one, other):
+            np.minimum.at(self._first, face, edges)
+        chosen: Index = edges[(self._first[one] == edges) & (self._first[other] == edges)]
+        self._first[one] = self._first[other] = self.faces.size
+        return chosen
+
+    def flip(self, reflex: Index, edges: Index) -> Index:
+        """Flip independent edges, of those that are reflex; returns the edges that may be reflex thereafter, each once."""
+        other, corners = self.opposite[edges], self.faces.ravel()
+        start, end, left, right = (corners[n] for n in (edges, other, _before(edges), _before(other)))
+        one, two = edges // 3, other // 3
+        outer = np.concatenate([_before(edges), _after(other), _before(other), _after(edges)])
+        places = np.concatenate([3 * one, 3 * one + 1, 3 * two, 3 * two + 1])
+        beyond = self.opposite[outer]
+        self._renamed[outer] = places
+        beyond, rest = self._renamed[beyond], self._renamed[np.setdiff1d(reflex, edges)]
+        self._renamed[outer] = outer
+        self.faces[one], self.faces[two] = np.stack([left, start, right], axis=1), np.stack([right, end, left], axis=1)
+        self.opposite[places], self.opposite[beyond] = beyond, places
+        self.opposite[3 * one + 2], self.opposite[3 * two + 2] = 3 * two + 2, 3 * one + 2
+        near = np.concatenate([rest, places])
+        once: Index = np.unique(np.minimum(near, self.opposite[near]))
+        return once
+
+
+def _after(edges: Index) -> Index:
+    """The next edges of the same faces."""
+    return edges + np.where(edges % 3 == 2, -2, 1)
+
+
+def _before(edges: Index) -> Index:
+    """The edges before in the same faces, which begin at the corners that the edges do not have."""
+    return edges + np.where(edges % 3 == 0, 2, -1)

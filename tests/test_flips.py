@@ -1,0 +1,84 @@
+"""Facets of nearly convex meshes by flips of their edges, against Qhull."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+from shapes import ball, cube, dented, letter_l, without
+
+from scan3d.geometry.edges import opposite_edges
+from scan3d.geometry.flips import facets_by_flips
+from scan3d.simulation.bodies import judge_mesh
+
+
+def rows(faces):
+    """Triangles as a set, whichever corner comes first."""
+    return {tuple(np.roll(face, -face.argmin()).tolist()) for face in np.asarray(faces)}
+
+
+def rounded(seed, count=2000, decimals=4):
+    """A body of random points whose coordinates were rounded, so that edges between close points are reflex."""
+    mesh = ball(seed, count)
+    mesh.vertices = np.round(mesh.vertices, decimals)
+    return mesh
+
+
+def turned_edges(points, faces, seed, count):
+    """A hull with some of its edges flipped inwards: other diagonals of pairs of faces that share no face."""
+    faces, opposite = faces.copy(), opposite_edges(faces).ravel()
+    taken = np.zeros(len(faces), dtype=bool)
+    for edge in np.random.default_rng(seed).permutation(faces.size)[:count]:
+        (one, k), (other, j) = divmod(edge, 3), divmod(opposite[edge], 3)
+        if not taken[[one, other]].any():
+            taken[[one, other]] = True
+            (start, end, left), right = np.roll(faces[one], -k), faces[other, (j + 2) % 3]
+            faces[one], faces[other] = (left, start, right), (right, end, left)
+    return faces
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_reflex_edges_of_rounded_coordinates_are_flipped_to_the_hull(seed, inside_out):
+    mesh = rounded(seed)
+    points, faces = mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
+    facets, replaced = facets_by_flips(points, faces[:, ::-1] if inside_out else faces)
+    assert replaced.any()
+    hull = ConvexHull(points)
+    assert rows(np.sort(facets, axis=1)) == rows(np.sort(hull.simplices, axis=1))
+    assert trimesh.Trimesh(points, facets, process=False).volume == pytest.approx(hull.volume, rel=1e-12)
+    assert rows(facets[~replaced]) <= rows(faces)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_edges_that_were_turned_inwards_are_turned_back(seed):
+    body = ball(seed, 300)
+    points, faces = body.vertices.view(np.ndarray), body.faces.view(np.ndarray)
+    turned = turned_edges(points, faces, seed, 40)
+    found = facets_by_flips(points, turned)
+    # flips of random diagonals need not lead back, but what is found is the hull
+    assert found is None or rows(found[0]) == rows(faces)
+    assert rows(turned) != rows(faces)
+
+
+def test_a_convex_body_keeps_its_faces():
+    body = ball(7, 300)
+    facets, replaced = facets_by_flips(body.vertices.view(np.ndarray), body.faces.view(np.ndarray))
+    assert np.array_equal(facets, body.faces)
+    assert not replaced.any()
+
+
+@pytest.mark.parametrize("mesh", [cube(), dented(0.1), letter_l(), without(ball(7, 300), slice(5, None))])
+def test_what_flips_do_not_make_strictly_convex_is_left_to_qhull(mesh):
+    points = mesh.vertices.view(np.ndarray)
+    assert facets_by_flips((points - points.mean(axis=0)) / 10, mesh.faces.view(np.ndarray)) is None
+
+
+@pytest.mark.parametrize("decimals", [3, 4, 5])
+def test_a_body_has_the_same_dent_as_by_qhull(decimals, monkeypatch):
+    by_flips = judge_mesh(rounded(3, decimals=decimals), hull=True)
+    monkeypatch.setattr("scan3d.simulation.bodies.facets_by_flips", lambda *_: None)
+    by_qhull = judge_mesh(rounded(3, decimals=decimals), hull=True)
+    assert rows(by_flips.faces) == rows(by_qhull.faces)
+    # the precision to which dents are searched
+    assert 0 < by_flips.metadata["dent"] == pytest.approx(by_qhull.metadata["dent"], rel=1e-3)
+    assert by_flips.metadata["geometry_sha256"] == by_qhull.metadata["geometry_sha256"]
