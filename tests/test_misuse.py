@@ -164,6 +164,7 @@ def test_reactions_that_are_no_real_numbers(column):
 
 def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch):
     monkeypatch.setattr(memory, "memory_bytes", lambda: 24_000_000_000)
+    scan3d.simulate(box(), scan3d.Plan(slices=2, samples=8))  # imports what it needs
     tracemalloc.start()
     for plan in (scan3d.Plan(slices=10**9), scan3d.Plan(samples=10**12), scan3d.Plan(sweeps=10**400)):
         with pytest.raises(InputError, match=r"needs (about|more).* memory|needs about .*, and this machine has 24 GB"):
@@ -184,18 +185,19 @@ def test_a_scan_that_takes_more_sweeps_than_at_first_is_refused_when_that_is_kno
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="resource is a module of Unix")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the largest memory is read from Linux' /proc")
 def test_a_scan_takes_no_more_memory_than_was_stated_before():
-    # the largest memory of a process of its own, with 300,000 samples, of which arrays take more than the program
+    # the largest memory of a process of its own, with 300,000 samples, of which arrays take more than the program; `resource`
+    # would state that of the process from which it was forked, if that is larger
     script = f"""
-import resource, sys
+from pathlib import Path
 from unittest.mock import patch
 import scan3d
 stated = []
 with patch("scan3d.simulation.scan.check_memory", lambda needed, *_: stated.append(needed)):
     scan3d.scan({EGG!r}, slices=16, samples=2800)
-unit = 1 if sys.platform == "darwin" else 1024
-print(stated[0], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)
+status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(stated[0], 1024 * int(status["VmHWM"].split()[0]))
 """
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     stated, taken = (float(word) for word in run.stdout.split())

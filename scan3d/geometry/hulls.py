@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,9 @@ _THINNEST = 1e-12
 # Points closer than this fraction of their extent are merged if their hull is not a closed surface.  Larger, the hull loses
 # accuracy; smaller, it may stay open.
 _COINCIDENT = 1e-11
+# Points of one hull up to which hulls are computed side by side.  Larger, several hulls of millions of points need memory at
+# the same time; smaller, time is lost.
+_MOST_SIDE_BY_SIDE = 500_000
 
 
 def hull(points: Array) -> Any:
@@ -51,6 +57,25 @@ def hull(points: Array) -> Any:
         apart = np.unique(representatives(scaled, _COINCIDENT))
         return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
     return _mesh(points, faces)
+
+
+def hulls(parts: Iterable[Array], size: int) -> Iterator[Any]:
+    """`hull` of each of several sets of points, of about `size` points each, in their order.
+
+    They are computed side by side, because Qhull releases Python's lock, with as many threads as libraries may use.
+    """
+    threads = _threads()
+    if threads == 1 or size > _MOST_SIDE_BY_SIDE:
+        yield from map(hull, parts)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            yield from pool.map(hull, parts)
+
+
+def _threads() -> int:
+    """OMP_NUM_THREADS, which this program sets to 1 in the processes of a batch, or the number of cores."""
+    stated = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, int(stated)) if stated.isdecimal() else os.cpu_count() or 1
 
 
 def _outward(qhull: ConvexHull) -> Index | None:

@@ -13,7 +13,7 @@ from scan3d.arrays import Array
 from scan3d.choices import METHODS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull
+from scan3d.geometry.hulls import hull, hulls
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
@@ -214,7 +214,8 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
         return None
     kept, held_out = parts
     bounds = slice_enclosure(kept, margin=0.0)
-    tried = zip(Edges, _all_between(kept, bounds, Edges, tuning), strict=True)
+    made = hulls(_points_between(kept, bounds, Edges, tuning), len(kept.points))
+    tried = zip(Edges, made, strict=True)
     estimates: dict[Edges | float, HeldOutError] = {
         edges: error_of_surface(estimate, held_out) for edges, estimate in tried
     }
@@ -235,25 +236,25 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
 
 def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
     """Hull of the contacts, of points between it and the outer body's corners, and of contours between the slices."""
-    return next(_all_between(cloud, bounds, (edges,), tuning))
+    return hull(next(_points_between(cloud, bounds, (edges,), tuning)))
 
 
-def _all_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Iterable[Edges], tuning: Tuning) -> Iterator[Any]:
-    """`_between` with several assumptions on the edges, one after another."""
+def _points_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Iterable[Edges], tuning: Tuning) -> Iterator[Array]:
+    """The points (n, 3) of which `_between` is the hull, with several assumptions on the edges, one after another."""
     bounded = np.isfinite(bounds.corners).all(axis=1) & (bounds.gap > 0)
     foot = bounds.foot[bounded]
     away = bounds.corners[bounded] - foot
     contours: Array | None = None
     for edges in assumed:
         if not bounded.any():
-            yield bounds.inner.copy()
+            yield bounds.inner.vertices.view(np.ndarray)
             continue
         fraction = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], edges, tuning)
         points = [cloud.points, foot + fraction[:, None] * away]
         if edges is not Edges.NONE:
             contours = contours_between(bounds.stack, tuning) if contours is None else contours
             points.append(contours)
-        yield hull(np.concatenate(points))
+        yield np.concatenate(points)
 
 
 def _degree(fit: SupportFit) -> str:

@@ -15,6 +15,8 @@ from scan3d.geometry.support import SupportFit, fitted_body
 # Slices with contacts that an axis needs before any of them is held out.  Larger, scans of few slices are not judged by
 # cross-validation; smaller, the slices that are kept do not determine a surface.
 _FEWEST_SLICES = 5
+# Held-out contacts at most, evenly spread over all.  More take longer; with fewer, the one farthest off is more often left out.
+_MOST_HELD_OUT = 20_000
 # Weight of the root mean square beside the largest error, as exponents, where estimates from exact contacts are compared.
 # Larger, an estimate is chosen that is far off in one place; smaller, the contact farthest off decides alone.
 _RMS = 0.15
@@ -34,7 +36,9 @@ class HeldOutError:
 
 
 def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
-    """The cloud without every second slice between the end slices of each axis, and the cloud of the held-out contacts.
+    """The cloud without every second slice between the end slices of each axis, and the cloud of the contacts there.
+
+    Of very many contacts there a part is taken, evenly spread over all.
 
     None if no axis has five slices with contacts.  The kept cloud has no fitted support function, since that of the whole cloud
     was fitted to the held-out contacts as well.
@@ -59,7 +63,8 @@ def hold_out_slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
         fit=None,
         fit_error=np.inf,
     )
-    return kept, cloud.select(~rows)
+    held_out = np.flatnonzero(~rows)
+    return kept, cloud.select(held_out[:: -(-len(held_out) // _MOST_HELD_OUT)])
 
 
 def error_of_surface(surface: Any, held_out: Cloud) -> HeldOutError:
