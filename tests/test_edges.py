@@ -78,7 +78,7 @@ def test_a_dent_is_bounded_from_above(depth):
     planes, bound = by_edges(mesh)
     assert bound >= dent_of(mesh)
     # it is proportional to the depth: four edges are reflex by it, divided by their length
-    assert bound < 200 * depth + 1e-11
+    assert bound < 60 * depth + 1e-11
     assert (facets_of(mesh).vertices @ planes[:, :3].T <= planes[:, 3]).all()
 
 
@@ -177,3 +177,35 @@ def test_bodies_are_the_same_as_by_qhull(path, monkeypatch):
     for name in ("hull", "file_faces"):
         assert by_edges.metadata[name] == by_qhull.metadata[name]
     assert by_edges.metadata["dent_relative"] <= by_qhull.metadata["dent_relative"] <= 1e-6
+
+
+def with_points_on_edges(mesh, count, seed):
+    """A mesh with points on some of its edges, up to rounding, and slivers between these edges and the points."""
+    points, faces = list(mesh.vertices), mesh.faces.tolist()
+    opposite, taken, random = opposite_edges(np.array(faces)).ravel(), set(), np.random.default_rng(seed)
+    for edge in random.permutation(opposite.size):
+        (one, k), other = divmod(int(edge), 3), int(opposite[edge]) // 3
+        if len(points) < len(mesh.vertices) + count and not taken & {one, other}:
+            taken |= {one, other}
+            start, end, apex = np.roll(faces[one], -k).tolist()
+            part, new = random.uniform(0.2, 0.8), len(points)
+            points.append((1 - part) * points[start] + part * points[end])
+            faces[one] = [start, new, apex]
+            faces += [[new, end, apex], [start, end, new]]
+    return as_mesh(np.array(points), np.array(faces))
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_corners_in_line_are_no_matter_for_qhull(seed, inside_out, monkeypatch):
+    body = moved(with_points_on_edges(ball(seed, 300), 20, seed), rotation=rotation(seed))
+    facets = facets_of(body)
+    assert by_edges(body)[1] > 1e-3  # the normals of slivers are rounding
+    monkeypatch.setattr("scan3d.geometry.hull_distance.ConvexHull", None)
+    if inside_out:
+        body = trimesh.Trimesh(body.vertices, body.faces[:, ::-1], process=False)
+    facets = facets_of(body)
+    planes, bound = against_hull(facets)
+    assert dent_of(body) <= bound <= CONVEX_DEPTH / 10
+    assert (facets.vertices @ planes[:, :3].T <= planes[:, 3]).all()
+    assert np.linalg.norm(planes[:, :3], axis=1) == pytest.approx(1)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
+from brute_force import farthest
 from scipy.spatial import ConvexHull
 from shapes import ball, cube, dented, letter_l, without
 
 from scan3d.geometry.edges import opposite_edges
-from scan3d.geometry.flips import facets_by_flips
+from scan3d.geometry.flips import facets_by_flips, without_slivers
 from scan3d.simulation.bodies import judge_mesh
 
 
@@ -82,3 +83,31 @@ def test_a_body_has_the_same_dent_as_by_qhull(decimals, monkeypatch):
     # the precision to which dents are searched
     assert 0 < by_flips.metadata["dent"] == pytest.approx(by_qhull.metadata["dent"], rel=1e-3)
     assert by_flips.metadata["geometry_sha256"] == by_qhull.metadata["geometry_sha256"]
+
+
+def over_square(height):
+    """A pyramid over a square whose base has been divided by the one diagonal, with the other at a height above it."""
+    points = np.array([(-1, 0, 0), (1, 0, 0), (0.3, -1e-12, height), (0.3, 1, height), (0, 0.3, -3.0)])
+    return points, np.array([(0, 1, 3), (1, 0, 2), (0, 3, 4), (3, 1, 4), (1, 2, 4), (2, 0, 4)])
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("height", [0.0, 1e-13, 5e-12])
+def test_a_sliver_is_removed_by_the_flip_of_its_longest_edge(height, inside_out):
+    points, faces = over_square(height)
+    faces = faces[:, ::-1] if inside_out else faces
+    flipped, opposite, moved = without_slivers(points, faces, opposite_edges(faces), 1e-10)
+    assert rows(flipped) == rows([(3, 0, 2), (2, 1, 3), *over_square(height)[1][2:].tolist()])
+    assert np.array_equal(opposite, opposite_edges(flipped))
+    before, after = (trimesh.Trimesh(points, part, process=False) for part in (faces, flipped))
+    true = max(farthest(before, after, 10), farthest(after, before, 10))
+    assert true <= moved + 1e-15
+    assert moved <= np.hypot(height, 1e-12) + 1e-15
+
+
+def test_triangles_higher_than_the_limit_stay():
+    points, faces = over_square(1e-3)
+    flipped, opposite, moved = without_slivers(points, faces, opposite_edges(faces), 1e-10)
+    assert np.array_equal(flipped, faces)
+    assert np.array_equal(opposite, opposite_edges(faces))
+    assert moved == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces.interpolation import Edges, _contour, contours_between, fractions
+from scan3d.surfaces.interpolation import Edges, _contour, _thinned, contours_between, fractions
 from scan3d.surfaces.tuning import Tuning
 
 TUNING = Tuning(damping=0.6, unseen_corners=0.3, parabola=0.25, crease=0.75)
@@ -131,6 +131,27 @@ def test_support_lines_that_enclose_nothing_give_no_contour():
     # the point is outside; and what Qhull can't process
     assert _contour(angle, -np.ones(4), np.zeros(2)).shape == (0, 2)
     assert _contour(np.zeros(4), np.ones(4), np.zeros(2)).shape == (0, 2)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 400, 401])
+def test_every_second_point_of_a_fine_contour_is_left_out(count):
+    angle = 2 * np.pi * np.arange(count) / max(count, 1)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    # the chord of two neighbours is 1 - cos(2π/n) below the point between them
+    least = 1 - np.cos(2 * np.pi / count) if count else 0.0
+    if count > 3:
+        assert len(_thinned(circle, 1.001 * least)) == (count + 1) // 2
+    assert np.array_equal(_thinned(circle, 0.999 * least), circle)
+
+
+def test_corners_of_a_contour_stay():
+    side = np.linspace(0, 1, 101)[1:]  # the corners are at odd places
+    square = np.concatenate([np.column_stack(p) for p in ((side, 0 * side), (0 * side + 1, side))])
+    square = np.concatenate([square, 1 - square])
+    corners = {(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)}
+    kept = _thinned(square, 1e-9)
+    assert corners <= {tuple(point) for point in kept.round(12).tolist()}
+    assert len(kept) == 204
 
 
 def test_a_polyhedrons_vertices_lie_beyond_those_of_a_curved_body():

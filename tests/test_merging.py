@@ -11,7 +11,7 @@ from scan3d.files.exports import export
 from scan3d.files.ply import ply
 from scan3d.files.tables import surface_table
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.merging import collapsed, distance_of_readers, representatives
+from scan3d.geometry.merging import collapsed, distance_of_readers, kept_apart, representatives
 from tests.shapes import box, polytope
 
 
@@ -115,6 +115,32 @@ def test_of_vertices_close_together_the_outermost_stays():
     assert representatives(points, 1.5e-9).tolist() == [0, 1, 1, 3, 4, 5]
     assert representatives(points, 5e-9).tolist() == [0, 1, 1, 1, 4, 5]
     assert representatives(points, 1e-10).tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_points_that_coincide_are_merged_and_corners_stay():
+    random = np.random.default_rng(1)
+    corners = np.asarray(box(2, 3, 4).vertices)
+    inwards = -np.sign(corners)[:, None] * random.uniform(1e-9, 0.9e-6, (len(corners), 500, 3))
+    points = np.concatenate([(corners[:, None] + inwards).reshape(-1, 3), np.repeat(corners, 3000, axis=0)])
+    points = np.concatenate([points, random.uniform(-0.9, 0.9, (300, 3))])
+    points = points[random.permutation(len(points))]
+    kept = kept_apart(points, 1e-6)
+    assert (np.diff(kept) > 0).all()
+    # one at each corner, which is the corner, and those that are near no other
+    assert len(kept) == 308
+    assert {tuple(corner) for corner in corners.tolist()} <= {tuple(point) for point in points[kept].tolist()}
+    assert np.array_equal(kept_apart(points, 0.0), np.arange(len(points)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_two_points_that_stay_are_close_and_none_is_far_from_them(seed):
+    random = np.random.default_rng(seed)
+    points = random.uniform(-1, 1, (400, 3))
+    kept = kept_apart(points, 0.2)
+    distance = np.linalg.norm(points[:, None] - points[kept], axis=2)
+    assert (distance + 9 * (distance == 0)).min(axis=1)[kept].min() > 0.2
+    assert distance.min(axis=1).max() <= 0.6
+    assert len(kept) < 300
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -4,14 +4,17 @@ Let every edge of a closed mesh belong to two faces that run through it in oppos
 planes of all faces by at least r, let the surface wind once around c, and lie within R of it.  Then every ray from c meets the
 surface exactly once.  If also no edge is reflex, the body is locally convex, and therefore convex (Tietze and Nakajima).
 
-If some edges are reflex, or may be because of rounding, by angles whose sum is s, the surface is within 2 tan(t) D R / r of
-that of its hull, with t = (π/2) s R / r and D the diameter.  Proof.  (1) In a plane through c, the part of a unit normal that
-lies in the plane is at least r / R long, so the contour of the section turns back at an edge by at most (π/2) R / r times the
-edge's angle, by t in all.  Where the contour leaves a segment between two of its points to the inside, its directions from the
-first point to the second therefore stay within t of the segment's, so that it goes no deeper than tan(t) D.  (2) So every
-segment between two points of the body is within e = tan(t) D of it.  A point of the hull lies in a tetrahedron of points of the
-body, on a segment between points of two of its edges, so it is within 2 e of the body.  (3) The body contains the cone of each
-of its points over the ball of radius r about c, so along the ray from c the surface is within 2 e R / r.
+If some edges are reflex, or may be because of rounding, the surface is nevertheless near that of its hull.  Let g be the gauge
+function of the body about c: it is 1 on the surface, and on the cone over a face of unit normal n and depth d it is
+``<n, x> / d``.  Across the cone over an edge its gradient changes by k m, with the unit vector m normal to the plane through c
+and the edge, and k positive where the edge is convex, since g is continuous.  For an angle φ between the faces k is
+``h sin(φ) / (d d')``, with the depths d and d' of the faces and the distance h of the edge's line from c.  Add to g, for every
+reflex edge, ``|k| |<m, x>| / 2``, which changes its gradient by |k| m there.  The sum g' is convex, because a continuous
+function that is linear on cones is convex if its gradient changes so across all their walls.  With the sum s of all
+``|k| / 2``, g <= g' <= g + s |x|, so that the body of g' <= 1 is convex, lies in the body K, and contains K scaled about c
+by ``1 / (1 + s R)``.  So the hull of K lies in K scaled by ``1 + s R``, and along each ray from c the two surfaces are within
+``s R²``.  The plane of a face, on whose cone g' has the gradient n / d up to s, is exceeded by no point of the hull by more
+than ``2 s R d``.
 """
 
 from __future__ import annotations
@@ -27,8 +30,8 @@ _ROUNDING = 8
 # Largest error of the number of turns, and of coordinates of unit size.  Larger, surfaces with holes would pass; smaller, the
 # rounding of the solid angles of fine meshes would count as one.
 _MISSING_TURN, _COORDINATES = 1e-6, 1e-15
-# Largest t of the proof above, in radians, far below a quarter turn.  Larger, bounds are returned that are of no use.
-_LARGEST_TURN = 0.1
+# Largest product s R of the proof above, by which the hull is larger.  Larger, bounds are returned that are of no use.
+_LARGEST_EXCESS = 0.1
 
 
 def opposite_edges(faces: Index) -> Index | None:
@@ -85,26 +88,30 @@ def planes_by_edges(faces: Index, corners: Array, normals: Array, opposite: Inde
     area = areas(corners)
     c = np.average(corners.mean(axis=1), axis=0, weights=area)
     rays = corners - c
+    lengths = np.sqrt(dot(rays, rays))
     depths = dot(rays, normals[:, None])
-    outwards = 1.0 if depths.sum() > 0 else -1.0
-    r, big_r = float((outwards * depths).min()), float(np.sqrt(dot(rays, rays).max()))
-    if r <= _COORDINATES or abs(outwards * turns(rays) - 1) > _MISSING_TURN:
-        return unproven
+    outwards, big_r = 1.0 if depths.sum() > 0 else -1.0, float(lengths.max())
     edges = np.roll(corners, -1, axis=1) - corners
     # a normal is wrong by rounding times the longest edge divided by the height above it, length² / (2 area)
     error = _ROUNDING * np.finfo(np.float64).eps * largest_of_three(dot(edges, edges)) / (2 * area)
-    turned = np.pi / 2 * big_r / r * _reflex_angles(opposite, edges, outwards * normals, error, outwards)
-    if turned > _LARGEST_TURN:
+    depth = (outwards * depths).min(axis=1) - big_r * error
+    if depth.min() <= _COORDINATES or abs(outwards * turns(rays) - 1) > _MISSING_TURN:
         return unproven
-    bound = 4 * float(np.tan(turned)) * big_r**2 / r + _COORDINATES
+    number, angles = _reflex_edges(opposite, edges, outwards * normals, error, outwards)
+    steepest = depth[number // 3] * depth[opposite.ravel()[number] // 3]
+    excess = float((angles * lengths.ravel()[number] / steepest).sum()) / 2 * big_r
+    if excess > _LARGEST_EXCESS:
+        return unproven
     heights = largest_of_three(dot(corners, outwards * normals[:, None]))
-    return np.column_stack([outwards * normals, heights + 2 * big_r * error + bound]), bound
+    planes = np.column_stack([outwards * normals, heights + 2 * big_r * (error + excess) + _COORDINATES])
+    return planes, excess * big_r + _COORDINATES
 
 
-def _reflex_angles(opposite: Index, edges: Array, normals: Array, error: Array, outwards: float) -> float:
-    """Sum of the angles of all edges that are reflex, or that may be by the errors (m,) of the outward normals (m, 3).
+def _reflex_edges(opposite: Index, edges: Array, normals: Array, error: Array, outwards: float) -> tuple[Index, Array]:
+    """The edges (e,) that are reflex, or that may be by the errors (m,) of the outward normals (m, 3), and their angles (e,).
 
-    `outwards` is -1 where the edges (m, 3, 3) run around the outward normals clockwise.
+    An edge has the number ``3 f + k`` of one of its sides.  `outwards` is -1 where the edges (m, 3, 3) run around the outward
+    normals clockwise.
     """
     number = np.flatnonzero(opposite.ravel() > np.arange(opposite.size))  # each edge once
     one, other = number // 3, opposite.ravel()[number] // 3
@@ -113,7 +120,7 @@ def _reflex_angles(opposite: Index, edges: Array, normals: Array, error: Array, 
     reflex = error[one] + error[other] - sine
     doubtful = reflex > 0
     cosine = dot(normals[one[doubtful]], normals[other[doubtful]])
-    return float(np.arctan2(reflex[doubtful], cosine).sum())
+    return number[doubtful], np.arctan2(reflex[doubtful], cosine)
 
 
 def turns(rays: Array) -> float:

@@ -4,6 +4,8 @@ Of a closed mesh of a convex body in single precision a few of a hundred edges a
 two triangles beside it, and the hull has the other one.  Flips of all reflex edges, and of those that become reflex, therefore
 lead to the hull in nearly all cases, as in Lawson's algorithm for Delaunay triangulations, and every flip adds volume, so that
 they end.  They need not lead there, so the edges of the result have to prove it (`scan3d.geometry.edges`).
+
+In double precision the hull that Qhull computes has slivers instead, whose edges prove nothing; flips remove those as well.
 """
 
 from __future__ import annotations
@@ -12,11 +14,14 @@ import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.edges import opposite_edges, outward_faces
-from scan3d.geometry.triangles import dot, spanned
+from scan3d.geometry.triangles import dot, largest_of_three, spanned
 
 # Largest number of reflex edges, for each face, for which flips are tried.  Larger, time is lost on meshes that have dents;
 # smaller, nearly convex meshes are left to Qhull, which takes several times as long.
 _MOST_REFLEX = 0.2
+# A triangle is a sliver if it is no higher than this fraction of the distance by which flips may move the surface.  Larger, few
+# rounds of them move it farther; smaller, slivers remain.
+_THIN = 0.1
 # Largest number of rounds of flips.  Larger, time is lost on meshes that have dents; smaller, as above.
 _ROUNDS = 100
 
@@ -45,6 +50,31 @@ def facets_by_flips(points: Array, faces: Index) -> tuple[Index, Mask] | None:
             return None
         edges = mesh.flip(edges, possible)
     return None
+
+
+def without_slivers(points: Array, faces: Index, opposite: Index, limit: float) -> tuple[Index, Index, float]:
+    """The faces (m, 3) of a closed mesh of points (n, 3), and their `opposite_edges` (m, 3), after flips of the longest edges
+    of triangles whose corners lie on a line but for rounding, and how far the flips have moved the surface at most.
+
+    The normal of such a triangle is made of rounding.  A flip makes two triangles with proper normals of it and its neighbour.
+    None are flipped once the surface may have been moved farther than a limit.
+    """
+    centre = points.mean(axis=0)
+    if dot((points - centre)[faces[:, 0]], spanned(points[faces])).sum() < 0:
+        faces = faces[:, ::-1]
+        # the side from the corner k to the next is now that from the corner 1 - k
+        opposite = (opposite - opposite % 3 + (1 - opposite % 3) % 3)[:, [1, 0, 2]]
+    mesh = _Flippable(points - centre, faces.copy(), opposite.ravel().copy())
+    moved = 0.0
+    for _ in range(_ROUNDS):
+        thin = mesh.longest_of_thin(limit * _THIN)
+        possible = mesh.independent(thin[mesh.allowed(thin)])
+        if not len(possible) or moved > limit:
+            break
+        # no two of them have a face in common, so that the largest of their distances counts
+        moved += float(mesh.between_diagonals(possible).max())
+        mesh.flip(possible, possible)
+    return mesh.faces, mesh.opposite.reshape(-1, 3), moved
 
 
 class _Flippable:
@@ -77,6 +107,31 @@ class _Flippable:
         across = np.cross(right, left)
         proper: Mask = (dot(across, start) > 0) & (dot(across, end) < 0)
         return proper
+
+    def longest_of_thin(self, height: float) -> Index:
+        """The longest edges (e,) of triangles that are no higher than a height above them."""
+        corners = self.points[self.faces]
+        edges = np.roll(corners, -1, axis=1) - corners
+        square, doubled = dot(edges, edges), np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        thin = np.flatnonzero(doubled <= height * np.sqrt(largest_of_three(square)))
+        longest: Index = 3 * thin + square[thin].argmax(axis=1)
+        return longest
+
+    def between_diagonals(self, edges: Index) -> Array:
+        """Upper bounds (e,) of the distances between edges (e,) and the edges to which they would be flipped.
+
+        The two faces beside an edge consist of four triangles about any of its points, and so do those beside the flipped edge.
+        So a flip moves the surface by no more than the distance between a point of the one edge and a point of the other.
+        """
+        start, end, left, right = self._around(edges)
+        along, across, way = end - start, right - left, left - start
+        normal = np.cross(along, across)
+        square = dot(normal, normal)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            one, other = (np.nan_to_num(dot(np.cross(way, e), normal) / square) for e in (across, along))
+        one, other = (np.clip(part, 0.0, 1.0)[:, None] for part in (one, other))
+        distance: Array = np.linalg.norm(way + other * across - one * along, axis=1)
+        return distance
 
     def independent(self, edges: Index) -> Index:
         """Some of the edges (e,), of which no two have a face in common."""

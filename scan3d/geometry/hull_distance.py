@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scan3d.arrays import Array, Index
 from scan3d.geometry.distance import bounding_box, welded
 from scan3d.geometry.edges import opposite_edges, planes_by_edges, turns
+from scan3d.geometry.flips import without_slivers
 from scan3d.geometry.triangles import areas, dot, mirrored_faces, spanned
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ CONVEX_DEPTH = 1e-9
 NEAR_CONVEX_DEPTH = 1e-4
 # Depth of a face below which it is not examined further where only the distance to the hull is wanted.  Larger, the bound of
 # a convex surface grows; smaller, faces are examined whose depth is rounding only.
-_PRECISION = 1e-11
+_PRECISION = 1e-10
 # Upper bound of the distances between faces and planes that are computed for one surface.  Larger, fine meshes that are not
 # convex take longer; smaller, the bounds of fine meshes that nearly are convex become wide or infinite.
 _MAX_DISTANCES = 200_000_000
@@ -61,8 +62,7 @@ def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets
     vertices, faces = welded(mesh, centre, scale)
     corners = vertices[faces]
     cross = spanned(corners)
-    size = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
+    normals = _unit(cross)
     # Closed: every directed edge meets its reverse, so that the boundary is zero as a chain.
     opposite = opposite_edges(faces)
     closed = opposite is not None
@@ -71,6 +71,13 @@ def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets
         closed = np.array_equal(np.sort(start * len(vertices) + end), np.sort(end * len(vertices) + start))
     volume = abs(float(dot(corners[:, 0], cross).sum())) / 6 if closed else np.nan
     return Facets(vertices, faces, corners, normals, closed, volume, opposite)
+
+
+def _unit(cross: Array) -> Array:
+    """Unit vectors (m, 3) along vectors (m, 3), zero for those without length."""
+    size = np.linalg.norm(cross, axis=1, keepdims=True)
+    normals: Array = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
+    return normals
 
 
 def distance_to_hull(mesh: trimesh.Trimesh) -> float:
@@ -110,11 +117,20 @@ def _planes(points: Array) -> Array:
         return np.empty((0, 4))
 
 
+def _after_flips(vertices: Array, faces: Index, opposite: Index, precision: float) -> tuple[Array, float]:
+    """`planes_by_edges` of a closed mesh without its slivers, with the distance added by which that moves the surface."""
+    faces, opposite, moved = without_slivers(vertices, faces, opposite, precision)
+    corners = vertices[faces]
+    planes, distance = planes_by_edges(faces, corners, _unit(spanned(corners)), opposite)
+    return planes, distance + moved
+
+
 def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[Array, float]:
     """A supporting plane (m, 4) for every face, and a bound of the distance between the surface and the surface of its hull.
 
-    They follow from the edges of a closed surface without its hull, if the bound is then no larger than `precision`.  Otherwise
-    the surface is held against the hull's planes.  The depth below the hull's surface is concave on a face and not negative, so
+    They follow from the edges of a closed surface without its hull, if need be after flips that remove slivers, where the bound
+    is then no larger than `precision`; after flips some planes are those of other faces nearby.  Otherwise the surface is held
+    against the hull's planes.  The depth below the hull's surface is concave on a face and not negative, so
     it is nowhere more than three times that of the face's middle.  If the surface winds once around a point c inside, every ray
     from c meets the surface, at no more than the largest depth; along the ray the hull's surface is within depth * R / r, with
     r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than `precision` are not
@@ -122,9 +138,14 @@ def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[
     """
     vertices, faces, corners, normals, closed, _, opposite = facets
     if closed:
+        opposite = opposite_edges(faces) if opposite is None else opposite
         planes, distance = planes_by_edges(faces, corners, normals, opposite)
         if distance <= precision:
             return planes, distance
+        if opposite is not None:
+            planes, distance = _after_flips(vertices, faces, opposite, precision)
+            if distance <= precision:
+                return planes, distance
     unbounded = np.empty((0, 4)), np.inf
     planes = _planes(vertices)
     if len(planes) == 0:

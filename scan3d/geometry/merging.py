@@ -62,6 +62,23 @@ def representatives(points: Array, distance: float) -> Index:
     return chosen
 
 
+def kept_apart(points: Array, distance: float) -> Index:
+    """Numbers (k,), rising, of the points (n, 3) that remain where those closer than a distance are merged.
+
+    Every other point lies within three times the distance of one that remains, and points far from the middle are kept first.
+    Unlike `representatives`, this takes no time that grows with the square of the number of points that coincide.
+    """
+    if not distance:
+        return np.arange(len(points))
+    offset = points - points.mean(axis=0)
+    number = distinct_rows(np.floor(points / distance))[1]
+    # the first of each cube is the farthest from the middle
+    order = np.lexsort((-dot(offset, offset), number))
+    first = np.sort(order[np.diff(number[order], prepend=-1) > 0])
+    kept: Index = first[np.unique(representatives(points[first], distance))]
+    return kept
+
+
 def collapsed(faces: Index, chosen: Index) -> Index:
     """Triangles (m, 3) after vertices have been merged as by `representatives`, without those that have lost their area.
 

@@ -14,7 +14,13 @@ from scan3d.choices import METHODS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull, hulls
-from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
+from scan3d.geometry.merging import (
+    collapsed,
+    distance_of_readers,
+    kept_apart,
+    representatives,
+    without_unused,
+)
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
@@ -236,7 +242,9 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
 
 def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
     """Hull of the contacts, of points between it and the outer body's corners, and of contours between the slices."""
-    return hull(next(_points_between(cloud, bounds, (edges,), tuning)))
+    points = next(_points_between(cloud, bounds, (edges,), tuning))
+    # the hull of what its readers would merge would have to be computed again
+    return hull(points[kept_apart(points, 2 * distance_of_readers(points))])
 
 
 def _points_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Iterable[Edges], tuning: Tuning) -> Iterator[Array]:

@@ -38,6 +38,10 @@ from scan3d.surfaces.tuning import Tuning
 # Where between two slices contours are estimated, as fractions of the slab's thickness.  More contours follow a curved body
 # more closely, but make the hull larger and slower to compute.
 _CONTOUR_FRACTIONS = (1 / 3, 2 / 3)
+# Every second point of an estimated contour is left out that is nearer to the chord of its neighbours than this fraction of
+# the widest slice: contours have the angles of two slices.  Larger, the surface loses accuracy; smaller, it has more facets
+# than the contacts can tell.
+_SAGITTA = 2e-5
 
 
 class Edges(Enum):
@@ -89,6 +93,7 @@ def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
     Where a flat face ends inside a slab, the outer body has few corners; the contours go all around the body.
     """
     contours = [np.empty((0, 3))]
+    size = max(float(np.ptp(slice_.outline, axis=0).max(initial=0.0)) for slice_ in stack.slices)
     for i in range(1, len(stack.slices)):
         below, above = stack.slices[i - 1], stack.slices[i]
         if not (below.closed and above.closed):
@@ -104,6 +109,7 @@ def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
             level = below.height + up * (above.height - below.height)
             upper = np.concatenate([_extrapolated(below, before, level), _extrapolated(above, after, level)])
             contour = _contour(angle, np.minimum(mix @ support + turn.above_chord(up), upper), mix @ middle)
+            contour = _thinned(contour, _SAGITTA * size)
             contours.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
     return np.concatenate(contours)
 
@@ -140,6 +146,16 @@ def _contour(angle: Array, support: Array, inside: Array) -> Array:
     # the middles of the sides, since a corner of two support lines need not belong to the body
     middles: Array = (corners + np.roll(corners, -1, axis=0)) / 2
     return middles
+
+
+def _thinned(points: Array, limit: float) -> Array:
+    """The points (n, 2) around a contour, without every second one nearer than a limit to the chord of its neighbours."""
+    odd = np.arange(1, len(points), 2)
+    before, after = points[odd - 1], points[(odd + 1) % len(points)]
+    chord, way = after - before, points[odd] - before
+    off = np.abs(chord[:, 0] * way[:, 1] - chord[:, 1] * way[:, 0])
+    kept: Array = np.delete(points, odd[off < limit * np.linalg.norm(chord, axis=1)], axis=0)
+    return kept
 
 
 @dataclass(frozen=True)
