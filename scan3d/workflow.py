@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_both
 from scan3d.errors import InputError
 from scan3d.files.ownership import RECORDING
@@ -21,7 +22,7 @@ from scan3d.files.results import Result, opened
 from scan3d.files.tables import cloud_table, surface_table
 from scan3d.geometry.distance import distances
 from scan3d.pictures import page, rendering
-from scan3d.pictures.drawing import Drawing, DrawingError
+from scan3d.pictures.drawing import Drawing, DrawingError, Job
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.words import key_figures
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked, reconstruct
@@ -30,6 +31,8 @@ from scan3d.report import Analysis, report
 from scan3d.simulation.bodies import mesh_itself
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
+PICTURES = ("cloud", "surface")
+"""The views of the pictures that `write` puts into a folder."""
 Step = Callable[[str], None]
 """Is called with the name of each step when it begins; the names are those of `timings_s` in the report."""
 
@@ -40,6 +43,7 @@ def analyse(
     method: str = "auto",
     model: str | None = None,
     step: Step = lambda _: None,
+    made: Callable[[Cloud, Any], None] = lambda _, __: None,
 ) -> Analysis:
     """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
 
@@ -51,6 +55,8 @@ def analyse(
         the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
     step
         is called with the name of each step when it begins.
+    made
+        is called with the contacts and the surface, as soon as both are known.
 
     Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
     InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
@@ -70,6 +76,7 @@ def analyse(
         known = replace(bounds, bound=np.inf) if warnings else bounds
         mesh = surface(cloud, method, bounds=known)
         mesh.units = cloud.unit
+    made(cloud, mesh)
     with clock("certificate"):
         if warnings:
             bounds, certified = withdrawn(bounds, mesh)
@@ -81,17 +88,22 @@ def analyse(
     )
     if truth is None:
         return analysis
-    itself = mesh_itself(truth)
     with clock("compare"):
-        comparison, hull_error = compare_both(mesh, bounds.inner, truth)
-        return replace(
-            analysis,
-            truth=truth,
-            mesh_comparison=None if itself is None else compare(mesh, itself),
-            contact_error=distances(cloud.points, truth),
-            comparison=comparison,
-            hull_error=hull_error,
-        )
+        return _compared(analysis, truth)
+
+
+def _compared(analysis: Analysis, truth: Any) -> Analysis:
+    """An analysis with all that is compared with the true body."""
+    comparison, hull_error = compare_both(analysis.surface, analysis.bounds.inner, truth)
+    itself = mesh_itself(truth)
+    return replace(
+        analysis,
+        truth=truth,
+        mesh_comparison=None if itself is None else compare(analysis.surface, itself),
+        contact_error=distances(analysis.cloud.points, truth),
+        comparison=comparison,
+        hull_error=hull_error,
+    )
 
 
 def write(
@@ -192,11 +204,15 @@ def _name(analysis: Analysis) -> str:
     return Path(str(named)).stem if named else "body"
 
 
+def jobs() -> list[Job]:
+    """What is drawn for a folder."""
+    return [(".png", {"view": name}) for name in PICTURES]
+
+
 def _draw(scene: Scene, result: Result, drawing: Drawing | None, notify: Callable[[str], None]) -> None:
     """Add the page and, where they can be rendered, the pictures to a result."""
-    names = ("cloud", "surface")
-    if drawing is not None:  # while the page is made
-        drawing.begin(scene, [(".png", {"view": name}) for name in names])
+    if drawing is not None and not drawing.has_begun:  # while the page is made
+        drawing.begin(scene, jobs())
     result.put("view.html", page.page(scene))
     if drawing is None:
         notify(rendering.NO_RENDERER)
@@ -206,7 +222,7 @@ def _draw(scene: Scene, result: Result, drawing: Drawing | None, notify: Callabl
     except DrawingError as error:
         notify(f"no pictures: {error}; all other files are written")
         return
-    for name, data in zip(names, pictures, strict=True):
+    for name, data in zip(PICTURES, pictures, strict=True):
         result.put(f"{name}.png", data)
 
 

@@ -10,7 +10,7 @@ import pytest
 from small_scans import scanned
 
 import scan3d
-from scan3d.pictures import drawing, rendering
+from scan3d.pictures import drawing, early_drawing, rendering
 
 MESHES = Path(__file__).parents[1] / "meshes"
 JOBS = [(".png", {"view": "cloud"})]
@@ -122,7 +122,7 @@ def test_a_scene_that_lacks_what_is_to_be_shown_does_not_end_the_process(scenes)
 
 def test_a_process_that_is_started_early_is_there_when_it_is_needed(monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)
-    early = drawing.EarlyDrawing()
+    early = early_drawing.EarlyDrawing()
     with early as child:
         assert child.is_running
     assert not child.is_running
@@ -137,10 +137,62 @@ def test_a_process_that_is_not_needed_is_ended_while_it_starts(monkeypatch):
         return True
 
     monkeypatch.setattr(rendering, "can_render", can_render)
-    monkeypatch.setattr(drawing, "Drawing", None)  # it must not be started
-    early = drawing.EarlyDrawing()
+    monkeypatch.setattr(early_drawing, "Drawing", None)  # it must not be started
+    early = early_drawing.EarlyDrawing()
     early.stop()
     may_go_on.set()
     early._starting.join(10)
     assert not early._starting.is_alive()
     assert early._drawing is None
+
+
+@pytest.mark.slow
+def test_what_is_to_be_drawn_can_be_given_before_the_process_is_needed(scenes):
+    early = early_drawing.EarlyDrawing()
+    early.begin(scenes[0], JOBS)
+    with early as child:
+        assert child.has_begun
+        assert child.finish() == drawing.draw(scenes[0], JOBS)
+        assert not child.has_begun
+        assert child.draw(scenes[1], JOBS) == drawing.draw(scenes[1], JOBS)
+
+
+def test_where_nothing_can_be_rendered_nothing_is_begun(scenes, monkeypatch):
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    early = early_drawing.EarlyDrawing()
+    early.begin(scenes[0], JOBS)
+    with early as child:
+        assert not child.has_begun
+
+
+def test_a_process_that_reads_nothing_can_be_stopped_while_it_is_asked(scenes, monkeypatch):
+    # the scene does not fit into the pipe
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
+    early = early_drawing.EarlyDrawing()
+    early._starting.join()
+    early.begin(scenes[0], JOBS)
+    deadline = time.monotonic() + 10
+    while not early._drawing.has_begun and time.monotonic() < deadline:
+        time.sleep(0.01)
+    early.stop()
+    early._starting.join(10)
+    assert not early._starting.is_alive()
+
+
+@pytest.mark.slow
+def test_a_scan_draws_while_it_compares_and_its_pictures_are_those_drawn_afterwards(tmp_path, monkeypatch):
+    late = []
+    begin = drawing.Drawing.begin
+
+    def counted(self, scene, jobs):
+        late.append(jobs)
+        begin(self, scene, jobs)
+
+    monkeypatch.setattr(drawing.Drawing, "begin", counted)
+    scan = scan3d.scan(MESHES / "gem.glb", tmp_path / "early", slices=6, samples=40, noise=1e-3)
+    assert late == []
+    scan.save(tmp_path / "late")
+    assert len(late) == 1
+    for name in ("cloud.png", "surface.png", "view.html"):
+        assert (tmp_path / "early" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
@@ -54,6 +54,8 @@ class Drawing:
         self._warm = warm
         self._watch: threading.Timer | None = None
         self._is_late = False
+        self.has_begun = False
+        """Whether pictures are being drawn, which `finish` waits for."""
 
     def __enter__(self) -> Drawing:
         environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
@@ -95,18 +97,15 @@ class Drawing:
     def begin(self, scene: Scene, jobs: Sequence[Job]) -> None:
         """Let the child process draw pictures, which `finish` waits for.  Raises InputError where nothing can be rendered."""
         rendering.need_renderer()
-        window = {rendering.WINDOW: os.environ[rendering.WINDOW]} if rendering.WINDOW in os.environ else {}
+        self.ask(request_of(scene, jobs))
 
-        def end() -> None:
-            self._is_late = True
-            self._child.kill()
-
-        # a child that hangs reads nothing either
-        self._watch = threading.Timer(_TIMEOUT_S, end)
-        self._watch.daemon = True
-        self._watch.start()
-        with suppress(OSError):  # the child has ended: it sends no answer
-            _send(self._child.stdin, (window, scene, list(jobs)))
+    def ask(self, request: bytes) -> None:
+        """`begin` with what `request_of` has returned."""
+        self.has_begun = True
+        self._begin_watch()  # a child that hangs reads nothing either
+        with suppress(OSError, ValueError):  # the child has ended: it sends no answer
+            _write(self._child.stdin, request)
+        self._end_watch()
 
     def finish(self) -> list[bytes]:
         """The bytes of each picture that `begin` has asked for.
@@ -114,10 +113,12 @@ class Drawing:
         Raises InputError for a scene that lacks what is to be shown, and DrawingError if the child process crashes or takes too
         long, after which it is ended.
         """
+        self._begin_watch()
         try:
             answer = _received(self._child.stdout)
         finally:
             self._end_watch()
+            self.has_begun = False
         if answer is None:
             code = self._child.wait()
             self._errors.seek(0)
@@ -128,63 +129,18 @@ class Drawing:
             raise answer[0]
         return list(answer[0])
 
+    def _begin_watch(self) -> None:
+        def end() -> None:
+            self._is_late = True
+            self._child.kill()
+
+        self._watch = threading.Timer(_TIMEOUT_S, end)
+        self._watch.daemon = True
+        self._watch.start()
+
     def _end_watch(self) -> None:
         if self._watch is not None:
             self._watch.cancel()
-
-
-class EarlyDrawing:
-    """A `Drawing` that is started in the background where pictures can be rendered, so that it is ready after other work.
-
-    Entered, it is waited for; `stop` ends it, or its start.
-    """
-
-    def __init__(self) -> None:
-        self._drawing: Drawing | None = None
-        self._is_over = False
-        self._changing = threading.Lock()
-        # what fails here fails again, with its message, when the process is needed
-        self._starting = threading.Thread(target=self._start, daemon=True)
-        self._starting.start()
-
-    def _start(self) -> None:
-        with suppress(OSError):
-            if rendering.can_render():
-                with self._changing:
-                    if not self._is_over:
-                        self._drawing = Drawing(warm=True).__enter__()
-
-    def __enter__(self) -> Drawing:
-        self._starting.join()
-        if self._drawing is None:
-            self._drawing = Drawing().__enter__()
-        return self._drawing
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """End the child process."""
-        with self._changing:
-            self._is_over = True
-            if self._drawing is not None:
-                self._drawing.stop()
-
-
-@contextmanager
-def prepared(drawing: AbstractContextManager[Drawing] | None) -> Iterator[AbstractContextManager[Drawing]]:
-    """What gives a process that draws: `drawing`, or one that starts in the background and ends with the block.
-
-    One that is given is not started early: it may be needed elsewhere until then.
-    """
-    if drawing is not None:
-        yield drawing
-        return
-    early = EarlyDrawing()
-    try:
-        yield early
-    finally:
-        early.stop()
 
 
 _shared: Drawing | None = None
@@ -265,7 +221,7 @@ def serve(*, warm: bool = False) -> None:
         while request is not None:
             window, scene, jobs = request[0]
             os.environ.update(window)
-            _send(answer, _drawn(scene, jobs))
+            _write(answer, pickle.dumps(_drawn(scene, jobs)))
             idle = threading.Timer(_IDLE_S, os._exit, (0,))
             idle.daemon = True
             idle.start()
@@ -304,15 +260,20 @@ def _drawn(scene: Scene, jobs: Any) -> list[bytes] | InputError:
     return result
 
 
-def _send(stream: Any, value: Any) -> None:
-    data = pickle.dumps(value)
+def request_of(scene: Scene, jobs: Sequence[Job]) -> bytes:
+    """What the child process is sent, for pictures of a scene."""
+    window = {rendering.WINDOW: os.environ[rendering.WINDOW]} if rendering.WINDOW in os.environ else {}
+    return pickle.dumps((window, scene, list(jobs)))
+
+
+def _write(stream: Any, data: bytes) -> None:
     stream.write(_LENGTH.pack(len(data)))
     stream.write(data)
     stream.flush()
 
 
 def _received(stream: Any) -> tuple[Any] | None:
-    """What `_send` has sent; None where the stream ends."""
+    """What `_write` has sent; None where the stream ends."""
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None

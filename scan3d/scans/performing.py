@@ -11,15 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from scan3d import workflow
+from scan3d.cloud import Cloud
 from scan3d.files.ownership import Inputs
 from scan3d.files.results import opened
-from scan3d.pictures.drawing import Drawing, prepared
+from scan3d.pictures.drawing import Drawing
+from scan3d.pictures.early_drawing import EarlyDrawing, prepared
+from scan3d.pictures.scene import of_cloud
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.settings import Settings
 from scan3d.simulation.bodies import judge_mesh, load_mesh
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces.open3d_methods import check_method
+
+# Contacts and facets of the mesh up to which pictures are drawn while the surface is certified and compared.  Larger, they need
+# memory beside the comparison of millions of facets; smaller, their time is added to that of the comparison.
+_MOST_DRAWN_EARLY = 1_000_000
 
 
 def perform(
@@ -56,12 +63,12 @@ def perform(
     body = _loaded(mesh, chosen)
     seconds = {"load": time.perf_counter() - start}
 
-    def analysed() -> Analysis:
+    def analysed(made: Callable[[Cloud, Any], None] = lambda _, __: None) -> Analysis:
         step("simulate")
         begin = time.perf_counter()
         recording = with_origin(simulate_judged(body, plan, progress), body)
         seconds["simulate"] = time.perf_counter() - begin
-        return workflow.analyse(recording, body, chosen.method, step=step)
+        return workflow.analyse(recording, body, chosen.method, step=step, made=made)
 
     values = dataclasses.asdict(chosen)
     if out is None:
@@ -70,7 +77,7 @@ def perform(
         return found, report(found, settings=values, friction_set=chosen.friction, timings_s=times)
     read = {**({"mesh": mesh} if _is_path(mesh) else {}), **(inputs or {})}
     with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result, prepared(drawing) as drawn_by:
-        analysis = analysed()
+        analysis = analysed(_drawing(drawn_by, body))
         return analysis, workflow.write(
             analysis,
             result,
@@ -82,6 +89,16 @@ def perform(
             drawing=drawn_by,
             step=step,
         )
+
+
+def _drawing(drawn_by: Any, body: Any) -> Callable[[Cloud, Any], None]:
+    """A function that lets contacts and surface be drawn while the surface is certified and compared; pictures show neither."""
+
+    def draw(cloud: Cloud, surface: Any) -> None:
+        if isinstance(drawn_by, EarlyDrawing) and len(cloud.points) + len(body.faces) <= _MOST_DRAWN_EARLY:
+            drawn_by.begin(of_cloud(cloud, surface=surface, truth=body), workflow.jobs())
+
+    return draw
 
 
 def _is_path(mesh: Any) -> bool:
