@@ -97,9 +97,9 @@ def planes_by_edges(faces: Index, corners: Array, normals: Array, opposite: Inde
     depth = (outwards * depths).min(axis=1) - big_r * error
     if depth.min() <= _COORDINATES or abs(outwards * turns(rays) - 1) > _MISSING_TURN:
         return unproven
-    number, angles = _reflex_edges(opposite, edges, outwards * normals, error, outwards)
+    number, sines = _reflex_edges(opposite, edges, outwards * normals, error, outwards)
     steepest = depth[number // 3] * depth[opposite.ravel()[number] // 3]
-    excess = float((angles * lengths.ravel()[number] / steepest).sum()) / 2 * big_r
+    excess = float((sines * lengths.ravel()[number] / steepest).sum()) / 2 * big_r
     if excess > _LARGEST_EXCESS:
         return unproven
     heights = largest_of_three(dot(corners, outwards * normals[:, None]))
@@ -108,7 +108,8 @@ def planes_by_edges(faces: Index, corners: Array, normals: Array, opposite: Inde
 
 
 def _reflex_edges(opposite: Index, edges: Array, normals: Array, error: Array, outwards: float) -> tuple[Index, Array]:
-    """The edges (e,) that are reflex, or that may be by the errors (m,) of the outward normals (m, 3), and their angles (e,).
+    """The edges (e,) that are reflex, or that may be by the errors (m,) of the outward normals (m, 3), and upper bounds (e,) of
+    the sines of their angles.
 
     An edge has the number ``3 f + k`` of one of its sides.  `outwards` is -1 where the edges (m, 3, 3) run around the outward
     normals clockwise.
@@ -119,8 +120,7 @@ def _reflex_edges(opposite: Index, edges: Array, normals: Array, error: Array, o
     sine = outwards * dot(np.cross(normals[one], normals[other]), edge) / np.sqrt(dot(edge, edge))
     reflex = error[one] + error[other] - sine
     doubtful = reflex > 0
-    cosine = dot(normals[one[doubtful]], normals[other[doubtful]])
-    return number[doubtful], np.arctan2(reflex[doubtful], cosine)
+    return number[doubtful], reflex[doubtful]
 
 
 def turns(rays: Array) -> float:
