@@ -25,6 +25,11 @@ SAMPLES = 20_000
 # Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).  Larger, the
 # averages are less accurate; smaller, more points need the slower search for the nearest face.
 AVERAGE_GAP = 0.05
+# Faces that are tried for each point of an average.  More take longer; fewer do not show that no other is nearer.
+_TRIED_FACES = 10
+# A point is straight above a face if its distances from the face and from its plane differ by less than this fraction.  Larger,
+# averages are less accurate; smaller, rounding calls for the slower search.
+_STRAIGHT_ABOVE = 1e-6
 # Distance, in diagonals of the mesh, within which area counts as agreeing in the F-score.  Larger, all F-scores are near 1;
 # smaller, near 0.
 F_SCORE_RADIUS = 0.01
@@ -213,9 +218,13 @@ def _deviations(source: Body, target: Body, samples: _Samples) -> tuple[Array, A
 
     An angle is NaN where either face has no area.
     """
-    distance, face, lower = target.search.near(samples.points)
+    distance, face, lower = target.search.near(samples.points, _TRIED_FACES)
     # For samples far away any face nearby will do, because thousands are almost as near as the nearest one.
     uncertain = distance - lower > AVERAGE_GAP * distance
+    if np.isfinite(target.slack):
+        # the target lies below the planes of its faces: a point straight above a face is no nearer to another one
+        above = dot(target.planes[face, :3], samples.points) - target.planes[face, 3]
+        uncertain &= distance - above > _STRAIGHT_ABOVE * distance
     distance[uncertain], face[uncertain] = target.search.nearest(samples.points[uncertain])
     a, b = source.normals[samples.faces], target.normals[face]
     angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), dot(a, b)))

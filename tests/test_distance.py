@@ -34,6 +34,33 @@ def test_distances_to_slivers_against_60_digits(height):
         assert far_in_60_digits(points[i], *corners[j]) >= distance[i] - 1e-15
 
 
+@pytest.mark.parametrize("tried", [1, 4, 10])
+@pytest.mark.parametrize("name", ["fine", "few faces", "crossing"])
+def test_quick_estimates_and_their_lower_bounds_enclose_the_distance(name, tried):
+    rng = np.random.default_rng(7)
+    mesh = {"fine": trimesh.creation.icosphere(4), "few faces": trimesh.creation.icosphere(0)}.get(
+        name, PAIRS["crossing"][1]
+    )
+    on = mesh.triangles.view(np.ndarray).mean(axis=1)[rng.integers(len(mesh.faces), size=200)]
+    points = on + rng.choice([0.0, 1e-9, 1e-3, 0.3], (200, 1)) * rng.standard_normal((200, 3))
+    corners = mesh.triangles.view(np.ndarray)
+    corners = np.take_along_axis(corners, longest_first(corners)[:, :, None], axis=1)
+    distance, face, lower = Search(corners).near(points, tried)
+    true = far(points, mesh)
+    assert (lower - 1e-12 <= true).all()
+    assert (true <= distance + 1e-12).all()
+    of_face = [
+        far(p[None], trimesh.Trimesh(corners[f], [(0, 1, 2)], process=False))[0]
+        for p, f in zip(points, face, strict=True)
+    ]
+    assert distance == pytest.approx(of_face, abs=1e-12)
+    if name == "fine" and tried == 10:
+        # close to a mesh of faces of about the same size the estimate is proven right
+        close = true < 1e-2
+        assert close.sum() > 90
+        assert np.array_equal(lower[close], distance[close])
+
+
 def test_distances_of_points_to_a_body():
     body = PAIRS["crossing"][0]
     points = np.random.default_rng(1).standard_normal((500, 3)) * 2

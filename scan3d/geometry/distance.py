@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     import trimesh
 
 
-# Faces that `Search.near` tries for each point: those whose middles are nearest.  More take longer; with fewer, the face that
-# is found is more often not the nearest one, and the bounds that rest on it are wider.
-_TRIED_FACES = 4
+TRIED_FACES = 4
+"""Faces that `Search.near` tries for each point: more take longer; with fewer, the face that is found is more often not the
+nearest one, and the bounds that rest on it are wider."""
 # Rounding of distances at unit size, with room to spare.  Larger, faces are tried that can't be nearer; smaller, one might be
 # left out that is nearer by rounding.
 _ROUNDING = 1e-12
@@ -155,10 +155,13 @@ class Search:
         self._tree = cKDTree(middles, balanced_tree=False)  # balancing is slow where many share a coordinate
         self._locate = locator(corners)
 
-    def near(self, points: Array) -> tuple[Array, Index, Array]:
+    def near(self, points: Array, tried: int = TRIED_FACES) -> tuple[Array, Index, Array]:
         """Quick estimates: distances (p,) of points (p, 3) from a triangle nearby, the number (p,) of that triangle, and lower
-        bounds (p,) of the distances from the nearest one."""
-        ranks = list(range(1, min(_TRIED_FACES, self._tree.n) + 1))
+        bounds (p,) of the distances from the nearest one.
+
+        The triangle is the nearest of those that are `tried`, the ones with the nearest middles.
+        """
+        ranks = list(range(1, min(tried, self._tree.n) + 1))
         to_middle, faces = self._tree.query(points, k=ranks, workers=-1)
         face = faces[:, 0].copy()
         distance = distance_to(points, self._corners[face])
@@ -168,7 +171,9 @@ class Search:
             trial = distance_to(points[nearer], self._corners[faces[nearer, rank]])
             best = trial < distance[nearer]
             distance[nearer[best]], face[nearer[best]] = trial[best], faces[nearer[best], rank]
-        return distance, face, to_middle[:, 0] - self._radius
+        # no triangle that was not tried is nearer than this
+        others = to_middle[:, -1] - self._radius if len(ranks) < self._tree.n else np.inf
+        return distance, face, np.minimum(distance, others)
 
     def nearest(self, points: Array) -> tuple[Array, Index]:
         """Distances (p,) of points (p, 3) from the nearest triangle, and its number (p,); exact to rounding, and slower."""
