@@ -494,6 +494,13 @@ def test_a_cap_without_height_has_no_corners():
         assert len(part.kind) == 0
 
 
+def test_slabs_without_volumes_are_the_same():
+    for stack in (pyramid(-1.0, 3.5), pyramid(-np.inf, 3.5)):
+        for one, other in zip(slabs(stack), slabs(stack, volumes=False), strict=True):
+            assert all(np.array_equal(a, b) for a, b in zip(one[:3], other[:3], strict=True))
+            assert np.isnan(other.volume) if np.isfinite(one.volume) else other.volume == np.inf
+
+
 def test_slabs_that_are_known_are_not_computed_again():
     stack = pyramid(-1.0, 3.5)
     known = {}

@@ -58,7 +58,7 @@ class SlabMemory:
 
     def measured(self, stack: SliceStack, distances: Callable[[int, Array], Array]) -> tuple[list[Slab], Array]:
         """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, the `distances` by number and corners."""
-        parts, keys = slabs(stack, known=self.slabs), slab_keys(stack)
+        parts, keys = slabs(stack, known=self.slabs, volumes=False), slab_keys(stack)
         for i, (key, slab) in enumerate(zip(keys, parts, strict=True)):
             if key not in self.gaps:
                 bounded = np.isfinite(slab.corners).all()

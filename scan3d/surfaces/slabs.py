@@ -84,7 +84,7 @@ class Slab(NamedTuple):
     straight: Mask
     """(w, 2) whether the body goes on straight, below and above the slab, at all the corner's half-spaces from that side."""
     volume: float
-    """Infinite if nothing bounds the slab."""
+    """Infinite if nothing bounds the slab; NaN if it was not wanted."""
 
 
 SlabKey = tuple[float, ...]
@@ -102,13 +102,18 @@ class _HalfSpaces(NamedTuple):
     """(k,) whether the body goes on straight behind the slab at this normal."""
 
 
-def slabs(stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None) -> list[Slab]:
-    """The slabs of a stack from below; those in `known`, by key, are not computed again, and new ones are added to it."""
+def slabs(
+    stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None, *, volumes: bool = True
+) -> list[Slab]:
+    """The slabs of a stack from below; those in `known`, by key, are not computed again, and new ones are added to it.
+
+    Without `volumes` those of bounded slabs are NaN.
+    """
     known = {} if known is None else known
     keys = slab_keys(stack)
     for i, key in enumerate(keys):
         if key not in known:
-            known[key] = _slab(stack, i, margin)
+            known[key] = _slab(stack, i, margin, volumes=volumes)
     return [known[key] for key in keys]
 
 
@@ -119,7 +124,7 @@ def slab_keys(stack: SliceStack) -> list[SlabKey]:
     return [(*heights[i : i + 6], *contacts[i : i + 6]) for i in range(len(stack.slices) + 1)]
 
 
-def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
+def _slab(stack: SliceStack, i: int, margin: float, *, volumes: bool) -> Slab:
     """The slab below slice i."""
     slices, count = stack.slices, len(stack.slices)
     below, above = (slices[i - 1] if i else None), (slices[i] if i < count else None)
@@ -140,7 +145,7 @@ def _slab(stack: SliceStack, i: int, margin: float) -> Slab:
         return unbounded
     thickness = high - low
     size = np.array([max(float(np.ptp(slice_.points)) for slice_ in (below, above) if slice_)] * 2 + [thickness])
-    intersection = _intersection(half_spaces.planes, inside, size)
+    intersection = _intersection(half_spaces.planes, inside, size, with_volume=volumes)
     if intersection is None:
         return unbounded
     corners, facets, volume = intersection
@@ -236,7 +241,9 @@ def _tightest(slice_: Slice, others: tuple[Slice, ...], normals: Array, margin: 
     return tightest
 
 
-def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, list[list[int]], float] | None:
+def _intersection(
+    planes: Array, inside: Array, size: Array, *, with_volume: bool
+) -> tuple[Array, list[list[int]], float] | None:
     """Corners (w, 3) of the half-spaces' intersection, the half-spaces that meet in each, and the volume; None if open.
 
     The half-spaces are shifted to the inner point and scaled by `size` (3,), so that Qhull can handle thin slabs.
@@ -256,7 +263,8 @@ def _intersection(planes: Array, inside: Array, size: Array) -> tuple[Array, lis
     corners, facets = intersection.intersections, intersection.dual_facets
     if np.abs(corners[:, :2]).max() > _FAR:
         return None
-    return inside + corners * size, facets, volume_about(corners, planes[:, :3], facets) * float(np.prod(size))
+    volume = volume_about(corners, planes[:, :3], facets) * float(np.prod(size)) if with_volume else np.nan
+    return inside + corners * size, facets, volume
 
 
 def _run_qhull(planes: Array) -> HalfspaceIntersection:
