@@ -170,6 +170,18 @@ def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     assert certificate(bounds, made).bound < 2e-3 * np.linalg.norm(mesh.extents)
 
 
+def test_where_no_planes_can_be_fitted_the_other_estimates_are_compared(monkeypatch):
+    def fitted(_):
+        raise scan3d.InputError("the 0 contacts span no body")
+
+    cloud = scanned(trimesh.creation.box((20, 30, 40)), slices=12, noise=1e-3)
+    assert surface(cloud).metadata["method"] == "regression"
+    monkeypatch.setattr(choice, "regression", fitted)
+    made = surface(cloud)
+    assert made.metadata["method"] in ("bracket", "support")
+    assert made.is_watertight
+
+
 def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
     cloud = contacts(scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=1, samples=16)))
     with pytest.raises(scan3d.InputError, match="method must be one of"):

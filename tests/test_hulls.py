@@ -65,7 +65,7 @@ def test_a_thin_body_far_from_the_origin_is_kept():
     assert hull(points).volume > 0
 
 
-@pytest.mark.parametrize("points", [np.zeros((5, 3)), np.eye(3), np.outer(np.arange(6.0), [1, 2, 3])])
+@pytest.mark.parametrize("points", [np.empty((0, 3)), np.zeros((5, 3)), np.eye(3), np.outer(np.arange(6.0), [1, 2, 3])])
 def test_points_that_are_too_few_or_in_one_place_span_no_body(points):
     with pytest.raises(InputError, match=f"the {len(points)} contacts span no body"):
         hull(points)

@@ -34,6 +34,8 @@ def hull(points: Array) -> Any:
 
     Raises InputError if the points do not span a body.
     """
+    if not len(points):
+        raise _no_body(points)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     size = float(np.ptp(points, axis=0).max()) or 1.0
     scaled = (points - centre) / size
@@ -48,15 +50,19 @@ def hull(points: Array) -> Any:
         if not qhull.volume > max(_THINNEST, rounding) * qhull.area:
             raise QhullError
     except (QhullError, ValueError, IndexError):
-        raise InputError(
-            f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"
-        ) from None
+        raise _no_body(points) from None
     faces = _outward(qhull)
     if faces is None:
         # between points that nearly coincide Qhull leaves edges with one face, or with three
         apart = np.unique(representatives(scaled, _COINCIDENT))
         return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
     return _mesh(points, faces)
+
+
+def _no_body(points: Array) -> InputError:
+    return InputError(
+        f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"
+    )
 
 
 def hulls(parts: Iterable[Array], size: int) -> Iterator[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -229,7 +230,8 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
         estimates[fraction] = error_of_surface(estimate, held_out)
     fit = regressed = None
     if with_fit and cloud.noisy:
-        regressed = error_of_surface(regression(kept)[0], held_out)
+        with suppress(InputError):  # of so few contacts no planes that span a body can be fitted
+            regressed = error_of_surface(regression(kept)[0], held_out)
     if with_fit and cloud.fit is not None:
         by_slices = with_slice_normals(kept)
         known = np.isfinite(by_slices.normals[:, 0])
