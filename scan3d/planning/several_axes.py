@@ -5,7 +5,8 @@ the body goes on straight to the corner, which is a vertex or lies on an edge: o
 gap.  Elsewhere the body is bent, and the gap of a cell falls with the square of its width on the body's surface: of the
 narrowest of the strips, one for each axis, in which it lies.  Further slices make strips of one axis narrower.  Of all axes
 that is chosen with which the slices that are left make the largest gap least; strips of several axes that cross each other do
-not add up.
+not add up.  Where more cells are open than slices are left, the vertices are too many to be sliced one by one, and the rest of
+the slices are planned as those of a scan along one axis.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from scan3d.surfaces.cells import cells_of_cloud
 
 # Slices inside the body along each axis with which a scan along several axes starts.  More are placed without knowing the body;
 # with fewer, the first heights are chosen by loose bounds.
-FIRST_SLICES = 5
+FIRST_SLICES = 3
 # Fraction of the number of slices so far that is added in one round, of bodies that are bent nearly everywhere and of others.
 # Larger rounds need fewer evaluations, but choose more heights without knowing the contacts of the others.
 _GROWTH_OF_BENT, _GROWTH = 0.4, 0.2
@@ -41,8 +42,13 @@ _NO_GAP = 1e-7
 # Distance of contacts from a plane in which they lie, over the body's size, and the slices in which a straight side of the body
 # has contacts.  Larger distances: bent sides count as straight; smaller: rounding makes straight sides bent.
 _IN_PLANE, _SLICES_OF_SIDE = 1e-7, 3
-# Fraction of the wide gaps at vertices below which a body counts as bent nearly everywhere.
-_FEW_VERTICES = 0.1
+# Open cells over the slices left from which vertices are sliced along the axis with most slices, and from which all further
+# slices go along it, if this fraction of all slices is left.  Larger, the slices of bodies with very many vertices are spread
+# over the axes, which closes no gap; smaller, polytopes of few vertices are sliced along one axis only.
+_CROWDED, _TOO_MANY, _EARLY = 0.6, 1.0, 0.5
+# Fraction of the wide gaps at vertices below which a body counts as bent nearly everywhere, and the open cells that it takes.
+# Larger, slices are spent along one axis where single cells are open; smaller, bent bodies are sliced cell by cell.
+_FEW_VERTICES, _FEW_CELLS = 0.1, 8
 # Heights of vertices that differ by less, over the body's size, are the same slice.
 _SAME_HEIGHT = 1e-6
 # Least sine of the angle between a slice and the surface.
@@ -82,6 +88,15 @@ class _Cut(NamedTuple):
     gap: float
 
 
+class Further(NamedTuple):
+    """What is to be swept next."""
+
+    slices: list[tuple[Array, Array]]
+    """Axes (3,) and heights (k,)."""
+    alone: Array | None = None
+    """(3,) the axis of all slices that are left, which are best planned as those of a scan along it alone; else None."""
+
+
 def first_heights_together(low: float, high: float, plan: Plan) -> Array:
     """Heights (k,) along one of several axes that are scanned before any contact is known, one beyond either end included.
 
@@ -94,8 +109,8 @@ def first_heights_together(low: float, high: float, plan: Plan) -> Array:
     return np.concatenate([inside[chosen], [low - beyond, high + beyond]])
 
 
-def next_slices(cloud: Cloud, plan: Plan, left: int) -> list[tuple[Array, Array]]:
-    """Axes (3,) and heights (k,) of the slices to be swept next: where the contacts so far leave most room for the body.
+def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
+    """The slices to be swept next: where the contacts so far leave most room for the body.
 
     cloud
         the contacts so far, exact ones in slices along several axes, and their slices, also those in which nothing was touched.
@@ -112,21 +127,25 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> list[tuple[Array, Array]
     tolerance = max(plan.tolerance, _NO_GAP) * size
     opened = _open(cloud, by_axis, size, tolerance)
     if left <= 0 or not len(opened.gap):
-        return []
-    vertices = _vertices(opened, by_axis, size)
+        return Further([])
+    open_, done = len(opened.gap), sum(len(stack.slices) for stack in by_axis)
+    # of bent bodies, also in the planes of slices, gaps fall with what is found beside them
+    anywhere = opened._replace(on_slice=np.zeros_like(opened.on_slice))
+    if open_ > _TOO_MANY * left and left > _EARLY * (done + left):
+        all_bent = anywhere._replace(vertex=np.zeros_like(opened.vertex))
+        return Further([], by_axis[_cuts(all_bent, by_axis, np.empty(0), left, tolerance)[0]].frame[2])
+    vertices = _vertices(opened, by_axis, size, main=open_ > _CROWDED * left)
     wide = opened.gap > _WIDE * opened.gap.max()
-    bent = bool(opened.vertex[wide].mean() < _FEW_VERTICES)
-    if bent:
-        # also in the planes of slices, gaps fall with what is found beside them
-        opened = opened._replace(on_slice=np.zeros_like(opened.on_slice))
+    bent = open_ >= _FEW_CELLS and bool(opened.vertex[wide].mean() < _FEW_VERTICES)
+    opened = anywhere if bent else opened
     axis, cuts = _cuts(opened, by_axis, np.array([cut.gap for cut in vertices]), left, tolerance)
     if bent:
         stack = by_axis[axis]
         alone = replace(plan, slices=len(stack.slices) + left)
         further = next_heights(cloud, alone, axis=stack.frame[2], left=left)
         if len(further):
-            return [(stack.frame[2], further)]
-    count = max(1, round((_GROWTH_OF_BENT if bent else _GROWTH) * sum(len(stack.slices) for stack in by_axis)))
+            return Further([(stack.frame[2], further)])
+    count = max(1, round((_GROWTH_OF_BENT if bent else _GROWTH) * done))
     count = left if left <= _LAST * count else count
     chosen: list[list[float]] = [[] for _ in by_axis]
     cuts = sorted(cuts + vertices, key=lambda cut: -cut.gap)
@@ -134,7 +153,9 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> list[tuple[Array, Array]
         known = np.array([*by_axis[cut.axis].heights, *chosen[cut.axis]])
         if sum(map(len, chosen)) < count and np.abs(known - cut.height).min() > CLOSEST * size:
             chosen[cut.axis].append(cut.height)
-    return [(stack.frame[2], np.array(heights)) for stack, heights in zip(by_axis, chosen, strict=True) if heights]
+    return Further(
+        [(stack.frame[2], np.array(heights)) for stack, heights in zip(by_axis, chosen, strict=True) if heights]
+    )
 
 
 def _open(cloud: Cloud, by_axis: list[SliceStack], size: float, tolerance: float) -> _Open:
@@ -186,8 +207,13 @@ def _widths(points: Array, axes: Array, outward: Array, thickness: Array, depth:
     return widths
 
 
-def _vertices(opened: _Open, by_axis: list[SliceStack], size: float) -> list[_Cut]:
-    """Slices through the vertices, those with the largest gaps first; vertices at the same height share one."""
+def _vertices(opened: _Open, by_axis: list[SliceStack], size: float, *, main: bool) -> list[_Cut]:
+    """Slices through the vertices, those with the largest gaps first; vertices at the same height share one.
+
+    With `main` they go along the axis with most slices, if the vertex is not at its end.
+    """
+    counts = np.array([len(stack.slices) for stack in by_axis])
+    other = (counts < counts.max()) & main
     rows = np.flatnonzero(opened.vertex)
     rows = rows[np.argsort(-opened.gap[rows], kind="stable")]
     cuts = []
@@ -197,7 +223,7 @@ def _vertices(opened: _Open, by_axis: list[SliceStack], size: float) -> list[_Cu
         shared = (np.abs(height - height[0]) < _SAME_HEIGHT * size).sum(axis=0)
         ends = [(opened.number[row, k] in (0, len(stack.slices))) for k, stack in enumerate(by_axis)]
         # in a cap the slice would lie at the end of the body; otherwise the widest strip gains most
-        axis = int(np.lexsort((-opened.width[row], -shared, ends))[0])
+        axis = int(np.lexsort((-opened.width[row], other, -shared, ends))[0])
         at = float(height[0, axis])
         if ends[axis]:
             end = by_axis[axis].heights[0 if opened.number[row, axis] == 0 else -1]

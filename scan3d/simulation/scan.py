@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from math import comb
@@ -130,9 +130,19 @@ def _cosine_heights(scan: AxisScan) -> Array:
     return first_heights(*extent_along(scan.mesh, scan.frame[2]), replace(scan.plan, spacing="cosine"))
 
 
-def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
-    """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise."""
-    memory, grown, done = SlabMemory(), GrowingContacts(), 0
+def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequence[AxisScan] = ()) -> None:
+    """Ask for the next heights, sweep there, and ask again; the contacts given to the planner have the recording's noise.
+
+    Exact contacts of finished scans along other axes are given to the planner as well.
+    """
+
+    def nothing_yet() -> tuple[SlabMemory, GrowingContacts, int]:
+        grown = GrowingContacts()
+        for other in others:
+            grown.add(recording_of([other], rod))
+        return SlabMemory(), grown, 0
+
+    memory, grown, done = nothing_yet()
     finest = _FINEST * scan.plan.samples
     if scan.plan.tolerance and not scan.plan.noise:
         with suppress(InputError):  # the first slices alone may span no body
@@ -144,13 +154,13 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None]) -> None:
         try:
             # contacts under noise depend on each other, those of exact reactions on their own slice only
             cloud = contacts(recording_of([scan], rod)) if scan.plan.noise else grown.cloud()
-            heights = next_heights(cloud, scan.plan, left=left, memory=memory)
+            heights = next_heights(cloud, scan.plan, axis=scan.frame[2], left=left, memory=memory)
         except InputError:  # too few contacts to say where others are needed
             heights = np.setdiff1d(_cosine_heights(scan), scan.heights)[:left]
         if not len(heights):
             if not (scan.plan.tolerance and _refine(scan, rod, scan.plan.tolerance, finest)):
                 break
-            memory, grown, done = SlabMemory(), GrowingContacts(), 0
+            memory, grown, done = nothing_yet()
             continue
         scan.scan(heights)
         _check_sweeps(scan, scan.plan.samples)
@@ -187,23 +197,35 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
     plan = scans[0].plan
     count = plan.slices * len(scans)
 
+    def report(_: int) -> None:
+        if progress is not None:
+            progress(min(sum(len(scan.heights) for scan in scans), count), count)
+
     def scanned(scan: AxisScan, heights: Array) -> None:
         scan.scan(heights)
         _check_sweeps(scan, plan.samples)
-        if progress is not None:
-            progress(min(sum(len(scan.heights) for scan in scans), count), count)
+        report(0)
 
     for scan in scans:
         scanned(scan, first_heights_together(*extent_along(scan.mesh, scan.frame[2]), plan))
     while (left := count + BEYOND * len(scans) - sum(len(scan.heights) for scan in scans)) > 0:
         try:
-            further = next_slices(contacts(recording_of(scans, rod)), plan, left)
+            further, alone = next_slices(contacts(recording_of(scans, rod)), plan, left)
         except InputError:  # too few contacts to say where others are needed
             share = -(-left // len(scans))
             apart = [np.setdiff1d(_cosine_heights(scan), scan.heights)[:share] for scan in scans]
             further = [(scan.frame[2], heights) for scan, heights in zip(scans, apart, strict=True) if len(heights)]
+            alone = None
+        if alone is not None:
+            scan = _along(scans, alone)
+            scan.plan = replace(plan, slices=len(scan.heights) + left - BEYOND)
+            _adapt(scan, rod, report, [other for other in scans if other is not scan])
         if not further:
             break
         for axis, heights in further:
-            scanned(min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max())), heights[:left])
+            scanned(_along(scans, axis), heights[:left])
             left = max(left - len(heights), 0)
+
+
+def _along(scans: list[AxisScan], axis: Array) -> AxisScan:
+    return min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max()))
