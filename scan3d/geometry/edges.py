@@ -23,6 +23,7 @@ import numpy as np
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.triangles import areas, dot, largest_of_three, spanned
+from scan3d.geometry.vectors import unit_or_zero
 
 # Rounding of the sine of an edge's angle, divided by the slenderness of its faces, in units of the last place.  Larger, edges
 # between nearly coplanar faces count as reflex that are not; smaller, rounding could hide a reflex edge.
@@ -58,9 +59,7 @@ def outward_faces(points: Array, faces: Index, opposite: Index | None = None) ->
     """The triangles (m, 3) of points (n, 3) at unit size, turned outwards, if their edges prove that they are the facets of a
     strictly convex body; None otherwise.  Their `opposite_edges` (m, 3) may be given."""
     corners = points[faces]
-    cross = spanned(corners)
-    size = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
+    normals = unit_or_zero(spanned(corners))
     planes, bound = planes_by_edges(faces, corners, normals, opposite)
     if bound > _COORDINATES:  # an edge is reflex, or may be
         return None

@@ -12,6 +12,7 @@ from scan3d.geometry.distance import bounding_box, welded
 from scan3d.geometry.edges import opposite_edges, planes_by_edges, turns
 from scan3d.geometry.flips import without_slivers
 from scan3d.geometry.triangles import areas, dot, mirrored_faces, spanned
+from scan3d.geometry.vectors import unit_or_zero
 
 if TYPE_CHECKING:
     import trimesh
@@ -62,7 +63,7 @@ def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets
     vertices, faces = welded(mesh, centre, scale)
     corners = vertices[faces]
     cross = spanned(corners)
-    normals = _unit(cross)
+    normals = unit_or_zero(cross)
     # Closed: every directed edge meets its reverse, so that the boundary is zero as a chain.
     opposite = opposite_edges(faces)
     closed = opposite is not None
@@ -71,13 +72,6 @@ def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets
         closed = np.array_equal(np.sort(start * len(vertices) + end), np.sort(end * len(vertices) + start))
     volume = abs(float(dot(corners[:, 0], cross).sum())) / 6 if closed else np.nan
     return Facets(vertices, faces, corners, normals, closed, volume, opposite)
-
-
-def _unit(cross: Array) -> Array:
-    """Unit vectors (m, 3) along vectors (m, 3), zero for those without length."""
-    size = np.linalg.norm(cross, axis=1, keepdims=True)
-    normals: Array = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
-    return normals
 
 
 def distance_to_hull(mesh: trimesh.Trimesh) -> float:
@@ -121,7 +115,7 @@ def _after_flips(vertices: Array, faces: Index, opposite: Index, precision: floa
     """`planes_by_edges` of a closed mesh without its slivers, with the distance added by which that moves the surface."""
     faces, opposite, moved = without_slivers(vertices, faces, opposite, precision)
     corners = vertices[faces]
-    planes, distance = planes_by_edges(faces, corners, _unit(spanned(corners)), opposite)
+    planes, distance = planes_by_edges(faces, corners, unit_or_zero(spanned(corners)), opposite)
     return planes, distance + moved
 
 

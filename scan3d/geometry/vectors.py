@@ -16,6 +16,13 @@ def unit(vectors: Array) -> Array:
     return scaled
 
 
+def unit_or_zero(vectors: Array) -> Array:
+    """Vectors (n, 3) scaled to unit length, zero where they have none."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    scaled: Array = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return scaled
+
+
 def across(normals: Array) -> tuple[Array, Array]:
     """Two unit vectors (n, 3) across each of the unit normals (n, 3) and across each other."""
     first = unit(np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)]))

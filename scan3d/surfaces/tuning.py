@@ -43,7 +43,7 @@ class Tuning:
     is taken for bodies of which one held-out contact lies far from the estimate; smaller, flat bodies get ridges."""
     fit_gain: float = 0.65
     """The fitted body is chosen if its error at held-out slices is below this many times that of the estimate between the
-    bounds.  With all slices the error of the estimate falls to about two thirds, while that of the fit stays.  Larger, the fit is
+    bounds.  With all slices the error of the estimate falls to about two thirds, that of the fit stays.  Larger, the fit is
     chosen where the estimate would be better; smaller, the reverse."""
     proven: float = 1e-4
     """A hull with a bound this small, relative to the diagonal, is taken as it is.  Larger, estimates that are closer than the
