@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces import certificate, enclosure, withdrawn
+from scan3d.surfaces import cells, certificate, enclosure, withdrawn
 from scan3d.surfaces.bounds import outside, slice_enclosure
-from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells
+from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells, has_cells
 from scan3d.surfaces.cells import cells_of_cloud
+from scan3d.surfaces.cross_validation import hold_out_slices
 from scan3d.surfaces.enclosures import CellEnclosure
 from scan3d.surfaces.inclined import exact_error
 
@@ -183,6 +185,19 @@ def test_no_estimates_by_cells_of_one_axis_or_of_noisy_contacts():
     assert not list(between_cells(contacts(scan3d.simulate(mesh, plan))))
     noisy = replace(plan, axis="xyz", noise=1e-3)
     assert not list(between_cells(scan3d.reconstruct(scan3d.simulate(mesh, noisy))))
+
+
+def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monkeypatch):
+    """Cross-validation must not choose an estimate that all slices together do not have."""
+    _, cloud = scanned(1)
+    by_axis = [len(stack.slices) for stack in stacks(cloud)]
+    crossings = sum(a * b for a, b in combinations(by_axis, 2))
+    monkeypatch.setattr(cells, "_MOST_CELLS", crossings - 1)
+    assert not has_cells(cloud)
+    assert has_cells(hold_out_slices(cloud)[0])
+    surface = scan3d.surface(cloud, "bracket")
+    assert surface.is_watertight
+    assert "of the way to its corners" not in surface.metadata["reason"]
 
 
 @pytest.mark.slow

@@ -23,6 +23,11 @@ FRACTIONS = (0.25, 0.4, 0.7, 1.0)
 _LEAST = 1e-7
 
 
+def has_cells(cloud: Cloud) -> bool:
+    """Whether a cloud has `between_cells`; a part of its slices may have them where all are too many."""
+    return applicable(cloud, stacks(cloud))
+
+
 def between_cells(cloud: Cloud, tried: Iterable[float] = FRACTIONS) -> Iterator[tuple[float, Any]]:
     """Fractions and their estimates; none unless the contacts are exact and in slices along several axes."""
     by_axis = stacks(cloud)

@@ -26,7 +26,7 @@ from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.surfaces.bounds import certificate, enclosure, slice_enclosure
-from scan3d.surfaces.cell_estimates import between_cells
+from scan3d.surfaces.cell_estimates import between_cells, has_cells
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
 from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
@@ -226,7 +226,7 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     estimates: dict[Edges | float, HeldOutError] = {
         edges: error_of_surface(estimate, held_out) for edges, estimate in tried
     }
-    for fraction, estimate in between_cells(kept):
+    for fraction, estimate in between_cells(kept) if has_cells(cloud) else ():
         estimates[fraction] = error_of_surface(estimate, held_out)
     fit = regressed = None
     if with_fit and cloud.noisy:
