@@ -23,8 +23,10 @@ from typing import Any
 
 from scan3d.errors import InputError
 
-# What libraries read when they start: the number of threads of OpenMP, OpenBLAS, MKL, Accelerate and Mesa's software renderer.
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "LP_NUM_THREADS")
+# What libraries read when they start: the number of threads of OpenBLAS, MKL and Accelerate,
+_ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+# and of OpenMP and of Mesa's software renderer.
+_THREADS = (*_ALGEBRA, "OMP_NUM_THREADS", "LP_NUM_THREADS")
 
 # Keeps the current folder out of the module path of Python's children, so that no file that lies there is executed.  What
 # starts them asks neither for `-P` nor for `-I`.
@@ -132,6 +134,16 @@ def _safe_path() -> Iterator[None]:
             os.environ.pop(_SAFE_PATH)
             if before is not None:
                 os.environ[_SAFE_PATH] = before
+
+
+def compute_algebra_in_one_thread() -> None:
+    """Linear algebra uses one thread, unless the environment states how many; must be called before numpy is imported.
+
+    The matrices of a scan are small: further threads wait for each other while other processes need the processor, and the sums
+    would be rounded differently on machines of different numbers of cores.
+    """
+    for name in _ALGEBRA:
+        os.environ.setdefault(name, "1")
 
 
 def _begin() -> None:

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull, hulls
+from scan3d.geometry.hulls import hull, hull_near, hulls
 
 RNG = np.random.default_rng(11)
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
@@ -69,6 +69,36 @@ def test_a_thin_body_far_from_the_origin_is_kept():
 def test_points_that_are_too_few_or_in_one_place_span_no_body(points):
     with pytest.raises(InputError, match=f"the {len(points)} contacts span no body"):
         hull(points)
+
+
+@pytest.mark.parametrize("move", ["affine", "shifted", "dented", "inside", "flat"])
+def test_the_hull_from_a_mesh_that_is_nearly_convex_is_the_hull(monkeypatch, move):
+    """Of points shifted along a ball, some edges become dents, which flips fill; dents of vertices are filled by Qhull."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    points, faces = ball.vertices.view(np.ndarray) @ TURN.T, ball.faces.view(np.ndarray)
+    if move == "shifted":
+        points = points + 0.05 * directions(len(points))
+        points /= np.linalg.norm(points, axis=1)[:, None]
+    points = points * [1.0, 2.0, 0.3] + [5.0, 0.0, 0.0]
+    if move == "dented":
+        points[100] *= 0.98
+    elif move == "inside":
+        points[7] = points.mean(axis=0)
+    elif move == "flat":
+        points[:, 2] = 0.0
+        with pytest.raises(InputError, match="span no body"):
+            hull_near(points, faces)
+        return
+    expected = hull(points)
+    if move in ("affine", "shifted"):
+        monkeypatch.setattr("scan3d.geometry.hulls.hull", lambda _: pytest.fail("flips lead to the hull of this mesh"))
+    made = hull_near(points, faces)
+    assert made.is_watertight
+    np.testing.assert_array_equal(made.vertices, expected.vertices)
+    assert {tuple(sorted(face)) for face in made.faces.tolist()} == {
+        tuple(sorted(face)) for face in expected.faces.tolist()
+    }
+    assert made.volume == pytest.approx(expected.volume, rel=1e-12)
 
 
 @pytest.mark.parametrize(("threads", "size"), [("1", 100), ("3", 100), ("", 100), ("3", 10**9)])

@@ -36,6 +36,22 @@ def test_the_number_of_workers_is_at_least_one(jobs):
         Workers(jobs)
 
 
+@pytest.mark.parametrize(("stated", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_commands_use_one_thread_for_linear_algebra_unless_told_otherwise(stated, used):
+    """The threads of OpenBLAS are chosen when numpy is imported."""
+    environment = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
+    code = (
+        "import io, os, sys; from contextlib import redirect_stdout; from scan3d.cli.command import run\n"
+        "with redirect_stdout(io.StringIO()):\n"
+        "    code = run([])\n"
+        "print(code, 'numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**environment, **stated}, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["0", "False", used]
+
+
 @pytest.mark.slow
 def test_a_worker_computes_with_one_thread_and_ignores_ctrl_c(monkeypatch):
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):

@@ -19,6 +19,7 @@ from scan3d.cli.progress import Progress
 from scan3d.cli.terminal import one_line
 from scan3d.errors import InputError
 from scan3d.settings import UsageError
+from scan3d.workers import compute_algebra_in_one_thread
 
 
 def run(argv: Sequence[str] | None = None) -> int:
@@ -28,6 +29,7 @@ def run(argv: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a terminal that cannot print µ prints ? instead
     # no window of matplotlib is opened; the name of a backend that does not exist would end its import
     os.environ.pop("MPLBACKEND", None)
+    compute_algebra_in_one_thread()
     try:
         if not (sys.argv[1:] if argv is None else argv):
             return print_guide()

@@ -219,7 +219,8 @@ def locator(triangles: Array) -> Callable[[Array], tuple[Index, Array]]:
         for first in range(0, len(queries), _QUERIES):
             cells: list[int] = []
             points: list[float] = []
-            for query in queries[first : first + _QUERIES].tolist():
+            # no list for each point, which the garbage collector would look through
+            for query in zip(*queries[first : first + _QUERIES].T.tolist(), strict=True):
                 locator.FindClosestPoint(query, foot, work, cell, part, squared)
                 cells.append(cell.get())
                 points += foot

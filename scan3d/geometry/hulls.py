@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
 
@@ -57,6 +58,13 @@ def hull(points: Array) -> Any:
         apart = np.unique(representatives(scaled, _COINCIDENT))
         return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
     return _mesh(points, faces)
+
+
+def hull_near(points: Array, faces: Index) -> Any:
+    """`hull` of points (n, 3) from the faces (m, 3) of a closed mesh that nearly is their hull, in a fraction of the time."""
+    middle, size = points.mean(axis=0), float(np.ptp(points, axis=0).max())
+    found = facets_by_flips((points - middle) / size, faces) if size > 0 else None
+    return hull(points) if found is None else _mesh(points, found[0])
 
 
 def _no_body(points: Array) -> InputError:

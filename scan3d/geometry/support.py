@@ -31,7 +31,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import Array, Index
-from scan3d.geometry.hulls import hull
+from scan3d.geometry.hulls import hull_near
 from scan3d.geometry.vectors import across, unit
 
 # Largest number of contacts used for a fit, spread over all slices.  More take longer; fewer come close to the number of
@@ -211,8 +211,9 @@ def fitted_body(fit: SupportFit) -> Any:
     sphere = icosphere(subdivisions=_SUBDIVISIONS)
     normals = unit(sphere.vertices.view(np.ndarray) @ np.linalg.inv(fit.shape))
     points = fit.points(normals)
-    lift = _sagitta(points, normals, sphere.faces.view(np.ndarray)) / 2
-    return hull(points + lift[:, None] * normals)
+    faces = sphere.faces.view(np.ndarray)
+    lift = _sagitta(points, normals, faces) / 2
+    return hull_near(points + lift[:, None] * normals, faces)
 
 
 def _sagitta(points: Array, normals: Array, faces: Index) -> Array:

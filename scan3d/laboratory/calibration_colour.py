@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.signal import lfilter
 
 from scan3d.arrays import Array, Mask
 from scan3d.laboratory.calibration_air import Unloaded
@@ -91,8 +90,7 @@ def _expected(decay: Array, lags: NDArray[np.intp], found: Unloaded) -> Array:
     for factor in decay:
         column = factor**lags * np.array([_lagged(air, air, lag) for lag in lags])
         if basis.size <= _LARGEST:
-            ahead = lfilter([1.0], [1.0, -factor], basis, axis=0)
-            behind = lfilter([1.0], [1.0, -factor], basis[::-1], axis=0)[::-1]
+            ahead, behind = decaying(basis, factor), decaying(basis[::-1], factor)[::-1]
             spread = (ahead + behind - basis) * air[:, None]
             inner = basis @ (basis.T @ spread)
             column -= [
@@ -100,6 +98,13 @@ def _expected(decay: Array, lags: NDArray[np.intp], found: Unloaded) -> Array:
             ]
         columns.append(column)
     return np.column_stack(columns)
+
+
+def decaying(values: Array, factor: float) -> Array:
+    """Sums (n, ...) of each row of values (n, ...) and all rows before it, which decay by a factor from row to row."""
+    from scipy.signal import lfilter  # takes half a second, also where nothing is calibrated
+
+    return np.asarray(lfilter([1.0], [1.0, -factor], values, axis=0))
 
 
 def _lagged(one: Array, other: Array, lag: int) -> float:
@@ -113,7 +118,7 @@ def summed(values: Array, colour: Colour) -> Array:
     square = values.T @ values
     for decay, weight in zip(colour.decay, colour.weight, strict=True):
         if weight > 0:
-            running = lfilter([1.0], [1.0, -decay], values, axis=0) if decay > 0 else values
+            running = decaying(values, decay) if decay > 0 else values
             product = values.T @ running
             result += weight * (product + product.T - square)
     return result

@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from scan3d.arrays import Array, Mask
-from scan3d.laboratory.calibration_colour import Colour, summed
+from scan3d.laboratory.calibration_colour import Colour, decaying, summed
 from scan3d.laboratory.calibration_fit import Adjusted, Noise, Problem
 from scan3d.laboratory.calibration_model import TARE
 
@@ -201,7 +200,7 @@ def _running(by_white: Array, rows: NDArray[np.intp], sweep: NDArray[np.int64], 
         mine = sweep == number
         values = np.zeros((int(np.ptp(rows[mine])) + 1, *by_white.shape[1:]))
         values[rows[mine] - rows[mine].min()] = by_white[mine]
-        before = lfilter([0.0, correlation], [1.0, -correlation], values, axis=0)
+        before = decaying(values, correlation) - values
         product = np.einsum("nep,neq->pq", values, before, optimize=True)
         result += product + product.T
     return result

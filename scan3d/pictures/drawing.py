@@ -230,7 +230,7 @@ def serve(*, warm: bool = False) -> None:
 
 
 def _warm_up() -> None:
-    """Render a sphere and a letter, for which the driver and the fonts are loaded."""
+    """Render a sphere and a power of ten, for which the driver, the fonts and the parser of formulas are loaded."""
     import pyvista
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -240,7 +240,7 @@ def _warm_up() -> None:
     plotter.screenshot(None, return_img=True)
     plotter.close()
     figure = Figure(figsize=(1, 1))
-    figure.text(0.5, 0.5, "a")
+    figure.text(0.5, 0.5, "$10^{-1}$")
     FigureCanvasAgg(figure).draw()
 
 

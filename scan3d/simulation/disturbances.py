@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len
-from scipy.signal import lfilter
 
 from scan3d.arrays import Array, Mask
 from scan3d.simulation.faults import SHOWS, Faults, Size
@@ -52,6 +51,8 @@ def _by_channel(size: Size, largest: tuple[float, float]) -> Array:
 def lagged(values: Array, faults: Faults) -> Array:
     """Columns (n, k) after a low-pass of the first order, and later by the clock's offset."""
     if faults.lag_ms:
+        from scipy.signal import lfilter  # takes half a second, also where nothing is disturbed
+
         keep = np.exp(-1000 / faults.rate_hz / faults.lag_ms)
         values = lfilter([1 - keep], [1, -keep], values, axis=0)
     if faults.clock_ms:
