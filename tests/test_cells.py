@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import cells, certificate, enclosure, withdrawn
 from scan3d.surfaces.bounds import outside, slice_enclosure
 from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells, has_cells
-from scan3d.surfaces.cells import cells_of_cloud
+from scan3d.surfaces.cells import cells_of_cloud, tighter_cells
 from scan3d.surfaces.cross_validation import hold_out_slices
 from scan3d.surfaces.enclosures import CellEnclosure
 from scan3d.surfaces.inclined import exact_error
@@ -190,14 +189,35 @@ def test_no_estimates_by_cells_of_one_axis_or_of_noisy_contacts():
 def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monkeypatch):
     """Cross-validation must not choose an estimate that all slices together do not have."""
     _, cloud = scanned(1)
-    by_axis = [len(stack.slices) for stack in stacks(cloud)]
-    crossings = sum(a * b for a, b in combinations(by_axis, 2))
-    monkeypatch.setattr(cells, "_MOST_CELLS", crossings - 1)
+    bounds = enclosure(cloud)
+    assert bounds.tangents is not None
+    crossings = cells.crossings(len(stack.slices) for stack in stacks(cloud))
+    monkeypatch.setattr(cells, "MOST_CROSSINGS", crossings - 1)
     assert not has_cells(cloud)
     assert has_cells(hold_out_slices(cloud)[0])
-    surface = scan3d.surface(cloud, "bracket")
+    surface = scan3d.surface(cloud, "bracket", bounds=bounds)
     assert surface.is_watertight
     assert "of the way to its corners" not in surface.metadata["reason"]
+
+
+def test_cells_that_bound_the_body_no_more_tightly_are_given_up_by_one_of_them():
+    _, cloud = scanned(1)
+    by_axis, inner, found = stacks(cloud), hull(cloud.points), found_in(cloud)
+    for place in (found.gap.argmax(), 0, len(found.gap) // 2):
+        cell = found.corners[found.cell == found.cell[place]].mean(axis=0)
+        reach = found.gap[found.cell == found.cell[place]].max()
+        assert tighter_cells(cloud, by_axis, inner, cell, reach * (1 - 1e-9)) is None
+        further = tighter_cells(cloud, by_axis, inner, cell, reach * (1 + 1e-9))
+        np.testing.assert_array_equal(further.gap, found.gap)
+
+
+def test_cells_of_slices_that_lie_along_one_axis_but_for_few_are_left_out():
+    """They would take most of the time of the analysis, and bound the body no more tightly than the slabs of the one axis."""
+    _, cloud = scanned(2, 9, "xyz", "adaptive")
+    by_axis = [len(stack.slices) for stack in stacks(cloud)]
+    assert max(by_axis) > 3 * sorted(by_axis)[1]
+    assert enclosure(cloud).tangents is None
+    assert found_in(cloud).gap.max() > 0.9 * enclosure(cloud).bound
 
 
 @pytest.mark.slow

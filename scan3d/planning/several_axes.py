@@ -6,7 +6,7 @@ gap.  Elsewhere the body is bent, and the gap of a cell falls with the square of
 narrowest of the strips, one for each axis, in which it lies.  Further slices make strips of one axis narrower.  Of all axes
 that is chosen with which the slices that are left make the largest gap least; strips of several axes that cross each other do
 not add up.  Where more cells are open than slices are left, the vertices are too many to be sliced one by one, and the rest of
-the slices are planned as those of a scan along one axis.
+the slices are planned as those of a scan along one axis; so are those of scans of very many slices, after the first ones.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from scan3d.planning.adaptive import next_heights
 from scan3d.planning.heights import AT_VERTEX, CLOSEST, LEAST_OVERSHOOT, heights
 from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.surfaces.cells import cells_of_cloud
+from scan3d.surfaces.cells import MOST_CROSSINGS, cells_of_cloud, crossings
 
 # Slices inside the body along each axis with which a scan along several axes starts.  More are placed without knowing the body;
 # with fewer, the first heights are chosen by loose bounds.
@@ -128,10 +128,13 @@ def next_slices(cloud: Cloud, plan: Plan, left: int) -> Further:
     opened = _open(cloud, by_axis, size, tolerance)
     if left <= 0 or not len(opened.gap):
         return Further([])
-    open_, done = len(opened.gap), sum(len(stack.slices) for stack in by_axis)
+    counts = np.array([len(stack.slices) for stack in by_axis])
+    open_, done = len(opened.gap), int(counts.sum())
     # of bent bodies, also in the planes of slices, gaps fall with what is found beside them
     anywhere = opened._replace(on_slice=np.zeros_like(opened.on_slice))
-    if open_ > _TOO_MANY * left and left > _EARLY * (done + left):
+    too_many = open_ > _TOO_MANY * left and left > _EARLY * (done + left)
+    # the cells between all slices must not become too many for the certificate
+    if too_many or max(crossings(counts + left * unit) for unit in np.eye(len(counts), dtype=int)) > MOST_CROSSINGS:
         all_bent = anywhere._replace(vertex=np.zeros_like(opened.vertex))
         return Further([], by_axis[_cuts(all_bent, by_axis, np.empty(0), left, tolerance)[0]].frame[2])
     vertices = _vertices(opened, by_axis, size, main=open_ > _CROWDED * left)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -40,9 +39,9 @@ _FINEST = 16
 # Part of the tolerance within which contours are to be known before further slices are chosen.  Larger, the gaps between
 # contacts make secants to close slices steep, and many more slices are needed; smaller, samples are needed that show nothing.
 _OF_TOLERANCE = 0.25
-# Crossings of slices along different axes up to which their heights are chosen together.  Larger, plans of many slices take
-# minutes, because all cells between the slices are evaluated in each round; smaller, fewer scans are planned together.
-_MOST_TOGETHER = 2_500
+# Slices along each axis of a plan with a tolerance up to which all axes are planned together.  Larger, contours that need more
+# samples are not swept again, as they are in scans along one axis after another; smaller, more slices are swept.
+_MOST_WITH_TOLERANCE = 28
 # Bytes that a scan takes while it is simulated and analysed: for each sample, slice and facet of the body, and those of the
 # program itself.  The manual's page on performance has what was measured.  Larger, scans are refused that would fit; smaller,
 # memory runs out.
@@ -78,7 +77,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
     scans = [AxisScan(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]
-    if plan.spacing == "adaptive" and not plan.noise and 0 < comb(len(scans), 2) * plan.slices**2 <= _MOST_TOGETHER:
+    few = not plan.tolerance or plan.slices <= _MOST_WITH_TOLERANCE
+    if plan.spacing == "adaptive" and not plan.noise and len(scans) > 1 and few:
         _scan_together(scans, rod, progress)
         return recording_of(scans, rod)
     for k, scan in enumerate(scans):
@@ -218,7 +218,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
             alone = None
         if alone is not None:
             scan = _along(scans, alone)
-            scan.plan = replace(plan, slices=len(scan.heights) + left - BEYOND)
+            scan.plan = replace(plan, slices=len(scan.heights) + left - BEYOND, axis=tuple(scan.frame[2]))
             _adapt(scan, rod, report, [other for other in scans if other is not scan])
         if not further:
             break

@@ -28,7 +28,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.planes import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.allowances import CONFIDENCE, Allowed, allowed
-from scan3d.surfaces.cells import applicable, cells_of_cloud
+from scan3d.surfaces.cells import applicable, cells_of_cloud, tighter_cells
 from scan3d.surfaces.confidence import confident
 from scan3d.surfaces.enclosures import CellEnclosure, Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.inclined import exact_error
@@ -46,6 +46,9 @@ _FEW_FACETS = 500
 # Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
 # radius; the second is tried where the outer body leaves the first.  Larger, heights are more uncertain.
 _WIDENED = (0.25, 2.0)
+# The enclosure by cells is used if its bound is below this fraction of that by slabs.  Larger, cells are kept that hardly bound
+# the body more tightly, and estimates, certificates and local bounds take several times as long; smaller, bounds are lost.
+_TIGHTER = 0.95
 # Rounding of volumes, relative to them: a few thousand units in the last place.
 _ROUNDING = 1e-12
 
@@ -74,13 +77,20 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
 
 
 def _with_cells(bounds: SliceEnclosure, cloud: Cloud) -> SliceEnclosure:
-    """The enclosure with that by the cells between the slices of all axes, if it is tighter."""
+    """The enclosure with that by the cells between the slices of all axes, if it is tighter by more than a few percent."""
     by_axis = stacks(cloud)
     if not applicable(cloud, by_axis):
         return bounds
-    found = cells_of_cloud(cloud, by_axis, bounds.inner)
+    worst = bounds.corners[bounds.gap.argmax()]
+    found = (
+        tighter_cells(cloud, by_axis, bounds.inner, worst, _TIGHTER * bounds.bound)
+        if np.isfinite(worst).all()
+        else cells_of_cloud(cloud, by_axis, bounds.inner)
+    )
+    if found is None:
+        return bounds
     bound = max(float(found.gap.max()) if len(found.gap) else np.inf, exact_error(cloud))
-    if bound >= bounds.bound:
+    if bound >= _TIGHTER * bounds.bound:
         return bounds
     volume = bounds.volume[0], max(min(bounds.volume[1], _volume_within(bounds.inner, bound)), bounds.volume[0])
     inside = CellEnclosure(

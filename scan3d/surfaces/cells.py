@@ -12,7 +12,7 @@ strictly inside H.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -26,9 +26,9 @@ from scan3d.geometry.distance import nearest_on
 from scan3d.reconstruction.slices import SliceStack
 from scan3d.surfaces.inclined import exact_error, half_spaces
 
-# Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each.
-# Larger, scans of very many slices along several axes take minutes; smaller, their bounds are those of one axis.
-_MOST_CELLS = 6_000
+MOST_CROSSINGS = 6_000
+"""Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each.
+Larger, scans of very many slices along several axes take minutes; smaller, their bounds are those of one axis."""
 # Axes up to which they are.  Larger, the codes of cells do not fit into 64 bits; smaller, more scans have bounds of one axis.
 _MOST_AXES = 6
 # Rounds in which the half-spaces are added that cut off most of a cell's corners.  More take longer; with fewer, some corners
@@ -77,13 +77,24 @@ def applicable(cloud: Cloud, by_axis: Sequence[SliceStack]) -> bool:
     return (
         exact
         and 1 < len(by_axis) <= _MOST_AXES
-        and 0 < sum(len(a.slices) * len(b.slices) for a, b in combinations(by_axis, 2)) <= _MOST_CELLS
+        and 0 < crossings([len(stack.slices) for stack in by_axis]) <= MOST_CROSSINGS
     )
+
+
+def crossings(slices: Iterable[int]) -> int:
+    """Number of crossings of slices along different axes, of which there are so many along each."""
+    return sum(a * b for a, b in combinations(slices, 2))
 
 
 def cells_of_cloud(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any) -> Cells:
     """The cells of a cloud of exact contacts, in slices along several axes, around `inner`, the hull of the contacts."""
     return _Arrangement(cloud, by_axis, inner).flooded()
+
+
+def tighter_cells(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any, place: Array, bound: float) -> Cells | None:
+    """As `cells_of_cloud`; None if the cell at a place (3,) reaches as far from the hull as a bound, which is found at once."""
+    arrangement = _Arrangement(cloud, by_axis, inner)
+    return None if arrangement.gap_at(place) >= bound else arrangement.flooded()
 
 
 class _Cell(NamedTuple):
@@ -171,6 +182,16 @@ class _Arrangement:
             np.concatenate(feet),
             [planes for cell in found for planes in cell.planes],
         )
+
+    def gap_at(self, place: Array) -> float:
+        """How far the cell at a place (3,) reaches from the hull, infinite where nothing bounds it."""
+        number = [
+            np.searchsorted(levels[1:-1], place @ axis) for levels, axis in zip(self._levels, self._axes, strict=True)
+        ]
+        corners = self._cell(int(number @ self._weights)).corners
+        if not len(corners):
+            return 0.0
+        return float(self._distance(corners)[0].max()) if np.isfinite(corners).all() else np.inf
 
     def _number(self, code: int) -> Index:
         return np.asarray(code // self._weights % (max(map(len, self._levels)) + 1))

@@ -124,17 +124,11 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     if bounds.confidence < 1:
         # the estimate is made between the contacts' hull and their half-spaces as they are, not as noise allows them to be
         bounds = slice_enclosure(cloud, margin=0.0)
-    errors = _cross_validate(cloud, tuning, with_fit=with_fit)
+    errors = _cross_validate(cloud, tuning, with_fit=with_fit, by_cells=proven.tangents is not None)
     if errors is None:
         reason = "between hull and outer body; too few slices for cross-validation"
         return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
-    # where cross-validation hardly distinguishes them, some edges are assumed: if wrong, their error is smaller
-    advantage: dict[Edges | float, float] = {
-        Edges.NONE: tuning.flat_advantage,
-        Edges.ROUND: tuning.round_advantage,
-        Edges.SHARP: tuning.sharp_advantage,
-    }
-    best = min(errors.estimates, key=lambda key: errors.estimates[key].score(cloud.noise) / advantage.get(key, 1.0))
+    best = _best_of(errors.estimates, cloud.noise, tuning)
     estimate = errors.estimates[best]
     regressed = errors.regression is not None and errors.regression.rms <= estimate.rms
     other = errors.regression if regressed else estimate
@@ -154,6 +148,19 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         mesh, described = dict(between_cells(cloud, (best,)))[best], f"{100 * best:g} % of the way to its corners"
     reason = f"between hull and outer body, {described}: held-out slices lie within {estimate.largest:.2g} {cloud.unit}"
     return _labelled(mesh, "bracket", reason)
+
+
+def _best_of(estimates: dict[Edges | float, HeldOutError], noise: float, tuning: Tuning) -> Edges | float:
+    """The estimate with the smallest error at held-out slices.
+
+    Where cross-validation hardly distinguishes them, some edges are assumed: if wrong, their error is smaller.
+    """
+    advantage: dict[Edges | float, float] = {
+        Edges.NONE: tuning.flat_advantage,
+        Edges.ROUND: tuning.round_advantage,
+        Edges.SHARP: tuning.sharp_advantage,
+    }
+    return min(estimates, key=lambda key: estimates[key].score(noise) / advantage.get(key, 1.0))
 
 
 def _fit_gain(cloud: Cloud, estimate: HeldOutError, tuning: Tuning, *, regressed: bool) -> float:
@@ -214,8 +221,12 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
     return _labelled(mesh, "regression" if regressed else "bracket", reason)
 
 
-def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossValidation | None:
-    """The errors at held-out slices of surfaces made from the others; None with too few slices."""
+def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool, by_cells: bool) -> _CrossValidation | None:
+    """The errors at held-out slices of surfaces made from the others; None with too few slices.
+
+    by_cells
+        whether the cells between the slices of several axes bound the body more tightly than the slabs along one.
+    """
     parts = hold_out_slices(cloud)
     if parts is None:
         return None
@@ -226,7 +237,9 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool) -> _CrossVa
     estimates: dict[Edges | float, HeldOutError] = {
         edges: error_of_surface(estimate, held_out) for edges, estimate in tried
     }
-    for fraction, estimate in between_cells(kept) if has_cells(cloud) else ():
+    # of a bent body, cells that do not bound it more tightly do not show where its surface lies either
+    useful = by_cells or _best_of(estimates, cloud.noise, tuning) in (Edges.NONE, Edges.SHARP)
+    for fraction, estimate in between_cells(kept) if useful and has_cells(cloud) else ():
         estimates[fraction] = error_of_surface(estimate, held_out)
     fit = regressed = None
     if with_fit and cloud.noisy:
