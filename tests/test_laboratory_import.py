@@ -17,6 +17,7 @@ from scan3d.files.parquet import parquet_bytes
 from scan3d.files.text import to_toml
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import read_map
+from scan3d.laboratory.tables import read_table
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 EXACT = Rig()
@@ -76,6 +77,24 @@ def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recordings
     assert (np.diff(back.sweep) > 0).sum() == (np.diff(recording.sweep) != 0).sum()
     assert (back.noise_force_N, back.noise_moment_Nm) == (0.0, 0.0)
     assert not (found.air & log.wrench.any(axis=1)).any()
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\n\n"])
+def test_no_rows_are_lost_where_a_reader_returns_fewer(tmp_path, monkeypatch, ending):
+    arrow_csv = pytest.importorskip("pyarrow.csv")
+    names = ("t", "x")
+    path = tmp_path / "raw.csv"
+    path.write_text(ending.join([",".join(names), *(f"{k / 8},{-k}" for k in range(100))]) + ending, newline="")
+
+    def first_block(*arguments, read=arrow_csv.read_csv, **keywords):
+        table = read(*arguments, **keywords)
+        assert len(table) == 100
+        return table.slice(0, 60)
+
+    complete = read_table(path)
+    monkeypatch.setattr(arrow_csv, "read_csv", first_block)
+    for found in (complete, read_table(path)):
+        np.testing.assert_array_equal(found.columns, [np.arange(100) / 8, -np.arange(100)])
 
 
 @pytest.mark.slow

@@ -196,7 +196,7 @@ def _is_float(cell: str, decimal: str) -> bool:
 
 
 def _by_arrow(data: bytes, found: Head, kinds: Sequence[bool]) -> tuple[NDArray[Any], ...] | None:
-    """The columns by pyarrow; None if it is not installed or can't read the table."""
+    """The columns by pyarrow; None if it is not installed, or can't read every row of the table."""
     layout = found.layout
     if layout.delimiter == " " or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return None
@@ -209,13 +209,16 @@ def _by_arrow(data: bytes, found: Head, kinds: Sequence[bool]) -> tuple[NDArray[
     try:
         table = csv.read_csv(
             BufferReader(data),
-            read_options=csv.ReadOptions(skip_rows=found.first - 1, column_names=names),
+            # threads gain little, and with them all rows behind the first block have been missing once
+            read_options=csv.ReadOptions(skip_rows=found.first - 1, column_names=names, use_threads=False),
             parse_options=csv.ParseOptions(delimiter=layout.delimiter),
             convert_options=csv.ConvertOptions(
                 column_types=types, decimal_point=layout.decimal, null_values=[""], strings_can_be_null=False
             ),
         )
     except ArrowInvalid:
+        return None
+    if len(table) != sum(1 for line in data.splitlines()[found.first - 1 :] if line.strip()):
         return None
     columns = [table.column(name) for name in names]
     return tuple(
