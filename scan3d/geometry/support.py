@@ -131,9 +131,9 @@ def fit_support(
     table
         height z of the plane on which the body stands, if it is known: no contact tells where the body ends there.
     """
-    center, shape = inertia(points)
     # exact contacts say no more if they are many
     step = max(1, -(-len(points) // (MAX_CONTACTS if sd is None else _NOISY_CONTACTS)))
+    center, shape = inertia(points[::step])
     root = np.ones(0) if sd is None else np.nanmin(sd) / np.nan_to_num(sd[::step], nan=np.inf)
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T
     directions = unit(normals[::step] @ shape)

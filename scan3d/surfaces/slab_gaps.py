@@ -1,7 +1,7 @@
 """Distances of the outer body's corners from the hull of the contacts, slab by slab.
 
-Nearly every corner lies straight above a face of the hull between the two slices of its slab, or between one of these and the
-next.  So these faces are tried first, and the nearest of all faces is searched for the few other corners only.
+Nearly every corner lies straight above a face of the hull that crosses its slab or ends at one of its slices, or on the hull.
+So these faces are tried first, and the nearest of all faces is searched for the few other corners only.
 """
 
 from __future__ import annotations
@@ -46,10 +46,14 @@ class SlabGaps:
         triangles = points[qhull.simplices]
         self._triangles = np.take_along_axis(triangles, longest_first(triangles)[:, :, None], axis=1)
         self._planes = qhull.equations
-        between = np.flatnonzero(highest == lowest + 1)
-        self._between = between[np.argsort(lowest[between], kind="stable")]
-        """Faces between two neighbouring slices, from below."""
-        self._first = np.searchsorted(lowest[self._between], np.arange(len(levels) + 1))
+        # a face that crosses several slabs, as on flat parts of the body, counts to each
+        slabs = highest - lowest
+        face = np.repeat(np.arange(len(slabs)), slabs)
+        above = lowest[face] + np.arange(len(face)) - np.repeat(np.cumsum(slabs) - slabs, slabs)
+        order = np.argsort(above, kind="stable")
+        self._crossing = face[order]
+        """Faces that cross each slab, from below."""
+        self._first = np.searchsorted(above[order], np.arange(len(levels) + 1))
         """The first of them above each slice."""
         self._locate: Callable[[Array], tuple[Index, Array]] | None = None
 
@@ -60,7 +64,7 @@ class SlabGaps:
         halfway = (corners[:, 2].min(initial=np.inf) + corners[:, 2].max(initial=-np.inf)) / 2
         for low, side in ((i - 1, 0), (i - 2, -1), (i, 1)):
             tried = left[side * (corners[left, 2] - halfway) >= 0]
-            above, found = self._above(corners[tried], self._faces(low))
+            above, found = self._above(corners[tried], self._faces(low), within=side == 0)
             distance[tried[found]] = above[found]
             left = np.setdiff1d(left, tried[found], assume_unique=True)
         if len(left):
@@ -71,17 +75,18 @@ class SlabGaps:
         return distance * self._size
 
     def _faces(self, low: int) -> Index:
-        """The faces between slices `low` and the next; none below the first slice and above the last."""
+        """The faces that cross the slab above slice `low`; none below the first slice and above the last."""
         return (
-            self._between[self._first[low] : self._first[low + 1]]
+            self._crossing[self._first[low] : self._first[low + 1]]
             if 0 <= low < len(self._first) - 1
-            else self._between[:0]
+            else self._crossing[:0]
         )
 
-    def _above(self, points: Array, faces: Index) -> tuple[Array, Mask]:
+    def _above(self, points: Array, faces: Index, *, within: bool) -> tuple[Array, Mask]:
         """Distances (w,) of points (w, 3) from those of some faces (m,) whose planes they are farthest from.
 
-        The second result says where no other face of the hull is nearer: the point lies straight above the face.
+        The second result says where no other face of the hull is nearer: the point lies straight above the face, or, if it is
+        `within` the slab that the faces cross, on the hull or inside, where the distance is 0.
         """
         if not 0 < len(faces) * len(points) <= _FEW:
             return np.zeros(len(points)), np.zeros(len(points), dtype=bool)
@@ -89,7 +94,9 @@ class SlabGaps:
         best = heights.argmax(axis=1)
         height = np.take_along_axis(heights, best[:, None], axis=1)[:, 0]
         distance = distance_to(points, self._triangles[faces[best]])
-        return distance, (height > 0) & (distance <= (1 + _SAME) * height + _ROUNDING)
+        on_hull = height <= (_ROUNDING if within else -np.inf)
+        above = (height > 0) & (distance <= (1 + _SAME) * height + _ROUNDING)
+        return np.where(on_hull, 0.0, distance), above | on_hull
 
 
 def _level(slice_: Slice) -> Array:
