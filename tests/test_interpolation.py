@@ -1,5 +1,6 @@
 """The estimate between the bounds, on stacks of slices of bodies whose support function is known."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -111,6 +112,20 @@ def test_the_contours_between_slices_are_the_bodys(profile, heights):
         assert radius[member == k].min() == pytest.approx(profile(z), rel=1e-9)
         # not beyond the corners of 36 support lines
         assert radius[member == k].max() < profile(z) / np.cos(np.pi / 36)
+
+
+def test_no_contours_beside_slices_of_too_few_contacts_for_an_outline():
+    """As where a single sweep touched the body, or all contacts of a slice are those of one vertex."""
+    whole = round_stack(lambda z: 10 - z * z, np.arange(-2.0, 3.0))
+    touched_once = [
+        replace(whole.slices[0], points=np.ones((1, 2)), outline=np.empty((0, 2)), angle=np.zeros(1)),
+        replace(whole.slices[-1], points=whole.slices[-1].points[:2], outline=np.empty((0, 2))),
+    ]
+    points = contours_between(replace(whole, slices=(touched_once[0], *whole.slices[1:-1], touched_once[1])), Tuning())
+    assert len(points)
+    assert np.isfinite(points).all()
+    assert points[:, 2].min() > -1
+    assert points[:, 2].max() < 1
 
 
 def test_an_arc_that_begins_in_the_straight_part_is_followed_back():

@@ -93,10 +93,10 @@ def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
     Where a flat face ends inside a slab, the outer body has few corners; the contours go all around the body.
     """
     contours = [np.empty((0, 3))]
-    size = max(float(np.ptp(slice_.outline, axis=0).max(initial=0.0)) for slice_ in stack.slices)
+    size = max(float(np.ptp(slice_.points, axis=0).max()) for slice_ in stack.slices)
     for i in range(1, len(stack.slices)):
         below, above = stack.slices[i - 1], stack.slices[i]
-        if not (below.closed and above.closed):
+        if not all(slice_.closed and len(slice_.outline) for slice_ in (below, above)):
             continue
         before = stack.slices[i - 2] if i > 1 else None
         after = stack.slices[i + 1] if i + 1 < len(stack.slices) else None
