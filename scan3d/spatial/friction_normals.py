@@ -18,6 +18,9 @@ from scan3d.spatial.vectors import cross, dot, unit
 _FINE, _SMOOTH = 0.09, 0.44
 # Sine of the angle between the normals of two sides of a crease, below which they count as one.
 _ONE_SIDE = 1e-6
+# Least angle by which the normal of a face counts at its corner.  Without it a corner of a sliver, whose angle is 0 but for
+# rounding, would have no normal where all edges are sharp; larger, slivers would turn the normals of their neighbours.
+_LEAST_ANGLE = 1e-9
 
 
 class FrictionNormals:
@@ -32,7 +35,8 @@ class FrictionNormals:
         corners = facets.vertices[:, triangles.T]  # (3, 3 corners, f)
         to_next, to_last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
         cosine = dot(to_next, to_last) / np.sqrt(dot(to_next, to_next) * dot(to_last, to_last))
-        weighted = np.arccos(np.clip(cosine, -1, 1))[None] * facets.normals[:, None]
+        angle = np.maximum(np.arccos(np.clip(cosine, -1, 1)), _LEAST_ANGLE)
+        weighted = angle * facets.normals[:, None]
         normals = unit(np.array([np.bincount(group, part.ravel(), minlength=groups) for part in weighted], dtype=float))
         self._corners = normals[:, group].reshape(3, 3, count).swapaxes(0, 1)
         # a point's weights of the corners of a face are 1/3 + slope·(point - centre)
