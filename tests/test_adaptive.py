@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import planar
 import scan3d
@@ -128,6 +129,20 @@ def test_the_heights_are_new_and_inside_the_body(first_cloud, gem):
     beyond = np.ptp(first_cloud.slice_height)
     assert np.all((heights > low - beyond) & (heights < high + beyond))
     assert np.abs(heights[:, None] - first_cloud.slice_height).min() > 0
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_of_a_prism_along_the_axis_only_the_ends_are_sliced(turned):
+    """Rounding of its gaps decides nothing: between the first slices nothing is left to be found."""
+    mesh = trimesh.creation.box((40, 30, 50))
+    if turned:
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(0.7, (0, 0, 1)))
+    plan = Plan(slices=24, sweeps=4, samples=16)
+    heights = np.sort(contacts(scan3d.simulate(mesh, plan)).slice_height)
+    first = np.sort(first_heights(-25, 25, plan))
+    inside = heights[(heights > first[1] + 1e-9) & (heights < first[-2] - 1e-9)]
+    np.testing.assert_allclose(inside, first[2:-2])
+    assert len(heights) > len(first)
 
 
 def test_no_heights_without_slices_left(first_cloud):

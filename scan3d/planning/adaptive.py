@@ -17,7 +17,15 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.hulls import hull
-from scan3d.planning.heights import BEYOND, cosine_gap, cosine_heights_left, heights_at_gaps, least_parts, parts_within
+from scan3d.planning.heights import (
+    BEYOND,
+    NO_GAP,
+    cosine_gap,
+    cosine_heights_left,
+    heights_at_gaps,
+    least_parts,
+    parts_within,
+)
 from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import Slice, SliceKey, SliceStack, stacks
 from scan3d.surfaces.slab_gaps import SlabGaps
@@ -145,6 +153,8 @@ def _heights_of_round(done: int, left: int, *, bent: bool) -> int:
 
 def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, left: int) -> Array:
     """Heights (k,) of cosine spacing that are still to be swept in slabs with gaps (s - 1,); none if others are better."""
+    if not (gaps > NO_GAP * (known[-1] - known[0])).any():  # a prism along the axis: its ends alone are not known
+        return np.empty(0)
     if np.isfinite(gaps).all() and cosine_gap(known, gaps, slices) > _AS_GOOD * least_parts(gaps, left)[1]:
         return np.empty(0)
     return cosine_heights_left(known, parts_within(gaps, tolerance), slices)

@@ -37,9 +37,9 @@ _ON_EMPTY_SLICE = 1e-9
 # Slices closer to each other than this fraction of the height add no information.  Larger, the heights of two close vertices
 # could not be told apart; smaller, slopes between two slices are rounding.
 CLOSEST = 1e-7
-# Gaps below this fraction of the height are rounding.  Larger, gaps remain that further slices would close; smaller, slices are
-# spent on rounding.
-_NO_GAP = 1e-10
+NO_GAP = 1e-10
+"""Gaps below this fraction of the height are rounding.  Larger, gaps remain that further slices would close; smaller, slices
+are spent on rounding."""
 # Halvings of the interval in which the least gap lies: to rounding.
 _BISECTIONS = 60
 # Largest number of parts into which a slab of a smooth body is cut at once.  Larger, heights are chosen by gaps that are known
@@ -161,7 +161,7 @@ def heights_at_gaps(
     # of corners that are equal up to rounding, as in symmetric bodies, the lowest of those where the body goes on straight
     order = np.lexsort((corners, ~creases, -np.round(gaps / gaps.max(initial=1e-300), _TIED_DECIMALS), slab))
     worst = order[np.unique(slab[order], return_index=True)[1]]
-    worst = worst[gaps[worst] > max(tolerance, _NO_GAP * size)]
+    worst = worst[gaps[worst] > max(tolerance, NO_GAP * size)]
     slab, corner, crease = slab[worst], corners[worst], creases[worst]
     low, high = known[slab], known[slab + 1]
     first, last = slab == 0, slab == len(known) - 2
