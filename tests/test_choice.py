@@ -229,7 +229,8 @@ ALWAYS_SHARP, NEVER_SHARP = {"sharp_advantage": 1e3}, {"sharp_advantage": 1e-3}
         ("sharp_advantage", 1e-3, "box", {}, "bracket"),
         ("round_advantage", 1e-3, "ball", {}, "bracket"),
         ("flat_advantage", 1e3, "cylinder", {}, "bracket"),
-        ("fit_gain", 0.0, "ball", {}, "auto"),
+        ("fit_gain", 0.0, "ball", {"fit_close": 0.0}, "auto"),
+        ("fit_close", 0.1, "ball", {"fit_close": 0.0, "fit_gain": 0.0}, "auto"),
         ("proven", 1.0, "box", {}, "auto"),
     ],
 )

@@ -65,14 +65,15 @@ def without_slivers(points: Array, faces: Index, opposite: Index, limit: float) 
         # the side from the corner k to the next is now that from the corner 1 - k
         opposite = (opposite - opposite % 3 + (1 - opposite % 3) % 3)[:, [1, 0, 2]]
     mesh = _Flippable(points - centre, faces.copy(), opposite.ravel().copy())
-    moved = 0.0
+    moved, tried = 0.0, np.arange(len(faces))
     for _ in range(_ROUNDS):
-        thin = mesh.longest_of_thin(limit * _THIN)
+        thin = mesh.longest_of_thin(tried, limit * _THIN)
         possible = mesh.independent(thin[mesh.allowed(thin)])
         if not len(possible) or moved > limit:
             break
         # no two of them have a face in common, so that the largest of their distances counts
         moved += float(mesh.between_diagonals(possible).max())
+        tried = np.unique(np.concatenate([thin, possible, mesh.opposite[possible]]) // 3)
         mesh.flip(possible, possible)
     return mesh.faces, mesh.opposite.reshape(-1, 3), moved
 
@@ -108,13 +109,13 @@ class _Flippable:
         proper: Mask = (dot(across, start) > 0) & (dot(across, end) < 0)
         return proper
 
-    def longest_of_thin(self, height: float) -> Index:
-        """The longest edges (e,) of triangles that are no higher than a height above them."""
-        corners = self.points[self.faces]
+    def longest_of_thin(self, faces: Index, height: float) -> Index:
+        """The longest edges (e,) of those of the faces (m,) that are no higher than a height above them."""
+        corners = self.points[self.faces[faces]]
         edges = np.roll(corners, -1, axis=1) - corners
         square, doubled = dot(edges, edges), np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
         thin = np.flatnonzero(doubled <= height * np.sqrt(largest_of_three(square)))
-        longest: Index = 3 * thin + square[thin].argmax(axis=1)
+        longest: Index = 3 * faces[thin] + square[thin].argmax(axis=1)
         return longest
 
     def between_diagonals(self, edges: Index) -> Array:

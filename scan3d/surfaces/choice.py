@@ -107,7 +107,8 @@ class _CrossValidation:
     """Errors at held-out slices of the estimates between the bounds, and of fits; None of a fit that was not made."""
 
     estimates: dict[Edges | float, HeldOutError]
-    """Of slices along one axis by what is assumed of the edges, and of those along several by `cell_estimates.FRACTIONS`."""
+    """Of slices along one axis by what is assumed of the edges, and of those along several by `cell_estimates.FRACTIONS`; none
+    if the fit is close."""
     fit: HeldOutError | None
     regression: HeldOutError | None = None
 
@@ -124,10 +125,14 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     if bounds.confidence < 1:
         # the estimate is made between the contacts' hull and their half-spaces as they are, not as noise allows them to be
         bounds = slice_enclosure(cloud, margin=0.0)
-    errors = _cross_validate(cloud, tuning, with_fit=with_fit, by_cells=proven.tangents is not None)
+    by_cells = proven.tangents is not None
+    close = tuning.fit_close * proven.bound if np.isfinite(proven.bound) else 0.0
+    errors = _cross_validate(cloud, tuning, close, with_fit=with_fit, by_cells=by_cells)
     if errors is None:
         reason = "between hull and outer body; too few slices for cross-validation"
         return _labelled(_between(cloud, bounds, Edges.SOME, tuning), "bracket", reason)
+    if not errors.estimates and errors.fit is not None:
+        return _fitted(cloud, errors.fit)
     best = _best_of(errors.estimates, cloud.noise, tuning)
     estimate = errors.estimates[best]
     regressed = errors.regression is not None and errors.regression.rms <= estimate.rms
@@ -137,9 +142,7 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     # under noise the largest error is that of the noisiest contact
     name = "rms" if cloud.noise else "largest"
     if errors.fit is not None and getattr(errors.fit, name) <= gain * getattr(other, name):
-        assert cloud.fit is not None
-        reason = f"{_degree(cloud.fit)}: the body is smooth, held-out slices lie within {errors.fit.largest:.2g} {cloud.unit}"
-        return _labelled(fitted_body(cloud.fit), "support", reason)
+        return _fitted(cloud, errors.fit)
     if errors.regression is not None and regressed:
         return _regression(cloud, proven, f"held-out slices lie within {errors.regression.largest:.2g} {cloud.unit}")
     if isinstance(best, Edges):
@@ -148,6 +151,15 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
         mesh, described = dict(between_cells(cloud, (best,)))[best], f"{100 * best:g} % of the way to its corners"
     reason = f"between hull and outer body, {described}: held-out slices lie within {estimate.largest:.2g} {cloud.unit}"
     return _labelled(mesh, "bracket", reason)
+
+
+def _fitted(cloud: Cloud, error: HeldOutError, held_out: str = "slices") -> Any:
+    """The fitted body, whose error at what was held out is given."""
+    assert cloud.fit is not None
+    reason = (
+        f"{_degree(cloud.fit)}: the body is smooth, held-out {held_out} lie within {error.largest:.2g} {cloud.unit}"
+    )
+    return _labelled(fitted_body(cloud.fit), "support", reason)
 
 
 def _best_of(estimates: dict[Edges | float, HeldOutError], noise: float, tuning: Tuning) -> Edges | float:
@@ -205,9 +217,7 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
         and errors.fit.rms <= _fit_gain(cloud, errors.estimate, tuning, regressed=regressed) * errors.estimate.rms
     )
     if errors is not None and errors.fit is not None and fit_is_better:
-        assert cloud.fit is not None
-        reason = f"{_degree(cloud.fit)}: the body is smooth, held-out sweeps lie within {errors.fit.largest:.2g} {cloud.unit}"
-        return _labelled(fitted_body(cloud.fit), "support", reason)
+        return _fitted(cloud, errors.fit, "sweeps")
     if regressed:
         mesh = _inside(bounds, mesh)
     convex = hull(cloud.points)
@@ -221,9 +231,13 @@ def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, wi
     return _labelled(mesh, "regression" if regressed else "bracket", reason)
 
 
-def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool, by_cells: bool) -> _CrossValidation | None:
+def _cross_validate(
+    cloud: Cloud, tuning: Tuning, close: float, *, with_fit: bool, by_cells: bool
+) -> _CrossValidation | None:
     """The errors at held-out slices of surfaces made from the others; None with too few slices.
 
+    close
+        error of a fit of exact contacts below which nothing else is tried.
     by_cells
         whether the cells between the slices of several axes bound the body more tightly than the slabs along one.
     """
@@ -231,6 +245,9 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool, by_cells: b
     if parts is None:
         return None
     kept, held_out = parts
+    fit = _error_without_slices(cloud, kept, held_out) if with_fit and cloud.fit is not None else None
+    if fit is not None and not cloud.noisy and fit.largest <= close:
+        return _CrossValidation({}, fit)
     bounds = slice_enclosure(kept, margin=0.0)
     made = hulls(_points_between(kept, bounds, Edges, tuning), len(kept.points))
     tried = zip(Edges, made, strict=True)
@@ -241,18 +258,22 @@ def _cross_validate(cloud: Cloud, tuning: Tuning, *, with_fit: bool, by_cells: b
     useful = by_cells or _best_of(estimates, cloud.noise, tuning) in (Edges.NONE, Edges.SHARP)
     for fraction, estimate in between_cells(kept) if useful and has_cells(cloud) else ():
         estimates[fraction] = error_of_surface(estimate, held_out)
-    fit = regressed = None
+    regressed = None
     if with_fit and cloud.noisy:
         with suppress(InputError):  # of so few contacts no planes that span a body can be fitted
             regressed = error_of_surface(regression(kept)[0], held_out)
-    if with_fit and cloud.fit is not None:
-        by_slices = with_slice_normals(kept)
-        known = np.isfinite(by_slices.normals[:, 0])
-        points, normals = kept.points[known], by_slices.normals[known]
-        sd = kept.select(known).sd_along(normals)
-        near = cKDTree(points).query(held_out.points)[1]
-        fit = error_of_fit(fit_support(points, normals, cloud.fit.degree, sd, cloud.table), held_out, normals[near])
     return _CrossValidation(estimates, fit, regressed)
+
+
+def _error_without_slices(cloud: Cloud, kept: Cloud, held_out: Cloud) -> HeldOutError:
+    """The error at held-out contacts of a function fitted to the contacts that were kept, of the degree of the cloud's."""
+    assert cloud.fit is not None
+    by_slices = with_slice_normals(kept)
+    known = np.isfinite(by_slices.normals[:, 0])
+    points, normals = kept.points[known], by_slices.normals[known]
+    sd = kept.select(known).sd_along(normals)
+    near = cKDTree(points).query(held_out.points)[1]
+    return error_of_fit(fit_support(points, normals, cloud.fit.degree, sd, cloud.table), held_out, normals[near])
 
 
 def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
