@@ -54,7 +54,8 @@ def fraction_at(profile, heights, z, straight, edges=Edges.SHARP, tuning=TUNING)
     """The fraction for a body of revolution with the radius `profile(z)`, in the slab of the height z."""
     slab = np.searchsorted(heights, [z])
     away = np.array([[0.1, 0.0, 0.0]])
-    return float(fractions(round_stack(profile, heights), away, slab, np.array([straight]), edges, tuning)[0])
+    (found,) = fractions(round_stack(profile, heights), away, slab, np.array([straight]), (edges,), tuning)
+    return float(found[0])
 
 
 def test_a_parabola_reaches_a_quarter_of_the_distance():
@@ -88,7 +89,7 @@ def test_an_arc_at_a_straight_part_comes_close_to_the_corner():
 def test_a_body_that_is_flat_between_slices_stays_with_the_hull_except_in_the_caps():
     stack = stack_of(np.arange(5.0), lambda angle, z: np.full(len(angle), 10.0))
     away, slab = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.5], [0.0, 0.0, -0.5]]), np.array([2, 5, 0])
-    estimate = fractions(stack, away, slab, np.zeros((3, 2), dtype=bool), Edges.NONE, Tuning())
+    (estimate,) = fractions(stack, away, slab, np.zeros((3, 2), dtype=bool), (Edges.NONE,), Tuning())
     assert estimate.tolist() == [0.0, 0.5, 0.5]
 
 

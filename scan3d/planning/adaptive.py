@@ -36,9 +36,10 @@ from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 # heights without knowing the contacts of the others, which shift the corners where vertices are expected.
 _GROWTH_OF_BENT, _LEFT_OF_BENT = 0.3, 2
 _GROWTH, _LEFT_PER_HEIGHT = 0.12, 3
-# Fraction of the number of slices so far that the last rounds add even so.  Larger, the last heights are chosen without knowing
-# each other; smaller, a scan of a thousand slices ends with a dozen rounds of few heights, which are a third of its time.
-_LAST_ROUNDS = 0.02
+# Slices from which on rounds are that large for any body, and the fraction of the slices so far that the last rounds add even
+# so.  Fewer, or a larger fraction, and heights are chosen without knowing each other; more, or a smaller fraction, and a scan
+# of a thousand slices takes half as long again, with the same bound.
+_MANY, _LAST_ROUNDS = 128, 0.04
 # Largest difference of the components of two unit normals that are the same axis: in the cloud, where slices along one axis
 # have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
 # parallel would be mixed; smaller, rounding would separate what belongs together.
@@ -147,8 +148,9 @@ def _nearly_all_bent(gaps: Array, straight: Mask) -> bool:
 
 def _heights_of_round(done: int, left: int, *, bent: bool) -> int:
     """Number of heights that a round adds to those that are done; `bent` says whether the body is bent nearly everywhere."""
-    growth, each = (_GROWTH_OF_BENT, _LEFT_OF_BENT) if bent else (_GROWTH, _LEFT_PER_HEIGHT)
-    return max(1, min(round(growth * done), left // each), min(int(_LAST_ROUNDS * done), left))
+    growth, each = (_GROWTH_OF_BENT, _LEFT_OF_BENT) if bent or done >= _MANY else (_GROWTH, _LEFT_PER_HEIGHT)
+    least = int(_LAST_ROUNDS * done) if done >= _MANY else 1
+    return max(1, min(round(growth * done), left // each), min(least, left))
 
 
 def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, left: int) -> Array:

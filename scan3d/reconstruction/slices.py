@@ -166,9 +166,25 @@ class SliceStack:
     table: Array | None = None
     """(4,) the half-space ``a·x + b <= 0`` above a table that does not lie across the axis, in the slices' frame."""
 
-    @property
+    @cached_property
     def heights(self) -> Array:
         return np.array([slice_.height for slice_ in self.slices])
+
+    def supports(self, angle: Array, first: int, last: int) -> Array:
+        """Support functions (last - first, n) at angles (n,) of the slices from `first` to before `last`, as
+        `SupportFunctions.at`; NaN of slices that the known normals do not enclose, and where there are none."""
+        closed, functions = self._closed
+        low, high = np.searchsorted(closed, (first, last))
+        found = np.full((last - first, len(angle)), np.nan)
+        if low < high:
+            found[closed[low:high] - first] = functions.at(angle, int(low), int(high))
+        return found
+
+    @cached_property
+    def _closed(self) -> tuple[Index, SupportFunctions]:
+        """The numbers of the slices that the known normals enclose, and their support functions."""
+        closed = np.flatnonzero([slice_.closed for slice_ in self.slices])
+        return closed, SupportFunctions([self.slices[i] for i in closed])
 
 
 SliceKey = tuple[bytes, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -249,7 +249,7 @@ def _cross_validate(
     if fit is not None and not cloud.noisy and fit.largest <= close:
         return _CrossValidation({}, fit)
     bounds = slice_enclosure(kept, margin=0.0)
-    made = hulls(_points_between(kept, bounds, Edges, tuning), len(kept.points))
+    made = hulls(_points_between(kept, bounds, tuple(Edges), tuning), len(kept.points))
     tried = zip(Edges, made, strict=True)
     estimates: dict[Edges | float, HeldOutError] = {
         edges: error_of_surface(estimate, held_out) for edges, estimate in tried
@@ -283,18 +283,21 @@ def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning)
     return hull(points[kept_apart(points, 2 * distance_of_readers(points))])
 
 
-def _points_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Iterable[Edges], tuning: Tuning) -> Iterator[Array]:
+def _points_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Sequence[Edges], tuning: Tuning) -> Iterator[Array]:
     """The points (n, 3) of which `_between` is the hull, with several assumptions on the edges, one after another."""
     bounded = np.isfinite(bounds.corners).all(axis=1) & (bounds.gap > 0)
+    inner: Array = bounds.inner.vertices.view(np.ndarray)
+    if not bounded.any():
+        yield from (inner for _ in assumed)
+        return
+    # the inner body is the hull of the contacts unless it is smaller to allow for errors
+    touched = inner if bounds.margin == 0 and bounds.confidence == 1 else cloud.points
     foot = bounds.foot[bounded]
     away = bounds.corners[bounded] - foot
     contours: Array | None = None
-    for edges in assumed:
-        if not bounded.any():
-            yield bounds.inner.vertices.view(np.ndarray)
-            continue
-        fraction = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], edges, tuning)
-        points = [cloud.points, foot + fraction[:, None] * away]
+    by_edges = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], assumed, tuning)
+    for edges, fraction in zip(assumed, by_edges, strict=True):
+        points = [touched, foot + fraction[:, None] * away]
         if edges is not Edges.NONE:
             contours = contours_between(bounds.stack, tuning) if contours is None else contours
             points.append(contours)

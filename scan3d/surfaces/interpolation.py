@@ -25,6 +25,7 @@ The estimate rests on assumptions about the body.  The certificate does not: it 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -57,34 +58,43 @@ class Edges(Enum):
     """The body is a polyhedron: the surface reaches the outer corner."""
 
 
-def fractions(stack: SliceStack, away: Array, slab: Index, straight: Mask, edges: Edges, tuning: Tuning) -> Array:
-    """Estimated distance (w,) of the surface from the inner body, as fractions of the distances to the outer body's corners.
+def fractions(
+    stack: SliceStack, away: Array, slab: Index, straight: Mask, assumed: Sequence[Edges], tuning: Tuning
+) -> list[Array]:
+    """Estimated distances (w,) of the surface from the inner body, as fractions of the distances to the outer body's corners,
+    by each of the assumptions on the edges.
 
     away
         (w, 3) vectors from the inner body's nearest points to the corners.
     slab, straight
         (w,) and (w, 2), the corners' as in the `Enclosure`.
     """
-    if edges is Edges.NONE:
-        return np.where((slab == 0) | (slab == len(stack.slices)), tuning.unknown, 0.0)
+    in_cap = (slab == 0) | (slab == len(stack.slices))
+    flat = np.where(in_cap, tuning.unknown, 0.0)
+    if all(edges is Edges.NONE for edges in assumed):
+        return [flat for _ in assumed]
     across = away @ stack.frame[:2].T
     angle = np.arctan2(across[:, 1], across[:, 0])
-    fraction = np.full(len(angle), tuning.unknown)
-    damping = 0.0 if edges is Edges.ROUND else tuning.damping
-    creased: Mask = np.asarray(straight.any(axis=1))
+    known, turn_is_straight = np.full(len(angle), tuning.unknown), np.zeros(len(angle), dtype=bool)
     for i in np.unique(slab):
         rows = slab == i
         turn = _turn(stack, int(i), angle[rows], tuning)
         # where slices on one side only are known, the fraction of a parabola; in the caps nothing is known
         one_sided = tuning.unknown if i in (0, len(stack.slices)) else tuning.parabola
-        fraction[rows] = (1 - damping) * turn.fraction(one_sided) + damping * tuning.unknown
-        if edges is not Edges.SHARP:
-            creased[rows] = turn.straight
-        elif 0 < i < len(stack.slices):
+        known[rows], turn_is_straight[rows] = turn.fraction(one_sided), turn.straight
+
+    def by(edges: Edges) -> Array:
+        if edges is Edges.NONE:
+            return flat
+        damping = 0.0 if edges is Edges.ROUND else tuning.damping
+        fraction = (1 - damping) * known + damping * tuning.unknown
+        if edges is Edges.SHARP:
             # a polyhedron is straight on both sides, even where too few slices show it
-            fraction[rows] += tuning.unseen_corners * (1 - fraction[rows])
-    fraction[creased] = 1.0 if edges is Edges.SHARP else tuning.crease
-    return fraction
+            fraction = np.where(in_cap, fraction, fraction + tuning.unseen_corners * (1 - fraction))
+            return np.where(straight.any(axis=1), 1.0, fraction)
+        return np.where(turn_is_straight, tuning.crease, fraction)
+
+    return [by(edges) for edges in assumed]
 
 
 def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
@@ -102,7 +112,7 @@ def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
         after = stack.slices[i + 1] if i + 1 < len(stack.slices) else None
         angle = np.concatenate([below.angle, above.angle])
         turn = _turn(stack, i, angle, tuning)
-        support = np.stack([slice_.support(angle) for slice_ in (below, above)])
+        support = stack.supports(angle, i - 1, i + 1)
         middle = np.stack([slice_.outline.mean(axis=0) for slice_ in (below, above)])
         for up in _CONTOUR_FRACTIONS:
             mix = np.array([1 - up, up])
@@ -207,16 +217,14 @@ class _Turn:
 
 def _turn(stack: SliceStack, i: int, angle: Array, tuning: Tuning) -> _Turn:
     """The turn in the slab below slice i, at angles (n,)."""
-    unknown = np.full(len(angle), np.nan)
-
-    def height_and_support(j: int) -> tuple[float, Array]:
-        usable = 0 <= j < len(stack.slices) and stack.slices[j].closed
-        return (stack.slices[j].height, stack.slices[j].support(angle)) if usable else (np.nan, unknown)
-
     # three slices on either side; of the five slabs between them, with their thicknesses and secants, number 2 is this one
-    z, h = zip(*(height_and_support(j) for j in range(i - 3, i + 3)), strict=True)
+    h = stack.supports(angle, i - 3, i + 3)
+    z = [
+        stack.heights[j] if 0 <= j < len(stack.slices) and stack.slices[j].closed else np.nan
+        for j in range(i - 3, i + 3)
+    ]
     thickness = np.diff(np.array(z))
-    secant = [(above - below) / width for below, above, width in zip(h[:-1], h[1:], thickness, strict=True)]
+    secant = np.diff(h, axis=0) / thickness[:, None]
     below = _End(secant[0] - secant[2], secant[1] - secant[2], thickness[1], thickness[2], tuning.straight)
     above = _End(secant[2] - secant[4], secant[2] - secant[3], thickness[3], thickness[2], tuning.straight)
     curvature = np.fmax(below.curvature(), above.curvature())
