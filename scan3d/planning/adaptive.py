@@ -27,7 +27,7 @@ from scan3d.planning.heights import (
     parts_within,
 )
 from scan3d.planning.plan import Plan
-from scan3d.reconstruction.slices import Slice, SliceKey, SliceStack, stacks
+from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.slab_gaps import SlabGaps
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 
@@ -62,7 +62,8 @@ _AXIS_DECIMALS = 6
 class SlabMemory:
     """Slices, slabs and gaps that the last call of `next_heights` has computed, for the next call with the same cloud grown."""
 
-    slices: dict[SliceKey, Slice] = field(default_factory=dict)
+    stacks: list[SliceStack] = field(default_factory=list)
+    """The slices, which the next call finds in use."""
     slabs: dict[SlabKey, Slab] = field(default_factory=dict)
     gaps: dict[SlabKey, Array] = field(default_factory=dict)
     """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
@@ -106,7 +107,7 @@ def next_heights(
     span no body.
     """
     memory = memory or SlabMemory()
-    candidates = stacks(cloud, memory.slices)
+    candidates = memory.stacks = stacks(cloud)
     stack = _stack(candidates, cloud, axis)
     done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < _SAME_AXIS).sum())
     left = plan.slices + BEYOND - done if left is None else left

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import blake2b
+from weakref import WeakValueDictionary
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -190,31 +191,19 @@ class SliceStack:
 SliceKey = tuple[bytes, ...]
 """What a slice is computed from: its frame and height, and its contacts with their normals and phases."""
 
+# The slices in use, which are not computed again: the steps of one scan ask for those of the same contacts several times.
+_in_use: WeakValueDictionary[SliceKey, Slice] = WeakValueDictionary()
 
-def stacks(cloud: Cloud, known: dict[SliceKey, Slice] | None = None) -> list[SliceStack]:
-    """The cloud's slices, one stack for each axis it was sliced along.
 
-    Those in `known`, by key, are not computed again; afterwards it has all slices of this cloud, and no others.
-    """
-    before = {} if known is None else dict(known)
-    if known is not None:
-        known.clear()
-
-    def made(frame: Array, number: int) -> Slice:
-        if known is None:
-            return _slice(cloud, frame, number, rows[number])
-        key = _key(cloud, frame, number, rows[number])
-        found = before.get(key) or _slice(cloud, frame, number, rows[number])
-        known[key] = found if np.array_equal(found.rows, rows[number]) else replace(found, rows=rows[number])
-        return known[key]
-
+def stacks(cloud: Cloud) -> list[SliceStack]:
+    """The cloud's slices, one stack for each axis it was sliced along."""
     by_axis = []
     rows = _rows_of_slices(cloud)
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
         members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
         order = members[np.argsort(cloud.slice_height[members])]
-        slices = [made(frame, number) for number in order]
+        slices = [_slice(cloud, frame, number, rows[number]) for number in order]
         filled = [slice_ for slice_ in slices if len(slice_.rows)]
         if not filled:
             continue
@@ -257,6 +246,15 @@ def _key(cloud: Cloud, frame: Array, number: int, rows: Index) -> SliceKey:
 
 
 def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
+    """A slice of the cloud, computed if none of the same contacts is in use."""
+    key = _key(cloud, frame, number, rows)
+    found = _in_use.get(key)
+    if found is None:
+        found = _in_use[key] = _computed(cloud, frame, number, rows)
+    return found if np.array_equal(found.rows, rows) else replace(found, rows=rows)
+
+
+def _computed(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
     points = cloud.points[rows] @ frame[:2].T
     known = np.isfinite(cloud.in_plane_normals[rows, 0])
     along_rod = cloud.phase[rows] == planar.Phase.TANGENTIAL
