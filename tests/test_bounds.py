@@ -15,8 +15,9 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces import Gap, certificate, enclosure, surface
-from scan3d.surfaces.bounds import _bounded_by_others, outside
+from scan3d.surfaces import Gap, certificate, certificates, enclosure, surface
+from scan3d.surfaces.bounds import _bounded_by_others
+from scan3d.surfaces.certificates import outside
 from scan3d.surfaces.slabs import Slab, slabs
 
 
@@ -369,6 +370,22 @@ def test_a_surface_that_is_not_convex_is_compared_with_the_inner_body(box_cloud,
 def test_the_distance_outside_a_convex_body_is_zero_inside():
     points = np.array([(0.0, 0.0, 0.0), (9.9, 0.0, 0.0), (10.1, 0.0, 0.0), (13.0, 19.0, 0.0), (0.0, 0.0, -20.5)])
     assert outside(points, BOX) == pytest.approx([0.0, 0.0, 0.1, 5.0, 0.5])
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 10**6])
+@pytest.mark.parametrize("scale", [0.9, 0.999, 1.0, 1.003, 1.5])
+@pytest.mark.parametrize("axis", ["z", "xyz"])
+def test_corners_that_are_not_measured_are_no_farther(axis, scale, at_once, monkeypatch):
+    """Smaller and larger bodies, moved by more than some of the gaps, against the distances of all corners."""
+    monkeypatch.setattr(certificates, "_CORNERS_AT_ONCE", at_once)
+    cloud = scanned(trimesh.creation.icosphere(2, 20.0), slices=7, samples=12, axis=axis)
+    bounds = enclosure(cloud)
+    moved = hull(scale * bounds.inner.vertices.view(np.ndarray) + [0.0, 0.3, 0.1])
+    outwards = outside(np.asarray(moved.vertices), bounds.inner).max()
+    by_slabs = max(outwards, outside(bounds.corners, moved).max())
+    by_others = np.inf if bounds.tangents is None else max(outwards, outside(bounds.tangents.corners, moved).max())
+    assert (bounds.tangents is None) == (axis == "z")
+    assert certificate(bounds, moved).bound == pytest.approx(min(by_slabs, by_others), rel=1e-10)
 
 
 @pytest.mark.parametrize(("depth", "convex"), [(0.0, True), (2e-9, True), (1e-6, False)])

@@ -15,9 +15,10 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import cells, certificate, enclosure, withdrawn
-from scan3d.surfaces.bounds import outside, slice_enclosure
+from scan3d.surfaces.bounds import slice_enclosure
 from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells, has_cells
 from scan3d.surfaces.cells import cells_of_cloud, tighter_cells
+from scan3d.surfaces.certificates import outside
 from scan3d.surfaces.cross_validation import hold_out_slices
 from scan3d.surfaces.enclosures import CellEnclosure
 from scan3d.surfaces.inclined import exact_error

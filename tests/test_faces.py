@@ -10,7 +10,7 @@ import pytest
     [
         ("bracket", "Bracket", "surfaces.bounds", "Enclosure"),
         ("bracket", "bracket", "surfaces.bounds", "enclosure"),
-        ("bracket", "certificate", "surfaces.bounds", "certificate"),
+        ("bracket", "certificate", "surfaces.certificates", "certificate"),
         ("bracket", "Gap", "surfaces.slabs", "Gap"),
         ("layers", "Layer", "reconstruction.slices", "Slice"),
         ("layers", "Layers", "reconstruction.slices", "SliceStack"),

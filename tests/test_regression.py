@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
-from scan3d.surfaces.bounds import certificate, enclosure
+from scan3d.surfaces import certificate, enclosure
 from scan3d.surfaces.choice import surface
 from scan3d.surfaces.regression import Contacts, Planes, _split, fit_planes, regression
 

@@ -12,7 +12,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import slab_gaps
-from scan3d.surfaces.bounds import outside
+from scan3d.surfaces.certificates import outside
 from scan3d.surfaces.slab_gaps import SlabGaps
 from scan3d.surfaces.slabs import slabs
 

@@ -2,7 +2,8 @@
 
 from scan3d.choices import METHODS
 from scan3d.surfaces.allowances import Allowed, allowed, sigmas
-from scan3d.surfaces.bounds import certificate, enclosure, withdrawn
+from scan3d.surfaces.bounds import enclosure
+from scan3d.surfaces.certificates import certificate, withdrawn
 from scan3d.surfaces.choice import surface
 from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.slabs import Gap

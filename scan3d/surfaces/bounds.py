@@ -20,26 +20,19 @@ import numpy as np
 
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud, Tilt
-from scan3d.comparison import compare
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.planes import SAME_HEIGHT
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.allowances import CONFIDENCE, Allowed, allowed
 from scan3d.surfaces.cells import applicable, cells_of_cloud, tighter_cells
 from scan3d.surfaces.confidence import confident
-from scan3d.surfaces.enclosures import CellEnclosure, Certificate, Enclosure, SliceEnclosure
+from scan3d.surfaces.enclosures import CellEnclosure, Enclosure, SliceEnclosure
 from scan3d.surfaces.inclined import exact_error
-from scan3d.surfaces.local_bounds import depths, depths_in
 from scan3d.surfaces.slabs import Gap, Slab, slabs
-from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate, spatial_enclosure
+from scan3d.surfaces.spatial_bounds import spatial_enclosure
 
-# A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
-# distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
-# only to rounding are certified by the weaker rule for surfaces that are not convex.
-_CONVEX = 1e-9
 # Facets of a hull of contacts that is taken for a polyhedron, whose tangents are tried.  Larger, time is spent on curved
 # bodies, which slabs bound more tightly; smaller, polyhedra are bounded less tightly.
 _FEW_FACETS = 500
@@ -249,20 +242,6 @@ def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> SliceEnclosu
     )
 
 
-def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
-    """The enclosure and the certificate of a surface where the recording contradicts the premises: nothing is bounded."""
-    if isinstance(bounds, SliceEnclosure):
-        bounds = replace(bounds, tangents=None)
-    nothing = replace(
-        bounds,
-        gap=np.full(len(bounds.gap), np.inf),
-        bound=np.inf,
-        volume=(0.0, np.inf),
-        confidence=0.0,
-    )
-    return nothing, Certificate(np.inf, np.full(len(surface.vertices), np.inf))
-
-
 def _of_stack(
     inner: Any, stack: SliceStack, parts: list[Slab], errors: tuple[float, float], confidence: float
 ) -> SliceEnclosure:
@@ -290,44 +269,6 @@ def _of_stack(
         confidence=confidence,
         excess=excess,
     )
-
-
-def certificate(bounds: Enclosure, surface: Any) -> Certificate:
-    """The certificate of a surface, a `trimesh.Trimesh` in the cloud's unit, by an enclosure of the body.
-
-    Whether the surface is convex is judged by its shape.  A convex surface is certified by the distances of the outer
-    body's corners from it, and of its vertices from the inner body.  A surface that is open or not convex is compared
-    with the inner body, and the bound of the inner body is added to the distance.
-    """
-    vertices = np.asarray(surface.vertices)
-    deviation = distance_to_hull(surface)
-    if deviation > _CONVEX * np.linalg.norm(np.ptp(vertices, axis=0)):
-        local = np.abs(nearest(vertices, bounds.inner)[0])
-        return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
-    if isinstance(bounds, SpatialEnclosure):
-        bound, local = spatial_certificate(bounds, surface)
-        return Certificate(bound + deviation, local + deviation)
-    assert isinstance(bounds, SliceEnclosure)
-    outwards = outside(vertices, bounds.inner) + bounds.excess
-    local = np.maximum(outwards, depths(bounds, surface))
-    bounded = np.isfinite(bounds.corners).all(axis=1)
-    bound = np.inf
-    if bounded.all() and np.isfinite(bounds.gap).all():
-        bound = float(max(outwards.max(), outside(bounds.corners, surface).max()))
-    local = np.minimum(local, bound)
-    if isinstance(bounds.tangents, SpatialEnclosure):
-        by_tangents, local_by_tangents = spatial_certificate(bounds.tangents, surface)
-        bound, local = min(bound, by_tangents), np.minimum(local, local_by_tangents)
-    elif bounds.tangents is not None:
-        corners = bounds.tangents.corners
-        bound = min(bound, float(max(outwards.max(), outside(corners, surface).max())))
-        local = np.minimum(local, np.minimum(np.maximum(outwards, depths_in(corners, surface)), bound))
-    return Certificate(bound + bounds.margin + deviation, local + bounds.margin + deviation)
-
-
-def outside(points: Array, body: Any) -> Array:
-    """Distance (n,) of points (n, 3) to a convex body, 0 inside."""
-    return np.maximum(nearest(points, body)[0], 0.0)
 
 
 def _bounded_by_others(k: int, by_axis: list[SliceStack], outer: list[list[Slab]]) -> SliceStack:

@@ -25,8 +25,9 @@ from scan3d.geometry.merging import (
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
-from scan3d.surfaces.bounds import certificate, enclosure, slice_enclosure
+from scan3d.surfaces.bounds import enclosure, slice_enclosure
 from scan3d.surfaces.cell_estimates import between_cells, has_cells
+from scan3d.surfaces.certificates import certificate
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
 from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
