@@ -199,6 +199,17 @@ def test_the_choice_follows_the_cross_validation(box, monkeypatch):
         assert description in surface(cloud).metadata["reason"]
 
 
+def test_a_fit_that_is_better_than_a_smooth_body_s_estimate_is_compared_with_no_others():
+    cloud = scanned(trimesh.creation.icosphere(4, 20.0), slices=12, samples=32)
+    alone = choice._cross_validate(cloud, Tuning(), 0.0, with_fit=True, by_cells=False)
+    assert set(alone.estimates) == {Edges.ROUND}
+    # where the fit does not win, all are compared, with the same errors
+    lost = choice._cross_validate(cloud, Tuning(fit_gain=0.0), 0.0, with_fit=True, by_cells=False)
+    assert set(lost.estimates) == set(Edges)
+    assert (lost.estimates[Edges.ROUND], lost.fit) == (alone.estimates[Edges.ROUND], alone.fit)
+    assert min(lost.estimates, key=lambda edges: lost.estimates[edges].score(0.0)) is Edges.ROUND
+
+
 # --- the numbers of the estimate ---
 
 

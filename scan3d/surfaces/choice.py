@@ -39,6 +39,8 @@ from scan3d.surfaces.tuning import Tuning
 # An estimate from contacts anywhere is given up if it is bounded so many times less well than the hull: it lies outside the
 # outer body somewhere.  Larger, wrong estimates pass; smaller, right ones are given up, bounded by the outer body's corners.
 _FAR = 2.0
+# In the order in which they are tried: where a function could be fitted, the body most likely is bent everywhere.
+_ASSUMED = (Edges.ROUND, Edges.NONE, Edges.SOME, Edges.SHARP)
 _DESCRIPTIONS = {
     Edges.NONE: "flat between its slices",
     Edges.SOME: "bent, with some edges",
@@ -109,7 +111,7 @@ class _CrossValidation:
 
     estimates: dict[Edges | float, HeldOutError]
     """Of slices along one axis by what is assumed of the edges, and of those along several by `cell_estimates.FRACTIONS`; none
-    if the fit is close."""
+    if the fit is close, and that of a smooth body only if the fit is better."""
     fit: HeldOutError | None
     regression: HeldOutError | None = None
 
@@ -249,12 +251,14 @@ def _cross_validate(
     fit = _error_without_slices(cloud, kept, held_out) if with_fit and cloud.fit is not None else None
     if fit is not None and not cloud.noisy and fit.largest <= close:
         return _CrossValidation({}, fit)
-    bounds = slice_enclosure(kept, margin=0.0)
-    made = hulls(_points_between(kept, bounds, tuple(Edges), tuning), len(kept.points))
-    tried = zip(Edges, made, strict=True)
-    estimates: dict[Edges | float, HeldOutError] = {
-        edges: error_of_surface(estimate, held_out) for edges, estimate in tried
-    }
+    points = _points_between(kept, slice_enclosure(kept, margin=0.0), _ASSUMED, tuning)
+    estimates: dict[Edges | float, HeldOutError] = {}
+    if fit is not None and not cloud.noisy and not by_cells:
+        first = estimates[_ASSUMED[0]] = error_of_surface(hull(next(points)), held_out)
+        if fit.largest <= tuning.fit_gain * first.largest:
+            return _CrossValidation(estimates, fit)
+    for edges, estimate in zip(_ASSUMED[len(estimates) :], hulls(points, len(kept.points)), strict=True):
+        estimates[edges] = error_of_surface(estimate, held_out)
     # of a bent body, cells that do not bound it more tightly do not show where its surface lies either
     useful = by_cells or _best_of(estimates, cloud.noise, tuning) in (Edges.NONE, Edges.SHARP)
     for fraction, estimate in between_cells(kept) if useful and has_cells(cloud) else ():

@@ -73,6 +73,7 @@ FIELDS = (
     Field("round_advantage", "bracket", NEAR, 1.0),
     Field("flat_advantage", "bracket", NEAR, 1.0),
     Field("fit_gain", "auto", NEAR, 1.0),
+    Field("fit_close", "auto", NEAR, 1.0),
     Field("proven", "auto", DECADES, np.inf),
 )
 
