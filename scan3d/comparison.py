@@ -102,15 +102,19 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
     return _compared(*_prepared(surface, mesh))
 
 
-def compare_both(surface: trimesh.Trimesh, inner: trimesh.Trimesh, mesh: trimesh.Trimesh) -> tuple[Comparison, float]:
-    """`compare` of a surface with a mesh, and `hausdorff_distance` of a second surface of about their size from the mesh.
+def compare_all(
+    surface: trimesh.Trimesh, inner: trimesh.Trimesh, points: Array, mesh: trimesh.Trimesh
+) -> tuple[Comparison, float, Array]:
+    """`compare` of a surface with a mesh, `hausdorff_distance` of a second surface of about their size from the mesh, and the
+    distances (n,) of points (n, 3) from the mesh.
 
-    The mesh, which may have millions of faces, is prepared once for both.
+    The mesh, which may have millions of faces, is prepared once for all.
     """
     bounding_box(inner, "surface")
     prepared = bodies, centre, scale, _ = _prepared(surface, mesh)
     comparison = _compared(*prepared)
-    return comparison, _distance((prepare(inner, centre, scale), bodies[1])) * scale
+    inner_distance = _distance((prepare(inner, centre, scale), bodies[1]))
+    return comparison, inner_distance * scale, bodies[1].search.nearest((points - centre) / scale)[0] * scale
 
 
 def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: float) -> Comparison:

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from scan3d.cloud import Cloud
-from scan3d.comparison import compare, compare_both
+from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
 from scan3d.files.ownership import RECORDING
 from scan3d.files.ply import ply
 from scan3d.files.recordings import recording_files
 from scan3d.files.results import Result, opened
 from scan3d.files.tables import cloud_table, surface_table
-from scan3d.geometry.distance import distances
 from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError, Job
 from scan3d.pictures.scene import Scene, of_cloud
@@ -94,13 +93,15 @@ def analyse(
 
 def _compared(analysis: Analysis, truth: Any) -> Analysis:
     """An analysis with all that is compared with the true body."""
-    comparison, hull_error = compare_both(analysis.surface, analysis.bounds.inner, truth)
+    comparison, hull_error, contact_error = compare_all(
+        analysis.surface, analysis.bounds.inner, analysis.cloud.points, truth
+    )
     itself = mesh_itself(truth)
     return replace(
         analysis,
         truth=truth,
         mesh_comparison=None if itself is None else compare(analysis.surface, itself),
-        contact_error=distances(analysis.cloud.points, truth),
+        contact_error=contact_error,
         comparison=comparison,
         hull_error=hull_error,
     )

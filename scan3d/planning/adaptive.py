@@ -54,6 +54,10 @@ _WIDE = 0.01
 # The heights of cosine spacing are taken if they leave at most this many times the gap of those that make it least, as far as
 # the slices so far tell.  Larger, edges are sliced too coarsely; smaller, bodies for which cosine spacing is best are not.
 _AS_GOOD = 1.4
+# Without a tolerance, all heights of cosine spacing that are left are taken at once if so many slices of the body are known,
+# and no more are left than this multiple of them.  Fewer, or a larger multiple, and edges between the slices are not seen in
+# time; more, or a smaller multiple, and bounds are computed that change nothing.
+_WELL_KNOWN, _LEFT_PER_KNOWN = 24, 2
 # Decimals of the axes in messages.
 _AXIS_DECIMALS = 6
 
@@ -160,7 +164,8 @@ def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, le
         return np.empty(0)
     if np.isfinite(gaps).all() and cosine_gap(known, gaps, slices) > _AS_GOOD * least_parts(gaps, left)[1]:
         return np.empty(0)
-    return cosine_heights_left(known, parts_within(gaps, tolerance), slices)
+    at_once = not tolerance and len(known) >= _WELL_KNOWN and left <= _LEFT_PER_KNOWN * len(known)
+    return cosine_heights_left(known, parts_within(gaps, tolerance), slices, at_once=at_once)
 
 
 def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Callable[[int, Array], Array]:

@@ -68,7 +68,7 @@ def first_heights(low: float, high: float, plan: Plan) -> Array:
     return np.concatenate([inside, [low - beyond, high + beyond]])
 
 
-def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
+def cosine_heights_left(known: Array, parts: Index, slices: int, *, at_once: bool = False) -> Array:
     """Heights (k,) of cosine spacing that are still to be scanned, and that divide each slab into parts.
 
     known (s,)
@@ -77,6 +77,8 @@ def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
         numbers of parts that the slabs between two slices need; those that need many are halved first.
     slices
         number of slices of cosine spacing.
+    at_once
+        all heights that are still to be scanned, whatever the parts.
 
     There are none if some of the known heights are others: the body has edges, by which those were chosen.
     """
@@ -88,7 +90,7 @@ def cosine_heights_left(known: Array, parts: Index, slices: int) -> Array:
     chosen = []
     for low, high, needed in zip(known[:-1], known[1:], parts, strict=True):
         between = nodes[(nodes > low + near) & (nodes < high - near)]
-        cuts = needed if needed <= _AT_ONCE else 2
+        cuts = len(between) + 1 if at_once else needed if needed <= _AT_ONCE else 2
         at = np.arange(1, cuts) * (len(between) + 1) / cuts - 1
         chosen.append(between[np.unique(np.clip(np.round(at), 0, None).astype(np.intp))] if len(between) else between)
     return np.concatenate([np.empty(0), *chosen])
