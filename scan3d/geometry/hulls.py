@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
+from scan3d.threads import each
 
 # Points whose root mean square distance from a plane is less than this fraction of their extent span no body.  Larger, thin
 # bodies would be refused; smaller, the hull of points in one plane would be made of rounding.
@@ -78,18 +77,7 @@ def hulls(parts: Iterable[Array], size: int) -> Iterator[Any]:
 
     They are computed side by side, because Qhull releases Python's lock, with as many threads as libraries may use.
     """
-    threads = _threads()
-    if threads == 1 or size > _MOST_SIDE_BY_SIDE:
-        yield from map(hull, parts)
-    else:
-        with ThreadPoolExecutor(threads) as pool:
-            yield from pool.map(hull, parts)
-
-
-def _threads() -> int:
-    """OMP_NUM_THREADS, which this program sets to 1 in the processes of a batch, or the number of cores."""
-    stated = os.environ.get("OMP_NUM_THREADS", "")
-    return max(1, int(stated)) if stated.isdecimal() else os.cpu_count() or 1
+    return map(hull, parts) if size > _MOST_SIDE_BY_SIDE else each(hull, parts)
 
 
 def _outward(qhull: ConvexHull) -> Index | None:

@@ -30,6 +30,7 @@ from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.slab_gaps import SlabGaps
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
+from scan3d.threads import begun
 
 # Fraction of the number of slices so far that is added in one round, and the smallest number of slices left for each height
 # that it adds: of bodies that are bent nearly everywhere, and of others.  Larger rounds need fewer evaluations, but choose more
@@ -62,6 +63,10 @@ _WELL_KNOWN, _LEFT_PER_KNOWN = 24, 2
 _AXIS_DECIMALS = 6
 
 
+Distances = Callable[[int, Array], Array]
+"""From the number of a slab and its corners (w, 3) to their distances (w,) from the hull of the contacts."""
+
+
 @dataclass
 class SlabMemory:
     """Slices, slabs and gaps that the last call of `next_heights` has computed, for the next call with the same cloud grown."""
@@ -73,9 +78,11 @@ class SlabMemory:
     """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
     present ones, because the hull only grows; (1,) infinite where the slab is unbounded."""
 
-    def measured(self, stack: SliceStack, distances: Callable[[int, Array], Array]) -> tuple[list[Slab], Array]:
-        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, the `distances` by number and corners."""
+    def measured(self, stack: SliceStack, prepared: Callable[[], Distances]) -> tuple[list[Slab], Array]:
+        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, by the distances that are being
+        prepared."""
         parts, keys = slabs(stack, known=self.slabs, volumes=False), slab_keys(stack)
+        distances = prepared()
         for i, (key, slab) in enumerate(zip(keys, parts, strict=True)):
             if key not in self.gaps:
                 bounded = np.isfinite(slab.corners).all()
@@ -168,16 +175,21 @@ def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, le
     return cosine_heights_left(known, parts_within(gaps, tolerance), slices, at_once=at_once)
 
 
-def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Callable[[int, Array], Array]:
-    """A function from the number of a slab and its corners (w, 3) to their distances (w,) from the hull of a cloud's contacts.
+def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Callable[[], Distances]:
+    """Begins to prepare the distances from the hull of a cloud's contacts, which the function that is returned waits for.
 
-    `alone` says whether all of the contacts are those of the stack.  Raises InputError if they span no body.
+    `alone` says whether all of the contacts are those of the stack.  That function raises InputError if they span no body.
     """
-    if alone:
-        with suppress(QhullError):
-            return SlabGaps(stack).at
-    distances = nearest_on(hull(cloud.points))
-    return lambda _, corners: np.maximum(distances(corners)[0], 0.0)
+    gaps = begun(SlabGaps, stack) if alone else None
+
+    def prepared() -> Distances:
+        if gaps is not None:
+            with suppress(QhullError):
+                return gaps().at
+        distances = nearest_on(hull(cloud.points))
+        return lambda _, corners: np.maximum(distances(corners)[0], 0.0)
+
+    return prepared
 
 
 def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:

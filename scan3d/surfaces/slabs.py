@@ -35,6 +35,7 @@ from scipy.spatial import HalfspaceIntersection, QhullError
 from scan3d.arrays import Array, Mask
 from scan3d.geometry.polytopes import volume_about
 from scan3d.reconstruction.slices import Slice, SliceStack
+from scan3d.threads import each
 
 # Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
 # intersections; larger, corners between the slices would be taken for gaps between contacts.
@@ -111,9 +112,10 @@ def slabs(
     """
     known = {} if known is None else known
     keys = slab_keys(stack)
-    for i, key in enumerate(keys):
-        if key not in known:
-            known[key] = _slab(stack, i, margin, volumes=volumes)
+    missing = [i for i, key in enumerate(keys) if key not in known]
+    # Qhull, which releases Python's lock, takes half of their time
+    found = each(lambda i: _slab(stack, i, margin, volumes=volumes), missing)
+    known.update(zip((keys[i] for i in missing), found, strict=True))
     return [known[key] for key in keys]
 
 
