@@ -40,4 +40,6 @@ def each(function: Callable[[Part], Result], parts: Iterable[Part]) -> Iterator[
         yield from map(function, parts)
     else:
         with ThreadPoolExecutor(number()) as pool:
-            yield from pool.map(function, parts)
+            # what numpy does about floating-point errors is a part of the context, of which every call needs a copy
+            contexts = iter(copy_context, None)
+            yield from pool.map(lambda context, part: context.run(function, part), contexts, parts)

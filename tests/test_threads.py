@@ -67,6 +67,8 @@ def test_settings_of_numpy_for_errors_hold_in_the_thread(threads):
         waiting = begun(np.divide, 1.0, np.zeros(1))
         with pytest.raises(FloatingPointError):
             waiting()
+        with pytest.raises(FloatingPointError):
+            list(each(lambda divisor: np.divide(1.0, divisor), [np.ones(1), np.zeros(1)]))
 
 
 @pytest.mark.parametrize(
