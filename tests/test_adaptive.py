@@ -106,6 +106,24 @@ def test_a_rig_is_given_the_heights_of_the_simulation(gem):
     assert bounds[-1] < 0.2 * bounds[0]
 
 
+@pytest.mark.slow
+def test_of_a_smooth_body_that_is_known_well_all_heights_that_are_left_are_swept_at_once():
+    egg = scan3d.load_mesh(GEM.with_name("egg.stl"))
+    numbers = []
+    for tolerance in (0.0, 1e-9):
+        plan = Plan(**{**vars(PLAN), "slices": 64, "tolerance": tolerance})
+        rig, memory, done = Rig(egg, plan), SlabMemory(), []
+        heights = first_heights(*extent_along(egg, [0, 0, 1]), plan)
+        while len(heights):
+            rig.sweep(heights)
+            done.append(len(rig.heights))
+            heights = next_heights(contacts(rig.recording()), plan, memory=memory)
+        numbers.append(done)
+        assert done[-1] == plan.slices + BEYOND
+    # with a tolerance slabs are halved, so that the scan may stop earlier
+    assert len(numbers[0]) == 4 < len(numbers[1])
+
+
 def test_a_rig_stops_where_the_bound_meets_the_tolerance(gem):
     rig, bounds = scanned_by_rig(gem, Plan(**{**vars(PLAN), "tolerance": 0.03}))
     assert 10 <= len(rig.heights) < PLAN.slices

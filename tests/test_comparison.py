@@ -11,8 +11,9 @@ from brute_force import EXACT, certified
 from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
 from scan3d import comparison
-from scan3d.comparison import SAMPLES, compare, hausdorff_distance
+from scan3d.comparison import SAMPLES, compare, compare_all, hausdorff_distance
 from scan3d.errors import InputError
+from scan3d.geometry.distance import distances
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,6 +51,15 @@ def test_units_do_not_matter(pair, scale):
 def test_the_hausdorff_distance_alone_is_that_of_the_comparison(pair):
     surface, mesh = pair
     assert hausdorff_distance(surface, mesh) == compare(surface, mesh).hausdorff
+
+
+def test_a_comparison_of_a_surface_an_inner_body_and_points_is_that_of_each_alone():
+    mesh, surface, inner = ball(3), moved(ball(2), (0.1, 0.2, 0.3)), cube(1.0)
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    both, of_inner, of_points = compare_all(surface, inner, points, mesh)
+    assert str(both) == str(compare(surface, mesh))
+    assert of_inner == pytest.approx(hausdorff_distance(inner, mesh), rel=1e-12)
+    assert of_points == pytest.approx(distances(points, mesh), abs=1e-14 * mesh.scale)
 
 
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)

@@ -68,6 +68,8 @@ def test_adaptive_spacing_begins_with_some_of_the_heights_of_cosine_spacing():
         assert len(further) <= len(known) - 1
         known = np.sort(np.concatenate([known, further]))
     assert known == pytest.approx(np.sort(all_of_them[:-2]), abs=1e-12)
+    rest = cosine_heights_left(first[:-2], np.full(len(first) - 3, 99), 40, at_once=True)
+    assert np.sort(np.concatenate([first[:-2], rest])) == pytest.approx(known, abs=1e-12)
     # slabs that are narrow enough are not divided, and those that need few parts get all heights at once
     heights_within = cosine_heights_left(first[:-2], np.array([1, 1, 2, 4, 1, 1, 1]), 40)
     assert np.histogram(heights_within, first[:-2])[0].tolist() == [0, 0, 1, 3, 0, 0, 0]
