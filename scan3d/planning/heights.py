@@ -90,7 +90,8 @@ def cosine_heights_left(known: Array, parts: Index, slices: int, *, at_once: boo
     chosen = []
     for low, high, needed in zip(known[:-1], known[1:], parts, strict=True):
         between = nodes[(nodes > low + near) & (nodes < high - near)]
-        cuts = len(between) + 1 if at_once else needed if needed <= _AT_ONCE else 2
+        several = needed if needed <= _AT_ONCE else 2
+        cuts = len(between) + 1 if at_once else several
         at = np.arange(1, cuts) * (len(between) + 1) / cuts - 1
         chosen.append(between[np.unique(np.clip(np.round(at), 0, None).astype(np.intp))] if len(between) else between)
     return np.concatenate([np.empty(0), *chosen])

@@ -1,13 +1,15 @@
 """How exact is a scan with the default settings, of bodies that nothing was tuned to?
 
     python -m tests.benchmarks.exactness [--spacing adaptive cosine] [--only NAME ...] [--slices 64] [--axis z]
+    python -m tests.benchmarks.exactness --spacing adaptive --slices 2000 --tolerance 1e-4
 
 The bodies are the convex hulls of all meshes in `meshes/` and of pyvista's example meshes, random polytopes, superquadrics,
 ellipsoids, cones, cylinders, needles, discs, wedges, and hulls of mixed and rounded shapes, each in a random orientation, and
 swept with friction from 0 to 0.4.  A row has, over the diagonal: the certified bound of the hull of the contacts and of the
 surface that `auto` chooses, the Hausdorff distances of both from the body, and how many vertices of the surface lie farther
-from the body than their local bound.  At the end: medians and largest values, and how many surfaces are more than 1.2 times
-as far from the body as the hull.  Fails if a bound or a local bound does not hold.
+from the body than their local bound; and how many slices were swept.  At the end: medians and largest values, and how many
+surfaces are more than 1.2 times as far from the body as the hull.  Fails if a bound or a local bound does not hold, or if a
+bound stays above the tolerance that is asked for.
 """
 
 import argparse
@@ -110,33 +112,41 @@ def bodies(seed=14):
 
 
 def measured(body, plan):
-    """Bounds of hull and surface, their distances from the body, and wrong local bounds, with the reason for the surface."""
+    """Bounds of hull and surface, their distances from the body, wrong local bounds, slices, and why this surface."""
     found = analyse(scan3d.simulate(body, plan), body)
     diagonal, local = float(np.linalg.norm(body.extents)), found.certificate.at_vertices
     off = np.abs(nearest(np.asarray(found.surface.vertices), body)[0])
     lengths = found.bounds.bound, found.certificate.bound, found.hull_error, found.comparison.hausdorff
     wrong = int((off > local + 1e-9 * diagonal).sum())
-    return *(length / diagonal for length in lengths), wrong, found.surface.metadata["reason"]
+    relative = (length / diagonal for length in lengths)
+    return *relative, wrong, len(found.cloud.slice_height), found.surface.metadata["reason"]
 
 
 def measure(spacing, given):
     """All bodies.  Returns the number of bounds that do not hold."""
-    print(f"{spacing}: over the diagonal\n{'body':20} {'bound':>8} {'auto':>8} {'hull':>8} {'auto':>8} wrong")
+    print(f"{spacing}: over the diagonal\n{'body':20} {'bound':>8} {'auto':>8} {'hull':>8} {'auto':>8} wrong slices")
     rows = []
     for name, body in bodies().items():
         if given.only and not any(part in name for part in given.only):
             continue
-        plan = scan3d.Plan(slices=given.slices, axis=given.axis, spacing=spacing, friction=(0.0, 0.4))
+        plan = scan3d.Plan(
+            slices=given.slices, axis=given.axis, spacing=spacing, friction=(0.0, 0.4), tolerance=given.tolerance
+        )
         *row, reason = measured(body, plan)
         rows.append(row)
-        print(f"{name:20} " + " ".join(f"{value:8.1e}" for value in row[:4]) + f" {row[4]:5}  {reason}", flush=True)
-    bound, certified, convex, auto, wrong = np.array(rows).T
+        errors = " ".join(f"{value:8.1e}" for value in row[:4])
+        print(f"{name:20} {errors} {row[4]:5} {row[5]:6}  {reason}", flush=True)
+    bound, certified, convex, auto, wrong, _ = np.array(rows).T
     for what, function in (("median", np.median), ("largest", np.max)):
         print(f"{what:20} " + " ".join(f"{function(column):8.1e}" for column in (bound, certified, convex, auto)))
     worse = ((auto > 1.2 * convex) & (auto > EXACT)).sum()
     # a bound may be reached exactly, up to rounding
     failed = int(((auto > certified + ROUNDING) | (convex > bound + ROUNDING) | (wrong > 0)).sum())
     print(f"{len(rows)} bodies; {worse} surfaces above 1.2 times the hull; {failed} bounds do not hold")
+    if given.tolerance:
+        above = int((bound > given.tolerance).sum())
+        print(f"{above} bounds above the tolerance of {given.tolerance}")
+        failed += above
     return failed
 
 
@@ -146,6 +156,7 @@ def main():
     parser.add_argument("--only", nargs="+", default=[], help="parts of the names of bodies")
     parser.add_argument("--slices", type=int, default=64)
     parser.add_argument("--axis", default="z")
+    parser.add_argument("--tolerance", type=float, default=0.0)
     given = parser.parse_args()
     return 1 if sum(measure(spacing, given) for spacing in given.spacing) else 0
 
