@@ -277,7 +277,7 @@ def test_without_pyarrow_text_is_read_to_the_same_bits(place, monkeypatch):
 
 @pytest.mark.slow
 def test_a_million_rows(tmp_path, recording):
-    """In 10 s, and Parquet in 1 s: process time, because other programs may run."""
+    """In 10 s, and Parquet in 1 s, on a machine that writes a million numbers as text in half a second of the processor."""
     log, rows = track(recording), 1_000_000
     at = np.linspace(0, log.time[-1], rows)
     position, wrench = (
@@ -299,13 +299,18 @@ def test_a_million_rows(tmp_path, recording):
 
     pyarrow.csv.write_csv(pyarrow.table(columns), tmp_path / "raw.csv")
 
+    numbers = np.linspace(0, np.pi, rows).tolist()
+    start = time.process_time()
+    ",".join(map(repr, numbers))
+    unit = 2 * (time.process_time() - start)
+
     start = time.process_time()
     imported = scan3d.import_table(tmp_path / "raw.csv", data)
     scan3d.write_recording(imported, tmp_path / "log.csv")
-    assert time.process_time() - start < 10
+    assert time.process_time() - start < 10 * unit
     start = time.process_time()
     load(tmp_path / "raw.parquet", read_map(data))
-    assert time.process_time() - start < 1
+    assert time.process_time() - start < unit
     whole = scan3d.Recording(
         sweep=np.zeros(rows, dtype=int),
         position_m=long.position,
@@ -317,7 +322,7 @@ def test_a_million_rows(tmp_path, recording):
     start = time.process_time()
     scan3d.write_recording(whole, tmp_path / "whole.parquet")
     again = scan3d.read_recording(tmp_path / "whole.parquet")
-    assert time.process_time() - start < 1
+    assert time.process_time() - start < unit
     scan3d.write_recording(whole, tmp_path / "whole.csv")
     for back in (again, scan3d.read_recording(tmp_path / "whole.csv")):
         assert back.force_N.tobytes() == whole.force_N.tobytes()
