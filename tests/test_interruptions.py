@@ -49,11 +49,21 @@ def test_ctrl_c_at_any_moment(tmp_path, moment):
     """An exception while VTK is imported would end in a crash, and trimesh would swallow it."""
     child = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "300", "--quiet")
     assert child.stdout.readline() == "ready\n"
-    time.sleep(moment - MOMENTS[0])
+    # without the shortest sleep, a busy machine could deliver the signal before `main` is called
+    time.sleep(moment - MOMENTS[0] + 0.05)
     child.send_signal(signal.SIGINT)
     stdout, stderr = child.communicate(timeout=60)
     assert (child.returncode, stdout, stderr) == (130, "", "scan3d: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_before_the_signals_are_handled(monkeypatch, capfd):
+    def interrupt(number):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(signal, "getsignal", interrupt)
+    assert main(["scan", str(CUBE)]) == 130
+    assert capfd.readouterr() == ("", "scan3d: interrupted\n")
 
 
 @pytest.mark.parametrize(

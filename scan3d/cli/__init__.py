@@ -12,12 +12,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
     try:
         from scan3d.cli.interruptions import Interruptions
-    except KeyboardInterrupt:  # the signals are not handled yet
+
+        with Interruptions(ends_process=argv is None) as interruptions:
+            # imported here, so that Ctrl-C during the import is handled as well
+            from scan3d.cli.command import run
+
+            interruptions.code = run(argv)
+        return interruptions.code
+    except KeyboardInterrupt:  # before the context handled the signals; afterwards it lets none out
         os.write(2, b"scan3d: interrupted\n")
         return 130
-    with Interruptions(ends_process=argv is None) as interruptions:
-        # imported here, so that Ctrl-C during the import is handled as well
-        from scan3d.cli.command import run
-
-        interruptions.code = run(argv)
-    return interruptions.code
