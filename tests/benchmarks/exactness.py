@@ -2,14 +2,15 @@
 
     python -m tests.benchmarks.exactness [--spacing adaptive cosine] [--only NAME ...] [--slices 64] [--axis z]
     python -m tests.benchmarks.exactness --spacing adaptive --slices 2000 --tolerance 1e-4
+    python -m tests.benchmarks.exactness --spacing adaptive --meshes FOLDER
 
-The bodies are the convex hulls of all meshes in `meshes/` and of pyvista's example meshes, random polytopes, superquadrics,
-ellipsoids, cones, cylinders, needles, discs, wedges, and hulls of mixed and rounded shapes, each in a random orientation, and
-swept with friction from 0 to 0.4.  A row has, over the diagonal: the certified bound of the hull of the contacts and of the
-surface that `auto` chooses, the Hausdorff distances of both from the body, and how many vertices of the surface lie farther
-from the body than their local bound; and how many slices were swept.  At the end: medians and largest values, and how many
-surfaces are more than 1.2 times as far from the body as the hull.  Fails if a bound or a local bound does not hold, or if a
-bound stays above the tolerance that is asked for.
+The bodies are the convex hulls of all meshes in `meshes/`, of pyvista's example meshes and of those in a folder of your own,
+random polytopes, superquadrics, ellipsoids, cones, cylinders, needles, discs, wedges, and hulls of mixed and rounded shapes,
+each in a random orientation, and swept with friction from 0 to 0.4.  A row has, over the diagonal: the certified bound of the
+hull of the contacts and of the surface that `auto` chooses, the Hausdorff distances of both from the body, and how many
+vertices of the surface lie farther from the body than their local bound; and how many slices were swept.  At the end: medians
+and largest values, and how many surfaces are more than 1.2 times as far from the body as the hull.  Fails if a bound or a local
+bound does not hold, or if a bound stays above the tolerance that is asked for.
 """
 
 import argparse
@@ -100,9 +101,11 @@ def random_bodies(random):
     return found
 
 
-def bodies(seed=14):
-    """All bodies by name, each in a random orientation."""
+def bodies(folder=None, seed=14):
+    """All bodies by name, each in a random orientation; the hulls of the meshes in a folder come last."""
     found = examples() | regular() | random_bodies(np.random.default_rng(seed))
+    for path in sorted(folder.iterdir()) if folder else ():
+        found[path.stem] = scan3d.load_mesh(path, hull=True)
     orientation = np.random.default_rng(99)
     for body in found.values():
         turn = np.eye(4)
@@ -126,7 +129,7 @@ def measure(spacing, given):
     """All bodies.  Returns the number of bounds that do not hold."""
     print(f"{spacing}: over the diagonal\n{'body':20} {'bound':>8} {'auto':>8} {'hull':>8} {'auto':>8} wrong slices")
     rows = []
-    for name, body in bodies().items():
+    for name, body in bodies(given.meshes).items():
         if given.only and not any(part in name for part in given.only):
             continue
         plan = scan3d.Plan(
@@ -154,6 +157,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--spacing", nargs="+", default=["adaptive", "cosine"])
     parser.add_argument("--only", nargs="+", default=[], help="parts of the names of bodies")
+    parser.add_argument("--meshes", type=Path, help="a folder of further meshes")
     parser.add_argument("--slices", type=int, default=64)
     parser.add_argument("--axis", default="z")
     parser.add_argument("--tolerance", type=float, default=0.0)
