@@ -107,9 +107,9 @@ def outlines(scene: Scene) -> list[tuple[Array, int]]:
     slices = scene.column("slice")
     if slices is None:
         return []
-    lines = []
-    for number in np.unique(slices):
-        points = scene.points[slices == number]
+    lines, contacts = [], scene.points
+    for number, rows in zip(*_rows_of_each(slices), strict=True):
+        points = contacts[rows]
         if len(points) < 2:
             continue
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -120,6 +120,13 @@ def outlines(scene: Scene) -> list[tuple[Array, int]]:
         contour = points[np.argsort(np.arctan2(v / (np.ptp(v) or 1.0), u / (np.ptp(u) or 1.0)), kind="stable")]
         lines.append((np.concatenate([contour, contour[:1]]), int(number)))
     return lines
+
+
+def _rows_of_each(numbers: Array) -> tuple[Array, list[NDArray[np.intp]]]:
+    """The distinct ones of numbers (n,), rising, and the rows of each, rising as well."""
+    order = np.argsort(numbers, kind="stable")
+    distinct, first = np.unique(numbers[order], return_index=True)
+    return distinct, np.split(order, first[1:])
 
 
 def contact_paths(scene: Scene) -> list[tuple[Array, int]]:
@@ -287,14 +294,14 @@ def most_informative_sweep(scene: Scene, slices: Array | None, sweeps: Array) ->
     if slices is None:
         paths = contact_paths(scene) or [(scene.points, int(sweeps[0]))]
         return max(paths, key=lambda path: float(np.linalg.norm(np.diff(path[0], axis=0), axis=1).sum()))[1]
-    numbers = np.unique(slices)
-    extents = [np.ptp(scene.points[slices == number], axis=0) for number in numbers]
-    width = np.linalg.norm(extents, axis=1)
-    middle = np.array([scene.points[slices == number].mean(axis=0) for number in numbers])
-    distance = np.linalg.norm(middle - scene.points.mean(axis=0), axis=1)
+    points, rows = scene.points, _rows_of_each(slices)[1]
+    width = np.linalg.norm([np.ptp(points[of_slice], axis=0) for of_slice in rows], axis=1)
+    middle = np.array([points[of_slice].mean(axis=0) for of_slice in rows])
+    distance = np.linalg.norm(middle - points.mean(axis=0), axis=1)
     distance[width < _WIDEST * width.max()] = np.inf
-    candidates = np.unique(sweeps[slices == numbers[np.argmin(distance)]])
-    extent = np.array([np.linalg.norm(np.ptp(scene.points[sweeps == number], axis=0)) for number in candidates])
+    candidates, of_sweeps = _rows_of_each(sweeps[rows[np.argmin(distance)]])
+    nearest = points[rows[np.argmin(distance)]]
+    extent = np.array([np.linalg.norm(np.ptp(nearest[of_sweep], axis=0)) for of_sweep in of_sweeps])
     return int(candidates[np.argmax(np.round(extent / (extent.max() or 1.0), _SAME_DISTANCE_DECIMALS))])
 
 

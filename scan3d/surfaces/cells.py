@@ -18,11 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.spatial import HalfspaceIntersection, QhullError
+from scipy.spatial import QhullError
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
+from scan3d.geometry.qhull import half_space_intersection
 from scan3d.reconstruction.slices import SliceStack
 from scan3d.surfaces.inclined import exact_error, half_spaces
 
@@ -296,7 +297,7 @@ class _Arrangement:
             offset = offset + max(2 * _INSIDE - depth, 0.0)
         try:
             with np.errstate(divide="ignore", invalid="ignore"):
-                found = _run_qhull(np.column_stack([normals, -offset]), inside)
+                found = half_space_intersection(np.column_stack([normals, -offset]), inside)
         except (QhullError, ValueError):
             return open_
         if not (found.dual_equations[:, 3] < -_ZERO_OFFSET).all() or not np.abs(found.intersections).max() < _FAR:
@@ -306,14 +307,6 @@ class _Arrangement:
 
 def _nothing() -> _Cell:
     return _Cell(np.empty((0, 3)), [])
-
-
-def _run_qhull(planes: Array, inside: Array) -> HalfspaceIntersection:
-    """Qhull, with its input perturbed by rounding (its option QJ) where nearly equal planes make it fail."""
-    try:
-        return HalfspaceIntersection(planes, inside)
-    except QhullError:
-        return HalfspaceIntersection(planes, inside, qhull_options="QJ")
 
 
 def _frame(axes: Array) -> tuple[Array, list[int]]:

@@ -30,10 +30,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import HalfspaceIntersection, QhullError
+from scipy.spatial import QhullError
 
 from scan3d.arrays import Array, Mask
 from scan3d.geometry.polytopes import volume_about
+from scan3d.geometry.qhull import half_space_intersection
 from scan3d.reconstruction.slices import Slice, SliceStack
 from scan3d.threads import each
 
@@ -256,7 +257,7 @@ def _intersection(
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     try:
         with np.errstate(divide="ignore", invalid="ignore"):
-            intersection = _run_qhull(planes)
+            intersection = half_space_intersection(planes, np.zeros(3))
     except (QhullError, ValueError):
         return None
     # the intersection is bounded only if the inner point lies inside the hull of the dual points
@@ -267,14 +268,6 @@ def _intersection(
         return None
     volume = volume_about(corners, planes[:, :3], facets) * float(np.prod(size)) if with_volume else np.nan
     return inside + corners * size, facets, volume
-
-
-def _run_qhull(planes: Array) -> HalfspaceIntersection:
-    """Qhull, with its input perturbed by rounding (its option QJ) where nearly equal planes make it fail."""
-    try:
-        return HalfspaceIntersection(planes, np.zeros(3))
-    except QhullError:
-        return HalfspaceIntersection(planes, np.zeros(3), qhull_options="QJ")
 
 
 def _corners_are_straight(facets: list[list[int]], side: Array, straight: Mask, one_sided: bool) -> Mask:
