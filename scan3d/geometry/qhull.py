@@ -1,4 +1,4 @@
-"""Intersections of half-spaces by Qhull, which end on every input.
+"""Intersections of half-spaces by Qhull, kept from going on for ever.
 
 Qhull intersects half-spaces by the convex hull of their dual points.  It adds a point that lies outside of the hull so far, and
 merges facets that are coplanar up to rounding, by which a vertex may get lost.  If that vertex counts as outside again, it is

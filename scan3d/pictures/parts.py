@@ -299,9 +299,9 @@ def most_informative_sweep(scene: Scene, slices: Array | None, sweeps: Array) ->
     middle = np.array([points[of_slice].mean(axis=0) for of_slice in rows])
     distance = np.linalg.norm(middle - points.mean(axis=0), axis=1)
     distance[width < _WIDEST * width.max()] = np.inf
-    candidates, of_sweeps = _rows_of_each(sweeps[rows[np.argmin(distance)]])
-    nearest = points[rows[np.argmin(distance)]]
-    extent = np.array([np.linalg.norm(np.ptp(nearest[of_sweep], axis=0)) for of_sweep in of_sweeps])
+    chosen = rows[np.argmin(distance)]
+    candidates, of_sweeps = _rows_of_each(sweeps[chosen])
+    extent = np.array([np.linalg.norm(np.ptp(points[chosen[of_sweep]], axis=0)) for of_sweep in of_sweeps])
     return int(candidates[np.argmax(np.round(extent / (extent.max() or 1.0), _SAME_DISTANCE_DECIMALS))])
 
 
