@@ -78,6 +78,15 @@ def broken_ascii_stl():
     return "vertex ".join([*words[:10], "one " + words[10], *words[11:]]).encode()
 
 
+def ply_of_strips():
+    names = [f"property float {axis}" for axis in "xyz"]
+    strip = ["element tristrips 1", "property list int int vertex_indices"]
+    corners = ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]
+    return text(
+        "ply", "format ascii 1.0", "element vertex 4", *names, *strip, "end_header", *corners, "6 0 1 2 3 0 1", ""
+    )
+
+
 BAD_FILES = {
     "empty.stl": (b"", "is empty"),
     "notes.txt": (b"1 2 3", "isn't a mesh file by its ending"),
@@ -92,6 +101,10 @@ BAD_FILES = {
     "index.obj": (text("v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1", "f 1 2 3", "f 1 2 9"), "can't be read as OBJ"),
     "points.obj": (text("v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1"), "no triangles"),
     "points.ply": (trimesh.PointCloud(np.eye(4, 3)).export(file_type="ply"), "no triangles"),
+    "strips.ply": (
+        ply_of_strips(),
+        "has strips of triangles (its element tristrips), where single triangles are expected",
+    ),
     "triangle.off": (text("OFF", "3 1 0", "0 0 0", "1 0 0", "0 1 0", "3 0 1 2"), "only 3 distinct vertices"),
     "same.off": (text("OFF", "4 2 0", "0 0 0", "1 0 0", "0 1 0", "1 0 0", "3 0 1 2", "3 0 3 2"), "only 3 distinct"),
     **{f"words.{kind}": (b"Dear reader,\nthis solid prose has no vertex.\n", f"{kind.upper()}") for kind in FORMATS},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -255,6 +256,11 @@ def _triangles(path: Path, data: bytes) -> tuple[Array, Index]:
     if not all(np.isfinite(vertices).all() for vertices, _ in meshes):
         raise InputError(f"{path.name} has vertices that are NaN or infinite; repair or export it again")
     if sum(len(faces) for _, faces in meshes) == 0:
+        if kind == "ply" and re.search(rb"^element tristrips ", data.partition(b"end_header")[0], re.MULTILINE):
+            raise InputError(
+                f"{path.name} has strips of triangles (its element tristrips), where single triangles are expected; "
+                "export the body as a triangle mesh, with faces instead of strips"
+            )
         raise InputError(
             f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, damaged, or not a "
             f"{kind.upper()} file; export the body as a triangle mesh"
