@@ -1,7 +1,7 @@
 """How exact is a scan with the default settings, of bodies that nothing was tuned to?
 
     python -m tests.benchmarks.exactness [--spacing adaptive cosine] [--only NAME ...] [--slices 64] [--axis z]
-    python -m tests.benchmarks.exactness --spacing adaptive --slices 2000 --tolerance 1e-4
+    python -m tests.benchmarks.exactness --spacing adaptive --tolerance 1e-4
     python -m tests.benchmarks.exactness --spacing adaptive --meshes FOLDER
 
 The bodies are the convex hulls of all meshes in `meshes/`, of pyvista's example meshes and of those in a folder of your own,
@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d.geometry.distance import nearest
+from scan3d.settings import SLICES_FOR_TOLERANCE
 from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[2] / "meshes"
@@ -158,10 +159,15 @@ def main():
     parser.add_argument("--spacing", nargs="+", default=["adaptive", "cosine"])
     parser.add_argument("--only", nargs="+", default=[], help="parts of the names of bodies")
     parser.add_argument("--meshes", type=Path, help="a folder of further meshes")
-    parser.add_argument("--slices", type=int, default=64)
+    parser.add_argument(
+        "--slices",
+        type=int,
+        help=f"64 by default; {SLICES_FOR_TOLERANCE} where a tolerance is given, as in the command",
+    )
     parser.add_argument("--axis", default="z")
     parser.add_argument("--tolerance", type=float, default=0.0)
     given = parser.parse_args()
+    given.slices = given.slices or (SLICES_FOR_TOLERANCE if given.tolerance else 64)
     return 1 if sum(measure(spacing, given) for spacing in given.spacing) else 0
 
 
