@@ -18,9 +18,8 @@ from scan3d.planning.heights import (
     first_heights,
     heights,
     heights_at_gaps,
-    least_parts,
-    parts_within,
 )
+from scan3d.planning.sharing import cuts_at, evened, least_parts, parts_within
 
 
 def test_cosine_heights_are_chebyshevs_nodes():
@@ -80,7 +79,7 @@ def test_adaptive_spacing_begins_with_some_of_the_heights_of_cosine_spacing():
 def test_heights_at_gaps_are_those_of_the_worst_corners():
     known = np.array([-0.1, 0.2, 0.5, 0.8, 1.1])
     slab, corners = np.array([1, 1, 2, 2]), np.array([0.3, 0.4, 0.6, 0.7])
-    gaps, creases = np.array([1.0, 3.0, 2.0, 0.5]), np.ones(4, dtype=bool)
+    gaps, creases = np.array([1.0, 3.0, 2.0, 0.5]), np.ones((4, 2), dtype=bool)
     # one height per slab, the slab with the widest gap first
     assert heights_at_gaps(known, slab, corners, gaps, creases, 4).tolist() == [0.4, 0.6]
     assert heights_at_gaps(known, slab, corners, gaps, creases, 1).tolist() == [0.4]
@@ -93,30 +92,90 @@ def test_heights_at_gaps_are_those_of_the_worst_corners():
     assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), creases[:1], 4)) == 0
 
 
-def test_a_bent_slab_is_halved_by_the_density_of_slices():
-    """The density is 10 and 6.67 in the middles of the slabs, and linear between them."""
-    known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
-    slab, corners, gaps = np.array([1, 2]), np.array([0.14, 0.46]), np.array([9.0, 4.0])
-    bent, creased = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
+def gaps_between(thickness, curvature=2.0):
+    """Distances of the corners in which the secants of each slab's neighbours meet, from the chord between its slices.
+
+    The contour is a parabola; beyond the end slices its tangents take the place of secants.
+    """
+    at = np.concatenate([[0.0], np.cumsum(thickness)])
+    height, chords = -curvature * at**2 / 2, np.diff(-curvature * at**2 / 2) / thickness
+    below, above = np.concatenate([[0.0], chords[:-1]]), np.concatenate([chords[1:], [-curvature * at[-1]]])
+    corner = (height[1:] - height[:-1] + below * at[:-1] - above * at[1:]) / (below - above)
+    line = height[:-1] + below * (corner - at[:-1])
+    return line - (height[:-1] + chords * (corner - at[:-1]))
+
+
+@pytest.mark.parametrize("thickness", [[1.0], [1.0, 1.0, 1.0], [1.0, 3.0, 0.5, 0.5, 2.0], [0.1, 1.0, 10.0]])
+def test_even_gaps_of_a_parabola_are_those_of_its_curvature(thickness):
+    thickness = np.array(thickness)
+    assert evened(gaps_between(thickness)) == pytest.approx(thickness**2, rel=1e-3)
+    assert evened(1e-30 * gaps_between(thickness)) == pytest.approx(1e-30 * thickness**2, rel=1e-3)
+
+
+def test_even_gaps_of_slabs_without_gaps_are_none():
+    assert evened(np.zeros(3)) == pytest.approx(np.zeros(3), abs=1e-150)
+    # a slab without a gap bounds its neighbours as tangents do
+    assert evened(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(2.0)
+    assert len(evened(np.empty(0))) == 0
+
+
+def test_even_gaps_along_a_sphere_are_cut_as_by_cosine_spacing():
+    levels = heights(-3.0, 7.0, Plan(slices=9, spacing="cosine"))
+    known = np.concatenate([[-3.0 - (levels[0] + 3.0)], levels[[0, 4, 8]], [7.0 + (7.0 - levels[-1])]])
+    cuts = cuts_at(known, np.array([1, 2]), np.ones(2), np.array([[0.25], [0.5], [0.75]]))
+    assert cuts.T.ravel() == pytest.approx(levels[[1, 2, 3, 5, 6, 7]])
+
+
+def test_a_bent_slab_is_cut_by_the_density_of_slices():
+    """The density over the angle is 10 and 20/3 in the middles of two slabs, and linear between them."""
+    angles = np.linspace(0.5, 1.1, 3)
+    known = 5 - 5 * np.cos(np.concatenate([[-angles[0]], [angles[0]], angles[1:], [np.pi]]))
+    # so that the ends of the body are at the angles 0 and pi
+    known[0], known[-1] = -known[1], 20 - known[3]
+    cuts = cuts_at(known, np.array([1, 2]), np.array([3.0, 2.0]), np.array([[0.25], [0.5]]))
+    for column, low, ends in zip(cuts.T, angles, ((10, 25 / 3), (25 / 3, 20 / 3)), strict=False):
+        for cut, below in zip(column, (0.25, 0.5), strict=True):
+            u = (math.acos(1 - cut / 5) - low) / 0.3
+            assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(below * sum(ends) / 2)
+    # where the neighbour's density is not known, the density is constant
+    alone = cuts_at(known, np.array([1, 2]), np.array([3.0, np.nan]), np.array([[0.5]]))[0, 0]
+    assert math.acos(1 - alone / 5) == pytest.approx(0.65)
+
+
+def test_bent_slabs_are_halved_and_creases_cut_at_their_corners():
+    known = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
+    slab, corners, gaps = np.array([1, 2]), np.array([0.24, 0.66]), np.array([9.0, 4.0])
+    bent, creased = np.zeros((2, 2), dtype=bool), np.ones((2, 2), dtype=bool)
     halves = heights_at_gaps(known, slab, corners, gaps, bent, 3)
-    for half, low, ends in zip(halves, (0.0, 0.3), ((10, 8.3333), (8.3333, 6.6667)), strict=True):
-        u = (half - low) / 0.3
-        assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(sum(ends) / 4, rel=1e-4)
-    assert heights_at_gaps(known, slab, corners, gaps, creased, 3) == pytest.approx([0.14, 0.46])
+    assert (known[1:3] < halves).all()
+    assert (halves < known[2:4]).all()
+    assert heights_at_gaps(known, slab, corners, gaps, creased, 3) == pytest.approx([0.24, 0.66])
     # of both, the wider one comes first, and gaps within the tolerance none
     assert heights_at_gaps(known, slab, corners, gaps, bent, 1) == pytest.approx(halves[:1])
-    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, 5.0) == pytest.approx([0.15])
+    assert len(heights_at_gaps(known, slab, corners, gaps, bent, 3, 5.0)) == 1
 
 
-def test_a_bent_slab_is_cut_by_the_parts_that_make_the_largest_gap_least():
-    known = np.array([-0.1, 0.0, 0.3, 0.6, 0.7])
-    slab, corners, bent = np.array([1, 2]), np.array([0.1, 0.5]), np.zeros(2, dtype=bool)
-    # with three slices left, one slab gets three parts and the other two; the density of slices is the same in both
-    cuts = heights_at_gaps(known, slab, corners, np.array([1.0, 0.999]), bent, 1, left=3)
-    assert cuts == pytest.approx([0.1], rel=1e-3)
+def test_a_slab_bent_all_around_gets_all_heights_of_the_parts_that_make_the_largest_gap_least():
+    known = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
+    slab, corners, bent = np.array([1, 2]), np.array([0.3, 0.7]), np.zeros((2, 2), dtype=bool)
+    angles = np.arccos(1 - 2 * known[1:-1])
+    third = (1 - np.cos(angles[0] + (angles[1] - angles[0]) * np.array([1, 2]) / 3)) / 2
+    half = (1 - np.cos(angles[1:].mean())) / 2
+    # with three slices left, one slab gets three parts and the other two; the density of slices is nearly the same in both
+    gaps = np.array([1.0, 0.999])
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, left=3) == pytest.approx([*third, half], rel=1e-3)
+    # a round gets whole slabs, but no more heights than are left
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1, left=3) == pytest.approx(third, rel=1e-3)
+    assert len(heights_at_gaps(known, slab, corners, gaps, bent, 1, left=1)) == 1
+    # a slab that needs more parts is cut into two, where five of eleven parts are below
+    fifth = (1 - np.cos(angles[0] + (angles[1] - angles[0]) * 5 / 11)) / 2
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1, left=19) == pytest.approx([fifth], rel=1e-3)
     # a tolerance that two parts meet is not divided further
-    cuts = heights_at_gaps(known, slab, corners, np.array([1.0, 0.999]), bent, 1, 0.3, left=3)
-    assert cuts == pytest.approx([0.15], rel=1e-3)
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1, 0.4, left=3) == pytest.approx([1 - half], rel=1e-3)
+    # a slab that is straight somewhere is cut in two, and a quarter of the slices is kept for it
+    slab, corners, gaps = np.array([1, 1, 2]), np.array([0.3, 0.31, 0.7]), np.array([1.0, 0.5, 0.999])
+    straight = np.array([[False, False], [True, False], [False, False]])
+    assert heights_at_gaps(known, slab, corners, gaps, straight, 1, left=3) == pytest.approx([1 - half], rel=1e-3)
 
 
 def test_parts_are_shared_so_that_the_largest_gap_is_least():
@@ -147,7 +206,7 @@ def test_the_gap_of_cosine_spacing_is_that_of_its_slabs(slices):
 def test_an_unknown_end_is_sliced_in_the_middle():
     known = np.array([0.0, 1.0, 2.0, 3.0])
     for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
-        slab, creases = np.array([0 if corner == 0 else 2]), np.zeros(1, dtype=bool)
+        slab, creases = np.array([0 if corner == 0 else 2]), np.zeros((1, 2), dtype=bool)
         assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), creases, 4) == pytest.approx([middle])
 
 

@@ -19,14 +19,14 @@ from scan3d.geometry.distance import nearest_on
 from scan3d.geometry.hulls import hull
 from scan3d.planning.heights import (
     BEYOND,
+    FEW_STRAIGHT,
     NO_GAP,
     cosine_gap,
     cosine_heights_left,
     heights_at_gaps,
-    least_parts,
-    parts_within,
 )
 from scan3d.planning.plan import Plan
+from scan3d.planning.sharing import evened, least_parts, parts_within
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.slab_gaps import SlabGaps
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
@@ -45,16 +45,12 @@ _MANY, _LAST_ROUNDS = 128, 0.04
 # have one normal up to rounding; and as given by the caller, who may have rounded them.  Larger, axes that are nearly
 # parallel would be mixed; smaller, rounding would separate what belongs together.
 _SAME_AXIS, _GIVEN_AXIS = 1e-8, 1e-6
-# A body counts as smooth if it goes on straight behind less than this fraction of the outer body's corners.  Larger, edges
-# are sliced without regard to where they are; smaller, heights for smooth bodies are chosen one by one, which leaves some gaps
-# wider than others.
-_FEW_STRAIGHT = 0.1
 # Corners count for this if their gaps are wider than this fraction of the widest.  Larger, few corners decide; smaller, those
 # decide at which nothing is left to be found.
 _WIDE = 0.01
 # The heights of cosine spacing are taken if they leave at most this many times the gap of those that make it least, as far as
 # the slices so far tell.  Larger, edges are sliced too coarsely; smaller, bodies for which cosine spacing is best are not.
-_AS_GOOD = 1.4
+_AS_GOOD = 1.1
 # Without a tolerance, all heights of cosine spacing that are left are taken at once if so many slices of the body are known,
 # and no more are left than this multiple of them.  Fewer, or a larger multiple, and edges between the slices are not seen in
 # time; more, or a smaller multiple, and bounds are computed that change nothing.
@@ -146,16 +142,17 @@ def next_heights(
     # an end that nothing bounds gets no height
     low, high = (end if np.isfinite(end) else nearest for end, nearest in ends)
     levels = np.array([low, *stack.heights, high])
-    creases = straight[between].all(axis=1)
     at = corners[between] @ stack.frame[2]
     count = _heights_of_round(plan.slices - left, left, bent=bent)
-    return heights_at_gaps(levels, number, at, gap[between], creases, count, tolerance, left if bent else None)
+    return heights_at_gaps(
+        levels, number, at, gap[between], straight[between], count, tolerance, left if bent else None
+    )
 
 
 def _nearly_all_bent(gaps: Array, straight: Mask) -> bool:
     """Whether the body is bent at nearly all corners that are still open; their gaps (w,) and where it is straight (w, 2)."""
     wide = gaps > _WIDE * gaps.max(initial=0.0)
-    return not wide.any() or bool(straight[wide].any(axis=1).mean() < _FEW_STRAIGHT)
+    return not wide.any() or bool(straight[wide].any(axis=1).mean() < FEW_STRAIGHT)
 
 
 def _heights_of_round(done: int, left: int, *, bent: bool) -> int:
@@ -169,8 +166,10 @@ def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, le
     """Heights (k,) of cosine spacing that are still to be swept in slabs with gaps (s - 1,); none if others are better."""
     if not (gaps > NO_GAP * (known[-1] - known[0])).any():  # a prism along the axis: its ends alone are not known
         return np.empty(0)
-    if np.isfinite(gaps).all() and cosine_gap(known, gaps, slices) > _AS_GOOD * least_parts(gaps, left)[1]:
-        return np.empty(0)
+    if np.isfinite(gaps).all():
+        gaps = evened(gaps)
+        if cosine_gap(known, gaps, slices) > _AS_GOOD * least_parts(gaps, left)[1]:
+            return np.empty(0)
     at_once = not tolerance and len(known) >= _WELL_KNOWN and left <= _LEFT_PER_KNOWN * len(known)
     return cosine_heights_left(known, parts_within(gaps, tolerance), slices, at_once=at_once)
 

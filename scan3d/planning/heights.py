@@ -8,10 +8,15 @@ import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.planning.plan import Plan
+from scan3d.planning.sharing import AT_ONCE, TIED_DECIMALS, cuts_at, evened, least_parts, parts_within
 
 # Slices inside the body with which adaptive spacing starts.  More are placed without knowing the body; with fewer, the first
 # heights are chosen by loose bounds.
 FIRST_SLICES = 8
+FEW_STRAIGHT = 0.1
+"""A body, or a slab, counts as smooth if the body goes on straight behind less than this fraction of the outer body's
+corners.  Larger, edges are sliced without regard to where they are; smaller, heights for smooth bodies are chosen one by one,
+which leaves some gaps wider than others."""
 BEYOND = 2
 """Slices beyond the ends of the body that every spacing adds to the slices of a plan."""
 # Lower bound, as a fraction of the body's height, of the distance of the slices beyond the ends, which is that of the end
@@ -24,9 +29,6 @@ _CAP_WEIGHT = 1.5
 # Heights of slices and of cosine spacing are equal if they differ by less than this fraction of the height.  Larger, heights
 # that were chosen by edges count as those of cosine spacing; smaller, the digits of a robot's poses make them different.
 _SAME_HEIGHT = 1e-5
-# Decimals of the gaps' roots, over the largest, by which slabs are compared.  More, and rounding decides between slabs of a
-# symmetric body; fewer, and slabs count as equal that are not.
-_TIED_DECIMALS = 4
 # Where a cap is sliced, as a fraction of the distance from its end slice to its worst corner: just before the tip of a
 # vertex, and at about a third at a smooth pole, whose cap is shallower than its corner.  Larger, the slice may be empty;
 # smaller, the cap that remains is larger.
@@ -40,11 +42,9 @@ CLOSEST = 1e-7
 NO_GAP = 1e-10
 """Gaps below this fraction of the height are rounding.  Larger, gaps remain that further slices would close; smaller, slices
 are spent on rounding."""
-# Halvings of the interval in which the least gap lies: to rounding.
-_BISECTIONS = 60
-# Largest number of parts into which a slab of a smooth body is cut at once.  Larger, heights are chosen by gaps that are known
-# poorly; smaller, slabs are halved that need three parts, which makes some parts smaller than they need be.
-_AT_ONCE = 4
+# Part of the slices left that are kept for slabs around which the body does not bend everywhere, in as far as slabs are such.
+# Larger, slabs are cut into fewer parts at once than they need; smaller, no slices are left for edges that are found late.
+_KEPT = 0.5
 
 
 def heights(low: float, high: float, plan: Plan) -> Array:
@@ -90,7 +90,7 @@ def cosine_heights_left(known: Array, parts: Index, slices: int, *, at_once: boo
     chosen = []
     for low, high, needed in zip(known[:-1], known[1:], parts, strict=True):
         between = nodes[(nodes > low + near) & (nodes < high - near)]
-        several = needed if needed <= _AT_ONCE else 2
+        several = needed if needed <= AT_ONCE else 2
         cuts = len(between) + 1 if at_once else several
         at = np.arange(1, cuts) * (len(between) + 1) / cuts - 1
         chosen.append(between[np.unique(np.clip(np.round(at), 0, None).astype(np.intp))] if len(between) else between)
@@ -119,33 +119,25 @@ def _cosine_nodes(known: Array, slices: int) -> Array:
     return heights
 
 
-def parts_within(gaps: Array, tolerance: float) -> Index:
-    """Numbers of parts (n,) into which slabs with gaps (n,) are cut to come within a tolerance; without one, many."""
-    if not tolerance:
-        return np.full(len(gaps), np.iinfo(np.int32).max, dtype=np.intp)
-    with np.errstate(invalid="ignore"):
-        return np.nan_to_num(np.ceil(np.sqrt(gaps / tolerance)), posinf=np.iinfo(np.int32).max).astype(np.intp)
-
-
 def heights_at_gaps(
     known: Array,
     slab: Index,
     corners: Array,
     gaps: Array,
-    creases: Mask,
+    straight: Mask,
     count: int,
     tolerance: float = 0.0,
     left: int | None = None,
 ) -> Array:
-    """`count` further heights (k,) at most, where the enclosure of the body is widest.
+    """Further heights (k,) where the enclosure of the body is widest.
 
     known (s,)
         heights that have been scanned, rising, with those of the nearest empty slices at both ends.
-    slab, corners, gaps, creases (w,)
+    slab, corners, gaps (w,), straight (w, 2)
         the outer body's corners: number of the known height below each, the corner's own height, its distance from the inner
-        body, and whether the body goes on straight on both sides of its slab.
+        body, and whether the body goes on straight below and above its slab.
     count
-        number of heights wanted.
+        number of heights wanted; there are more only if the last slab gets several.
     tolerance
         gap that is small enough.
     left
@@ -154,69 +146,63 @@ def heights_at_gaps(
 
     A slab gets the height of its worst corner; in a polyhedron that is the height of a vertex.  In a slab along which the body
     bends everywhere, the gap falls with the square of the number of parts into which further slices divide the slab.  From
-    this follows how many parts of which slab make the largest gap least, and the slab gets the height between the lower and
-    the upper half of its parts.  The parts have equal gaps if the density of slices is that of the root of the gap over the
-    thickness, which is taken to change linearly from the middle of a slab to that of the next.  A corner on an empty slice
-    means only that the body ends before it, and a corner on an end slice only that the body may end right behind it; there the
-    new height is in the middle of the slab.
+    this follows how many parts of which slab make the largest gap least.  A slab that needs few parts, and around which the
+    body bends everywhere, gets all of its heights; another one gets that between the lower and the upper half of its parts.  A
+    corner on an empty slice means only that the body ends before it, and a corner on an end slice only that the body may end
+    right behind it; there the new height is in the middle of the slab.
     """
     size = known[-1] - known[0]
+    creases = straight[:, 0] & straight[:, 1]
+    widest = np.zeros(len(known) - 1)
+    np.maximum.at(widest, slab, gaps)
     # of corners that are equal up to rounding, as in symmetric bodies, the lowest of those where the body goes on straight
-    order = np.lexsort((corners, ~creases, -np.round(gaps / gaps.max(initial=1e-300), _TIED_DECIMALS), slab))
+    order = np.lexsort((corners, ~creases, -np.round(gaps / gaps.max(initial=1e-300), TIED_DECIMALS), slab))
     worst = order[np.unique(slab[order], return_index=True)[1]]
     worst = worst[gaps[worst] > max(tolerance, NO_GAP * size)]
+    straight_part = np.bincount(slab, straight.any(axis=1)) / np.bincount(slab).clip(1)
     slab, corner, crease = slab[worst], corners[worst], creases[worst]
+    around = straight_part[slab] < FEW_STRAIGHT
     low, high = known[slab], known[slab + 1]
     first, last = slab == 0, slab == len(known) - 2
     weight = np.sqrt(np.where(first | last, _CAP_WEIGHT, 1.0) * gaps[worst])
 
+    single = _at_corners(corner, crease, low, high, first, last, CLOSEST * size)
+    bent = ~(first | last | crease)
+    even = np.where(bent, np.concatenate([[0.0], evened(widest[1:-1]), [0.0]])[slab], weight**2)
+    most = np.where(bent & (left is not None), parts_within(even, tolerance), 2)
+    kept = _KEPT * np.mean(~around[bent]) if bent.any() else 0.0
+    parts = least_parts(even, (1 - kept) * (left or 0), most)[0].clip(2)
+    whole = bent & around & (parts <= AT_ONCE)
+    # (AT_ONCE - 1, n) numbers of the parts below the cuts
+    below = np.arange(1, AT_ONCE)[:, None] * np.where(whole, 1, parts // 2)
+    cuts = cuts_at(known, slab, np.where(bent, np.sqrt(even), np.nan), np.minimum(below / parts, 1.0))
+    new = np.where(bent, cuts, single)
+    wanted = np.where(whole, below < parts, (np.arange(AT_ONCE - 1) == 0)[:, None])
+    wanted &= np.minimum(new - low, high - new) > CLOSEST * size
+    # of slabs that are equal up to rounding, as in symmetric bodies, the lowest first
+    widest_first = np.argsort(-np.round(weight / weight.max(initial=1e-300), TIED_DECIMALS), kind="stable")
+    new, wanted = new[:, widest_first], wanted[:, widest_first]
+    numbers = wanted.sum(axis=0)
+    wanted &= np.cumsum(numbers) - numbers < count
+    chosen: Array = new.T[wanted.T]
+    return chosen if left is None else chosen[:left]
+
+
+def _at_corners(corner: Array, crease: Mask, low: Array, high: Array, first: Mask, last: Mask, near: float) -> Array:
+    """Heights (n,) of the worst corners, or where a slab is cut whose corner is none of the body's.
+
+    corner, crease (n,)
+        the corners' heights, and whether the body goes on straight on both sides of them.
+    low, high, first, last (n,)
+        the slabs' ends, and whether these are the caps below and above all slices of the body.
+    near
+        a corner is on a slice if it is no farther from it.
+    """
     end, beyond = np.where(first, high, low), np.where(first, low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (corner - end) / (beyond - end)
     into_cap = np.where(depth > 1 - _ON_EMPTY_SLICE, 0.5, np.where(crease, AT_VERTEX, _AT_POLE) * depth)
     in_cap = end + into_cap * (beyond - end)
-    on_slice = np.minimum(corner - low, high - corner) <= CLOSEST * size
-    single = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
-    bent = ~(first | last | crease)
-    most = np.where(bent & (left is not None), parts_within(weight**2, tolerance), 2)
-    parts = least_parts(weight**2, left or 0, most)[0].clip(2)
-    below = parts // 2 / parts
-    single = np.where(bent, _cuts(slab, np.where(bent, weight / (high - low), np.nan), below, low, high), single)
-    useful = np.minimum(single - low, high - single) > CLOSEST * size
-    # of slabs that are equal up to rounding, as in symmetric bodies, the lowest first
-    widest_first = np.argsort(-np.round(weight / weight.max(initial=1e-300), _TIED_DECIMALS), kind="stable")
-    chosen: Array = single[widest_first[useful[widest_first]][:count]]
+    on_slice = np.minimum(corner - low, high - corner) <= near
+    chosen: Array = np.where(first | last, in_cap, np.where(on_slice, (low + high) / 2, corner))
     return chosen
-
-
-def least_parts(gaps: Array, left: int, most: Array | float = np.inf) -> tuple[Array, float]:
-    """Numbers of parts (n,) into which `left` slices divide slabs so that their largest gap is least, and that gap.
-
-    gaps (n,)
-        of the undivided slabs; they fall with the square of the number of parts.
-    most (n,)
-        largest numbers of parts; the gaps of slabs that have them count no more.
-    """
-    root = np.sqrt(gaps)
-    low, high = 0.0, float(root.max(initial=0.0))
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        enough = middle > 0 and (np.minimum(np.ceil(root / middle), most) - 1).clip(0).sum() <= left
-        low, high = (low, middle) if enough else (middle, high)
-    # slabs that are equal up to rounding, as in symmetric bodies, get equal numbers
-    parts = np.minimum(np.ceil(np.round(root / high, _TIED_DECIMALS)), most).clip(1) if high else np.ones(len(root))
-    return parts, high**2
-
-
-def _cuts(slab: Index, density: Array, below: Array, low: Array, high: Array) -> Array:
-    """Heights (n,) between `low` and `high` (n,) with the fraction `below` (n,) of the slices to come below them.
-
-    `slab` (n,) are the slabs' numbers, rising.  The densities (n,) of slices are those in the middles of the slabs, NaN if not
-    known, and linear between them; where a neighbour is not known, the density is constant.
-    """
-    before = np.where(np.diff(slab, prepend=-2) == 1, np.roll(density, 1), np.nan)
-    after = np.where(np.diff(slab, append=-2) == 1, np.roll(density, -1), np.nan)
-    a, b = ((density + np.where(np.isnan(near), density, near)) / 2 for near in (before, after))
-    # the fraction u with a u + (b - a) u²/2 = below (a + b)/2, without a difference of nearly equal numbers
-    cuts: Array = low + (high - low) * below * (a + b) / (a + np.sqrt(a * a * (1 - below) + b * b * below))
-    return cuts
