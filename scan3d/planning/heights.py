@@ -169,15 +169,7 @@ def heights_at_gaps(
     single = _at_corners(corner, crease, low, high, first, last, CLOSEST * size)
     bent = ~(first | last | crease)
     even = np.where(bent, np.concatenate([[0.0], evened(widest[1:-1]), [0.0]])[slab], weight**2)
-    most = np.where(bent & (left is not None), parts_within(even, tolerance), 2)
-    kept = _KEPT * np.mean(~around[bent]) if bent.any() else 0.0
-    parts = least_parts(even, (1 - kept) * (left or 0), most)[0].clip(2)
-    whole = bent & around & (parts <= AT_ONCE)
-    # (AT_ONCE - 1, n) numbers of the parts below the cuts
-    below = np.arange(1, AT_ONCE)[:, None] * np.where(whole, 1, parts // 2)
-    cuts = cuts_at(known, slab, np.where(bent, np.sqrt(even), np.nan), np.minimum(below / parts, 1.0))
-    new = np.where(bent, cuts, single)
-    wanted = np.where(whole, below < parts, (np.arange(AT_ONCE - 1) == 0)[:, None])
+    new, wanted = _divided(known, slab, single, even, bent, around, tolerance, left)
     wanted &= np.minimum(new - low, high - new) > CLOSEST * size
     # of slabs that are equal up to rounding, as in symmetric bodies, the lowest first
     widest_first = np.argsort(-np.round(weight / weight.max(initial=1e-300), TIED_DECIMALS), kind="stable")
@@ -186,6 +178,30 @@ def heights_at_gaps(
     wanted &= np.cumsum(numbers) - numbers < count
     chosen: Array = new.T[wanted.T]
     return chosen if left is None else chosen[:left]
+
+
+def _divided(
+    known: Array, slab: Index, single: Array, even: Array, bent: Mask, around: Mask, tolerance: float, left: int | None
+) -> tuple[Array, Mask]:
+    """Heights (AT_ONCE - 1, n) that divide slabs, and which of them are to be swept.
+
+    known (s,), slab (n,), tolerance, left
+        as in `heights_at_gaps`.
+    single, even (n,)
+        the height of a slab that is not bent, and the gaps that the slabs would have with even neighbours.
+    bent, around (n,)
+        whether the body is bent at a slab's worst corner, and all around the slab.
+    """
+    most = np.where(bent & (left is not None), parts_within(even, tolerance), 2)
+    kept = _KEPT * float(np.mean(~around[bent])) if bent.any() else 0.0
+    parts = least_parts(even, (1 - kept) * (left or 0), most)[0].clip(2)
+    whole = bent & around & (parts <= AT_ONCE)
+    # (AT_ONCE - 1, n) numbers of the parts below the cuts
+    below = np.arange(1, AT_ONCE)[:, None] * np.where(whole, 1, parts // 2)
+    cuts = cuts_at(known, slab, np.where(bent, np.sqrt(even), np.nan), np.minimum(below / parts, 1.0))
+    new = np.where(bent, cuts, single)
+    wanted = np.where(whole, below < parts, (np.arange(AT_ONCE - 1) == 0)[:, None])
+    return new, wanted
 
 
 def _at_corners(corner: Array, crease: Mask, low: Array, high: Array, first: Mask, last: Mask, near: float) -> Array:
