@@ -23,6 +23,7 @@ from scan3d.geometry.support import inertia
 from scan3d.planning.adaptive import next_heights
 from scan3d.planning.heights import AT_VERTEX, CLOSEST, LEAST_OVERSHOOT, heights
 from scan3d.planning.plan import Plan
+from scan3d.planning.sharing import AT_ONCE
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.cells import MOST_CROSSINGS, cells_of_cloud, crossings
 
@@ -56,8 +57,6 @@ _STEEPEST = 1e-6
 # Factor by which another axis must do better than that with most slices.  Larger, the first choice stays; smaller, slices along
 # several axes divide the same strips.
 _OTHER = 1.5
-# Largest number of parts into which a slab is cut at once.  Larger, heights are chosen by gaps that are known poorly.
-_AT_ONCE = 4
 # Gaps that differ by less, relative to them, are equal, so that rounding does not choose between axes.
 _ROUNDING = 1e-6
 # Halvings of the interval in which the least gap lies.
@@ -306,6 +305,6 @@ def _within(stack: SliceStack, i: int, parts: int, opened: _Open, k: int) -> lis
     low = heights[i - 1] if i else opened.height[slab, k].min()
     high = heights[i] if i < len(heights) else opened.height[slab, k].max()
     angle = np.arccos(np.clip(1 - 2 * (np.array([low, high]) - bottom) / (top - bottom), -1, 1))
-    at = np.arange(1, parts) / parts if parts <= _AT_ONCE else np.array([parts // 2 / parts])
+    at = np.arange(1, parts) / parts if parts <= AT_ONCE else np.array([parts // 2 / parts])
     found: list[float] = (bottom + (top - bottom) * (1 - np.cos(angle[0] + (angle[1] - angle[0]) * at)) / 2).tolist()
     return found

@@ -1,4 +1,4 @@
-"""How exact is a scan with the default settings, of bodies that nothing was tuned to?
+"""How exact is a scan with the default settings, of many bodies in random orientations?
 
     python -m tests.benchmarks.exactness [--spacing adaptive cosine] [--only NAME ...] [--slices 64] [--axis z]
     python -m tests.benchmarks.exactness --spacing adaptive --tolerance 1e-4
@@ -6,8 +6,10 @@
 
 The bodies are the convex hulls of all meshes in `meshes/`, of pyvista's example meshes and of those in a folder of your own,
 random polytopes, superquadrics, ellipsoids, cones, cylinders, needles, discs, wedges, and hulls of mixed and rounded shapes,
-each in a random orientation, and swept with friction from 0 to 0.4.  A row has, over the diagonal: the certified bound of the
-hull of the contacts and of the surface that `auto` chooses, the Hausdorff distances of both from the body, and how many
+each in a random orientation, and swept with friction from 0 to 0.4.  Two settings of the planner (`AT_ONCE` of
+`planning.sharing` and `_KEPT` of `planning.heights`) were chosen by some of them, so that only bodies of your own judge those.
+A row has, over the diagonal: the certified bound of the hull of the contacts and of the surface that `auto` chooses, the
+Hausdorff distances of both from the body, and how many
 vertices of the surface lie farther from the body than their local bound; and how many slices were swept.  At the end: medians
 and largest values, and how many surfaces are more than 1.2 times as far from the body as the hull.  Fails if a bound or a local
 bound does not hold, or if a bound stays above the tolerance that is asked for.
