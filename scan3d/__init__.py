@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison
     from scan3d.errors import InputError
+    from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, write_recording
     from scan3d.laboratory.calibration_file import read_rig, write_rig
     from scan3d.laboratory.calibration_result import Calibration
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from scan3d.saving import StoredCloud, load, save
     from scan3d.scans import Scan, StoredScan, open, scan
     from scan3d.session import Session
-    from scan3d.simulation.bodies import load_mesh
     from scan3d.steps import calibrate, compare, reconstruct, simulate, surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
@@ -57,7 +57,7 @@ _HOME = {
     "compare": "steps",
     "import_table": "laboratory.importing",
     "load": "saving",
-    "load_mesh": "simulation.bodies",
+    "load_mesh": "files.meshes",
     "open": "scans",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",

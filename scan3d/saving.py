@@ -22,6 +22,7 @@ from scan3d.errors import InputError
 from scan3d.extras import import_open3d
 from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, listed, to_polydata, write_shape
 from scan3d.files.imports import read_cloud, stated_unit
+from scan3d.files.meshes import FORMATS, read_mesh
 from scan3d.files.ownership import check_recording
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.recordings import read_recording, sidecar, write_recording
@@ -30,7 +31,6 @@ from scan3d.files.tables import cloud_table, surface_table
 from scan3d.geometry.distance import distances
 from scan3d.recording import Recording
 from scan3d.shown import Exported, Rows
-from scan3d.simulation.bodies import FORMATS, read_mesh
 from scan3d.units import UNITS_M, Unit, unit_of, unit_symbol
 
 if TYPE_CHECKING:

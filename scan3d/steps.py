@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from scan3d import comparison
 from scan3d.choices import Method, Model
 from scan3d.comparison import Comparison
+from scan3d.files.meshes import load_mesh, read_mesh
 from scan3d.files.recordings import read_recording
 from scan3d.laboratory import calibration
 from scan3d.laboratory.calibration_result import Calibration
@@ -20,7 +21,6 @@ from scan3d.planning import Plan
 from scan3d.reconstruction import models
 from scan3d.recording import Recording
 from scan3d.simulation import scan
-from scan3d.simulation.bodies import load_mesh, read_mesh
 from scan3d.surfaces import choice
 from scan3d.units import Unit
 

@@ -15,6 +15,7 @@ import numpy as np
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
+from scan3d.files.meshes import mesh_itself
 from scan3d.files.ownership import RECORDING
 from scan3d.files.ply import ply
 from scan3d.files.recordings import recording_files
@@ -27,7 +28,6 @@ from scan3d.pictures.words import key_figures
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
-from scan3d.simulation.bodies import mesh_itself
 from scan3d.surfaces import certificate, enclosure, surface, withdrawn
 
 PICTURES = ("cloud", "surface")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan3d.errors import InputError
-from scan3d.simulation.bodies import load_mesh
+from scan3d.files.meshes import load_mesh
 
 
 def save(folder, mesh, name="body.ply", kind=None):

@@ -9,7 +9,7 @@ import trimesh
 from mesh_files import assert_sound, error, save
 from shapes import as_mesh, box, letter_l, rotation, soup, without
 
-from scan3d.simulation.bodies import FORMATS, load_mesh, read_mesh
+from scan3d.files.meshes import FORMATS, load_mesh, read_mesh
 
 KINDS = {**{kind: kind for kind in FORMATS}, "stl_ascii": "stl"}
 

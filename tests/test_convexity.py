@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from mesh_files import assert_sound, error, save
 from shapes import as_mesh, box, dimpled_box, letter_l, rotation
 
+from scan3d.files.meshes import load_mesh
 from scan3d.geometry.convexity import DENT_TOLERANCE
-from scan3d.simulation.bodies import load_mesh
 
 
 def dent_of(path):

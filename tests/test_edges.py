@@ -8,9 +8,9 @@ import trimesh
 from scipy.spatial import ConvexHull
 from shapes import as_mesh, ball, cube, letter_l, moved, rotation, without
 
+from scan3d.files.meshes import load_mesh, read_mesh
 from scan3d.geometry.edges import opposite_edges, outward_faces, planes_by_edges, turns
 from scan3d.geometry.hull_distance import CONVEX_DEPTH, against_hull, distance_to_hull, prepare_facets
-from scan3d.simulation.bodies import load_mesh, read_mesh
 
 MESHES = sorted(path for path in (Path(__file__).parents[1] / "meshes").iterdir() if path.suffix != ".py")
 
@@ -170,7 +170,7 @@ def test_faces_that_may_not_be_the_facets_of_the_hull_are_left_to_qhull(mesh):
 @pytest.mark.parametrize("path", MESHES, ids=[path.name for path in MESHES])
 def test_bodies_are_the_same_as_by_qhull(path, monkeypatch):
     by_edges = load_mesh(path)
-    monkeypatch.setattr("scan3d.simulation.bodies.facets_by_flips", lambda *_: None)
+    monkeypatch.setattr("scan3d.files.meshes.facets_by_flips", lambda *_: None)
     by_qhull = load_mesh(path)
     assert by_edges.metadata["geometry_sha256"] == by_qhull.metadata["geometry_sha256"]
     assert rows(by_edges.faces) == rows(by_qhull.faces)

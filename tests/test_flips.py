@@ -7,9 +7,9 @@ from brute_force import farthest
 from scipy.spatial import ConvexHull
 from shapes import ball, cube, dented, letter_l, without
 
+from scan3d.files.meshes import judge_mesh
 from scan3d.geometry.edges import opposite_edges
 from scan3d.geometry.flips import facets_by_flips, without_slivers
-from scan3d.simulation.bodies import judge_mesh
 
 
 def rows(faces):
@@ -77,7 +77,7 @@ def test_what_flips_do_not_make_strictly_convex_is_left_to_qhull(mesh):
 @pytest.mark.parametrize("decimals", [3, 4, 5])
 def test_a_body_has_the_same_dent_as_by_qhull(decimals, monkeypatch):
     by_flips = judge_mesh(rounded(3, decimals=decimals), hull=True)
-    monkeypatch.setattr("scan3d.simulation.bodies.facets_by_flips", lambda *_: None)
+    monkeypatch.setattr("scan3d.files.meshes.facets_by_flips", lambda *_: None)
     by_qhull = judge_mesh(rounded(3, decimals=decimals), hull=True)
     assert rows(by_flips.faces) == rows(by_qhull.faces)
     # the precision to which dents are searched

@@ -14,10 +14,10 @@ from small_scans import FEW
 
 import scan3d
 from scan3d.cli import main
+from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
+from scan3d.files.reading import dent_size
 from scan3d.pictures import page, rendering, shading
 from scan3d.pictures.words import key_figures
-from scan3d.settings import dent_size
-from scan3d.simulation.bodies import judge_mesh, load_mesh, mesh_itself
 from scan3d.summaries import _filled
 from scan3d.workflow import to_scene
 

@@ -108,7 +108,7 @@ def _reference(arguments: argparse.Namespace) -> Any:
         return "plane"
     if arguments.mesh is None:
         return UNITS_M[arguments.unit] * arguments.sphere
-    from scan3d.simulation.bodies import load_mesh
+    from scan3d.files.meshes import load_mesh
 
     return load_mesh(arguments.mesh)
 

@@ -155,11 +155,11 @@ def check_rig_options(arguments: Namespace) -> None:
 def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.atomic import folder
+    from scan3d.files.meshes import load_mesh
     from scan3d.files.poses import read_poses
     from scan3d.files.raw_logs import map_path
     from scan3d.files.reading import read_toml
     from scan3d.simulation import rig
-    from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.faults import read_faults
 
     plan = chosen.plan()

@@ -188,9 +188,9 @@ def _sheet(arguments: Namespace) -> Sheet:
 
 def read_scene(path: Path, truth: str | None, hull: bool, unit: str) -> Any:
     """The scene of a path, with the true body if it is named or found."""
+    from scan3d.files.meshes import load_mesh, read_mesh
     from scan3d.pictures import stored
     from scan3d.pictures.scene import Scene
-    from scan3d.simulation.bodies import load_mesh, read_mesh
 
     if not path.exists():
         raise InputError(

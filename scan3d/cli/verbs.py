@@ -67,10 +67,10 @@ def simulate(arguments: Namespace) -> int:
     import numpy as np
 
     from scan3d.files.atomic import folder
+    from scan3d.files.meshes import load_mesh
     from scan3d.files.ownership import check_recording
     from scan3d.files.recordings import check_path, sidecar, write_recording
     from scan3d.scans import with_origin
-    from scan3d.simulation.bodies import load_mesh
     from scan3d.simulation.scan import simulate as simulate_scan
 
     rig.check_rig_options(arguments)
@@ -102,9 +102,9 @@ def reconstruct(arguments: Namespace) -> int:
     if one_sweep.is_one_sweep(arguments):
         return one_sweep.reconstruct(arguments)
     from scan3d import workflow
+    from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.files.results import opened
-    from scan3d.simulation.bodies import load_mesh
 
     chosen = settings({name: getattr(arguments, name) for name in ("hull", "clip_dent", "method")})
     start, progress = time.perf_counter(), arguments.progress
@@ -143,7 +143,7 @@ def reconstruct(arguments: Namespace) -> int:
 def compare(arguments: Namespace) -> int:
     """Print the Hausdorff distance and other measures of two mesh files, convex or not."""
     from scan3d.comparison import compare as compare_meshes
-    from scan3d.simulation.bodies import read_mesh
+    from scan3d.files.meshes import read_mesh
     from scan3d.summaries import comparison_summary
 
     comparison = compare_meshes(read_mesh(arguments.first), read_mesh(arguments.second))

@@ -10,8 +10,8 @@ import numpy as np
 import trimesh
 
 from scan3d.errors import InputError
+from scan3d.files.meshes import FORMATS, read_mesh
 from scan3d.pictures import stored
-from scan3d.simulation.bodies import FORMATS, read_mesh
 from scan3d.units import UNITS_M
 
 _WANTED = f"expected a scan's folder, or a surface or mesh file (.{', .'.join(FORMATS)})"

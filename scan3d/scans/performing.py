@@ -12,6 +12,7 @@ from typing import Any
 
 from scan3d import workflow
 from scan3d.cloud import Cloud
+from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.files.ownership import Inputs
 from scan3d.files.results import opened
 from scan3d.pictures.drawing import Drawing
@@ -20,7 +21,6 @@ from scan3d.pictures.scene import of_cloud
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.settings import Settings
-from scan3d.simulation.bodies import judge_mesh, load_mesh
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces.open3d_methods import check_method
 

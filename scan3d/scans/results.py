@@ -18,6 +18,7 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError
 from scan3d.files.journal import locate
+from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.files.ownership import RECORDING, REPORT, RESULTS, check_belongs
 from scan3d.files.recordings import read_recording
 from scan3d.files.results import opened
@@ -29,7 +30,6 @@ from scan3d.recording import Recording
 from scan3d.report import Analysis
 from scan3d.scans.others import other_surface
 from scan3d.shown import Rows, Shown, described
-from scan3d.simulation.bodies import judge_mesh, load_mesh
 from scan3d.summaries import summary
 from scan3d.surfaces import Certificate
 

@@ -1,1 +1,1 @@
-"""Bodies from mesh files, and simulated scans of them (step 1)."""
+"""Simulated scans of a body (step 1)."""

@@ -1,4 +1,4 @@
-"""Bodies to scan: mesh files are read, and judged whether they are closed and convex."""
+"""Mesh files: they are read, and judged whether they are closed and convex."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.declared import shortfall
 from scan3d.files.gltf import is_turned, z_up
-from scan3d.files.reading import check_file
+from scan3d.files.reading import check_file, dent_size
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, hull_of_facets, outward_hull
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
-from scan3d.settings import dent_size
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
