@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull, hull_near, hulls
+from scan3d.geometry.hulls import hull, hull_near
 
 RNG = np.random.default_rng(11)
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
@@ -99,20 +99,3 @@ def test_the_hull_from_a_mesh_that_is_nearly_convex_is_the_hull(monkeypatch, mov
         tuple(sorted(face)) for face in expected.faces.tolist()
     }
     assert made.volume == pytest.approx(expected.volume, rel=1e-12)
-
-
-@pytest.mark.parametrize(("threads", "size"), [("1", 100), ("3", 100), ("", 100), ("3", 10**9)])
-def test_hulls_side_by_side_are_those_one_after_another(monkeypatch, threads, size):
-    monkeypatch.setenv("OMP_NUM_THREADS", threads)
-    parts = [directions(100 * (6 - k), seed=k) for k in range(6)]
-    found = list(hulls(iter(parts), size))
-    for made, points in zip(found, parts, strict=True):
-        alone = hull(points)
-        np.testing.assert_array_equal(made.vertices, alone.vertices)
-        np.testing.assert_array_equal(made.faces, alone.faces)
-
-
-def test_an_error_in_one_of_several_hulls_is_raised(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    with pytest.raises(InputError, match="the 5 contacts span no body"):
-        list(hulls([directions(50), np.zeros((5, 3))], 50))

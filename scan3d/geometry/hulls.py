@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from scan3d.errors import InputError
 from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
-from scan3d.threads import each
 
 # Points whose root mean square distance from a plane is less than this fraction of their extent span no body.  Larger, thin
 # bodies would be refused; smaller, the hull of points in one plane would be made of rounding.
@@ -24,9 +22,6 @@ _THINNEST = 1e-12
 # Points closer than this fraction of their extent are merged if their hull is not a closed surface.  Larger, the hull loses
 # accuracy; smaller, it may stay open.
 _COINCIDENT = 1e-11
-# Points of one hull up to which hulls are computed side by side.  Larger, several hulls of millions of points need memory at
-# the same time; smaller, time is lost.
-_MOST_SIDE_BY_SIDE = 500_000
 
 
 def hull(points: Array) -> Any:
@@ -70,14 +65,6 @@ def _no_body(points: Array) -> InputError:
     return InputError(
         f"the {len(points)} contacts span no body: a surface needs contacts in at least two slices, not all in one plane"
     )
-
-
-def hulls(parts: Iterable[Array], size: int) -> Iterator[Any]:
-    """`hull` of each of several sets of points, of about `size` points each, in their order.
-
-    They are computed side by side, because Qhull releases Python's lock, with as many threads as libraries may use.
-    """
-    return map(hull, parts) if size > _MOST_SIDE_BY_SIDE else each(hull, parts)
 
 
 def _outward(qhull: ConvexHull) -> Index | None:

@@ -30,7 +30,6 @@ from scan3d.planning.sharing import evened, least_parts, parts_within
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces.slab_gaps import SlabGaps
 from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
-from scan3d.threads import begun
 
 # Fraction of the number of slices so far that is added in one round, and the smallest number of slices left for each height
 # that it adds: of bodies that are bent nearly everywhere, and of others.  Larger rounds need fewer evaluations, but choose more
@@ -74,11 +73,9 @@ class SlabMemory:
     """(w,) distances of each slab's corners from the hull of the contacts in the first call with that slab: upper bounds of the
     present ones, because the hull only grows; (1,) infinite where the slab is unbounded."""
 
-    def measured(self, stack: SliceStack, prepared: Callable[[], Distances]) -> tuple[list[Slab], Array]:
-        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, by the distances that are being
-        prepared."""
+    def measured(self, stack: SliceStack, distances: Distances) -> tuple[list[Slab], Array]:
+        """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, by the distances."""
         parts, keys = slabs(stack, known=self.slabs, volumes=False), slab_keys(stack)
-        distances = prepared()
         for i, (key, slab) in enumerate(zip(keys, parts, strict=True)):
             if key not in self.gaps:
                 bounded = np.isfinite(slab.corners).all()
@@ -174,21 +171,16 @@ def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, le
     return cosine_heights_left(known, parts_within(gaps, tolerance), slices, at_once=at_once)
 
 
-def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Callable[[], Distances]:
-    """Begins to prepare the distances from the hull of a cloud's contacts, which the function that is returned waits for.
+def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Distances:
+    """Distances from the hull of a cloud's contacts; `alone` says whether all of them are those of the stack.
 
-    `alone` says whether all of the contacts are those of the stack.  That function raises InputError if they span no body.
+    Raises InputError if they span no body.
     """
-    gaps = begun(SlabGaps, stack) if alone else None
-
-    def prepared() -> Distances:
-        if gaps is not None:
-            with suppress(QhullError):
-                return gaps().at
-        distances = nearest_on(hull(cloud.points))
-        return lambda _, corners: np.maximum(distances(corners)[0], 0.0)
-
-    return prepared
+    if alone:
+        with suppress(QhullError):
+            return SlabGaps(stack).at
+    distances = nearest_on(hull(cloud.points))
+    return lambda _, corners: np.maximum(distances(corners)[0], 0.0)
 
 
 def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:

@@ -18,7 +18,6 @@ from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.surfaces.enclosures import Certificate, Enclosure, SliceEnclosure
 from scan3d.surfaces.local_bounds import depths, depths_in
 from scan3d.surfaces.spatial_bounds import SpatialEnclosure, spatial_certificate
-from scan3d.threads import begun
 
 # A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
 # distance between the two is added to the bound.  Larger, that addition weakens the bound; smaller, hulls that are convex
@@ -45,13 +44,12 @@ def certificate(bounds: Enclosure, surface: Any) -> Certificate:
         bound, local = spatial_certificate(bounds, surface)
         return Certificate(bound + deviation, local + deviation)
     assert isinstance(bounds, SliceEnclosure)
-    inwards = begun(depths, bounds, surface)
     outwards = outside(vertices, bounds.inner) + bounds.excess
     bounded = np.isfinite(bounds.corners).all(axis=1)
     bound = np.inf
     if bounded.all() and np.isfinite(bounds.gap).all():
         bound = _largest_distance(bounds, surface, outwards.max())
-    local = np.minimum(np.maximum(outwards, inwards()), bound)
+    local = np.minimum(np.maximum(outwards, depths(bounds, surface)), bound)
     if isinstance(bounds.tangents, SpatialEnclosure):
         by_tangents, local_by_tangents = spatial_certificate(bounds.tangents, surface)
         bound, local = min(bound, by_tangents), np.minimum(local, local_by_tangents)

@@ -14,7 +14,7 @@ from scan3d.arrays import Array
 from scan3d.choices import METHODS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull, hulls
+from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import (
     collapsed,
     distance_of_readers,
@@ -257,7 +257,7 @@ def _cross_validate(
         first = estimates[_ASSUMED[0]] = error_of_surface(hull(next(points)), held_out)
         if fit.largest <= tuning.fit_gain * first.largest:
             return _CrossValidation(estimates, fit)
-    for edges, estimate in zip(_ASSUMED[len(estimates) :], hulls(points, len(kept.points)), strict=True):
+    for edges, estimate in zip(_ASSUMED[len(estimates) :], map(hull, points), strict=True):
         estimates[edges] = error_of_surface(estimate, held_out)
     # of a bent body, cells that do not bound it more tightly do not show where its surface lies either
     useful = by_cells or _best_of(estimates, cloud.noise, tuning) in (Edges.NONE, Edges.SHARP)

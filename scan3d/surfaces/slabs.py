@@ -36,7 +36,6 @@ from scan3d.arrays import Array, Mask
 from scan3d.geometry.polytopes import volume_about
 from scan3d.geometry.qhull import half_space_intersection
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.threads import each
 
 # Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
 # intersections; larger, corners between the slices would be taken for gaps between contacts.
@@ -114,9 +113,7 @@ def slabs(
     known = {} if known is None else known
     keys = slab_keys(stack)
     missing = [i for i, key in enumerate(keys) if key not in known]
-    # Qhull, which releases Python's lock, takes half of their time
-    found = each(lambda i: _slab(stack, i, margin, volumes=volumes), missing)
-    known.update(zip((keys[i] for i in missing), found, strict=True))
+    known.update((keys[i], _slab(stack, i, margin, volumes=volumes)) for i in missing)
     return [known[key] for key in keys]
 
 
