@@ -145,7 +145,7 @@ def test_the_command_writes_a_recording_that_is_corrected_once(table, calibratio
 def test_frames_of_a_rig_that_are_no_frames_are_named(table, calibration, tmp_path):
     path = tmp_path / "rig.toml"
     scan3d.write_rig(dataclasses.replace(calibration, map_frames={"sensor": {"position_mm": [1, 2]}}), path)
-    with pytest.raises(InputError, match=r"\[map\] sensor of the rig: position_mm"):
+    with pytest.raises(InputError, match=r"the rig: \[map.sensor\] position_mm"):
         scan3d.import_table(table, a_map(), rig=path)
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
-from scan3d.errors import InputError
-from scan3d.files.reading import read_toml
 from scan3d.files.recordings import TABLE
-from scan3d.laboratory.entries import Entries
-from scan3d.laboratory.quantities import factor
+from scan3d.files.section import REQUIRED, Section, read_rod, read_section
+from scan3d.laboratory.quantities import FACTORS, factor
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M
@@ -27,11 +25,7 @@ Reference = str | int
 """A column: its name, a pattern with ``*`` or ``?``, or its number from 1; with ``-`` before a name its sign is reversed, and
 an empty text stands for a column that does not exist."""
 
-SECTIONS = (
-    "table", "ros", "columns", "units", "clamp", "sensor", "tare", "filter", "sweeps", "rod", "noise", "unit", TABLE,
-)  # fmt: skip
-ORIENTATIONS = {"quaternion": 4, "euler": 3, "rotvec": 3}
-"""Kinds of orientation, and how many columns each has; Euler angles may have fewer, one for each letter of the convention."""
+ORIENTATIONS = ("quaternion", "euler", "rotvec")
 SHOWS = ("clamp-on-rod", "rod-on-clamp")
 DIRECTIONS = ("-x", "both")
 MISSING = ("refuse", "drop")
@@ -147,7 +141,8 @@ ROS_COLUMNS: dict[str, Any] = {
     "force": ["Fx", "Fy", "Fz"],
     "moment": ["Tx", "Ty", "Tz"],
 }
-"""The columns of a ROS bag, whose units are those of SI."""
+ROS_UNITS = {"time": "s", "length": "m", "angle": "rad", "force": "N", "moment": "N m"}
+"""The columns of a ROS bag, and their units, which may be left out of its map."""
 
 
 def read_map(source: str | Path | Mapping[str, Any] | Map) -> Map:
@@ -158,188 +153,177 @@ def read_map(source: str | Path | Mapping[str, Any] | Map) -> Map:
     if isinstance(source, Map):
         return source
     if isinstance(source, Mapping):
-        return _map(source, "the map")
-    path = Path(source)
-    try:
-        return _map(read_toml(path), path.name)
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(
-            f"can't read the map {path}: {error.strerror or error}; scan3d import RAW --map {path.name} --guess writes one"
-        ) from None
-    except ValueError as error:
-        raise InputError(f"{path.name} is not a TOML file: {error}") from None
+        return _map(Section("the map", source))
+    name = Path(source).name
+    return _map(read_section(source, "map", f"; scan3d import RAW --map {name} --guess writes one"))
 
 
-def _map(data: Mapping[str, Any], name: str) -> Map:
-    top = Entries(name, "", data)
-    sections = {key: top.section(key) for key in SECTIONS if key not in ("unit", TABLE)}
-    unit, table = top.choice("unit", tuple(UNITS_M), "mm"), top.number(TABLE)
-    top.finish(SECTIONS)
-    topics = _topics(sections["ros"])
-    if "ros" in data and "columns" not in data:
-        sections["columns"] = Entries(name, "columns", ROS_COLUMNS)
-        defaults = {"time": "s", "length": "m", "angle": "rad", "force": "N", "moment": "N m"}
-    else:
-        defaults = {}
-    tare, filters, sweeps, noise = (sections[key] for key in ("tare", "filter", "sweeps", "noise"))
-    sensor = sections["sensor"]
+def _map(top: Section) -> Map:
+    layout, topics = _layout(top.section("table")), _topics(top.section("ros"))
+    columns, units, usual = top.section("columns"), top.section("units"), {"time": "s", "angle": "deg"}
+    if "ros" in top and not columns:
+        columns, usual = Section(top.file, ROS_COLUMNS, "columns"), ROS_UNITS
+    clamp, sensor, filters = top.section("clamp"), top.section("sensor"), top.section("filter")
+    sweeps, noise = top.section("sweeps"), top.section("noise")
     made = Map(
-        columns=_columns(sections["columns"]),
-        rod=_rod(sections["rod"]),
-        factors=_factors(sections["units"], defaults),
-        clamp=_frame(sections["clamp"]),
-        reversed_sign=sensor.choice("shows", SHOWS, SHOWS[0]) == SHOWS[1],
-        sensor=_frame(sensor),
-        air=_air(tare),
-        lowpass_hz=filters.positive("lowpass_hz"),
-        rate_hz=filters.positive("rate_hz"),
-        directions=sweeps.choice("directions", DIRECTIONS, DIRECTIONS[0]),
-        noise_force_N=noise.number("force_N", None, at_least=0.0),
-        noise_moment_Nm=noise.number("moment_Nm", None, at_least=0.0),
-        noise_pose_m=noise.number("pose_m", None, at_least=0.0),
-        unit=unit,
-        table_m=table,
-        layout=_layout(sections["table"]),
+        columns=_columns(columns),
+        rod=read_rod(top.section("rod")),
+        factors=_factors(units, usual),
+        clamp=read_frame(clamp),
+        sensor=read_frame(sensor),
+        reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
+        air=_air(top.section("tare")),
+        lowpass_hz=filters.number("lowpass_hz", None, above=0),
+        rate_hz=filters.number("rate_hz", None, above=0),
+        directions=sweeps.word("directions", DIRECTIONS),
+        noise_force_N=noise.number("force_N", None, at_least=0),
+        noise_moment_Nm=noise.number("moment_Nm", None, at_least=0),
+        noise_pose_m=noise.number("pose_m", None, at_least=0),
+        unit=top.word("unit", tuple(UNITS_M), "mm"),
+        table_m=top.number(TABLE, None),
+        layout=layout,
         topics=topics,
-        name=name,
-        text=data,
+        name=top.file,
+        text=top.data,
     )
-    for entries in sections.values():
-        entries.finish()
+    top.finish()
     return made
 
 
-def _topics(entries: Entries) -> Topics:
-    frames = entries.texts("tf", 2)
-    pose = entries.text("pose", "")
+def _topics(section: Section) -> Topics:
+    frames, pose = section.texts("tf", 2), section.text("pose", "")
     if frames and pose:
-        raise entries.error("tf", "and pose can't both be given: the clamp's poses come from one of them")
-    return Topics(entries.text("wrench", ""), pose, (frames[0], frames[1]) if frames else None)
+        raise section.error("tf", "and pose can't both be given: the clamp's poses come from one of them")
+    return Topics(section.text("wrench", ""), pose, (frames[0], frames[1]) if frames else None)
 
 
-def _layout(entries: Entries) -> Layout:
-    delimiter = entries.text("delimiter", "")
+def _layout(section: Section) -> Layout:
+    delimiter = section.text("delimiter", "")
     named = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " ", "whitespace": " "}
     delimiter = named.get(delimiter, delimiter)
     if len(delimiter) > 1:
-        raise entries.error("delimiter", f"must be one character, or {', '.join(named)}; got {delimiter!r}")
-    decimal = entries.choice("decimal", (".", ","), ".")
+        raise section.error("delimiter", f"must be one character, or {', '.join(named)}; got {delimiter!r}")
+    decimal = section.word("decimal", (".", ","))
     if delimiter == decimal:
-        raise entries.error("decimal", f"and delimiter can't both be {decimal!r}")
+        raise section.error("decimal", f"and delimiter can't both be {decimal!r}")
     return Layout(
         delimiter,
         decimal,
-        entries.integer("header", None, at_least=0),
-        entries.boolean("units_row", False),
-        entries.text("comment", "#"),
-        entries.choice("missing", MISSING, MISSING[0]),
+        section.integer("header", None, at_least=0),
+        section.boolean("units_row", False),
+        section.text("comment", "#"),
+        section.word("missing", MISSING),
     )
 
 
-def _columns(entries: Entries) -> Columns:
-    if not entries:
-        raise InputError(
-            f"{entries.file}: [columns] is missing; it says which columns hold position, orientation, force and moment"
-        )
-    force = _channels(entries, "force", {2: (0, 1), 3: (0, 1, 2)})
-    moment = _channels(entries, "moment", {1: (2,), 3: (0, 1, 2)})
+def _columns(section: Section) -> Columns:
+    if not section:
+        raise section.error("", "is missing; it says which columns hold position, orientation, force and moment")
     return Columns(
-        position=entries.references("position", (3,)),
-        orientation=_orientation(entries),
-        force=force,
-        moment=moment,
-        time=entries.reference("time"),
-        sweep=entries.reference("sweep"),
-        move=entries.reference("move"),
-        position_in=entries.choice("position_in", ("world", "clamp"), "world"),
+        position=_references(section, "position", (3,)),
+        orientation=_orientation(section),
+        force=_channels(section, "force", {2: (0, 1), 3: (0, 1, 2)}),
+        moment=_channels(section, "moment", {1: (2,), 3: (0, 1, 2)}),
+        time=_reference(section, "time"),
+        sweep=_reference(section, "sweep"),
+        move=_reference(section, "move"),
+        position_in=section.word("position_in", ("world", "clamp")),
     )
 
 
-def _channels(entries: Entries, name: str, places: Mapping[int, tuple[int, ...]]) -> tuple[Reference, ...]:
-    """Three references, empty where the sensor has no such channel."""
-    given = entries.references(name, tuple(places))
-    if len(given) == 1 and isinstance(given[0], str) and any(sign in given[0] for sign in "*?"):
+def _reference(section: Section, key: str) -> Reference | None:
+    """The name or number of a column; None if there is no such entry."""
+    value = section.any(key)
+    return None if value is None else _column(section, key, value)
+
+
+def _references(section: Section, key: str, counts: Sequence[int]) -> tuple[Reference, ...]:
+    """Columns in a list of one of the given lengths, or a single pattern that stands for all of them."""
+    wanted = " or ".join(map(str, counts))
+    value = section.any(key)
+    if value is None:
+        raise section.error(key, f"is missing; it names {wanted} columns of the table")
+    if isinstance(value, str) and any(sign in value for sign in "*?"):
+        return (value,)
+    if not isinstance(value, (list, tuple)) or len(value) not in counts:
+        raise section.error(
+            key, f"must be a list of {wanted} columns, or a pattern such as 'F*' that finds them; got {value!r}"
+        )
+    return tuple(_column(section, key, one) for one in value)
+
+
+def _column(section: Section, key: str, value: Any) -> Reference:
+    if isinstance(value, bool) or not isinstance(value, (str, int)):
+        raise section.error(key, f"must name columns by text or by number, got {value!r}")
+    if isinstance(value, int) and value < 1:
+        raise section.error(key, f"counts columns from 1, got {value}")
+    return value
+
+
+def _channels(section: Section, key: str, places: Mapping[int, tuple[int, ...]]) -> tuple[Reference, ...]:
+    """Three references, empty where the sensor has no such channel; or a pattern."""
+    given = _references(section, key, tuple(places))
+    if isinstance(section.any(key), str):
         return given
     axes = places[len(given)]
     return tuple(given[axes.index(axis)] if axis in axes else "" for axis in range(3))
 
 
-def _orientation(entries: Entries) -> Orientation:
-    inner = entries.section("orientation", required=True)
+def _orientation(section: Section) -> Orientation:
+    inner = section.section("orientation")
     kinds = [kind for kind in ORIENTATIONS if kind in inner]
     if len(kinds) != 1:
-        raise entries.error(
+        raise section.error(
             "orientation", f"needs one of {', '.join(ORIENTATIONS)}, such as {{quaternion = ['qw', 'qx', 'qy', 'qz']}}"
         )
     kind = kinds[0]
-    convention = "xyz"
-    if kind == "euler":
-        convention = inner.text("convention", "xyz")
-        try:
-            Rotation.from_euler(convention, np.zeros((1, len(convention))))
-        except (ValueError, TypeError):
-            raise inner.error(
-                "convention",
-                "must be one to three axes, as in scipy's Rotation: lower case for fixed axes, such as xyz, upper case for "
-                f"turning axes, such as ZYX; got {convention!r}",
-            ) from None
-    count = len(convention) if kind == "euler" else ORIENTATIONS[kind]
-    columns = inner.references(kind, (count,))
-    order = inner.choice("order", ("wxyz", "xyzw"), "wxyz") if kind == "quaternion" else "wxyz"
-    inner.finish()
-    return Orientation(kind, columns, convention, order)
+    if kind == "quaternion":
+        return Orientation(kind, _references(inner, kind, (4,)), order=inner.word("order", ("wxyz", "xyzw")))
+    if kind == "rotvec":
+        return Orientation(kind, _references(inner, kind, (3,)))
+    convention = inner.text("convention", "xyz")
+    try:
+        Rotation.from_euler(convention, np.zeros((1, len(convention))))
+    except (ValueError, TypeError):
+        raise inner.error(
+            "convention",
+            "must be one to three axes, as in scipy's Rotation: lower case for fixed axes, such as xyz, upper case for "
+            f"turning axes, such as ZYX; got {convention!r}",
+        ) from None
+    return Orientation(kind, _references(inner, kind, (len(convention),)), convention)
 
 
-def _factors(entries: Entries, defaults: Mapping[str, str]) -> dict[str, float]:
-    usual = {"time": "s", "angle": "deg", **defaults}
-    factors = {}
-    for quantity in ("time", "length", "angle", "force", "moment"):
-        # a length, force or moment whose unit is guessed would be wrong by a factor of a thousand
-        unit = entries.text(quantity, usual.get(quantity))
-        factors[quantity] = factor(unit, quantity, f"{entries.file}: [units] {quantity}")
-    return factors
+def _factors(section: Section, usual: Mapping[str, str]) -> dict[str, float]:
+    """What the units are in SI units; a length, force or moment whose unit is guessed would be wrong by a factor of 1000."""
+    return {
+        quantity: factor(
+            section.text(quantity, usual.get(quantity, REQUIRED)),
+            quantity,
+            f"{section.file}: [units] {quantity}",
+        )
+        for quantity in FACTORS
+    }
 
 
-def _frame(entries: Entries) -> Frame:
-    position = np.array(entries.numbers("position_mm", 3, (0.0, 0.0, 0.0))) * 1e-3
-    angles = entries.numbers("euler_deg", 3, (0.0, 0.0, 0.0))
+def read_frame(section: Section) -> Frame:
+    """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
+    position = np.array(section.numbers("position_mm", 3, (0.0, 0.0, 0.0))) * 1e-3
+    angles = section.numbers("euler_deg", 3, (0.0, 0.0, 0.0))
     turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix() if any(angles) else np.eye(3)
     return Frame(position, turn)
 
 
-def read_frame(section: Mapping[str, Any], name: str) -> Frame:
-    """The frame that `position_mm` and `euler_deg` describe, as in the sections [clamp] and [sensor] of a map."""
-    return _frame(Entries(name, "", section))
-
-
-def _air(entries: Entries) -> str | tuple[tuple[float, float], ...]:
-    air = entries.any("air", "auto")
+def _air(section: Section) -> str | tuple[tuple[float, float], ...]:
+    air = section.any("air", "auto")
     if isinstance(air, str) and air in ("auto", "none"):
         return air
     expected = "must be 'auto', 'none', or stretches in seconds, such as [[0.0, 1.5], [20.0, 21.0]]"
-    if not isinstance(air, list) or not air:
-        raise entries.error("air", f"{expected}; got {air!r}")
+    if not isinstance(air, (list, tuple)) or not air:
+        raise section.error("air", f"{expected}; got {air!r}")
     for pair in air:
-        numbers = isinstance(pair, list) and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
+        numbers = isinstance(pair, (list, tuple)) and all(
+            isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair
+        )
         if not numbers or len(pair) != 2 or not pair[0] < pair[1]:
-            raise entries.error("air", f"{expected}; got {pair!r}")
+            raise section.error("air", f"{expected}; got {pair!r}")
     return tuple((float(start), float(end)) for start, end in air)
-
-
-def _rod(entries: Entries) -> Rod:
-    length = entries.number("length_m")
-    stiffness = entries.number("bending_stiffness_Nm2", None)
-    diameter = entries.number("diameter_m", None)
-    modulus = entries.number("modulus_Pa", None)
-    try:
-        if length is not None and stiffness is not None:
-            return Rod(length, stiffness, diameter or 0.0)
-        if length is not None and diameter is not None and modulus is not None:
-            return Rod.wire(length, diameter, modulus)
-    except InputError as error:
-        raise InputError(f"{entries.file}: [rod] {error}") from None
-    raise InputError(
-        f"{entries.file}: [rod] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa"
-    )

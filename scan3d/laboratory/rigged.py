@@ -15,6 +15,7 @@ from typing import Any
 from scipy.spatial.transform import Rotation
 
 from scan3d.errors import InputError
+from scan3d.files.section import Section
 from scan3d.laboratory.calibration_file import read_rig
 from scan3d.laboratory.calibration_quantities import EULER, euler
 from scan3d.laboratory.calibration_result import Calibration
@@ -30,7 +31,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     """
     found = rig if isinstance(rig, Calibration) else read_rig(rig)
     sensor_before, clamp_before = (
-        read_frame(found.map_frames.get(title, {}), f"[map] {title} of the rig") for title in ("sensor", "clamp")
+        read_frame(Section("the rig", found.map_frames.get(title, {}), f"map.{title}")) for title in ("sensor", "clamp")
     )
     sensor = composed(_frame(found.sensor_position_m, found.sensor_euler_deg), sensor_before)
     clamp = composed(clamp_before, _frame(found.clamp_position_m, found.clamp_euler_deg))
