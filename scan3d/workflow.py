@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -117,7 +117,7 @@ def write(
     notify: Callable[[str], None] = lambda _: None,
     overwrite: bool = False,
     mesh_path: bool = False,
-    drawing: AbstractContextManager[Drawing] | None = None,
+    drawing: Drawing | None = None,
     step: Step = lambda _: None,
 ) -> dict[str, Any]:
     """Write an analysis into a folder: cloud, surface, pictures, page and report, which is returned.
@@ -139,7 +139,7 @@ def write(
     mesh_path
         whether the report states where the true body's file lies, relative to the folder.
     drawing
-        gives the child process that draws; by default one that is started and ended here.
+        the child process that draws; by default one that is started here.  It is ended.
     step
         is called with the name of each step when it begins.
 
@@ -152,15 +152,11 @@ def write(
     clock = _Clock({**(seconds or {}), **analysis.seconds}, step)
     friction = settings.get("friction") if with_recording else None
     with drawing or Drawing() as child:
-        with clock("pictures"):  # while the child process imports what it needs
-            can_draw = rendering.can_render()
-            if not can_draw:
-                child.stop()
         with clock("write"):
             _put_tables(analysis, folder, with_recording)
         with clock("pictures"):
             figures = key_figures(report(analysis, settings=settings, friction_set=friction))
-            _draw(to_scene(analysis, figures), folder, child if can_draw else None, notify)
+            _draw(to_scene(analysis, figures), folder, child, notify)
     data = report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds)
     if mesh_path and analysis.truth is not None:
         _state_path(data, analysis.truth, folder.folder)
@@ -210,16 +206,16 @@ def jobs() -> list[Job]:
     return [(".png", {"view": name}) for name in PICTURES]
 
 
-def _draw(scene: Scene, result: Result, drawing: Drawing | None, notify: Callable[[str], None]) -> None:
+def _draw(scene: Scene, result: Result, drawing: Drawing, notify: Callable[[str], None]) -> None:
     """Add the page and, where they can be rendered, the pictures to a result."""
-    if drawing is not None and not drawing.has_begun:  # while the page is made
+    if not drawing.has_begun:  # while the page is made
         drawing.begin(scene, jobs())
     result.put("view.html", page.page(scene))
-    if drawing is None:
-        notify(rendering.NO_RENDERER)
-        return
     try:
         pictures = drawing.finish()
+    except rendering.NoRendererError as error:
+        notify(str(error))
+        return
     except DrawingError as error:
         notify(f"no pictures: {error}; all other files are written")
         return

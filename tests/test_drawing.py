@@ -1,198 +1,147 @@
-"""The child process that draws, kept for several scenes."""
+"""The child process that draws: what it draws is the same, and its end costs the pictures only."""
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
-from small_scans import scanned
+from small_scans import CUBE, FEW, scanned
 
 import scan3d
-from scan3d.pictures import drawing, early_drawing, rendering
+from scan3d.pictures import drawing, rendering, views
 
-MESHES = Path(__file__).parents[1] / "meshes"
 JOBS = [(".png", {"view": "cloud"})]
 
-pytestmark = pytest.mark.rendering
+
+@pytest.fixture
+def renderer(monkeypatch):
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return [scanned(MESHES / name) for name in ("cube.stl", "gem.glb")]
+@pytest.mark.rendering
+def test_a_child_draws_the_same_picture_as_this_process(tmp_path):
+    views.picture(scanned(CUBE), tmp_path / "a.png", "cloud")
+    assert drawing.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
 
 
-@pytest.fixture(autouse=True)
-def _nothing_kept():
-    yield
-    drawing.stop_shared()
+@pytest.mark.rendering
+def test_a_scene_that_lacks_what_is_to_be_shown():
+    with pytest.raises(scan3d.InputError, match="the bound of cube is not known"):
+        drawing.draw(replace(scanned(CUBE), bound=None, truth=None), [(".png", {"view": "bound"})])
 
 
-def drawn(scene):
-    """The pictures, and the number of the process that drew them."""
-    with drawing.shared() as child:
-        return child.draw(scene, JOBS), child._child.pid
-
-
+@pytest.mark.rendering
 @pytest.mark.slow
-def test_a_process_that_is_kept_draws_the_same_pictures(scenes):
-    fresh = [drawing.draw(scene, JOBS) for scene in scenes]
-    kept = [drawn(scene) for scene in (*scenes, *scenes)]
-    assert [pictures for pictures, _ in kept] == [*fresh, *fresh]
-    assert len({number for _, number in kept}) == 1
-    with drawing.Drawing(warm=True) as child:
-        assert [child.draw(scene, JOBS) for scene in scenes] == fresh
-
-
-@pytest.mark.slow
-def test_a_process_that_was_killed_is_replaced(scenes):
-    _, first = drawn(scenes[0])
-    os.kill(first, signal.SIGKILL)
-    drawing._shared._child.wait()
-    _, second = drawn(scenes[0])
-    assert second != first
-
-
-@pytest.mark.slow
-def test_a_process_that_crashes_is_replaced(scenes):
-    with drawing.shared() as child:
-        os.kill(child._child.pid, signal.SIGSTOP)  # so that it has not answered when it is killed
-        os.kill(child._child.pid, signal.SIGKILL)
-        with pytest.raises(drawing.DrawingError, match=r"the renderer crashed \(SIGKILL\)"):
-            child.draw(scenes[0], JOBS)
-    assert drawn(scenes[0])[0]
-
-
-@pytest.mark.slow
-def test_a_process_without_work_ends(scenes, monkeypatch):
-    monkeypatch.setattr(drawing, "_CODE", "from scan3d.pictures import drawing; drawing._IDLE_S = 0.1; drawing.serve()")
-    with drawing.Drawing() as child:
-        child.draw(scenes[0], JOBS)
-        end = time.monotonic() + 20
-        while child.is_running and time.monotonic() < end:
-            time.sleep(0.05)
-        assert not child.is_running
+def test_a_scan_draws_while_it_compares_and_its_pictures_are_those_drawn_afterwards(tmp_path):
+    scan = scan3d.scan(CUBE, tmp_path / "early", slices=4, samples=8, noise=1e-3)
+    scan.save(tmp_path / "late")
+    for name in ("cloud.png", "surface.png", "view.html"):
+        assert (tmp_path / "early" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
 
 
 @pytest.mark.parametrize(
-    "hung", ["import time; time.sleep(60)", "import sys; sys.stdin.buffer.read(1); import time; time.sleep(60)"]
+    ("code", "sentence"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", r"the renderer crashed \(SIGSEGV\)"),
+        (
+            "raise MemoryError('no room')",
+            r"the process that draws has failed \(MemoryError: no room\)",
+        ),
+        ("import sys; sys.exit(3)", r"the process that draws has failed \(exit code 3\)"),
+        ("import time; time.sleep(60)", r"drawing took more than 0\.5 s"),  # the scene does not fit into the pipe
+    ],
 )
-def test_a_process_that_hangs_is_ended(scenes, monkeypatch, hung):
-    # the scene does not fit into the pipe: without an end, one that reads nothing would be waited for
-    monkeypatch.setattr(drawing, "_CODE", hung)
-    monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.5)
-    with drawing.Drawing() as child:
-        with pytest.raises(drawing.DrawingError, match=r"^drawing took more than 0\.5 s$"):
-            child.draw(scenes[0], JOBS)
-        assert not child.is_running
+@pytest.mark.usefixtures("renderer")
+def test_a_child_that_fails(monkeypatch, code, sentence):
+    monkeypatch.setattr(drawing, "_CODE", code)
+    if "took" in sentence:
+        monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.5)
+    with pytest.raises(drawing.DrawingError, match=sentence):
+        drawing.draw(scanned(CUBE), JOBS)
+
+
+CRASH = """
+import sys
+from scan3d.cli import main
+from scan3d.pictures import drawing, rendering
+drawing._CODE, rendering.can_render = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", lambda: True
+sys.exit(main(sys.argv[1:]))
+"""
 
 
 @pytest.mark.slow
-def test_two_at_once_do_not_share_a_process(scenes):
-    with drawing.shared() as first, drawing.shared() as second:
-        assert first._child.pid != second._child.pid
-    assert drawing._shared.is_running
-    assert not (first.is_running and second.is_running)
+def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path):
+    def run(*arguments):
+        command = [sys.executable, "-c", CRASH, *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    out, sentence = tmp_path / "out", "the renderer crashed (SIGSEGV)"
+    done = run("scan", CUBE, "--out", out, *FEW)
+    assert (done.returncode, done.stderr) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
+    assert {path.name for path in out.iterdir()} == {
+        "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
+    }  # fmt: skip
+    done = run("show", out, "--screenshot", tmp_path / "a.png")
+    assert (done.returncode, done.stderr) == (1, f"scan3d: {sentence}\n")
+    assert not (tmp_path / "a.png").exists()
 
 
-@pytest.mark.slow
-def test_a_batch_in_this_process_draws_with_one_and_keeps_none(tmp_path, monkeypatch):
-    started = []
-    enter = drawing.Drawing.__enter__
-
-    def counted(self):
-        started.append(self)
-        return enter(self)
-
-    monkeypatch.setattr(drawing.Drawing, "__enter__", counted)
-    meshes = [MESHES / "cube.stl", MESHES / "gem.glb"]
-    scan3d.batch(meshes, tmp_path, slices=6, samples=40)
-    assert len(started) == 1
-    assert not started[0].is_running
-    assert len(list(tmp_path.glob("*/surface.png"))) == 2
-
-
-def test_a_scene_that_lacks_what_is_to_be_shown_does_not_end_the_process(scenes):
-    with drawing.shared() as child:
-        with pytest.raises(scan3d.InputError, match=r"."):
-            child.draw(scenes[0], [(".png", {"view": "nonsense"})])
-        assert child.draw(scenes[0], JOBS)
-
-
-def test_a_process_that_is_started_early_is_there_when_it_is_needed(monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: True)
-    early = early_drawing.EarlyDrawing()
-    with early as child:
-        assert child.is_running
-    assert not child.is_running
-    early.stop()  # once more does nothing
-
-
-def test_a_process_that_is_not_needed_is_ended_while_it_starts(monkeypatch):
-    may_go_on = threading.Event()
-
-    def can_render():
-        may_go_on.wait(10)
-        return True
-
-    monkeypatch.setattr(rendering, "can_render", can_render)
-    monkeypatch.setattr(early_drawing, "Drawing", None)  # it must not be started
-    early = early_drawing.EarlyDrawing()
-    early.stop()
-    may_go_on.set()
-    early._starting.join(10)
-    assert not early._starting.is_alive()
-    assert early._drawing is None
-
-
-@pytest.mark.slow
-def test_what_is_to_be_drawn_can_be_given_before_the_process_is_needed(scenes):
-    early = early_drawing.EarlyDrawing()
-    early.begin(scenes[0], JOBS)
-    with early as child:
-        assert child.has_begun
-        assert child.finish() == drawing.draw(scenes[0], JOBS)
-        assert not child.has_begun
-        assert child.draw(scenes[1], JOBS) == drawing.draw(scenes[1], JOBS)
-
-
-def test_where_nothing_can_be_rendered_nothing_is_begun(scenes, monkeypatch):
+def test_where_nothing_can_be_rendered(monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: False)
-    early = early_drawing.EarlyDrawing()
-    early.begin(scenes[0], JOBS)
-    with early as child:
-        assert not child.has_begun
+    with pytest.raises(rendering.NoRendererError, match="nothing here can render off screen"):
+        drawing.draw(scanned(CUBE), JOBS)
 
 
-def test_a_process_that_reads_nothing_can_be_stopped_while_it_is_asked(scenes, monkeypatch):
-    # the scene does not fit into the pipe
-    monkeypatch.setattr(rendering, "can_render", lambda: True)
-    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
-    early = early_drawing.EarlyDrawing()
-    early._starting.join()
-    early.begin(scenes[0], JOBS)
-    deadline = time.monotonic() + 10
-    while not early._drawing.has_begun and time.monotonic() < deadline:
+def wait_for(condition):
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
         time.sleep(0.01)
-    early.stop()
-    early._starting.join(10)
-    assert not early._starting.is_alive()
 
 
-@pytest.mark.slow
-def test_a_scan_draws_while_it_compares_and_its_pictures_are_those_drawn_afterwards(tmp_path, monkeypatch):
-    late = []
-    begin = drawing.Drawing.begin
+@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.usefixtures("renderer")
+def test_a_child_that_is_not_needed_any_more_is_ended(monkeypatch, asked):
+    """Also one that is asked for pictures, but reads nothing."""
+    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
+    before = threading.active_count()
+    with drawing.Drawing() as child:
+        wait_for(lambda: child._child is not None)
+        if asked:
+            child.begin(scanned(CUBE), JOBS)
+    wait_for(lambda: child._child.poll() == -signal.SIGKILL)
+    wait_for(lambda: threading.active_count() == before)
 
-    def counted(self, scene, jobs):
-        late.append(jobs)
-        begin(self, scene, jobs)
 
-    monkeypatch.setattr(drawing.Drawing, "begin", counted)
-    scan = scan3d.scan(MESHES / "gem.glb", tmp_path / "early", slices=6, samples=40, noise=1e-3)
-    assert late == []
-    scan.save(tmp_path / "late")
-    assert len(late) == 1
-    for name in ("cloud.png", "surface.png", "view.html"):
-        assert (tmp_path / "early" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
+def test_a_child_that_is_not_needed_is_not_started(monkeypatch):
+    may_go_on = threading.Event()
+    monkeypatch.setattr(rendering, "can_render", lambda: may_go_on.wait(10))
+    monkeypatch.setattr(drawing.subprocess, "Popen", None)  # it must not be called
+    with drawing.Drawing() as child:
+        pass
+    may_go_on.set()
+    assert child.finish() == []
+
+
+@pytest.mark.rendering
+def test_a_child_ends_with_the_process_that_started_it():
+    code = (
+        "import os, time; from scan3d.pictures import drawing\n"
+        "child = drawing.Drawing()\n"
+        "while child._child is None: time.sleep(0.01)\n"
+        "print(child._child.pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+    def has_ended():
+        try:
+            os.kill(int(done.stdout), 0)
+        except ProcessLookupError:
+            return True
+        return False
+
+    wait_for(has_ended)

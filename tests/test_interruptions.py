@@ -205,66 +205,6 @@ def test_a_second_run_is_told_who_is_there(tmp_path, capsys):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["log.csv", "log.toml"]
 
 
-CRASH = """
-import os, signal, sys
-from pathlib import Path
-from scan3d import processes
-from scan3d.cli import main
-from scan3d.pictures import drawing
-drawing._CODE = {code!r}
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-@pytest.mark.rendering
-@pytest.mark.parametrize(
-    ("code", "sentence"),
-    [
-        pytest.param(
-            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
-            "the renderer crashed (SIGSEGV)",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            "raise MemoryError('no room')",
-            "the process that draws has failed (MemoryError: no room)",
-            marks=pytest.mark.trust,
-        ),
-        pytest.param(
-            "import sys; sys.exit(3)",
-            "the process that draws has failed (exit code 3)",
-            marks=pytest.mark.trust,
-        ),
-    ],
-)
-def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, code, sentence):
-    def run(*arguments):
-        command = [sys.executable, "-c", CRASH.format(code=code), *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    out = tmp_path / "out"
-    done = run("scan", CUBE, "--out", out, *FEW)
-    assert (done.returncode, done.stderr) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
-    assert {path.name for path in out.iterdir()} == {
-        "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
-    }  # fmt: skip
-    done = run("show", out, "--screenshot", tmp_path / "a.png")
-    assert (done.returncode, done.stderr) == (1, f"scan3d: {sentence}\n")
-    assert not (tmp_path / "a.png").exists()
-
-
-@pytest.mark.rendering
-def test_drawing_that_takes_too_long(monkeypatch):
-    from small_scans import scanned
-
-    from scan3d.pictures import drawing
-
-    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
-    monkeypatch.setattr(drawing, "_TIMEOUT_S", 0.2)
-    with pytest.raises(drawing.DrawingError, match=r"drawing took more than 0\.2 s"):
-        drawing.draw(scanned(CUBE), [(".png", {})])
-
-
 @pytest.mark.parametrize(
     "runs",
     [

@@ -148,7 +148,7 @@ def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypa
     analysis = dataclasses.replace(analysis, truth=None)
     with monkeypatch.context() as patched:
         patched.setattr(rendering, "can_render", lambda: True)
-        patched.setattr(drawing.Drawing, "draw", lambda self, scene, jobs: [b"a picture"] * len(jobs))
+        patched.setattr(drawing.Drawing, "finish", lambda _: [b"a picture"] * 2)
         data = workflow.write(analysis, tmp_path, settings={}, with_recording=True)
     assert set(data["files"]) == RESULTS | RECORDING | PICTURES
     (tmp_path / "notes.txt").write_text("earlier")

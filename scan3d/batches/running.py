@@ -13,7 +13,6 @@ from scan3d.batches.runs import Outcome, Run, perform
 from scan3d.errors import InputError
 from scan3d.files.journal import claim
 from scan3d.files.ownership import REPORT
-from scan3d.pictures.drawing import stop_shared
 from scan3d.workers import Workers
 
 # A run whose worker is lost is tried so many times: the worker may have been ended for another reason, but a run that ends
@@ -50,12 +49,9 @@ def outcomes(runs: Sequence[Run], executor: Executor | None, total: int, report:
     watch = _Watch(len(runs), total, report)
     if executor is None:
         found = []
-        try:
-            for run in runs:
-                found.append(perform(run))
-                watch.count(found[-1])
-        finally:
-            stop_shared()
+        for run in runs:
+            found.append(perform(run))
+            watch.count(found[-1])
         return found
     collected: dict[int, Outcome] = {}
     with ExitStack() as stack:

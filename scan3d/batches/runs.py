@@ -18,7 +18,6 @@ from scan3d.batches.names import body_names, distinct, run_name
 from scan3d.errors import InputError
 from scan3d.files.journal import BusyError
 from scan3d.files.ownership import read_report, unchanged
-from scan3d.pictures.drawing import shared
 from scan3d.settings import Settings
 
 Row = dict[str, Any]
@@ -182,7 +181,6 @@ def _scan(run: Run, notify: Callable[[str], None]) -> None:
                 overwrite=run.overwrite,
                 mesh_path=run.mesh_path,
                 notify=notify,
-                drawing=shared(),
             )
             return
         except BusyError:

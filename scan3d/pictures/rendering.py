@@ -37,9 +37,13 @@ NO_RENDERER = (
 )
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 """The environment variable that names the class of VTK's windows."""
-# A busy machine may take this many seconds to import VTK; a driver that hangs is waited for as long.
+# A busy machine may take as long to import VTK.
 _TIMEOUT_S = 120
 _is_assumed = False
+
+
+class NoRendererError(InputError):
+    """Nothing can be rendered on this machine."""
 
 
 @functools.cache
@@ -78,6 +82,6 @@ def assume_renderer() -> None:
 
 
 def need_renderer() -> None:
-    """Raises InputError where `can_render` is false."""
+    """Raises NoRendererError where `can_render` is false."""
     if not (_is_assumed or can_render()):
-        raise InputError(NO_RENDERER)
+        raise NoRendererError(NO_RENDERER)

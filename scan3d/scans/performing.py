@@ -6,7 +6,6 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,12 @@ from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.files.ownership import Inputs
 from scan3d.files.results import opened
 from scan3d.pictures.drawing import Drawing
-from scan3d.pictures.early_drawing import EarlyDrawing, prepared
 from scan3d.pictures.scene import of_cloud
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
 from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces.open3d_methods import check_method
-
-# Contacts and facets of the mesh up to which pictures are drawn while the surface is certified and compared.  Larger, they need
-# memory beside the comparison of millions of facets; smaller, their time is added to that of the comparison.
-_MOST_DRAWN_EARLY = 1_000_000
 
 
 def perform(
@@ -39,7 +33,6 @@ def perform(
     mesh_path: bool = False,
     progress: Progress | None = None,
     notify: Callable[[str], None] = lambda _: None,
-    drawing: AbstractContextManager[Drawing] | None = None,
     step: workflow.Step = lambda _: None,
 ) -> tuple[Analysis, dict[str, Any]]:
     """Simulate a scan of a mesh, analyse it, and write the results into the folder `out`: the analysis and its report.
@@ -48,10 +41,10 @@ def perform(
         path of a mesh file, or a `trimesh.Trimesh`.
     out
         the folder; None: nothing is written.
-    inputs, overwrite, mesh_path, notify, drawing
+    inputs, overwrite, mesh_path, notify
         as in `workflow.write` and `files.results.opened`: what the run reads besides the mesh, whether files that the program
-        did not write may be replaced, whether the report states where the mesh lies, what is called with a sentence if
-        pictures cannot be rendered, and what gives the process that draws.
+        did not write may be replaced, whether the report states where the mesh lies, and what is called with a sentence if
+        pictures cannot be rendered.
     progress, step
         called with the numbers of slices that are done and of all slices; and with the name of each step when it begins.
 
@@ -76,8 +69,13 @@ def perform(
         times = {**seconds, **found.seconds}
         return found, report(found, settings=values, friction_set=chosen.friction, timings_s=times)
     read = {**({"mesh": mesh} if _is_path(mesh) else {}), **(inputs or {})}
-    with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result, prepared(drawing) as drawn_by:
-        analysis = analysed(_drawing(drawn_by, body))
+    with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result, Drawing() as drawing:
+
+        def draw(cloud: Cloud, surface: Any) -> None:
+            """Contacts and surface are drawn while the surface is certified and compared; pictures show neither."""
+            drawing.begin(of_cloud(cloud, surface=surface, truth=body), workflow.jobs())
+
+        analysis = analysed(draw)
         return analysis, workflow.write(
             analysis,
             result,
@@ -86,19 +84,9 @@ def perform(
             seconds=seconds,
             notify=notify,
             mesh_path=mesh_path,
-            drawing=drawn_by,
+            drawing=drawing,
             step=step,
         )
-
-
-def _drawing(drawn_by: Any, body: Any) -> Callable[[Cloud, Any], None]:
-    """A function that lets contacts and surface be drawn while the surface is certified and compared; pictures show neither."""
-
-    def draw(cloud: Cloud, surface: Any) -> None:
-        if isinstance(drawn_by, EarlyDrawing) and len(cloud.points) + len(body.faces) <= _MOST_DRAWN_EARLY:
-            drawn_by.begin(of_cloud(cloud, surface=surface, truth=body), workflow.jobs())
-
-    return draw
 
 
 def _is_path(mesh: Any) -> bool:
