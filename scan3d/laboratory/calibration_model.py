@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import planar
 from scan3d.arrays import Array
+from scan3d.frames import to_outer, wrench_matrix
 from scan3d.laboratory.calibration_reference import Met, Reference
 from scan3d.spatial.inverse import reconstruct
 
@@ -152,8 +153,7 @@ class Bent(NamedTuple):
 def clamp_wrench(rig: Rig, touches: Touches) -> tuple[Array, Array]:
     """(n, 3) support reaction and clamping moment in the clamp's frame."""
     tared = touches.wrench - touches.basis @ rig.tare.T
-    force = tared[:, :3] @ rig.turn.T
-    return force, tared[:, 3:] @ rig.turn.T + np.cross(rig.sensor, force)
+    return to_outer(tared[:, :3], tared[:, 3:], rig.turn, rig.sensor)
 
 
 def bent(force: Array, moment: Array) -> Bent:
@@ -233,7 +233,7 @@ def equations(rig: Rig, touches: Touches, reference: Reference) -> Equations:
     by_rig[:, 2:, STIFFNESS] = -np.einsum("nkj,nj->nk", by_wrench[:, 2:], both)
     by_rig[tip, 3, LENGTH] = -1
     _add_sensor(by_rig, by_wrench, rig, touches, force, moment)
-    by_row[:, :, :6] = by_wrench @ _to_clamp(rig)
+    by_row[:, :, :6] = by_wrench @ wrench_matrix(rig.turn, rig.sensor)
     return Equations(value, by_rig, by_row)
 
 
@@ -274,16 +274,7 @@ def _add_sensor(by_rig: Array, by_wrench: Array, rig: Rig, touches: Touches, for
     turning = by_force + np.cross(by_moment, rig.sensor)
     by_rig[:, :, TURN:SENSOR] = np.cross(force[:, None], turning) + np.cross(own[:, None], by_moment)
     by_rig[:, :, SENSOR:CENTRE] = np.cross(force[:, None], by_moment)
-    by_channel = -(by_wrench @ _to_clamp(rig))
+    by_channel = -(by_wrench @ wrench_matrix(rig.turn, rig.sensor))
     by_rig[:, :, TARE:] = (by_channel[:, :, :, None] * touches.basis[:, None, None]).reshape(
         *by_rig.shape[:2], rig.tare.size
     )
-
-
-def _to_clamp(rig: Rig) -> Array:
-    """(6, 6) from the tared wrench in the sensor's frame to that at the clamp."""
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = matrix[3:, 3:] = rig.turn
-    x, y, z = rig.sensor
-    matrix[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rig.turn
-    return matrix

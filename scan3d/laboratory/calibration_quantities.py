@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
+from scan3d.frames import euler_of
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_fit import Noise, Problem
 from scan3d.laboratory.calibration_model import CENTRE, CLAMP, LENGTH, SENSOR, SPIN, STIFFNESS, TARE, TILT, TURN, Rig
@@ -15,8 +16,6 @@ from scan3d.rods import Rod
 COVERAGE_FACTOR = 2.0
 """Of expanded uncertainties: about 95 % of the errors of a normal distribution."""
 CHANNELS = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
-EULER = "xyz"
-"""The convention of turns, as in scipy's Rotation: about fixed axes, first x, then y, then z."""
 # Expanded uncertainties up to which a quantity counts as well determined: relative for the stiffness, in rod lengths, in
 # degrees, and for the tare in standard deviations of the noise of a row.
 _WELL = {"stiffness": 0.01, "length": 0.005, "turn": 0.3, "tare": 1.0}
@@ -38,7 +37,7 @@ def quantities(rig: Rig, nominal: Rod, model: str, reference: Reference, world: 
         1000 * nominal.length_m,
         180 / np.pi,
     )
-    slopes, angles = _euler_slopes(rig.turn), euler(rig.turn)
+    slopes, angles = _euler_slopes(rig.turn), euler_of(rig.turn)
     rows: Rows = [
         ("bending_stiffness_Nm2", stiffness, {STIFFNESS: stiffness}),
         ("length_m", nominal.length_m * rig.length, {LENGTH: nominal.length_m}),
@@ -81,7 +80,7 @@ def _of_reference(rig: Rig, mm: float, reference: Reference, world: Array) -> Ro
     if isinstance(reference, Body):
         turn, (x, y, z) = rig.axes, reference.middle
         by_turn = turn @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        place, angles, by_angle = rig.centre - turn @ reference.middle, euler(turn), _euler_slopes(turn) @ turn
+        place, angles, by_angle = rig.centre - turn @ reference.middle, euler_of(turn), _euler_slopes(turn) @ turn
         rows = [
             (f"mesh_{axis}_mm", mm * place[j], _by_pose(mm * turn[j], mm * by_turn[j])) for j, axis in enumerate("xyz")
         ]
@@ -111,15 +110,11 @@ def measured(name: str, problem: Problem) -> bool:
     return not name.startswith(planar) and (channel not in CHANNELS or bool(problem.channels[CHANNELS.index(channel)]))
 
 
-def euler(turn: Array) -> Array:
-    return np.asarray(Rotation.from_matrix(turn).as_euler(EULER, degrees=True))
-
-
 def _euler_slopes(turn: Array) -> Array:
     """(3, 3) derivatives of the Euler angles in degrees by a rotation vector in the clamp's frame."""
     columns = []
     for axis in np.eye(3):
-        one, other = (euler(Rotation.from_rotvec(sign * _STEP * axis).as_matrix() @ turn) for sign in (1, -1))
+        one, other = (euler_of(Rotation.from_rotvec(sign * _STEP * axis).as_matrix() @ turn) for sign in (1, -1))
         columns.append(((one - other + 180) % 360 - 180) / (2 * _STEP))
     return np.column_stack(columns)
 

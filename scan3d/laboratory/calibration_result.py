@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Mask
+from scan3d.frames import Frame, euler_of, to_outer
 from scan3d.laboratory import calibration_words as words
 from scan3d.laboratory.calibration_air import unloaded
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_checks import Fitted, check
 from scan3d.laboratory.calibration_colour import WHITE
 from scan3d.laboratory.calibration_model import CENTRE, TURN, Kind
-from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, EULER, euler, limit, measured, quantities
+from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, limit, measured, quantities
 from scan3d.laboratory.calibration_reference import Reference, Spherical
 from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from scan3d.reconstruction.resolution import noise_of
@@ -111,6 +111,13 @@ class Calibration(Described):
     def _sphere(self) -> bool:
         return self.reference.get("kind") == Spherical.kind
 
+    def frames(self) -> tuple[Frame, Frame]:
+        """The sensor's frame in the clamp's, and the clamp's in that of the recorded poses."""
+        return (
+            Frame.of(self.sensor_position_m, self.sensor_euler_deg),
+            Frame.of(self.clamp_position_m, self.clamp_euler_deg),
+        )
+
     def applied(self, recording: Recording, tare: str = "auto") -> Recording:
         """A recording of this rig, as `calibrate` takes it, with poses and reactions of the true clamp, and the true rod.
 
@@ -133,17 +140,15 @@ class Calibration(Described):
             found = unloaded(recording.sweep, columns, channels, (known.force_N, known.moment_Nm), tare)
             columns = columns - found.basis @ found.tare.T
             force_noise, moment_noise = found.force_noise, found.moment_noise
-        turn = Rotation.from_euler(EULER, self.sensor_euler_deg, degrees=True).as_matrix()
-        force = columns[:, :3] @ turn.T
-        moment = columns[:, 3:] @ turn.T + np.cross(self.sensor_position_m, force)
-        pose = Rotation.from_quat(recording.quaternion, scalar_first=True)
-        clamp = Rotation.from_euler(EULER, self.clamp_euler_deg, degrees=True)
+        sensor, clamp = self.frames()
+        force, moment = to_outer(columns[:, :3], columns[:, 3:], sensor.turn, sensor.position_m)
+        position, quaternion = clamp.carried(recording.position_m, recording.quaternion)
         # the mean over the components of the variance that the lever adds
         lever = float(self.sensor_position_m @ self.sensor_position_m) * 2 / 3
         return dataclasses.replace(
             recording,
-            position_m=recording.position_m + pose.apply(self.clamp_position_m),
-            quaternion=(pose * clamp).as_quat(scalar_first=True),
+            position_m=position,
+            quaternion=quaternion,
             force_N=force[:, :2],
             moment_Nm=moment[:, 2],
             force_z_N=force[:, 2] if six else None,
@@ -178,7 +183,7 @@ def of_fit(fitted: Fitted, recording: Recording) -> Calibration:
     return Calibration(
         rod=Rod(length, nominal.bending_stiffness_Nm2 * float(np.exp(rig.stiffness)), nominal.diameter_m),
         sensor_position_m=nominal.length_m * rig.sensor,
-        sensor_euler_deg=euler(rig.turn),
+        sensor_euler_deg=euler_of(rig.turn),
         clamp_position_m=nominal.length_m * rig.clamp,
         clamp_euler_deg=np.degrees([rig.tilt[0], 0.0, rig.tilt[1]]),
         tare=tare.mean(axis=1) if air.model == "sweep" else tare[:, 0],

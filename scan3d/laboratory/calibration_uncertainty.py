@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
+from scan3d.frames import turn_of
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def _slopes(rig: Calibration) -> Array:
     slopes = np.zeros((len(RIG_QUANTITIES), len(QUANTITIES)))
     slopes[_STIFFNESS, 0] = 1 / rig.rod.bending_stiffness_Nm2
     slopes[_LENGTH, 1] = 1 / rig.rod.length_m
-    to_clamp = _turn(rig.clamp_euler_deg).T
+    to_clamp = turn_of(rig.clamp_euler_deg).T
     slopes[_CLAMP:_CLAMP_TURN, 2:5] = to_clamp / 1000
     slopes[_CLAMP_TURN:_SENSOR, 5:7] = (to_clamp @ _axes(rig.clamp_euler_deg) * _DEGREE)[:, [0, 2]]
     slopes[_SENSOR:_SENSOR_TURN, 7:10] = np.eye(3) / 1000
@@ -58,12 +58,9 @@ def _slopes(rig: Calibration) -> Array:
     return slopes
 
 
-def _turn(euler_deg: Array) -> Array:
-    matrix: Array = Rotation.from_euler("xyz", euler_deg, degrees=True).as_matrix()
-    return matrix
-
-
 def _axes(euler_deg: Array) -> Array:
     """(3, 3) the axes, as columns and in the outer frame, about which the three angles of fixed axes turn."""
     _, y, z = euler_deg
-    return np.column_stack([_turn(np.array([0.0, y, z]))[:, 0], _turn(np.array([0.0, 0.0, z]))[:, 1], [0.0, 0.0, 1.0]])
+    return np.column_stack(
+        [turn_of(np.array([0.0, y, z]))[:, 0], turn_of(np.array([0.0, 0.0, z]))[:, 1], [0.0, 0.0, 1.0]]
+    )

@@ -19,7 +19,6 @@ from scan3d.laboratory import segments
 from scan3d.laboratory.columns import read_log
 from scan3d.laboratory.maps import Map
 from scan3d.laboratory.tables import RawTable
-from scan3d.laboratory.transforms import clamp_pose
 
 # Angle in radians to the x axis within which a sweep is along it.
 _ALONG = 0.3
@@ -136,7 +135,7 @@ def _fits(table: RawTable, map: Map, touched: Mask, least: float = _FEW) -> bool
         log = read_log(table, map)
     except InputError:
         return False
-    position, quaternion = clamp_pose(log.position_m, log.quaternion, map.clamp)
+    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     if log.sweep is not None:
         sweep = log.sweep if log.sweeping is None else segments.numbered(log.sweep, log.sweeping)
     elif log.sweeping is not None:

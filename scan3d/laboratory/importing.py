@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
+from scan3d.frames import Frame, wrench_matrix
 from scan3d.laboratory import filtering, segments, taring
 from scan3d.laboratory.air import find_air
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.calibration_result import Calibration
-from scan3d.laboratory.columns import Log, read_log
+from scan3d.laboratory.columns import CHANNELS, Log, read_log
 from scan3d.laboratory.directions import check_directions
 from scan3d.laboratory.maps import Map, read_map
 from scan3d.laboratory.notes import contact_notes, filter_notes
 from scan3d.laboratory.plausibility import check_range, check_sizes, felt, in_contact, stands_out
 from scan3d.laboratory.rigged import with_rig
 from scan3d.laboratory.tables import RawTable, read_table
-from scan3d.laboratory.transforms import clamp_pose, clamp_wrench, turned_back, wrench_matrix
 from scan3d.recording import Recording
 
 KIND = "import"
@@ -32,6 +32,10 @@ KIND = "import"
 _COLOURED = 1.3
 # Rounding of a wrench from which its zero was taken off, relative to the largest one.
 _ROUNDING = 1e-13
+# Parts of a channel that count as rounding of a turn, relative to the whole.
+_TURN_ROUNDING = 1e-12
+# Half a turn about the rod, in which a stroke along +x is one along -x.
+_HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
 
 
 @dataclass(frozen=True)
@@ -134,8 +138,8 @@ def convert(table: RawTable, map: Map) -> Imported:
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
     sensed = _sensed(log, clock, map, table.name)
-    wrench, known = clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
-    position, quaternion = clamp_pose(log.position_m, log.quaternion, map.clamp)
+    wrench, known = _clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
+    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
     check_range(position, map, table.name)
     sweep, backwards = _sweeps(log, position, quaternion, map)
     noise = _clamp_noise(sensed.noise, map, known)
@@ -143,7 +147,8 @@ def convert(table: RawTable, map: Map) -> Imported:
     directions = check_directions(table, map, sweep, position, quaternion, in_contact(sensed.wrench[:, :3], noise[0]))
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
-        quaternion[backwards], wrench[backwards] = turned_back(quaternion[backwards], wrench[backwards])
+        quaternion[backwards] = _HALF_TURN.carried(position[backwards], quaternion[backwards])[1]
+        wrench[backwards] *= np.tile(np.diag(_HALF_TURN.turn), 2)
     within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[filtering.thinned(sweep[within], every)] if every > 1 else within
@@ -288,9 +293,30 @@ def _without_transfers(
     ]
 
 
+def _clamp_wrench(wrench: Array, present: Mask, sensor: Frame, where: str) -> tuple[Array, Mask]:
+    """The wrench (n, 6) in the clamp's frame, and which of its channels (6,) the sensor's channels determine.
+
+    Raises InputError if fx, fy and mz of the clamp are not among them, with the channel that is missing.
+    """
+    matrix = wrench_matrix(sensor.turn, sensor.position_m)
+    scale = np.abs(matrix).max(axis=1, keepdims=True)
+    needed = np.abs(matrix) > _TURN_ROUNDING * scale
+    known: Mask = ~(needed & ~present).any(axis=1)
+    for channel in (0, 1, 5):
+        if not known[channel]:
+            absent = ", ".join(CHANNELS[k] for k in np.flatnonzero(needed[channel] & ~present))
+            raise InputError(
+                f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] turns or "
+                "moves it; add the column, or give the wrench in the clamp's frame"
+            )
+    if sensor.trivial:
+        return wrench, known
+    return np.where(known, wrench @ matrix.T, 0.0), known
+
+
 def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
     """Standard deviations of force and moment in the clamp's frame: the largest of their channels."""
-    variance = wrench_matrix(map.sensor) ** 2 @ noise**2
+    variance = wrench_matrix(map.sensor.turn, map.sensor.position_m) ** 2 @ noise**2
     deviation = np.sqrt(np.where(known, variance, 0.0))
     force = float(deviation[:3].max()) if map.noise_force_N is None else map.noise_force_N
     moment = float(deviation[3:].max()) if map.noise_moment_Nm is None else map.noise_moment_Nm

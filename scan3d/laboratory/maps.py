@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array
 from scan3d.files.recordings import TABLE
 from scan3d.files.section import REQUIRED, Section, read_rod, read_section
+from scan3d.frames import Frame
 from scan3d.laboratory.quantities import FACTORS, factor
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Rod
@@ -82,18 +82,6 @@ class Columns:
     move: Reference | None = None
     position_in: str = "world"
     """Frame of the position's components: world or clamp, for a body on a turntable."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A frame in another one: its origin and its turn (a matrix whose columns are its axes)."""
-
-    position_m: Array
-    turn: Array
-
-    @property
-    def trivial(self) -> bool:
-        return not self.position_m.any() and bool((self.turn == np.eye(3)).all())
 
 
 @dataclass(frozen=True)
@@ -308,9 +296,7 @@ def _factors(section: Section, usual: Mapping[str, str]) -> dict[str, float]:
 def read_frame(section: Section) -> Frame:
     """The frame that `position_mm` and `euler_deg` ("xyz") describe, as in the sections [clamp] and [sensor] of a map."""
     position = np.array(section.numbers("position_mm", 3, (0.0, 0.0, 0.0))) * 1e-3
-    angles = section.numbers("euler_deg", 3, (0.0, 0.0, 0.0))
-    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix() if any(angles) else np.eye(3)
-    return Frame(position, turn)
+    return Frame.of(position, section.numbers("euler_deg", 3, (0.0, 0.0, 0.0)))
 
 
 def _air(section: Section) -> str | tuple[tuple[float, float], ...]:

@@ -12,15 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from scipy.spatial.transform import Rotation
-
 from scan3d.errors import InputError
 from scan3d.files.section import Section
+from scan3d.frames import Frame, euler_of
 from scan3d.laboratory.calibration_file import read_rig
-from scan3d.laboratory.calibration_quantities import EULER, euler
 from scan3d.laboratory.calibration_result import Calibration
 from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
-from scan3d.laboratory.maps import Frame, Map, read_frame
+from scan3d.laboratory.maps import Map, read_frame
 
 
 def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
@@ -33,8 +31,8 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     sensor_before, clamp_before = (
         read_frame(Section("the rig", found.map_frames.get(title, {}), f"map.{title}")) for title in ("sensor", "clamp")
     )
-    sensor = composed(_frame(found.sensor_position_m, found.sensor_euler_deg), sensor_before)
-    clamp = composed(clamp_before, _frame(found.clamp_position_m, found.clamp_euler_deg))
+    sensor, clamp = found.frames()
+    sensor, clamp = sensor_before.within(sensor), clamp.within(clamp_before)
     used: dict[str, Any] = {"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name}
     used |= {"sensor": _section(sensor), "clamp": _section(clamp)}
     return replace(
@@ -48,11 +46,6 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
     )
 
 
-def composed(outer: Frame, inner: Frame) -> Frame:
-    """The inner frame, which is given in the outer one, in the frame in which the outer one is given."""
-    return Frame(outer.position_m + outer.turn @ inner.position_m, outer.turn @ inner.turn)
-
-
 def not_rigged(source: Mapping[str, Any], name: str) -> None:
     """Raise InputError for the source of a recording that a rig has corrected: frames would be applied twice."""
     if source.get("calibrated"):
@@ -61,12 +54,8 @@ def not_rigged(source: Mapping[str, Any], name: str) -> None:
         )
 
 
-def _frame(position_m: Any, euler_deg: Any) -> Frame:
-    return Frame(position_m, Rotation.from_euler(EULER, euler_deg, degrees=True).as_matrix())
-
-
 def _section(frame: Frame) -> dict[str, list[float]]:
     return {
         "position_mm": [float(1000 * value) for value in frame.position_m],
-        "euler_deg": [float(value) for value in euler(frame.turn)],
+        "euler_deg": [float(value) for value in euler_of(frame.turn)],
     }

@@ -16,6 +16,7 @@ import numpy as np
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
+from scan3d.frames import displaced
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rigs import RIG_QUANTITIES, RigErrors
@@ -92,8 +93,7 @@ def _contacts(
     force, moment = wrench
     offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:]
     softer = np.exp(-error[0])
-    moment = softer * (moment + np.cross(sensor_turn, moment) + np.cross(lever, force))
-    force = softer * (force + np.cross(sensor_turn, force))
+    force, moment = (softer * part for part in displaced(force, moment, sensor_turn, lever))
     if noise is None:
         force[:, 2] = 0
         moment[:, :2] = 0
@@ -108,8 +108,8 @@ def torsion_sd(recording: Recording, rows: Index) -> Array:
     force, moment = _wrench(recording, rows)
     components = recording.rig.components()
     lever, turn = components[8:11] / recording.rod.length_m, components[11:]
-    parts = np.outer(moment[:, 0], turn[2]) - np.outer(moment[:, 2], turn[0])
-    parts += np.outer(force[:, 0], lever[2]) - np.outer(force[:, 2], lever[0])
+    moment[:, 1] = 0  # the other components give what is added to it
+    parts = displaced(force[:, None], moment[:, None], turn.T, lever.T)[1][..., 1]
     return np.asarray(np.linalg.norm(parts, axis=1))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
+from scan3d.frames import euler_of, to_outer
 from scan3d.reconstruction.faults import Fault, Hypothesis
 from scan3d.reconstruction.misfits import Reactions, felt, noise
 from scan3d.recording import Recording
@@ -29,6 +30,7 @@ _ABOUT_ROD = tuple(range(-180, 180, 30))
 _ALONG_ROD = (-0.5, -0.2, 0.0, 0.2, 0.5)
 # Parts of the largest axis of a turn below which the others are not named.
 _ABOUT_ONE = 0.15
+_NOWHERE = np.zeros(3)
 _AXES = ("x", "y", "z")
 _ABOUT = ("about the clamp's x axis", "about the rod (the clamp's y axis)", "about the clamp's z axis")
 
@@ -45,18 +47,16 @@ def _turns(model: str) -> list[Hypothesis]:
     """Sensors that are turned about one axis, and in space about any."""
     angles = np.radians(_ANGLES)[:, None]
 
-    def turned(r: Reactions, vector: Array) -> Reactions:
-        turn = Rotation.from_rotvec(vector).as_matrix()
-        return Reactions(r.force @ turn.T, r.moment @ turn.T)
-
     def about(axis: int) -> Hypothesis:
         unit = np.eye(3)[axis]
-        return Hypothesis(angles, lambda r, rows, n: turned(r, n[0] * unit), lambda n: _turned_fault(n[0] * unit), 1)
+        return Hypothesis(
+            angles, lambda r, rows, n: _at_clamp(r, n[0] * unit, _NOWHERE), lambda n: _turned_fault(n[0] * unit), 1
+        )
 
     if model != "spatial":
         return [about(2)]
     small = np.radians([[2, 2, 2], [10, 0, 10], [10, 0, -10], [20, 5, 5], [-10, 20, 5], [5, -20, -10]])
-    anywhere = Hypothesis(small, lambda r, rows, n: turned(r, n), lambda n: _turned_fault(n), 3)
+    anywhere = Hypothesis(small, lambda r, rows, n: _at_clamp(r, n, _NOWHERE), lambda n: _turned_fault(n), 3)
     return [about(0), about(1), about(2), anywhere]
 
 
@@ -65,7 +65,7 @@ def _turned_fault(vector: Array) -> Fault:
     axis = int(np.argmax(np.abs(vector)))
     others = np.delete(np.abs(vector), axis)
     single = bool(others.max() <= _ABOUT_ONE * np.abs(vector[axis]))
-    angles = np.degrees(vector) if single else Rotation.from_rotvec(vector).as_euler("xyz", degrees=True)
+    angles = np.degrees(vector) if single else euler_of(Rotation.from_rotvec(vector).as_matrix())
     euler = ", ".join(f"{value:.3g}" for value in angles + 0.0)
     signed = float(np.degrees(vector[axis])) if single else angle
     where = _ABOUT[axis] if single else "about an axis across several of the clamp's"
@@ -87,7 +87,7 @@ def _offset(recording: Recording, model: str) -> Hypothesis:
 
     return Hypothesis(
         starts,
-        lambda r, rows, n: Reactions(r.force, r.moment + np.cross(place(n), r.force)),
+        lambda r, rows, n: _at_clamp(r, _NOWHERE, place(n)),
         lambda n: _offset_fault(place(n), recording.rod),
         count,
     )
@@ -110,15 +110,15 @@ def _turned_and_moved(recording: Recording, measured: Reactions) -> Hypothesis:
     """A sensor that is turned and beside the clamp; numbers are the vector of its turn, and its place in rod lengths."""
     return Hypothesis(
         _frames(recording, measured),
-        lambda r, rows, n: _in_clamp(r, Rotation.from_rotvec(n[:3]).as_matrix(), n[3:]),
+        lambda r, rows, n: _at_clamp(r, n[:3], n[3:]),
         lambda n: _turned_and_moved_fault(n[:3], n[3:], recording.rod),
         6,
     )
 
 
-def _in_clamp(r: Reactions, turn: Array, place: Array) -> Reactions:
-    force = r.force @ turn.T
-    return Reactions(force, r.moment @ turn.T + np.cross(place, force), r.length)
+def _at_clamp(r: Reactions, vector: Array, place: Array) -> Reactions:
+    """The reactions that a sensor with the turn `vector` at a place shows as `r`."""
+    return Reactions(*to_outer(r.force, r.moment, Rotation.from_rotvec(vector).as_matrix(), place), r.length)
 
 
 def _frames(recording: Recording, measured: Reactions) -> Array:
@@ -142,7 +142,7 @@ def _frames(recording: Recording, measured: Reactions) -> Array:
 
 def _turned_and_moved_fault(vector: Array, place: Array, rod: Rod) -> Fault:
     angle = float(np.degrees(np.linalg.norm(vector)))
-    euler = ", ".join(f"{value + 0.0:.3g}" for value in Rotation.from_rotvec(vector).as_euler("xyz", degrees=True))
+    euler = ", ".join(f"{value + 0.0:.3g}" for value in euler_of(Rotation.from_rotvec(vector).as_matrix()))
     millimetres = 1000 * rod.length_m * place
     where = ", ".join(f"{value:.3g}" for value in millimetres)
     return Fault(

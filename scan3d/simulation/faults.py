@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import did_you_mean, read_toml, to_float
+from scan3d.frames import to_inner, turn_of
 
 SHOWS = ("clamp-on-rod", "rod-on-clamp")
 """Which wrench the sensor shows; the first is that of a recording."""
@@ -51,9 +51,7 @@ class Frame:
 
     def seen(self, force: Array, moment: Array) -> tuple[Array, Array]:
         """Force (n, 3) and moment (n, 3) at the clamp, as a sensor in this frame measures them: about its own origin."""
-        turn = Rotation.from_euler("xyz", self.euler_deg, degrees=True).inv()
-        about_origin = moment - np.cross(np.array(self.position_mm) / 1000, force)
-        return turn.apply(force), turn.apply(about_origin)
+        return to_inner(force, moment, turn_of(self.euler_deg), np.array(self.position_mm) / 1000)
 
 
 @dataclass(frozen=True)

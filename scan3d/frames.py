@@ -1,0 +1,91 @@
+"""Frames that sit on other frames: what a sensor shows, moved to the clamp, and the pose of what a robot carries.
+
+A frame has an origin d and the axes that are the columns of a rotation R, both in the outer frame.  Its vectors v are
+``R v`` in the outer one.  A force keeps its size under a shift; a moment refers to the origin of its frame, so that
+force F and moment M in the frame of a sensor are, in that of the clamp and about the clamp's origin,
+
+    f = R F,    m = R M + d × f.
+
+Turns are rotation matrices, or Euler angles about fixed axes in the order x, y, z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array
+
+_EULER = "xyz"
+
+
+def turn_of(euler_deg: ArrayLike) -> Array:
+    """The rotation matrix (3, 3) of Euler angles (3,) in degrees."""
+    turn: Array = Rotation.from_euler(_EULER, np.asarray(euler_deg, dtype=float), degrees=True).as_matrix()
+    return turn
+
+
+def euler_of(turn: Array) -> Array:
+    """The Euler angles (3,), in degrees, of a rotation matrix (3, 3)."""
+    return np.asarray(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame in another one."""
+
+    position_m: Array
+    """(3,) its origin."""
+    turn: Array
+    """(3, 3) its axes, as columns."""
+
+    @classmethod
+    def of(cls, position_m: ArrayLike, euler_deg: ArrayLike) -> Frame:
+        """The frame with the origin (3,), turned by Euler angles (3,) in degrees."""
+        return cls(np.asarray(position_m, dtype=float), turn_of(euler_deg))
+
+    @property
+    def trivial(self) -> bool:
+        """Whether it is the outer frame itself."""
+        return not self.position_m.any() and bool((self.turn == np.eye(3)).all())
+
+    def within(self, outer: Frame) -> Frame:
+        """This frame, which is given in `outer`, in the frame in which `outer` is given."""
+        return Frame(outer.position_m + outer.turn @ self.position_m, outer.turn @ self.turn)
+
+    def carried(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
+        """Its places (n, 3) and orientations (n, 4), w first, where those of the outer frame are given."""
+        if self.trivial:
+            return position, quaternion
+        outer = Rotation.from_quat(quaternion, scalar_first=True)
+        turned = outer * Rotation.from_matrix(self.turn)
+        return position + outer.apply(self.position_m), turned.as_quat(scalar_first=True)
+
+
+def to_outer(force: Array, moment: Array, turn: Array, place: Array) -> tuple[Array, Array]:
+    """Force and moment (n, 3) in a frame with a turn (3, 3) at a place (3,), as those in the outer frame."""
+    force = force @ turn.T
+    return force, moment @ turn.T + np.cross(place, force)
+
+
+def to_inner(force: Array, moment: Array, turn: Array, place: Array) -> tuple[Array, Array]:
+    """Force and moment (n, 3) in the outer frame, as those in a frame with a turn (3, 3) at a place (3,)."""
+    return force @ turn, (moment - np.cross(place, force)) @ turn
+
+
+def wrench_matrix(turn: Array, place: Array) -> Array:
+    """(6, 6) what takes wrenches in a frame to those in the outer one, as `to_outer`."""
+    x, y, z = place
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.block([[turn, np.zeros((3, 3))], [cross @ turn, turn]])
+
+
+def displaced(force: Array, moment: Array, turn: Array, shift: Array) -> tuple[Array, Array]:
+    """Force and moment (..., 3) after a small turn (..., 3) and a shift (..., 3) of their frame.
+
+    The turn is a rotation vector, which counts to the first order.
+    """
+    return force + np.cross(turn, force), moment + np.cross(turn, moment) + np.cross(shift, force)
