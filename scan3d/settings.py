@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan3d.choices import METHODS, Method, Model, Spacing, Standoff
+from scan3d.choices import METHODS, Method, Model, Spacing
 from scan3d.errors import InputError
 from scan3d.files.reading import dent_size, did_you_mean, read_toml, to_float
 from scan3d.rods import parse_rod
@@ -42,9 +42,7 @@ class Settings:
     friction: str = "0.3"
     rod: str = "auto"
     clearance: float = 0.3
-    standoff: Standoff = "follow"
     tolerance: float = 0.0
-    accuracy: float = 0.0
     noise: float = 0.0
     seed: int = 0
     unit: Unit = "mm"
@@ -71,10 +69,8 @@ class Settings:
             samples=self.samples,
             friction=_friction(self.friction),
             clearance=self.clearance,
-            standoff=self.standoff,
             tolerance=self.tolerance,
             rod=parse_rod(self.rod),
-            accuracy=self.accuracy,
             noise=self.noise,
             seed=self.seed,
             unit=self.unit,

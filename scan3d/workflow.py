@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -116,7 +115,6 @@ def write(
     seconds: Mapping[str, float] | None = None,
     notify: Callable[[str], None] = lambda _: None,
     overwrite: bool = False,
-    mesh_path: bool = False,
     drawing: Drawing | None = None,
     step: Step = lambda _: None,
 ) -> dict[str, Any]:
@@ -136,8 +134,6 @@ def write(
         called with a sentence if pictures cannot be rendered.
     overwrite
         whether files that the program did not write may be replaced.
-    mesh_path
-        whether the report states where the true body's file lies, relative to the folder.
     drawing
         the child process that draws; by default one that is started here.  It is ended.
     step
@@ -147,7 +143,7 @@ def write(
     """
     if not isinstance(folder, Result):
         with opened(folder, with_recording=with_recording, overwrite=overwrite) as result:
-            rest: dict[str, Any] = {"seconds": seconds, "notify": notify, "mesh_path": mesh_path, "drawing": drawing}
+            rest: dict[str, Any] = {"seconds": seconds, "notify": notify, "drawing": drawing}
             return write(analysis, result, settings=settings, with_recording=with_recording, step=step, **rest)
     clock = _Clock({**(seconds or {}), **analysis.seconds}, step)
     friction = settings.get("friction") if with_recording else None
@@ -158,15 +154,7 @@ def write(
             figures = key_figures(report(analysis, settings=settings, friction_set=friction))
             _draw(to_scene(analysis, figures), folder, child, notify)
     data = report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds)
-    if mesh_path and analysis.truth is not None:
-        _state_path(data, analysis.truth, folder.folder)
     return folder.commit(data)
-
-
-def _state_path(data: dict[str, Any], truth: Any, folder: Path) -> None:
-    """Add to a report where the true body's file lies, relative to the folder."""
-    with suppress(ValueError, KeyError):  # on another drive, or not read from a file
-        data["mesh"]["path"] = os.path.relpath(truth.metadata["path"], folder.resolve())
 
 
 def _put_tables(analysis: Analysis, result: Result, with_recording: bool) -> None:

@@ -495,14 +495,6 @@ def test_a_folder_in_which_another_batch_runs_is_refused(tmp_path):
         work.release()
 
 
-def test_the_place_of_a_mesh_is_stated_if_asked_for(tmp_path):
-    assert scan3d.batch(CUBE, tmp_path, **SETTINGS).computed == 1
-    assert scan3d.batch(CUBE, tmp_path, mesh_path=True, **SETTINGS).computed == 1
-    report = scan3d.open(tmp_path / "cube").report
-    assert (tmp_path / "cube" / report["mesh"]["path"]).resolve() == CUBE.resolve()
-    assert scan3d.batch(CUBE, tmp_path, mesh_path=True, **SETTINGS).computed == 0
-
-
 # --- failures ---
 
 

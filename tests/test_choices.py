@@ -89,7 +89,6 @@ def test_parser_and_completion_take_the_lists() -> None:
         allowed = action(command, option).choices or VALUES[option]
         assert tuple(allowed) == values
     assert VALUES["spacing"] is choices.SPACINGS
-    assert VALUES["standoff"] is choices.STANDOFFS
     assert VALUES["method"] is choices.METHODS
     for shell in choices.SHELLS:
         for name, values in LISTS.items():

@@ -15,7 +15,6 @@ from scan3d.settings import Settings
 
 def test_the_shell_offers_the_values_of_the_settings():
     assert VALUES["spacing"] == choices.SPACINGS
-    assert VALUES["standoff"] == choices.STANDOFFS
     assert VALUES["unit"] == tuple(units.UNITS_M)
     assert VALUES["method"] == choices.METHODS
     for axis in VALUES["axis"]:

@@ -1,6 +1,5 @@
 """Scenes from files: folders, recordings, clouds, surfaces, and files of other programs."""
 
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -53,30 +52,6 @@ def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_
     (tmp_path / "parts" / "egg.stl").write_bytes(EGG.read_bytes())
     assert stored.find_truth(tmp_path / "elsewhere", report) == "parts/egg.stl"
     assert stored.find_truth(tmp_path / "elsewhere", {}) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [(), ("--mesh-path",)])
-def test_the_truth_is_found_where_it_was_if_the_report_may_say_so(tmp_path, monkeypatch, options):
-    """However far it lies from where the results are, and from where `show` is called."""
-    (tmp_path / "parts" / "old").mkdir(parents=True)
-    mesh = tmp_path / "parts" / "old" / "egg.stl"
-    mesh.write_bytes(EGG.read_bytes())
-    (tmp_path / "work").mkdir()
-    monkeypatch.chdir(tmp_path / "work")
-    scan = ["scan", "../parts/old/egg.stl", "--out", "deep/out", "--slices", "4", "--samples", "8", "--quiet"]
-    assert main([*scan, *options]) == 0
-    report = stored.read_report(Path("deep/out"))
-    monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "work" / "deep" / "out"
-    if not options:
-        assert "path" not in report["mesh"]
-        assert stored.find_truth(folder, report) is None
-        return
-    assert report["mesh"]["path"] == os.path.join("..", "..", "..", "parts", "old", "egg.stl")
-    assert Path(stored.find_truth(folder, report)).samefile(mesh)
-    mesh.unlink()
-    assert stored.find_truth(folder, report) is None
 
 
 def strings(value):

@@ -74,7 +74,6 @@ class Run:
     folder: str
     """Absolute path of the folder for the results."""
     overwrite: bool = False
-    mesh_path: bool = False
 
     def is_done(self) -> bool:
         """Whether the folder holds the whole result of this mesh, these settings and this version of the program."""
@@ -85,7 +84,6 @@ class Run:
             is_same = (
                 mesh["sha256"] == self.sha256
                 and mesh["file"] == Path(self.path).name
-                and ("path" in mesh) == self.mesh_path
                 and report["settings"] == dataclasses.asdict(self.settings)
                 and report["versions"]["scan3d"] == version("scan3d")
             )
@@ -119,7 +117,6 @@ def runs_of(
     out: Path,
     *,
     overwrite: bool = False,
-    mesh_path: bool = False,
 ) -> list[Run]:
     """The runs of a batch: every mesh with every choice, which is what a grid varies and all settings; none of them twice."""
     combined: dict[Settings, Mapping[str, Any]] = {}
@@ -139,7 +136,6 @@ def runs_of(
             settings=settings,
             folder=str(folder / name),
             overwrite=overwrite,
-            mesh_path=mesh_path,
         )
         for name, (k, settings) in zip(names, pairs, strict=True)
     ]
@@ -179,7 +175,6 @@ def _scan(run: Run, notify: Callable[[str], None]) -> None:
                 run.settings,
                 run.folder,
                 overwrite=run.overwrite,
-                mesh_path=run.mesh_path,
                 notify=notify,
             )
             return

@@ -67,7 +67,6 @@ def batch(
     *,
     grid: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     overwrite: bool = False,
-    mesh_path: bool = False,
     progress: Report = lambda _: None,
     notify: Callable[[str], None] = lambda _: None,
     **settings: Any,
@@ -86,8 +85,6 @@ def batch(
         lists of values by setting, or the path of a TOML file with them, as `scan3d.batches.grid.combinations` describes.
     overwrite
         whether files in the folder that the program did not write may be replaced.
-    mesh_path
-        whether the reports state where the meshes lie, relative to the folders of the results.
     progress
         called with a `scan3d.batches.running.BatchProgress` as runs are finished, and about once a second.
     notify
@@ -109,7 +106,6 @@ def batch(
         executor,
         inputs={"grid": Path(grid)} if isinstance(grid, (str, os.PathLike)) else {},
         overwrite=overwrite,
-        mesh_path=mesh_path,
         progress=progress,
         notify=notify,
     )
@@ -136,7 +132,6 @@ def perform_batch(
     *,
     inputs: Inputs,
     overwrite: bool,
-    mesh_path: bool,
     progress: Report,
     notify: Callable[[str], None],
 ) -> Batch:
@@ -149,7 +144,7 @@ def perform_batch(
     """
     paths = mesh_files(given)
     folder = Path(out)
-    runs = runs_of(paths, choices, folder, overwrite=overwrite, mesh_path=mesh_path)
+    runs = runs_of(paths, choices, folder, overwrite=overwrite)
     with opened(folder, with_recording=False, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
         missing = [run for run in runs if not run.is_done()]
         found = dict(zip([run.name for run in missing], outcomes(missing, executor, len(runs), progress), strict=True))

@@ -86,7 +86,6 @@ def batch(arguments: Namespace) -> int:
             executor,
             inputs={"grid": arguments.grid, "file of settings": arguments.config},
             overwrite=arguments.overwrite,
-            mesh_path=arguments.mesh_path,
             progress=_report(arguments.progress),
             notify=arguments.progress.say,
         )

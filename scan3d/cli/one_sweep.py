@@ -29,7 +29,6 @@ _OF_RECORDING = {
     "model": None,
     "rig": None,
     "table": None,
-    "mesh_path": False,
     "strict": False,
 }
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import fields
 
-from scan3d.choices import CAMERAS, METHODS, MODELS, SHELLS, SPACINGS, STANDOFFS, one_of
+from scan3d.choices import CAMERAS, METHODS, MODELS, SHELLS, SPACINGS, one_of
 from scan3d.cli import batch, calibration, exporting, guide, laboratory_parser, one_sweep, rig_parser, showing
 from scan3d.cli.usage import Parser, Version
 from scan3d.settings import Settings
@@ -30,7 +30,6 @@ Seeing by touch: sweep a flexible rod along a body, and reconstruct the body fro
   scan3d plan --around cylinder:80x120 --out poses.csv     poses of a robot for an unknown body
   scan3d next out --out further.csv                        poses of further sweeps, where most room is left
   scan3d batch meshes --out study --jobs 2                 many bodies, or many settings, with one summary
-  scan3d explain coverage                                  what a word of the report means
   scan3d doctor                                            what works on this machine, and how to install the rest
 
 'scan3d COMMAND --help' describes each command.
@@ -67,7 +66,6 @@ _EXAMPLES = {
 VALUES = {
     "model": MODELS,
     "spacing": SPACINGS,
-    "standoff": STANDOFFS,
     "unit": tuple(UNITS_M),
     "method": METHODS,
     "axis": ("x", "y", "z", "xyz"),
@@ -90,16 +88,10 @@ _OPTIONS = (
     ("friction", "MU", "coefficient of friction, or a range such as 0.0:0.4 from which every sample draws its own"),
     ("rod", "ROD", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"),
     ("clearance", "X", "distance of the base line from the slice, in rod lengths"),
-    ("standoff", "RULE", f"{one_of(STANDOFFS)}: whether the base line follows every slice or clears the widest one"),
     (
         "tolerance",
         "X",
         "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices and samples as it takes",
-    ),
-    (
-        "accuracy",
-        "X",
-        "spatial model: largest change where the steps of sweeps are halved; 0: one step from sample to sample",
     ),
     ("noise", "SIGMA", "standard deviation of force and moment, in EI/L² and EI/L"),
     ("seed", "N", "seed of the random numbers; the same seed gives the same files"),
@@ -118,7 +110,6 @@ def parser() -> argparse.ArgumentParser:
     scan.add_argument("mesh", metavar="MESH", help="a convex body: STL, PLY, OBJ, OFF or GLB")
     scan.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     _add_settings(scan)
-    _add_mesh_path(scan)
     _add_overwrite(scan)
     _add_strict(scan)
     scan.set_defaults(command="scan")
@@ -166,7 +157,6 @@ def parser() -> argparse.ArgumentParser:
         help="height of the table on which the body stands, in the recording's unit (default: that of its .toml, or none)",
     )
     one_sweep.add_options(reconstruct)
-    _add_mesh_path(reconstruct)
     _add_overwrite(reconstruct)
     _add_output(reconstruct)
     _add_strict(reconstruct)
@@ -189,7 +179,6 @@ def parser() -> argparse.ArgumentParser:
     _add_output(showing.add_show(commands, _add_overwrite))
     _add_output(exporting.add_export(commands, _add_overwrite))
     _add_output(guide.add_demo(commands, _add_overwrite))
-    guide.add_explain(commands)
 
     doctor = commands.add_parser("doctor", help="what works on this machine, what is missing, and how to install it")
     _add_output(doctor)
@@ -201,7 +190,6 @@ def parser() -> argparse.ArgumentParser:
 
     many = batch.add_batch(commands)
     _add_settings(many)
-    _add_mesh_path(many)
     _add_overwrite(many)
 
     rig_parser.add_rig_commands(commands, _add_overwrite, _add_output)
@@ -260,14 +248,6 @@ def _add_clip_dent(parser: argparse._ActionsContainer, default: str) -> None:
 def _add_strict(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strict", action="store_true", help="exit with 1 if the recording contradicts the model (results are written)"
-    )
-
-
-def _add_mesh_path(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--mesh-path",
-        action="store_true",
-        help="state in the report where the mesh lies, so that show finds it there (default: its name only)",
     )
 
 

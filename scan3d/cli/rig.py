@@ -19,7 +19,7 @@ Outcome = tuple[dict[str, Any], str, tuple[str, ...]]
 """What a command did: the data for --json, the text that is printed otherwise, and warnings."""
 
 # Settings of a simulated scan that do not concern a rig with given poses, with what to do instead.
-_SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "standoff", "tolerance", "noise", "method")
+_SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "noise", "method")
 
 
 def plan(arguments: Namespace) -> Outcome:
@@ -178,7 +178,6 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
         rod=plan.rod,
         model=chosen.model if "model" in given else None,
         friction=plan.friction_range,
-        accuracy=plan.accuracy,
         seed=plan.seed,
         unit=plan.unit,
     )

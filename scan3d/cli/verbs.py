@@ -38,7 +38,6 @@ def scan(arguments: Namespace) -> int:
         arguments.out,
         inputs={"file of settings": arguments.config},
         overwrite=arguments.overwrite,
-        mesh_path=arguments.mesh_path,
         **_shown(arguments, chosen),
     )
     return _print_report(arguments, data)
@@ -134,7 +133,6 @@ def reconstruct(arguments: Namespace) -> int:
             with_recording=False,
             seconds=seconds,
             notify=progress.say,
-            mesh_path=arguments.mesh_path,
             step=progress.step,
         )
     return _print_report(arguments, data)
@@ -190,7 +188,6 @@ VERBS: dict[str, Callable[[Namespace], int]] = {
     "show": show,
     "export": export,
     "demo": demo,
-    "explain": guide.explain_command,
     "doctor": doctor,
     "completion": completion,
 }

@@ -80,16 +80,14 @@ def of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
 def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
     """The mesh file that a report names, None if it is not found unchanged.
 
-    It is looked for where it was when the scan was made, in the folder, beside it, in the current directory, and in the
-    folders there.
+    It is looked for in the folder, beside it, in the current directory, and in the folders there.
     """
     mesh = report.get("mesh") or {}
     name, digest = Path(str(mesh.get("file"))).name, mesh.get("sha256")
     if not digest:
         return None
     places = (folder, folder.resolve().parent, Path(), *sorted(path for path in Path().iterdir() if path.is_dir()))
-    original = [folder / str(mesh["path"])] if mesh.get("path") else []
-    for path in (*original, *(place / name for place in places)):
+    for path in (place / name for place in places):
         with suppress(OSError, ValueError):  # a name that can't be one of a file, or a file that can't be read
             if path.is_file() and _sha256(path) == digest:
                 return str(path)

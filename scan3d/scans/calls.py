@@ -38,7 +38,7 @@ def scan(
         called with the numbers of slices that are done and of all slices.
     settings
         those of the command, by name: ``model``, ``slices``, ``spacing``, ``axis``, ``sweeps``, ``samples``, ``friction``,
-        ``rod``, ``clearance``, ``standoff``, ``tolerance``, ``accuracy``, ``noise``, ``seed``, ``unit``, ``method``,
+        ``rod``, ``clearance``, ``tolerance``, ``noise``, ``seed``, ``unit``, ``method``,
         ``hull`` and ``clip_dent``.  A range of friction is text or a pair, ``"0.0:0.4"`` or ``(0.0, 0.4)``, a vector for
         ``axis`` likewise ``(1, 1, 0)``, and a rod is named as ``"steel:0.3x50"``.
 

@@ -30,7 +30,6 @@ def perform(
     *,
     inputs: Inputs | None = None,
     overwrite: bool = False,
-    mesh_path: bool = False,
     progress: Progress | None = None,
     notify: Callable[[str], None] = lambda _: None,
     step: workflow.Step = lambda _: None,
@@ -41,9 +40,9 @@ def perform(
         path of a mesh file, or a `trimesh.Trimesh`.
     out
         the folder; None: nothing is written.
-    inputs, overwrite, mesh_path, notify
+    inputs, overwrite, notify
         as in `workflow.write` and `files.results.opened`: what the run reads besides the mesh, whether files that the program
-        did not write may be replaced, whether the report states where the mesh lies, and what is called with a sentence if
+        did not write may be replaced, and what is called with a sentence if
         pictures cannot be rendered.
     progress, step
         called with the numbers of slices that are done and of all slices; and with the name of each step when it begins.
@@ -83,7 +82,6 @@ def perform(
             with_recording=True,
             seconds=seconds,
             notify=notify,
-            mesh_path=mesh_path,
             drawing=drawing,
             step=step,
         )

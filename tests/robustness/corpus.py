@@ -227,7 +227,6 @@ def _options():
         "rod": ("steel", "steel:1x0", "steel:1e-300x50", "steel:1e300x50", "steel:0.3x1e300", f"steel:{HUGE}x1", "a:b"),
         "axis": ("w", "1,2", "0,0,0", "nan,0,1", "1e999,0,0", "xx", ",,", ""),
         "spacing": ("even", ""),
-        "standoff": ("near",),
         "unit": ("furlong", "\x1b[31m"),
         "method": ("magic",),
     }
@@ -255,7 +254,7 @@ def _options():
             "--slices=2",
         ),
         *("--axis=1e300,0,0", "--axis=1e-320,0,0", "--axis=1e308,1e308,1e308", "--rod=steel:0.3x40", f"--seed={HUGE}"),
-        *("--spacing=adaptive --samples=2", "--standoff=fixed --clearance=0.9", "--axis=xyz --slices=2"),
+        *("--spacing=adaptive --samples=2", "--clearance=0.9", "--axis=xyz --slices=2"),
         *("--rod=steel:0.3x1e10", "--rod=steel:1e20x1e20", "--spacing=adaptive --slices=1", "--sweeps=1 --samples=2"),
     )
     # they may fail, in a sentence

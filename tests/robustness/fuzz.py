@@ -23,7 +23,7 @@ NUMBERS = ("0", "-1", "1", "2", "3", "1e-300", "1e300", "-1e300", "nan", "inf", 
            "-2147483649", corpus.HUGE, "", "x", "\x1b[31m", "\u202e", "0x10", "1_0", "true", "null", "[]", "{}")  # fmt: skip
 MESHES = ("box.stl", "box.ply", "box.obj", "box.off", "box.glb", "text.stl", "ball.ply", "torus.stl")
 OPTIONS = ("slices", "samples", "sweeps", "friction", "clearance", "tolerance", "noise", "seed", "rod", "axis", "spacing",
-           "standoff", "unit", "method", "model", "accuracy")  # fmt: skip
+           "unit", "method", "model")  # fmt: skip
 WORDS = ("auto", "hull", "bracket", "support", "regression", "poisson", "adaptive", "uniform", "fixed", "xyz", "y", "1,1,0",
          "spatial", "0:0.4", "m", "um", "in", "steel:0.3x50", "nylon:1x20", "steel:0.01x2000")  # fmt: skip
 KINDS = ("mesh", "compare", "table", "rod", "options", "options", "config", "show", "show", "export", "body", "body", "columns",

@@ -65,7 +65,7 @@ _PLAN = ("around", "model", "slices", "sweeps", "rod", "unit")
 _LIMITS = ("samples", "clearance", "max-force", "floor", "workspace", "speed")
 _OPTIONS = {
     "plan": _PLAN + _LIMITS,
-    "poses": ("rod", "model", "friction", "accuracy", "seed", "unit", "noise"),
+    "poses": ("rod", "model", "friction", "seed", "unit", "noise"),
     "import": ("rig", "after", "html"),
     "calibrate": ("sphere", "unit", "tare", "pose-noise"),
     "next": ("tolerance", "around", "sweeps", "seed", *_LIMITS),
