@@ -12,7 +12,9 @@ from scan3d.files.meshes import load_mesh, read_mesh
 from scan3d.geometry.edges import opposite_edges, outward_faces, planes_by_edges, turns
 from scan3d.geometry.hull_distance import CONVEX_DEPTH, against_hull, distance_to_hull, prepare_facets
 
-MESHES = sorted(path for path in (Path(__file__).parents[1] / "meshes").iterdir() if path.suffix != ".py")
+MESHES = sorted(
+    path for path in (Path(__file__).parents[1] / "meshes").iterdir() if path.is_file() and path.suffix != ".py"
+)
 
 
 def facets_of(mesh):

@@ -75,6 +75,7 @@ def frames(written):
 
 
 @pytest.mark.slow
+@pytest.mark.rendering  # without a renderer a sentence stands between the lines
 def test_a_scan_on_a_terminal_shows_every_step(tmp_path):
     written, code = on_terminal("scan", CUBE, "--out", tmp_path / "out", *SIZE)
     assert code == 0

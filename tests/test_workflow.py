@@ -142,6 +142,7 @@ def test_write_writes_the_recording_only_if_asked_to(scan, tmp_path, with_record
         assert_same(scan3d.read_recording(tmp_path / "recording.csv").force_N, recording.force_N)
 
 
+@pytest.mark.rendering
 def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypatch):
     """A picture of an earlier run must not stand beside the results of this one."""
     _, _, analysis = scan
