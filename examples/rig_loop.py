@@ -26,8 +26,7 @@ from paper_figure_3 import STYLE
 import scan3d
 from scan3d.cli import main as command
 from scan3d.files.poses import write_poses
-from scan3d.planning.envelopes import parse_envelope
-from scan3d.planning.rig_plan import RigPlan, plan_poses
+from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import PoseList
 from scan3d.simulation.rig import simulate_rig, standing
 

@@ -17,13 +17,18 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
 from scan3d.planning.adaptive import next_heights
-from scan3d.planning.directions import further_directions
-from scan3d.planning.envelopes import Envelope, parse_envelope
+from scan3d.planning.aims import further_directions, open_places
 from scan3d.planning.plan import Plan
-from scan3d.planning.rasters import open_places
-from scan3d.planning.rig_plan import RigPlan, overtravel, plan_poses, pose_list, slice_sweep
-from scan3d.planning.table_rasters import lines_to
-from scan3d.planning.transits import Sweep
+from scan3d.planning.rig import (
+    Envelope,
+    RigPlan,
+    Sweep,
+    lines_to,
+    parse_envelope,
+    plan_poses,
+    pose_list,
+    slice_sweep,
+)
 from scan3d.poses import PoseList
 from scan3d.reconstruction import Contradiction, contradictions, reconstruct
 from scan3d.reconstruction.consistency import BELOW_TABLE
@@ -268,17 +273,8 @@ class Session(Described):
         space, clearance = self.plan.space(), self.plan.resolved_clearance()
         random = np.random.default_rng([self._seed, 7, len(self._recordings)])
         target, normal = open_places(self.cloud.points / space.length, self.cloud.normals, _SPARE * sweeps)
-        lines = lines_to(
-            target * space.length,
-            normal,
-            space.envelope.points(),
-            space.length,
-            (clearance, space.margin / space.length, overtravel(clearance)),
-            space.floor,
-            random,
-        )[:sweeps]
-        fraction = np.linspace(0, 1, self.plan.samples)[:, None]
-        return [Sweep(start + fraction * (end - start), axes) for start, end, axes in lines]
+        lines = lines_to(target * space.length, normal, space, clearance, random)[:sweeps]
+        return [line.sweep(self.plan.samples) for line in lines]
 
 
 def around_contacts(recording: Recording, model: str) -> Envelope:

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d.planning.envelopes import parse_envelope
-from scan3d.planning.rig_plan import RigPlan, plan_poses
+from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.simulation.disturbances import pink_noise
 from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.spatial.bodies import Ellipsoid

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 import scan3d
-from scan3d.planning.contours import open_contours
+from scan3d.planning.heights import open_contours
 from scan3d.simulation import scan as simulated
 from scan3d.simulation.axis_scans import AxisScan
 from scan3d.surfaces import enclosure

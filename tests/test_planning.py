@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from scan3d import InputError, Plan
 from scan3d.geometry.sections import slice_frame
-from scan3d.planning.directions import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
+from scan3d.planning.aims import AIMED_SLOPE, OPEN_FRACTION, base_fractions, first_directions, further_directions
 from scan3d.planning.heights import (
     FIRST_SLICES,
     cosine_gap,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapes import rotation
 
-from scan3d.planning.poses import base_line, clamp_axes, positions
+from scan3d.planning.aims import base_line, clamp_axes, positions
 
 OUTLINE = np.array([[3.0, 1.0], [7.0, 2.0], [6.0, 8.0], [2.0, 5.0]])
 angles = st.floats(0.0, 2 * np.pi)

@@ -14,8 +14,7 @@ from scan3d.cli import main
 from scan3d.files.poses import COLUMNS, read_poses, to_yaml, write_poses
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.segments import segments_meet
-from scan3d.planning.envelopes import Envelope, parse_envelope
-from scan3d.planning.rig_plan import FARTHEST, FORCE_FACTOR, RigPlan, overtravel, plan_poses
+from scan3d.planning.rig import FARTHEST, FORCE_FACTOR, Envelope, RigPlan, overtravel, parse_envelope, plan_poses
 from scan3d.poses import Move, PoseList
 from scan3d.simulation.rig import simulate_rig
 from scan3d.simulation.rig_contact import steps_touch

@@ -16,8 +16,7 @@ from scan3d.cli import main
 from scan3d.files.poses import read_poses
 from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import hull
-from scan3d.planning.envelopes import parse_envelope
-from scan3d.planning.rig_plan import RigPlan, plan_poses
+from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import Move, PoseList
 from scan3d.simulation.disturbances import kept, lagged, logged_positions, measured, pink_noise
 from scan3d.simulation.faults import Faults, Frame, Size, faults_of, read_faults

@@ -26,8 +26,7 @@ def plan(arguments: Namespace) -> Outcome:
     """Write poses for an unknown body."""
     from scan3d.files.atomic import folder
     from scan3d.files.poses import check_poses, write_poses
-    from scan3d.planning.envelopes import parse_envelope
-    from scan3d.planning.rig_plan import FORCE_FACTOR, RigPlan, plan_poses
+    from scan3d.planning.rig import FORCE_FACTOR, RigPlan, parse_envelope, plan_poses
 
     check_poses(arguments.out, arguments.overwrite)
     try:
@@ -70,7 +69,7 @@ def plan(arguments: Namespace) -> Outcome:
 
 def _limits(arguments: Namespace) -> dict[str, Any]:
     """The settings of `RigPlan` that `plan` and `next` have in common."""
-    from scan3d.planning.envelopes import parse_envelope
+    from scan3d.planning.rig import parse_envelope
 
     return {
         "samples": arguments.samples,
@@ -88,7 +87,7 @@ def further(arguments: Namespace) -> Outcome:
     from scan3d.files.ownership import RECORDING, read_report
     from scan3d.files.poses import check_poses, write_header, write_poses
     from scan3d.files.recordings import read_recording, sidecar
-    from scan3d.planning.envelopes import parse_envelope
+    from scan3d.planning.rig import parse_envelope
     from scan3d.session import Session, around_contacts
 
     path = Path(arguments.recording or Path(arguments.folder) / RECORDING[0])

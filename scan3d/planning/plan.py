@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,15 +88,11 @@ class Plan:
 
     def __post_init__(self) -> None:
         for name, minimum in (("slices", 1), ("samples", 2), ("seed", 0)):
-            _check_whole(name, getattr(self, name), minimum)
+            check_whole(name, getattr(self, name), minimum)
         if self.sweeps is not None:
-            _check_whole("sweeps", self.sweeps, 1)
-        if not isinstance(self.model, str) or self.model not in MODELS:
-            raise InputError(f"model must be one of {', '.join(MODELS)}, got {self.model!r}")
-        if not isinstance(self.spacing, str) or self.spacing not in SPACINGS:
-            raise InputError(f"spacing must be one of {', '.join(SPACINGS)}, got {self.spacing!r}")
-        if not isinstance(self.standoff, str) or self.standoff not in STANDOFFS:
-            raise InputError(f"standoff must be one of {', '.join(STANDOFFS)}, got {self.standoff!r}")
+            check_whole("sweeps", self.sweeps, 1)
+        for name, known in (("model", MODELS), ("spacing", SPACINGS), ("standoff", STANDOFFS), ("unit", UNITS_M)):
+            check_choice(name, getattr(self, name), known)
         if not (_is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
         if not (_is_finite(self.accuracy) and self.accuracy >= 0):
@@ -105,8 +101,6 @@ class Plan:
             raise InputError(
                 f"accuracy is a setting of the spatial model, the planar one is exact; leave out accuracy {self.accuracy!r}"
             )
-        if not isinstance(self.unit, str) or self.unit not in UNITS_M:
-            raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         low, high = self.friction_range
         if not 0 <= low <= high:
             raise InputError(f"friction must be a number >= 0 or a rising range LOW:HIGH of such, got {self.friction}")
@@ -172,6 +166,13 @@ def _is_finite(value: object) -> bool:
         return False
 
 
-def _check_whole(name: str, value: object, minimum: int) -> None:
+def check_choice(name: str, value: object, known: Iterable[str]) -> None:
+    """Raises InputError for a setting whose value is none of the known ones."""
+    if not isinstance(value, str) or value not in known:
+        raise InputError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+
+
+def check_whole(name: str, value: object, minimum: int) -> None:
+    """Raises InputError for a setting whose value is no whole number, or too small."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
         raise InputError(f"{name} must be a whole number of at least {minimum}, got {value!r}")

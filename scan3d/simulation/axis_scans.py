@@ -12,9 +12,17 @@ import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.sections import extent_along, slice_polygons
-from scan3d.planning.directions import MAX_SWEEPS, base_fractions, first_directions, further_directions
+from scan3d.planning.aims import (
+    MAX_SWEEPS,
+    BaseLine,
+    base_fractions,
+    base_line,
+    clamp_axes,
+    first_directions,
+    further_directions,
+    positions,
+)
 from scan3d.planning.plan import Plan
-from scan3d.planning.poses import BaseLine, base_line, clamp_axes, positions
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M

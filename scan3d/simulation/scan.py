@@ -16,9 +16,8 @@ from scan3d.geometry.meshes import check_body
 from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
-from scan3d.planning.contours import open_contours
-from scan3d.planning.directions import FIRST_SWEEPS
-from scan3d.planning.heights import BEYOND, first_heights
+from scan3d.planning.aims import FIRST_SWEEPS
+from scan3d.planning.heights import BEYOND, first_heights, open_contours
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.reconstruction.contacts import contacts

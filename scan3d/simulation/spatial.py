@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.planning.aims import Lines, aimed, rasters
 from scan3d.planning.plan import Plan
-from scan3d.planning.rasters import Lines, aimed, rasters
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.spatial.polyhedra import RoundedPolyhedron

@@ -1,0 +1,572 @@
+"""Sweeps for an unknown body: only a bounding body is known, the cylinder, sphere or box around it, and the table, z = 0.
+
+Every sweep lies behind a plane: no part of the straight rod is nearer to the body along the rod than where the rod's tip ends
+when it is drawn back.  Rods that are drawn back behind the supporting plane of the bounding body across the rod stay there on
+straight lines.  To turn from one direction to another, the clamp goes to a place that lies behind both planes by more than a
+rod length, where the rod may turn without coming near the body.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.choices import MODELS
+from scan3d.errors import InputError
+from scan3d.files.reading import to_float
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.sections import slice_frame
+from scan3d.geometry.segments import segments_meet
+from scan3d.geometry.vectors import across
+from scan3d.memory import check_memory
+from scan3d.planning.aims import base_line, clamp_axes, cosine_fractions, icosahedron, positions
+from scan3d.planning.heights import first_heights
+from scan3d.planning.plan import Plan, check_choice, check_whole
+from scan3d.poses import Move, PoseList
+from scan3d.rods import Rod
+from scan3d.spatial.bodies import sphere_directions
+from scan3d.units import UNITS_M
+
+FORCE_FACTOR = 6.0
+"""Largest contact force in EI/d², for a contact at the arc length d from the clamp.  A rod that the body has turned there by
+the angle δ, without friction, is pushed with ``(∫ dδ / √(2 sin δ))²``, from 0 to δ: 3.4 for 90°, 5.9 for 135°, and no sweep
+turns it farther.  With friction the rod is turned less before it slides off; up to a coefficient of 1 the factor is below 6."""
+FARTHEST = 0.8
+"""Largest distance of the clamp from the bounding body, in rod lengths.  Farther away, hardly any of the rod is left to touch
+with, and the force on its tip, up to 9 EI/L², would exceed what the rule above promises."""
+# Distance that the rod keeps from the bounding body outside of sweeps, in rod lengths, and no more than the clearance.
+_MARGIN = 0.05
+# Height above the table that clamp and rod keep by default, in heights of the bounding body, and in diameters of the rod.
+_FLOOR, _FLOOR_DIAMETERS = 0.02, 2.0
+# Sweeps of each slice, from directions evenly around it.
+_SIDES = 4
+# Lines from each direction in space, per slice of the plan, as in the scan of a known body.
+_LINES_PER_SLICE = 0.6
+# Directions of the rasters in space that lie above the table.
+_DIRECTIONS = 6
+# Bytes that a pose takes while it is planned, and poses between two sweeps.
+_MEMORY_PER_POSE, _POSES_BETWEEN = 420, 6
+# Digits to which lengths in messages are rounded up.
+_DIGITS = 3
+# Corners of the polygon and of the polyhedron that stand for a circle and a sphere, around which they lie: by 0.1 % and 1 %.
+_AROUND, _ON_SPHERE = 72, 600
+_COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
+# Cosine of the angle between two rods that are as good as opposite: no place lies behind both of their planes.
+_OPPOSITE = -0.98
+# Sines of angles below which a rod does not turn.
+_SAME = 1e-9
+# Level lines above the table are drawn back along the rod by no more than this part of it.
+_RAISED = 0.3
+# Part of the rod, from its tip, that must enter the body somewhere on a line, and the places where that is looked up.
+_LEAST, _PLACES_ALONG = 0.1, 65
+# Directions of the rod that are tried for a place to which a sweep is aimed, and the least slope by which they point down.
+_TRIED, _LEVEL = 16, 0.02
+# Places about a line at which the width of the body is looked up.
+_PLACES = 17
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A bounding body; lengths in the user's unit.  Raises InputError for sizes that are not positive numbers."""
+
+    shape: str
+    """'cylinder', 'sphere' or 'box'."""
+    sizes: tuple[float, ...]
+    """Diameter and height of the cylinder, diameter of the sphere, or extents of the box along x, y and z."""
+
+    def __post_init__(self) -> None:
+        if self.shape not in _COUNTS or len(self.sizes) != _COUNTS[self.shape]:
+            raise InputError(_expected(str(self)))
+        if not all(0 < size < math.inf for size in self.sizes):
+            raise InputError(f"the sizes of {self} must be above 0")
+
+    def __str__(self) -> str:
+        return f"{self.shape}:{'x'.join(f'{size:g}' for size in self.sizes)}"
+
+    @property
+    def height(self) -> float:
+        """Of its top above z = 0."""
+        return self.sizes[-1]
+
+    @property
+    def width(self) -> float:
+        """Largest horizontal diameter."""
+        return math.hypot(*self.sizes[:2]) if self.shape == "box" else self.sizes[0]
+
+    def points(self) -> Array:
+        """(n, 3) corners of a polyhedron in which the bounding body lies."""
+        if self.shape == "sphere":
+            radius = self.sizes[0] / 2
+            directions = sphere_directions(_ON_SPHERE).T
+            # the polyhedron of points on a sphere has faces nearer to the middle, by which it is enlarged
+            faces = hull(directions)
+            nearest = float((faces.triangles_center * faces.face_normals).sum(axis=1).min())
+            points = np.asarray(directions * radius / nearest + [0, 0, radius])
+            return np.column_stack([points[:, :2], np.maximum(points[:, 2], 0.0)])
+        outline = self.outline()
+        return np.concatenate([np.column_stack([outline, np.full(len(outline), z)]) for z in (0.0, self.height)])
+
+    def outline(self) -> Array:
+        """(n, 2) corners of a polygon in which the bounding body lies, seen from above."""
+        if self.shape == "box":
+            corners = np.array([(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+            return np.asarray(corners * self.sizes[:2])
+        angle = 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
+        radius = self.sizes[0] / 2 / np.cos(np.pi / _AROUND)
+        return np.asarray(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+    def contains(self, points: Array) -> Mask:
+        """(n,) whether points (n, 3) lie in it."""
+        x, y, z = points.T
+        if self.shape == "box":
+            inside = (np.abs(x) <= self.sizes[0] / 2) & (np.abs(y) <= self.sizes[1] / 2)
+        elif self.shape == "cylinder":
+            inside = np.hypot(x, y) <= self.sizes[0] / 2
+        else:
+            return np.asarray(x**2 + y**2 + (z - self.sizes[0] / 2) ** 2 <= self.sizes[0] ** 2 / 4)
+        return np.asarray(inside & (z >= 0) & (z <= self.height))
+
+
+def parse_envelope(text: str) -> Envelope:
+    """The bounding body named by ``cylinder:DxH``, ``sphere:D`` or ``box:AxBxC``.  Raises InputError for any other text."""
+    match = re.fullmatch(r"(\w+):([0-9.eE+-]+(?:x[0-9.eE+-]+)*)", text)
+    try:
+        sizes = tuple(float(part) for part in match[2].split("x")) if match else ()
+    except ValueError:
+        match = None
+    if match is None or match[1] not in _COUNTS or len(sizes) != _COUNTS[match[1]]:
+        raise InputError(_expected(text))
+    return Envelope(match[1], sizes)
+
+
+def _expected(text: str) -> str:
+    return (
+        "a bounding body is cylinder:DIAMETERxHEIGHT, sphere:DIAMETER or box:AxBxC, such as cylinder:80x120; "
+        f"got {text!r}"
+    )
+
+
+class Sweep(NamedTuple):
+    """One sweep: where its clamp goes, in the user's unit."""
+
+    position: Array
+    """(n, 3)"""
+    axes: Array
+    """(3, 3) as rows."""
+
+
+class Space(NamedTuple):
+    """Where a clamp with a rod may go, lengths in the user's unit."""
+
+    envelope: Envelope
+    length: float
+    """Of the rod."""
+    margin: float
+    """Distance that the rod keeps from the bounding body when it does not sweep."""
+    floor: float
+    """Height above which clamp and rod stay."""
+
+    def behind(self, along: Array) -> float:
+        """Coordinate along the direction `along` (3,) of a rod behind which its tip is clear of the bounding body."""
+        return float((self.envelope.points() @ along).min()) - self.margin
+
+
+@dataclass(frozen=True)
+class RigPlan:
+    """Settings of sweeps for an unknown body; lengths in `unit`.  Raises InputError for values out of their range."""
+
+    around: Envelope
+    """Where the body is known to be."""
+    model: str = "planar"
+    """'planar': stacks of horizontal slices; 'spatial': rasters from the directions above the table."""
+    slices: int = 32
+    """Number of slices; in the spatial model 0.6 times as many sweeps from each direction."""
+    sweeps: int | None = None
+    """Sweeps per slice, from directions evenly around it, four by default; in the spatial model per direction."""
+    samples: int = 128
+    """Poses of a sweep."""
+    rod: Rod | None = None
+    """None: a steel wire as long as the bounding body is wide, or in space as its largest extent."""
+    clearance: float = 0.3
+    """Distance of the clamp from the bounding body, in rod lengths."""
+    max_force_N: float | None = None
+    """Largest contact force; sweeps keep as far away as it demands."""
+    floor: float | None = None
+    """Height above which clamp and rod stay; None: 2 % of the bounding body's height, at least two diameters of the rod."""
+    workspace: Envelope | None = None
+    """Where the clamp may go."""
+    speed: float = 20.0
+    """Of the clamp, in units per second."""
+    unit: str = "mm"
+
+    def __post_init__(self) -> None:
+        check_choice("model", self.model, MODELS)
+        check_choice("unit", self.unit, UNITS_M)
+        for name, minimum in (("slices", 1), ("samples", 2), ("sweeps", 1)):
+            if getattr(self, name) is not None:
+                check_whole(name, getattr(self, name), minimum)
+        if not (0 < self.clearance <= FARTHEST):
+            raise InputError(f"clearance must be above 0 and at most {FARTHEST} rod lengths, got {self.clearance}")
+        for name in ("speed", "max_force_N"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"{name.partition('_N')[0].replace('_', '-')} must be a number above 0, got {value}")
+        if self.floor is not None and not 0 <= self.floor < self.around.height:
+            raise InputError(
+                f"floor must be a height from 0 to less than that of the bounding body, {self.around.height:g} {self.unit}, "
+                f"got {self.floor:g}"
+            )
+
+    def resolved_rod(self) -> Rod:
+        """The rod, or the one that is taken by default."""
+        if self.rod is not None:
+            return self.rod
+        around = self.around
+        length = around.width if self.model == "planar" else max(around.width, around.height)
+        return Rod.of_length(UNITS_M[self.unit] * length)
+
+    def resolved_clearance(self) -> float:
+        """The clearance in rod lengths, as much larger as `max_force_N` demands.  Raises InputError if that is too far away."""
+        rod, unit = self.resolved_rod(), self.unit
+        length = rod.length_m / UNITS_M[unit]
+        largest = min(FARTHEST, 1 - self.around.width / 2 / length)
+        if self.clearance > largest:
+            needed = self.around.width / 2 / (1 - self.clearance)
+            raise InputError(
+                f"a rod of {length:.4g} {unit} doesn't reach the axis of {self.around} from a clearance of "
+                f"{self.clearance:g} rod lengths; choose a rod of at least {_up(needed):g} {unit}, or less clearance"
+            )
+        if self.max_force_N is None:
+            return self.clearance
+        demanded = math.sqrt(FORCE_FACTOR * rod.force_unit_N / self.max_force_N)
+        if demanded > largest:
+            thinner = math.sqrt(largest / demanded)
+            raise InputError(
+                f"this rod may push with up to {FORCE_FACTOR * rod.force_unit_N / largest**2:.3g} N where it still reaches "
+                f"the axis of {self.around}, and the limit is {self.max_force_N:g} N; choose a rod of {thinner:.2g} times the "
+                f"diameter, or a longer one"
+            )
+        return max(self.clearance, demanded)
+
+    def space(self) -> Space:
+        """Where the clamp may go between sweeps."""
+        rod, metres = self.resolved_rod(), UNITS_M[self.unit]
+        length = rod.length_m / metres
+        floor = self.floor
+        if floor is None:
+            floor = max(_FLOOR * self.around.height, _FLOOR_DIAMETERS * rod.diameter_m / metres)
+        return Space(self.around, length, min(_MARGIN, self.resolved_clearance()) * length, floor)
+
+
+def _up(value: float) -> float:
+    """A number rounded up to a few digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) + 1 - _DIGITS)
+    return math.ceil(value / step) * step
+
+
+def plan_poses(plan: RigPlan) -> PoseList:
+    """The poses of all sweeps with their approaches and retracts.
+
+    Each sweep begins and ends where neither the straight rod nor a bent one can touch the bounding body.  Raises InputError if
+    the rod does not reach into the bounding body, if it is too stiff for the force, or if the clamp would leave the workspace.
+    """
+    _check_size(plan)
+    space = plan.space()
+    sweeps = _slices(plan, space) if plan.model == "planar" else _rasters(plan, space)
+    if not sweeps:
+        raise InputError(
+            f"no sweep from above the table reaches into {plan.around}; choose a longer rod or less clearance"
+        )
+    return pose_list(sweeps, plan)
+
+
+def _check_size(plan: RigPlan) -> None:
+    """Raise InputError if the poses of a plan need more memory than there is."""
+    planar = plan.model == "planar"
+    lines = plan.slices * (plan.sweeps or _SIDES) if planar else _DIRECTIONS * (plan.sweeps or plan.slices)
+    count, samples = to_float(lines), to_float(plan.samples)
+    check_memory(
+        _MEMORY_PER_POSE * count * (samples + _POSES_BETWEEN),
+        f"a plan of {count:.4g} sweeps with {samples:.4g} poses",
+        "choose fewer slices, sweeps or samples",
+    )
+
+
+def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
+    """Sweeps, numbered from `first`, with their approaches and retracts, as a list of poses."""
+    space, metres = plan.space(), UNITS_M[plan.unit]
+    path = joined(sweeps, space, first)
+    _check_workspace(plan, path.position, path.sweep)
+    source: dict[str, Any] = {
+        "around": str(plan.around),
+        "clearance": plan.resolved_clearance(),
+        "floor": space.floor,
+        "samples": plan.samples,
+        "slices": plan.slices,
+    }
+    for name, value in (("sweeps", plan.sweeps), ("max_force_N", plan.max_force_N), ("workspace", plan.workspace)):
+        if value is not None:
+            source[name] = str(value) if isinstance(value, Envelope) else value
+    return PoseList(
+        sweep=path.sweep.astype(np.int64),
+        position_m=path.position * metres,
+        # scipy wants the clamp's axes as columns
+        quaternion=Rotation.from_matrix(np.swapaxes(path.axes, 1, 2)).as_quat(canonical=True, scalar_first=True),
+        move=path.move.astype(np.int8),
+        rod=plan.resolved_rod(),
+        speed_m_s=plan.speed * metres,
+        model=plan.model,
+        unit=plan.unit,
+        source=source,
+    )
+
+
+def overtravel(clearance: float) -> float:
+    """How far a clamp goes on past a body, in rod lengths, so that even a bent rod has come off it.
+
+    A contact at least `clearance` in front of the clamp and at most a rod length away from it lies no farther back.
+    """
+    return math.sqrt(1 - clearance**2)
+
+
+def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
+    """Horizontal sweeps: all heights from one side, then from the next."""
+    clearance, frame = plan.resolved_clearance(), slice_frame(np.array([0.0, 0.0, 1.0]))
+    inside = first_heights(space.floor, plan.around.height, Plan(slices=plan.slices, spacing="cosine"))
+    heights = np.concatenate([inside[:-2], inside[-1:]])  # none below the table
+    return [
+        swept
+        for number, angle in enumerate(2 * np.pi * np.arange(plan.sweeps or _SIDES) / (plan.sweeps or _SIDES))
+        for swept in (slice_sweep(plan, space, angle, z, clearance, frame) for z in heights[:: 1 - 2 * (number % 2)])
+    ]
+
+
+def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, clearance: float, frame: Array) -> Sweep:
+    """The sweep at a height with the rod in a direction, past the whole bounding body."""
+    outline = plan.around.outline()
+    line = base_line(outline, angle, clearance * space.length)
+    across = (outline - line.origin) @ line.axes[0]
+    end = across.min() - space.margin - overtravel(clearance) * space.length
+    x0 = np.linspace(across.max() + space.margin, end, plan.samples)
+    return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))
+
+
+def _check_workspace(plan: RigPlan, position: Array, sweep: Index) -> None:
+    if plan.workspace is None:
+        return
+    outside = ~plan.workspace.contains(position)
+    if outside.any():
+        row = int(np.argmax(outside))
+        place = ", ".join(f"{value:.4g}" for value in position[row])
+        raise InputError(
+            f"the clamp would leave the workspace {plan.workspace}: {outside.sum()} of {len(outside)} poses lie outside, the "
+            f"first of sweep {sweep[row]} at ({place}) {plan.unit}; choose a shorter rod or less clearance, or state more space"
+        )
+
+
+class Path(NamedTuple):
+    """Poses of all sweeps and of the paths between them."""
+
+    sweep: Index
+    position: Array
+    axes: Array
+    """(n, 3, 3)"""
+    move: Index
+
+
+def joined(sweeps: list[Sweep], space: Space, first: int = 0) -> Path:
+    """All sweeps, each with its approach before it and its retract after it; numbered from `first`."""
+    parts: list[tuple[int, Array, Array, Move]] = []
+    previous: tuple[Array, Array] | None = None
+    for number, (position, axes) in enumerate(sweeps, start=first):
+        back = space.behind(axes[1])
+        start = _drawn_back(position[0], axes, back, space)
+        if previous is not None:
+            places, turns = _turn(previous, (start, axes), space)
+            parts += [(number, place, turn, Move.APPROACH) for place, turn in zip(places, turns, strict=True)]
+        parts.append((number, start, axes, Move.APPROACH))
+        parts += [(number, place, axes, Move.SWEEP) for place in position]
+        end = _drawn_back(position[-1], axes, back, space)
+        parts.append((number, end, axes, Move.RETRACT))
+        previous = end, axes
+    return Path(
+        sweep=np.array([part[0] for part in parts]),
+        position=np.array([part[1] for part in parts]),
+        axes=np.array([part[2] for part in parts]),
+        move=np.array([int(part[3]) for part in parts]),
+    )
+
+
+def _drawn_back(place: Array, axes: Array, back: float, space: Space) -> Array:
+    """The place of a clamp that is drawn back along its rod, until the tip is behind the supporting plane."""
+    return np.asarray(place - max(place @ axes[1] + space.length - back, 0.0) * axes[1])
+
+
+def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) -> tuple[list[Array], list[Array]]:
+    """Places and axes at which the clamp turns on its path from one pose, drawn back, to another; none if it need not."""
+    (_, before), (_, after) = start, end
+    old, new = before[1], after[1]
+    cosine = float(old @ new)
+    across = np.cross(old, new)
+    sine = float(np.linalg.norm(across))
+    if sine < _SAME and cosine > 0:
+        return [], []
+    if cosine < _OPPOSITE:
+        # both rods are nearly level, and no place lies behind both planes: a quarter of a turn first
+        halfway = start[0], before @ Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix().T
+        parts = [_turn(start, halfway, space), _turn(halfway, end, space)]
+        return [place for places, _ in parts for place in places], [axes for _, turns in parts for axes in turns]
+    points = space.envelope.points()
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+    # the place lies a rod length behind both planes
+    depth = max(middle @ along - space.behind(along) for along in (old, new)) + space.length
+    place = middle - depth / (1 + cosine) * (old + new)
+    lowest = min(0.0, old[2], new[2], *(_between(old, new)[:, 2]))
+    place[2] = max(place[2], space.floor - space.length * lowest)
+    turned = before @ Rotation.from_rotvec(across / sine * np.arctan2(sine, cosine)).as_matrix().T
+    return [place, place, place], [before, turned, after]
+
+
+def _between(old: Array, new: Array) -> Array:
+    """Unit vectors (n, 3) on the shorter arc from one to another."""
+    part = np.linspace(0, 1, 33)[:, None]
+    mixed = (1 - part) * old + part * new
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+
+
+class Line(NamedTuple):
+    """A straight sweep in space: where it begins and ends (3,), and the clamp's axes (3, 3) as rows."""
+
+    start: Array
+    end: Array
+    axes: Array
+
+    def sweep(self, samples: int) -> Sweep:
+        """It, with so many poses."""
+        fraction = np.linspace(0, 1, samples)[:, None]
+        return Sweep(self.start + fraction * (self.end - self.start), self.axes)
+
+
+class _From(NamedTuple):
+    """What the lines of one direction have in common."""
+
+    space: Space
+    points: Array
+    """(n, 3) in whose hull the body lies."""
+    along: Array
+    """(3,) of the rod, which points down."""
+    clearance: float
+    """Of the clamp from the body along the rod, in the user's unit."""
+    beyond: float
+    """How far the clamp goes on past the body."""
+    body: Any
+    """A convex `trimesh.Trimesh`, the hull of the points."""
+
+    def base(self) -> Array:
+        """The place of a clamp whose rod points at the middle of the body, with the clearance from it."""
+        middle = self.points.mean(axis=0)
+        depth = (self.points @ self.along).min() - self.clearance
+        return np.asarray(middle + (depth - middle @ self.along) * self.along)
+
+    def line(self, spread: Array, x: Array, offset: float) -> Line:
+        """The line against the direction `x` of the clamp, at an offset along `spread`, drawn back as the table demands."""
+        space, base = self.space, self.base()
+        high, low = self._extent(spread, x, offset)
+        origin = base + (offset - base @ spread) * spread
+        ends = (high + space.margin, low - space.margin - self.beyond)
+        start, end = (origin + (value - origin @ x) * x for value in ends)
+        lowest_point = min(start[2], end[2]) + space.length * self.along[2]
+        raised = max(space.floor - lowest_point, 0.0) / -self.along[2]
+        axes = np.stack([x, self.along, np.cross(x, self.along)])
+        return Line(start - raised * self.along, end - raised * self.along, axes)
+
+    def reaches(self, line: Line) -> bool:
+        """Whether the straight rod enters the body by a part of its length somewhere on the line."""
+        places = line.sweep(_PLACES_ALONG).position
+        along = np.broadcast_to(self.along, places.shape)
+        return bool(segments_meet(self.body, places, along, (1 - _LEAST) * self.space.length).any())
+
+    def _extent(self, spread: Array, moved: Array, offset: float) -> tuple[float, float]:
+        """Largest and smallest coordinate along `moved` of the body near a line at an offset along `spread`."""
+        at = offset + self.space.margin * np.linspace(-1, 1, _PLACES)
+        across, along = self.points @ spread, self.points @ moved
+        return -_lowest(across, -along, at), _lowest(across, along, at)
+
+
+def _lowest(x: Array, y: Array, at: Array) -> float:
+    """The smallest y of the hull of points (n,) at some x, or at the end of the hull that is nearest to it."""
+    points = np.stack([x, y], axis=1)
+    corners = points[ConvexHull(points).vertices]  # counterclockwise
+    corners = np.roll(corners, -int(np.lexsort(corners.T[::-1])[0]), axis=0)
+    lower = corners[: int(corners[:, 0].argmax()) + 1]
+    return float(np.interp(at, *lower.T).min())
+
+
+def _rasters(plan: RigPlan, space: Space) -> list[Sweep]:
+    """Sweeps along lines from each direction above the table.
+
+    The first lines of a direction move across the slope of the rod and up and down along it, the others level.  A line whose
+    rod would hit the table is drawn back along the rod; one that then does not reach the body is left out.
+    """
+    count = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
+    points, clearance = space.envelope.points(), plan.resolved_clearance()
+    distances, body = _distances(clearance, space), hull(points)
+    lines = []
+    for direction in icosahedron():
+        if direction[2] <= 0:
+            continue
+        side = _From(space, points, -direction, *distances, body)
+        level = np.cross([0.0, 0.0, 1.0], side.along)
+        level /= np.linalg.norm(level)
+        slope = np.cross(side.along, level)
+        widths = [float(np.ptp(points @ axis)) for axis in (level, slope)]
+        first = _lines(side, level, slope, max(1, round(count * widths[0] / sum(widths))))
+        lines += first + _lines(side, slope, level, max(1, count - len(first)))
+    return [line.sweep(plan.samples) for line in lines]
+
+
+def _distances(clearance: float, space: Space) -> tuple[float, float]:
+    """In the user's unit: of the clamp from the body, and how far it goes on past it, for a clearance in rod lengths."""
+    return clearance * space.length, overtravel(clearance) * space.length
+
+
+def _lines(side: _From, spread: Array, moved: Array, number: int) -> list[Line]:
+    """`number` lines in the direction `moved`, every other one backwards, next to each other in the direction `spread`."""
+    place, base, space = side.points @ spread, side.base(), side.space
+    lowest = place.min()
+    if spread[2] > 0 and moved[2] == 0:
+        # lower lines would have to be drawn back too far
+        tip = base[2] + space.length * side.along[2] - (base @ spread) * spread[2]
+        lowest = max(lowest, (space.floor + _RAISED * space.length * side.along[2] - tip) / spread[2])
+    offsets = lowest + cosine_fractions(number) * (place.max() - lowest)
+    lines = [side.line(spread, -moved if k % 2 else moved, offset) for k, offset in enumerate(offsets)]
+    return [line for line in lines if side.reaches(line)]
+
+
+def lines_to(targets: Array, normals: Array, space: Space, clearance: float, random: np.random.Generator) -> list[Line]:
+    """Lines to places (k, 3) of a body's surface with outward normals (k, 3), as by `aims.aimed`, for a body on a table.
+
+    The rod lies across the normal and comes down on the place along it; the clearance is in rod lengths.  Places to which no
+    such line leads from above the table are left out.
+    """
+    points = space.envelope.points()
+    distances, body = _distances(clearance, space), hull(points)
+    lines = []
+    for target, normal, first, second in zip(targets, normals, *across(normals), strict=True):
+        for angle in random.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(_TRIED) / _TRIED:
+            along = np.cos(angle) * first + np.sin(angle) * second
+            if along[2] > -_LEVEL:
+                continue
+            spread = np.cross(normal, along)
+            line = _From(space, points, along, *distances, body).line(spread, normal, float(target @ spread))
+            if (target - line.start) @ along <= (1 - _LEAST) * space.length:
+                lines.append(line)
+                break
+    return lines
