@@ -58,8 +58,8 @@ trust: .venv/installed ## the long tests of what is promised: bounds, crashes, o
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.rig_bounds
 	OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/coverage.py
 
-mutants: .venv/dev ## mutation tests: change the code in small ways, list the changes that no test notices
-	.venv/bin/python tests/mutation/run.py $(ARGS)
+mutants: .venv/dev ## mutation tests: change the code in small ways, print the changes that no test notices
+	.venv/bin/python tests/robustness/mutants.py $(ARGS)
 
 docs: .venv/docs ## build the manual in docs/_build/html
 	.venv/bin/python -m sphinx --fresh-env --fail-on-warning --keep-going --quiet -b html docs docs/_build/html
