@@ -8,7 +8,7 @@ import pytest
 from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures.player import player, samples_of
+from scan3d.pictures.page import player, samples_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 

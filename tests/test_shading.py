@@ -8,7 +8,7 @@ from small_scans import CUBE, EGG, scanned
 
 import planar
 import scan3d
-from scan3d.pictures import histograms, shading
+from scan3d.pictures import shading
 from scan3d.pictures.parts import shown_surface
 
 
@@ -99,7 +99,7 @@ def test_what_must_be_told_apart_is_so_by_the_colour_blind():
         (shading.ROD, shading.TANGENTIAL, shading.BODY, shading.INK),
         shading.REACTION_COLORS,
         shading.ON_DEVIATION,
-        tuple(histograms._COLORS.values()),
+        (shading.ROD, shading.BOUND),
     ]
     for colors in groups:
         assert least_difference(colors) > 15, colors

@@ -14,36 +14,15 @@ from scan3d.pictures.parts import ShownSweep
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import BACKDROP, EDGE, INK, ROD, TANGENTIAL
 
-# Images are rendered this many times larger and averaged: edges are smooth on any renderer.  Time and memory grow with its
-# square.
-_SUPERSAMPLING = 2
-# Narrowest line, in pixels: thinner ones would have gaps.
-_NARROWEST = 1.0
 # Toward the camera: three sides of a box are seen, and none of them hides another's contacts.
 DIRECTION = (1.0, -1.3, 0.8)
-# The size of a window, in pixels, which fits on the screens of laptops.
-WINDOW_SIZE = (1200, 900)
-# Fraction of an image that the corners fill; the rest is a margin for the size of points and lines.
-FILLED = 0.94
-# Edges between faces whose normals differ by more degrees are drawn: a smaller angle would draw the facets of smooth bodies,
-# a larger one would lose edges of polyhedra.
-_SHARP_DEG = 30.0
-# Edges and lines are moved toward the camera, and the body behind contacts away from it, by these fractions of the size: less,
-# and the faces they lie in would hide parts of them; more, and parts behind the body would show.
+# Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
+CONTACT_SIZE = 7
+# Edges and lines are moved toward the camera, and the body behind contacts away from it, by these fractions of the size, so
+# that the faces they lie in do not hide them.
 _EDGES_FORWARD, _LINES_FORWARD, _BACKDROP_BACKWARD = 1e-3, 2e-3, 3e-3
-# Radius of rods, and the measure of clamps and contacts on them, as fractions of the size: they are seen in a picture 7 inches
-# wide, and neighbouring rods do not merge.
+# Radius of rods, and the measure of clamps and contacts on them, as fractions of the size.
 _ROD_RADIUS, _MARK = 0.003, 0.006
-# Sides of a tube's and an arrow's circle: no corners are seen at this thickness.
-_TUBE_SIDES, _CONE_SIDES = 12, 24
-# Corners that differ by no more than this fraction of their coordinates are one point: a camera could not resolve it.
-_ROUNDING = 1e-12
-# Points of a line closer than this fraction of the size are one point: a tube has no direction between them.
-_SAME_POINT = 1e-6
-# Length of an arrow's head as a fraction of the size, and its radius as a fraction of its length.
-_HEAD, _HEAD_RADIUS = 0.05, 0.28
-# Distance of the camera in sizes: outside of any body that it sees.  In parallel projection nothing else depends on it.
-_CAMERA_DISTANCE = 3
 
 
 class Canvas:
@@ -57,12 +36,15 @@ class Canvas:
         *,
         off_screen: bool = True,
         scale: float = 1.0,
-        sampling: int = _SUPERSAMPLING,
+        sampling: int = 2,
     ) -> None:
-        """`scale` are the pixels that points and lines of one pixel have; an image is rendered `sampling` times larger."""
+        """`scale` are the pixels that points and lines of one pixel have; an image is rendered `sampling` times larger.
+
+        Averaged from the larger image, edges are smooth on any renderer.
+        """
         import pyvista
 
-        self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=[64, 64] if off_screen else [*WINDOW_SIZE])
+        self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=[64, 64])
         self.sampling = sampling if off_screen else 1
         self.pixel = self.sampling * scale
         self.plotter.set_background("white")
@@ -70,8 +52,8 @@ class Canvas:
         if off_screen:
             self.plotter.render_window.SetMultiSamples(0)  # the larger image replaces it
         extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
-        if extent <= _ROUNDING * np.abs(corners).max():
-            corners, extent = corners[:1], 1.0  # of a single point any size will do
+        if extent <= 1e-12 * np.abs(corners).max():
+            corners, extent = corners[:1], 1.0  # a single point, but for rounding: any size will do
         self.corners, self.size = corners, extent
         toward = np.asarray(direction, dtype=float)
         self.toward = toward / np.linalg.norm(toward)
@@ -85,18 +67,22 @@ class Canvas:
 
         shape = pyvista.wrap(mesh)
         light = dict(ambient=ambient, diffuse=1 - ambient, specular=0.0, opacity=opacity)
-        if isinstance(color, str):
-            actor = self.plotter.add_mesh(shape, color=color, **light)
-        else:
-            shape.point_data["rgb"] = color
-            actor = self.plotter.add_mesh(shape, scalars="rgb", rgb=True, **light)
+        actor = self._add(shape, color, **light)
+        # those of polyhedra, not the facets of smooth bodies
         sharp = pyvista.wrap(mesh if edges is None else edges).extract_feature_edges(
-            _SHARP_DEG, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
+            30.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
         )
         if sharp.n_cells and opacity == 1:
             sharp.points = sharp.points + _EDGES_FORWARD * self.size * self.toward
             self.plotter.add_mesh(sharp, color=EDGE, line_width=self._line_width(1))
         return actor
+
+    def _add(self, shape: Any, color: Any, **options: Any) -> Any:
+        """Add a shape in one colour, or in one (n, 3) for each of its points.  Returns its actor."""
+        if isinstance(color, str):
+            return self.plotter.add_mesh(shape, color=color, **options)
+        shape.point_data["rgb"] = color
+        return self.plotter.add_mesh(shape, scalars="rgb", rgb=True, **options)
 
     def add_backdrop(self, scene: Scene) -> None:
         """Add a pale body inside the contacts, which hides the contacts behind it."""
@@ -110,16 +96,12 @@ class Canvas:
         body.vertices = body.vertices - _BACKDROP_BACKWARD * self.size * self.toward
         self.add_body(body, BACKDROP, ambient=0.6)
 
-    def add_points(self, points: Array, color: Any, size: float) -> Any:
+    def add_points(self, points: Array, color: Any, size: float = CONTACT_SIZE) -> Any:
         """Add points (n, 3) as balls of `size` pixels, in one colour or in one (n, 3) for each.  Returns their actor."""
         import pyvista
 
-        cloud = pyvista.PolyData(np.asarray(points))
-        options = dict(point_size=size * self.pixel, render_points_as_spheres=True, ambient=0.6, diffuse=0.4)
-        if isinstance(color, str):
-            return self.plotter.add_mesh(cloud, color=color, **options)
-        cloud["rgb"] = color
-        return self.plotter.add_mesh(cloud, scalars="rgb", rgb=True, **options)
+        balls = dict(point_size=size * self.pixel, render_points_as_spheres=True, ambient=0.6, diffuse=0.4)
+        return self._add(pyvista.PolyData(np.asarray(points)), color, **balls)
 
     def add_lines(self, lines: Array, color: str, width: float) -> list[Any]:
         """Add lines (k, p, 3), `width` pixels wide.  Returns their actors."""
@@ -133,15 +115,15 @@ class Canvas:
         return [self.plotter.add_mesh(shape, color=color, line_width=self._line_width(width), lighting=False)]
 
     def _line_width(self, width: float) -> float:
-        return max(width * self.pixel, _NARROWEST)
+        return max(width * self.pixel, 1.0)  # thinner lines would have gaps
 
     def add_tube(self, line: Array, color: str, radius: float) -> Any:
         """Add a line (p, 3) as a tube; the radius is a fraction of the size.  Returns its actor."""
         import pyvista
 
         step = np.linalg.norm(np.diff(line, axis=0), axis=1)
-        distinct = line[np.insert(step > _SAME_POINT * self.size, 0, True)]
-        tube = pyvista.lines_from_points(distinct).tube(radius=radius * self.size, n_sides=_TUBE_SIDES, capping=True)
+        distinct = line[np.insert(step > 1e-6 * self.size, 0, True)]  # between equal points a tube has no direction
+        tube = pyvista.lines_from_points(distinct).tube(radius=radius * self.size, n_sides=12, capping=True)
         return self.plotter.add_mesh(tube, color=color)
 
     def add_rods(self, sweep: ShownSweep, states: NDArray[np.integer], forward: float = 0.0) -> list[Any]:
@@ -168,11 +150,8 @@ class Canvas:
         import pyvista
 
         self.add_lines(line[None], INK, 2)
-        along = line[1] - line[0]
-        head = _HEAD * self.size
-        cone = pyvista.Cone(
-            center=line[1], direction=along, height=head, radius=_HEAD_RADIUS * head, resolution=_CONE_SIDES
-        )
+        head = 0.05 * self.size
+        cone = pyvista.Cone(center=line[1], direction=line[1] - line[0], height=head, radius=0.28 * head, resolution=24)
         self.plotter.add_mesh(cone, color=INK)
 
     def aim(self, width: int, height: int, zoom: float = 1.0) -> float:
@@ -184,13 +163,13 @@ class Canvas:
         low, high = projected.min(axis=0), projected.max(axis=0)
         middle = (low + high) / 2
         depth = self.corners @ self.toward
-        # pixels to the unit of length
-        unit = zoom * min(FILLED * height / (high[1] - low[1] or 1.0), FILLED * width / (high[0] - low[0] or 1.0))
+        # pixels to the unit of length; a margin is left for the size of points and lines
+        unit = zoom * float((0.94 * np.array([width, height]) / np.where(high > low, high - low, 1.0)).min())
         center = middle[0] * self.right + middle[1] * self.up + depth.mean() * self.toward
         camera = self.plotter.camera
         camera.parallel_projection = True
         camera.focal_point = center
-        camera.position = center + _CAMERA_DISTANCE * self.size * self.toward
+        camera.position = center + 3 * self.size * self.toward  # outside of any body
         camera.up = self.up
         camera.parallel_scale = height / 2 / unit
         self.plotter.renderer.ResetCameraClippingRange()

@@ -1,4 +1,4 @@
-"""Charts by matplotlib alone, which need no renderer: the reactions of a recording, and the distances of a comparison."""
+"""Charts by matplotlib alone, which need no renderer: reactions, distances of a comparison, histograms of a surface."""
 
 from __future__ import annotations
 
@@ -6,31 +6,26 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.arrays import Array
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
-from scan3d.pictures.figures import REACTION_LABELS, SIX_REACTION_LABELS, chart, ticks
-from scan3d.pictures.parts import evenly_chosen
-from scan3d.pictures.shading import INK, ROD, UNKNOWN
+from scan3d.errors import InputError
+from scan3d.pictures.figures import REACTION_LABELS, SIX_REACTION_LABELS, chart, open_axes, ticks, wrapped
+from scan3d.pictures.parts import evenly_chosen, shown_surface
+from scan3d.pictures.scene import Scene
+from scan3d.pictures.shading import BOUND, INK, ROD, UNKNOWN
 from scan3d.pictures.sheet import Sheet
-from scan3d.pictures.words import unit_symbol
 from scan3d.recording import Recording
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, unit_symbol
 
-# Sweeps drawn at most: more curves merge into a grey area.
-_MOST_SWEEPS = 60
-# A certified upper bound more than this many times the value is drawn: a line that ends within the bar's edge is not seen.
-_VISIBLY_LARGER = 1.01
-# Width over height of three panels, and of six bars with their axis.
-_PANELS, _BARS = 7 / 5, 7 / 3.2
-# Share of the figure that panels have, and room of a tick's label along the two axes, in sizes of letters.
-_PANEL, _LABEL_ROOM = 0.7, (4.0, 1.8)
-# Width of a curve, and distance of a panel's title, over the size of letters.
-_LINE, _TITLE_PAD = 0.8 / 12, 0.25
-# Length of the axis of distances over the longest bar: the numbers stand to the right of the bars.
-_ROOM = 1.4
+# Share of a histogram's height that its axes have.
+_HISTOGRAM_HEIGHT = 0.6
 
 
 def reactions(recording: Recording, sheet: Sheet | None = None) -> Any:
-    """A figure of the support reactions over the clamp travel, with a curve for every sweep: three panels, or six."""
+    """A figure of the support reactions over the clamp travel, with a curve for every sweep: three panels, or six.
+
+    Of more than 60 sweeps, which merge into a grey area, as many are drawn.
+    """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
@@ -41,24 +36,23 @@ def reactions(recording: Recording, sheet: Sheet | None = None) -> Any:
     force, moment = recording.wrench() if recording.six_axis else (recording.force_N, recording.moment_Nm)
     values = np.column_stack([1e3 * force, 1e6 * moment])
     labels = SIX_REACTION_LABELS if recording.six_axis else REACTION_LABELS
-    figure = chart(_PANELS, sheet)
+    figure = chart(7 / 5, sheet)
     columns = figure.subplots(3, len(labels) // 3, sharex=True, squeeze=False).T
     panels = columns.ravel()
     scale = 1 / UNITS_M[recording.unit]
-    for number in numbers[evenly_chosen(len(numbers), _MOST_SWEEPS)]:
+    for number in numbers[evenly_chosen(len(numbers), 60)]:
         rows = recording.sweep == number
         position = recording.position_m[rows]
         travel = scale * np.linalg.norm(position - position[0], axis=1)
         for axes, column in zip(panels, values[rows].T, strict=True):
-            axes.plot(travel, column, color=colors.to_rgba(number), lw=_LINE * sheet.font)
+            axes.plot(travel, column, color=colors.to_rgba(number), lw=0.8 / 12 * sheet.font)
     for axes, label in zip(panels, labels, strict=True):
         # above the panel, because panels may be lower than their label is long
-        axes.set_title(label, fontsize=sheet.font - 1, loc="left", pad=_TITLE_PAD * sheet.font)
-        axes.tick_params(labelsize=sheet.font - 2)
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_title(label, fontsize=sheet.font - 1, loc="left", pad=0.25 * sheet.font)
+        open_axes(axes, sheet.font - 2)
         axes.margins(x=0.01)
-        axes.yaxis.set_major_locator(ticks(_PANEL * figure.get_figheight() / 3, sheet, _LABEL_ROOM[1], 4))
-        axes.xaxis.set_major_locator(ticks(_PANEL * sheet.width / len(columns), sheet, _LABEL_ROOM[0], 8))
+        axes.yaxis.set_major_locator(ticks(0.7 * figure.get_figheight() / 3, sheet, 1.8, 4))
+        axes.xaxis.set_major_locator(ticks(0.7 * sheet.width / len(columns), sheet, 4.0, 8))
     for column in columns:
         column[-1].set_xlabel(f"clamp travel in {unit_symbol(recording.unit)}", fontsize=sheet.font)
     if len(numbers) > 1:
@@ -81,13 +75,13 @@ def distances(comparison: Comparison, sheet: Sheet | None = None) -> Any:
         ("RMS", comparison.rms, None),
         ("mean", comparison.mean, None),
     ]
-    figure = chart(_BARS, sheet)
+    figure = chart(7 / 3.2, sheet)
     axes = figure.subplots()
     largest = max(max(value, upper or 0.0) for _, value, upper in bars)
     for k, (_, value, upper) in enumerate(bars):
         end = value
         axes.barh(-k, value, color=UNKNOWN if upper is None else ROD, height=0.62)
-        if upper is not None and upper > _VISIBLY_LARGER * value:
+        if upper is not None and upper > 1.01 * value:  # else the line is not seen
             axes.plot(
                 [value, upper, upper], [-k, -k, -k], color=INK, lw=0.1 * sheet.font, marker="|", ms=0.6 * sheet.font
             )
@@ -96,11 +90,78 @@ def distances(comparison: Comparison, sheet: Sheet | None = None) -> Any:
             f"{value:.3g} ({comparison.percent_of_diagonal(value)})", (end, -k), (6, 0), textcoords="offset points",
             va="center", fontsize=sheet.font - 2,
         )  # fmt: skip
-    axes.set_xlim(0, _ROOM * largest or 1.0)
+    axes.set_xlim(0, 1.4 * largest or 1.0)  # with room for the numbers
     axes.set_yticks([-k for k in range(len(bars))], [name for name, _, _ in bars], fontsize=sheet.font - 1)
+    open_axes(axes, sheet.font - 1)
     axes.tick_params(axis="y", length=0)
-    axes.tick_params(axis="x", labelsize=sheet.font - 1)
     axes.ticklabel_format(axis="x", scilimits=(-3, 5), useMathText=True)
-    axes.spines[["top", "right"]].set_visible(False)
     axes.set_xlabel(f"distance in {UNKNOWN_UNIT} (of the mesh's diagonal)", fontsize=sheet.font - 1)
     return figure
+
+
+def histograms(scene: Scene, sheet: Sheet) -> Any:
+    """A figure with the histograms of the deviation and of the bound, of those that are known.
+
+    Values at the vertices count by the area around them, and vertices without a finite bound are left out, with their share of
+    the area stated.  Raises InputError without a surface, and without either of the two.
+    """
+    if scene.surface is None:
+        raise InputError(
+            f"{scene.name} has no surface, whose deviation and bound the view histogram shows: give a scan's folder"
+        )
+    mesh, deviation, bound = shown_surface(scene)
+    shown: list[tuple[str, Array, str]] = []
+    if deviation is not None:
+        shown.append((scene.deviation_title, deviation, ROD))
+    if bound is not None and np.isfinite(bound).any():
+        shown.append((f"certified bound in {scene.unit}", bound, BOUND))
+    if not shown:
+        raise InputError(
+            f"neither the deviation nor the bound of {scene.name} is known, which the view histogram shows: give --truth MESH "
+            "(in Python truth=), or show a scan's folder"
+        )
+    area = np.bincount(np.ravel(mesh.faces), np.repeat(mesh.area_faces / 3, 3), len(mesh.vertices)).astype(np.float64)
+    figure = chart((1.8, 2.3)[len(shown) - 1], sheet)
+    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    for axes, (title, values, color) in zip(panels, shown, strict=True):
+        _histogram(axes, values, area, sheet, 0.8 * sheet.width / len(shown), title, scene.unit, color)
+    height = _HISTOGRAM_HEIGHT * figure.get_figheight()
+    panels[0].set_ylabel(wrapped("share of the surface in %", height, sheet), fontsize=sheet.font)
+    return figure
+
+
+def _histogram(
+    axes: Any, values: Array, area: Array, sheet: Sheet, width: float, title: str, unit: str, color: str
+) -> None:
+    """A histogram of values (v,), by area (v,), with its quantiles, about so many inches wide; the title ends with the unit."""
+    known = np.isfinite(values)
+    low, high = min(float(values[known].min()), 0.0), max(float(values[known].max()), 0.0)
+    if low == high:
+        high = 1.0
+    power = int(np.floor(np.log10(max(high, -low))))
+    if -3 <= power <= 4:
+        power = 0
+    else:  # in the title, because matplotlib's would be written over it
+        title = f"{title.removesuffix(unit)}$10^{{{power}}}$ {unit}"
+    low, high, values = low / 10.0**power, high / 10.0**power, values / 10.0**power
+    shares, edges = np.histogram(values[known], 40, (low, high), weights=100 * area[known] / area.sum())
+    axes.stairs(shares, edges, fill=True, color=color)
+    if low < 0 < high:
+        axes.axvline(0.0, color=INK, lw=0.06 * sheet.font)
+    axes.set_xlim(low, high)
+    axes.set_ylim(0.0)
+    open_axes(axes, sheet.font - 1)
+    axes.xaxis.set_major_locator(ticks(width, sheet, 3.3, 5))
+    axes.yaxis.set_major_locator(ticks(_HISTOGRAM_HEIGHT * axes.figure.get_figheight(), sheet, 2.0, 5))
+    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
+    axes.set_xlabel(wrapped(title, width, sheet), fontsize=sheet.font)
+    # the values that 5 %, 50 % and 95 % of the area do not exceed
+    order = np.argsort(values[known])
+    below = np.cumsum(area[known][order]) / area[known].sum()
+    quantiles = values[known][order][np.searchsorted(below, [0.05, 0.5, 0.95]).clip(max=len(order) - 1)]
+    digits = 2 - int(np.floor(np.log10(high - low)))
+    lower, median, upper = (f"{round(value, digits) + 0.0:.3g}" for value in quantiles)
+    text = f"median {median}, 90 % from {lower} to {upper}".replace("-", "−")
+    if not known.all():
+        text += f", unknown on {100 * area[~known].sum() / area.sum():.2g} %"
+    axes.set_title(wrapped(text, width, sheet), fontsize=sheet.font - 1)

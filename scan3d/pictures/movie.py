@@ -29,7 +29,7 @@ from scan3d.pictures.shading import (
     TIP,
 )
 from scan3d.pictures.sheet import FONT
-from scan3d.pictures.words import unit_symbol
+from scan3d.units import unit_symbol
 
 ENDINGS = (".gif", ".mp4")
 NO_FFMPEG = (

@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from scan3d.files.journal import locate
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.pictures.words import unit_symbol
+from scan3d.units import unit_symbol
 
 # Pictures are reduced by this factor, to 350 pixels: those of 200 bodies take 3 MB, and the scales stay legible.
 _REDUCTION, _QUALITY = 4, 85

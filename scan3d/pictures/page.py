@@ -1,7 +1,7 @@
 """A page that shows a scan in any browser: one file, which needs WebGL 2 and no access to the network.
 
 `page.html` beside this module is the page without a scan: ``@NAME@``, ``@KEYFIGURES@`` and the like are filled in here, and so
-are the style and the scripts, `page.css` and `page_*.js`.
+are the style and the scripts, `page.css` and `page_*.js`.  Arrays are little-endian, of 32 bits and in base64.
 """
 
 from __future__ import annotations
@@ -12,37 +12,44 @@ import html
 import json
 import re
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.pictures.encoding import floats, integers
 from scan3d.pictures.figures import quiet
-from scan3d.pictures.parts import has_rods, normal_lines, sections, shown_surface
-from scan3d.pictures.player import player
+from scan3d.pictures.parts import (
+    has_rods,
+    is_spatial,
+    most_informative_sweep,
+    normal_lines,
+    recording_rows,
+    sections,
+)
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
     BODY,
+    FORCE,
     INK,
     NORMAL,
     ON_DEVIATION,
+    REACTION_COLORS,
+    ROD,
+    SELECTED,
     TIP,
-    deviation_limit,
-    largest_known,
+    Shade,
     shade_contacts,
+    surface_shades,
 )
-from scan3d.pictures.words import out_of_plane_deg, unit_symbol
+from scan3d.recording import Recording
+from scan3d.units import UNITS_M, unit_symbol
 
-# Colours of a scale in the page, which interpolates between them: the difference to the exact scale is not visible.
-_STOPS = 33
 # The scripts in the order in which they run: one script, whose parts see each other's names.
 _SCRIPTS = ("view", "layers", "rod", "player", "tools", "main")
-# Opacity of the truth: the surface is seen through it.
-_TRUTH_OPACITY = 0.45
 
 
 def page(scene: Scene) -> bytes:
@@ -51,12 +58,12 @@ def page(scene: Scene) -> bytes:
     The same scene gives the same bytes.  Raises InputError for a scene without anything to show, and for contacts that do not
     come from its recording.
     """
-    if not len(scene.corners):
-        raise InputError(f"{scene.name} has nothing to show: neither contacts nor a surface")
     corners = scene.corners
+    if not len(corners):
+        raise InputError(f"{scene.name} has nothing to show: neither contacts nor a surface")
     center = (corners.min(axis=0) + corners.max(axis=0)) / 2
     with quiet():
-        layers = [layer for layer in _layers(scene, center) if layer is not None]
+        layers = list(_layers(scene, center))
     data: dict[str, Any] = {
         "name": scene.name,
         "unit": unit_symbol(scene.unit),
@@ -85,91 +92,166 @@ def _part(name: str) -> str:
     return files("scan3d.pictures").joinpath(name).read_text(encoding="utf-8")
 
 
-def _layers(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
-    """The layers in the order in which they are drawn, None for those that the scene does not have."""
-    return [_surface(scene, center), _contacts(scene, center), *_lines(scene, center), _truth(scene, center)]
+def _floats(values: Array) -> str:
+    """Numbers as float32; what is too large becomes infinite."""
+    with np.errstate(over="ignore"):
+        return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
 
 
-def _surface(scene: Scene, center: Array) -> dict[str, Any] | None:
-    if scene.surface is None:
-        return None
-    mesh, deviation, bound = shown_surface(scene)
-    colors = []
-    if deviation is not None:
-        largest = deviation_limit(scene, deviation)
-        colors.append(_scale(scene.deviation_title, deviation, -largest, largest, "RdBu_r"))
-    if bound is not None and scene.bound is not None:
-        largest = largest_known(scene.bound) or 1.0
-        colors.append(_scale(f"certified bound in {scene.unit}", bound, 0.0, largest, "YlGnBu"))
-    return _triangles("surface", mesh, center, on=True, colors=colors)
+def _integers(values: NDArray[Any]) -> str:
+    """Numbers from 0 to 2³² - 1 as uint32."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<u4").tobytes()).decode()
 
 
-def _truth(scene: Scene, center: Array) -> dict[str, Any] | None:
-    if scene.truth is None:
-        return None
-    return _triangles(scene.reference, scene.truth, center, color=TIP, alpha=_TRUTH_OPACITY)
+# --- layers ---
 
 
-def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str, Any]:
-    corners = np.asarray(mesh.vertices) - center
-    return {
-        "name": name,
-        "kind": "triangles",
-        "position": floats(corners),
-        "index": integers(np.asarray(mesh.faces)),
-        "color": BODY,
-        **options,
-    }
-
-
-def _contacts(scene: Scene, center: Array) -> dict[str, Any] | None:
-    if scene.contacts is None:
-        return None
-    colors = []
-    for color in COLORS:
-        if scene.column(color) is None:
-            continue
-        shaded, values = shade_contacts(scene, color), scene.column(color)
-        assert values is not None
-        if shaded.norm is None:
-            kinds = [[name, color] for name, color in zip(("tangential", "tip"), ON_DEVIATION, strict=True)]
-            colors.append(
-                {"title": "kind of contact", "kinds": kinds, "values": floats(planar.Phase.TANGENTIAL - values)}
-            )
-        else:
-            shown = values * 1e3 if color == "force" else out_of_plane_deg(values) if color == "bending" else values
-            log = type(shaded.norm).__name__ == "LogNorm"
-            low, high = float(shaded.norm.vmin), float(shaded.norm.vmax)
-            colors.append(_scale(shaded.title, shown, low, high, shaded.map, log=log))
-    names = {name: scene.column(name) for name in ("sweep", "slice")}
-    columns = {name: values.astype(int).tolist() for name, values in names.items() if values is not None}
-    position = floats(scene.points - center)
-    return {"name": "contacts", "kind": "points", "on": True, "position": position, "colors": colors, "columns": columns,
-            "color": ON_DEVIATION[0]}  # fmt: skip
-
-
-def _lines(scene: Scene, center: Array) -> list[dict[str, Any] | None]:
-    """Normals, and slices or paths of contacts, where they are known."""
-    layers: list[dict[str, Any] | None] = []
+def _layers(scene: Scene, center: Array) -> list[dict[str, Any]]:
+    """The layers that the scene has, in the order in which they are drawn."""
+    layers = []
+    if scene.surface is not None:
+        mesh, shades = surface_shades(scene)
+        layers.append(_triangles("surface", mesh, center, on=True, colors=[_scale(shaded) for shaded in shades]))
+    if scene.contacts is not None:
+        layers.append(_contacts(scene, center))
     normals = normal_lines(scene)
     if len(normals):
         layers.append(_strips("normals", list(normals), center, NORMAL, 1.0))
     name, lines = sections(scene)
     if lines:
         layers.append(_strips(name, [line for line, _ in lines], center, INK, 1.2))
+    if scene.truth is not None:
+        layers.append(_triangles(scene.reference, scene.truth, center, color=TIP, alpha=0.45))
     return layers
+
+
+def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str, Any]:
+    return {
+        "name": name,
+        "kind": "triangles",
+        "position": _floats(np.asarray(mesh.vertices) - center),
+        "index": _integers(np.asarray(mesh.faces)),
+        "color": BODY,
+        **options,
+    }
+
+
+def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
+    names = {name: scene.column(name) for name in ("sweep", "slice")}
+    return {
+        "name": "contacts",
+        "kind": "points",
+        "on": True,
+        "position": _floats(scene.points - center),
+        "colors": [_scale(shade_contacts(scene, color)) for color in COLORS if scene.column(color) is not None],
+        "columns": {name: values.astype(int).tolist() for name, values in names.items() if values is not None},
+        "color": ON_DEVIATION[0],
+    }
 
 
 def _strips(name: str, lines: list[Array], center: Array, color: str, width: float) -> dict[str, Any]:
     starts = np.cumsum([0, *map(len, lines)]).tolist()
-    points = floats(np.concatenate(lines) - center)
+    points = _floats(np.concatenate(lines) - center)
     return {"name": name, "kind": "lines", "position": points, "starts": starts, "color": color, "width": width}
 
 
-def _scale(title: str, values: Array, low: float, high: float, map: str, *, log: bool = False) -> dict[str, Any]:
+def _scale(shaded: Shade) -> dict[str, Any]:
+    """Values with their scale of colours, of which the page interpolates 33, or with their kinds."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    stops = [to_hex(color) for color in colormaps[map](np.linspace(0, 1, _STOPS))]
-    return {"title": title.replace(" um", " µm"), "values": floats(values), "low": low, "high": high, "log": log,
-            "stops": stops}  # fmt: skip
+    if shaded.norm is None:
+        kinds = [[name, color] for name, color in zip(("tangential", "tip"), ON_DEVIATION, strict=True)]
+        values = _floats(planar.Phase.TANGENTIAL - shaded.values)
+        return {"title": "kind of contact", "kinds": kinds, "values": values}
+    stops = [to_hex(color) for color in colormaps[shaded.map](np.linspace(0, 1, 33))]
+    return {
+        "title": shaded.title.replace(" um", " µm"),
+        "values": _floats(shaded.values),
+        "low": float(shaded.norm.vmin),
+        "high": float(shaded.norm.vmax),
+        "log": type(shaded.norm).__name__ == "LogNorm",
+        "stops": stops,
+    }
+
+
+# --- the player ---
+
+
+class Samples(NamedTuple):
+    """The samples of the player, those of a sweep one after the other."""
+
+    rows: NDArray[np.int64]
+    """(n,) rows of the recording"""
+    starts: NDArray[np.int64]
+    """(s,) where each sweep starts"""
+    numbers: NDArray[np.int64]
+    """(s,) numbers of the sweeps, ascending"""
+    of_contact: NDArray[np.int64]
+    """(c,) the sample that each contact comes from"""
+
+
+def player(scene: Scene, center: Array) -> dict[str, Any]:
+    """Poses and reactions of the samples, from which the page integrates the rod, for a scene that has rods (`has_rods`).
+
+    Positions are relative to `center` in the scene's unit, forces are in mN and moments in mN mm.  Raises InputError if the
+    contacts do not come from the scene's recording.
+    """
+    recording = scene.recording
+    assert recording is not None
+    samples = samples_of(recording, recording_rows(scene, recording))
+    rows, spatial = samples.rows, is_spatial(scene)
+    force, moment = recording.wrench() if spatial else (recording.force_N, recording.moment_Nm)
+    if spatial:
+        charts = [("force in mN", ["f0x", "f0y", "f0z"]), ("moment in mN mm", ["m0x", "m0y", "m0z"])]
+    else:
+        charts = [("f0x in mN", ["f0x"]), ("f0y in mN", ["f0y"]), ("m0z in mN mm", ["m0z"])]
+    # the samples from which on the clamp has another orientation
+    quaternion = recording.quaternion[rows]
+    turned = np.flatnonzero(np.concatenate([[True], (np.diff(quaternion, axis=0) != 0).any(axis=1)]))
+    scale = 1 / UNITS_M[scene.unit]
+    data: dict[str, Any] = {
+        "numbers": samples.numbers.tolist(),
+        "starts": samples.starts.tolist(),
+        "shown": int(np.flatnonzero(samples.numbers == most_informative_sweep(scene))[0]),
+        "position": _floats(recording.position_m[rows] * scale - center),
+        "turned": _integers(turned),
+        "turns": _floats(quaternion[turned]),
+        "reactions": _floats(np.column_stack([1e3 * force[rows], 1e6 * moment[rows]])),
+        "labels": [{"title": title, "names": names} for title, names in charts],
+        "contact": _integers(samples.of_contact),
+        "length": recording.rod.length_m * scale,
+        "forceUnit": 1e3 * recording.rod.force_unit_N,
+        "momentUnit": 1e6 * recording.rod.moment_unit_Nm,
+        "colors": {"rod": ROD, "force": FORCE, "selected": SELECTED, "ink": INK, "curves": REACTION_COLORS},
+    }
+    angles = scene.column("bending")
+    if angles is not None:
+        bending = np.zeros(len(rows))
+        bending[samples.of_contact] = np.nan_to_num(angles)
+        data["bending"] = _floats(bending)
+    return data
+
+
+def samples_of(recording: Recording, rows: NDArray[np.int64]) -> Samples:
+    """The samples of all sweeps with contacts, `rows` (c,) being those of the contacts in the recording.
+
+    Of the samples in the air, those before the first and after the last contact are shown, as many as a quarter of those
+    between the two: the rod comes and leaves, and the page of a log that is mostly air is not large.
+    """
+    order = np.argsort(recording.sweep, kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    numbers, group = np.unique(recording.sweep[rows], return_inverse=True)
+    first = np.full(len(numbers), len(order))
+    last = np.full(len(numbers), -1)
+    np.minimum.at(first, group, place[rows])
+    np.maximum.at(last, group, place[rows])
+    air = np.ceil((last - first + 1) / 4).astype(np.int64)
+    ordered = recording.sweep[order]
+    begin = np.maximum(first - air, np.searchsorted(ordered, numbers, "left"))
+    end = np.minimum(last + air + 1, np.searchsorted(ordered, numbers, "right"))
+    lengths = end - begin
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    kept = np.repeat(begin - starts, lengths) + np.arange(lengths.sum())
+    return Samples(order[kept], starts, numbers, (starts - begin)[group] + place[rows])

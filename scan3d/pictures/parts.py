@@ -18,27 +18,7 @@ from scan3d.recording import Recording
 from scan3d.spatial import inverse
 from scan3d.units import UNITS_M
 
-# Slices at least this fraction as wide as the widest count as widest; the one of them nearest to the middle is shown.  With 1
-# rounding would choose among the slices of a prism; with less a slice near an end could be shown.
-_WIDEST = 0.95
-# A surface's deviation varies inside its facets: edges longer than this fraction of the diagonal are split before it is
-# computed.  Smaller shows finer detail and makes larger pages.
-_LONGEST_EDGE = 1 / 60
-# Splitting halves edges; no mesh needs so many rounds.
-_MOST_SPLITS = 20
-# Normals drawn at most: more would hide the contacts.
-_MOST_NORMALS = 500
-# Their length as a fraction of the diagonal: long enough to show the direction, short enough not to reach other contacts.
-_NORMAL_LENGTH = 0.035
-# Relative difference of a contact's force from that of its row: above rounding in files, below any other recording's.
-_SAME_FORCE = 1e-6
-# Decimals to which relative distances between contacts are compared: in a symmetric body rounding would choose among equals.
-_SAME_DISTANCE_DECIMALS = 6
-# A contact that moves by more than this fraction of the diagonal from one sample to the next has jumped, as in a snap: its path
-# is not drawn there.  Smaller, and paths of few samples would fall apart; larger, and lines would cross the body.
-_JUMP = 0.15
-# From a sweep toward the camera, along the clamp's axes: from the base line and above the slice, so that rods hide little of
-# the body and do not hide each other.
+# From a sweep toward the camera, along the clamp's axes: rods hide little of the body and do not hide each other.
 _SWEEP_DIRECTION = (0.45, -0.6, 0.7)
 
 
@@ -50,13 +30,13 @@ def evenly_chosen(count: int, at_most: int) -> NDArray[np.integer]:
 def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
     """The surface, and at its vertices (v,) the signed deviation from the truth and the certified local bound, None if unknown.
 
-    Long edges are split where either is known.  The deviation, positive outside, is computed at the new vertices.  The bound,
-    certified at the old vertices, is interpolated linearly: on a convex surface the result is no less than the certified bound
-    of a facet, as a vertex has the largest bound of the facets around it.
+    Where either is known, edges longer than a sixtieth of the diagonal are split.  The deviation, positive outside, is computed
+    at the new vertices.  The bound, certified at the old vertices, is interpolated linearly: on a convex surface the result is
+    no less than the certified bound of a facet, as a vertex has the largest bound of the facets around it.
     """
     if scene.truth is None and scene.bound is None:
         return scene.surface, None, None
-    mesh, weights, corners = _subdivide(scene.surface, scene.diagonal * _LONGEST_EDGE)
+    mesh, weights, corners = _subdivide(scene.surface, scene.diagonal / 60)
     bound = None
     if scene.bound is not None:
         # an infinite bound does not count where its weight is zero but for rounding
@@ -90,7 +70,7 @@ def _subdivide(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.intege
         same = np.arange(len(mesh.vertices))
         return mesh, np.tile([1.0, 0.0, 0.0], (len(same), 1)), np.stack([same] * 3, axis=1)
     vertices, faces, old_face_of_face = trimesh.remesh.subdivide_to_size(
-        mesh.vertices, mesh.faces, longest, max_iter=_MOST_SPLITS, return_index=True
+        mesh.vertices, mesh.faces, longest, max_iter=20, return_index=True
     )
     old_face = np.empty(len(vertices), dtype=np.int64)  # one of the old faces that a vertex lies in
     old_face[faces] = old_face_of_face[:, None]
@@ -132,7 +112,8 @@ def _rows_of_each(numbers: Array) -> tuple[Array, list[NDArray[np.intp]]]:
 def contact_paths(scene: Scene) -> list[tuple[Array, int]]:
     """The paths of the contacts over the body as lines (k, 3), with the numbers of their sweeps.
 
-    The path of a sweep is broken where samples without contact lie between its contacts, and where the contact jumps.
+    The path of a sweep is broken where samples without contact lie between its contacts, and where the contact jumps, as in a
+    snap, by more than 15 % of the diagonal.
     """
     sweeps, rows = scene.column("sweep"), scene.column("row")
     if sweeps is None or rows is None:
@@ -140,7 +121,7 @@ def contact_paths(scene: Scene) -> list[tuple[Array, int]]:
     order = np.lexsort((rows, sweeps))
     points, sweeps, rows = scene.points[order], sweeps[order], rows[order]
     ends = (np.diff(sweeps) != 0) | (np.diff(rows) != 1)
-    ends |= np.linalg.norm(np.diff(points, axis=0), axis=1) > _JUMP * scene.diagonal
+    ends |= np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.15 * scene.diagonal
     pieces = np.split(np.arange(len(points)), np.flatnonzero(ends) + 1)
     return [(points[piece], int(sweeps[piece[0]])) for piece in pieces if len(piece) > 1]
 
@@ -169,8 +150,6 @@ class ShownSweep:
     """(k, 2, 3) the straight rest of the rod, from the contact to the tip"""
     reactions: Array
     """(k, 3) f0x, f0y in EI/L² and m0z in EI/L (8); of the spatial model (k, 6) f0x, f0y, f0z and m0x, m0y, m0z"""
-    phase: NDArray[np.int8]
-    """(k,) of `planar.Phase`"""
 
     @property
     def axes(self) -> Array:
@@ -200,12 +179,12 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
     Raises InputError if the scene has no recording, no such sweep, or contacts that do not come from the recording.
     """
     recording = scene.recording
-    sweeps, slices, phases = (scene.column(name) for name in ("sweep", "slice", "phase"))
-    if recording is None or sweeps is None or phases is None:
+    sweeps, slices = scene.column("sweep"), scene.column("slice")
+    if recording is None or sweeps is None:
         raise InputError(
             f"{scene.name} has no recording, which rods are drawn from: show a scan's folder, or a recording"
         )
-    chosen = most_informative_sweep(scene, slices, sweeps) if number is None else number
+    chosen = most_informative_sweep(scene) if number is None else number
     selected = sweeps == chosen
     if not selected.any():
         raise InputError(
@@ -237,7 +216,6 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         curved=world(lines.curved),
         straight=world(lines.straight),
         reactions=reactions[kept],
-        phase=phases[selected][kept].astype(np.int8),
     )
 
 
@@ -278,7 +256,7 @@ def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
         indices = rows.astype(np.int64)
         components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
         of_recording = np.linalg.norm(components[indices], axis=1)
-        same_force = forces is None or np.allclose(forces, of_recording, rtol=_SAME_FORCE, atol=0)
+        same_force = forces is None or np.allclose(forces, of_recording, rtol=1e-6, atol=0)
         if np.array_equal(recording.sweep[indices], sweeps) and same_force:
             return indices
     raise InputError(
@@ -286,28 +264,21 @@ def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     )
 
 
-def most_informative_sweep(scene: Scene, slices: Array | None, sweeps: Array) -> int:
-    """The sweep whose contacts extend farthest, in the slice nearest to the middle among the widest slices.
-
-    Without slices it is the sweep with the longest path of contacts.
-    """
-    if slices is None:
-        paths = contact_paths(scene) or [(scene.points, int(sweeps[0]))]
-        return max(paths, key=lambda path: float(np.linalg.norm(np.diff(path[0], axis=0), axis=1).sum()))[1]
-    points, rows = scene.points, _rows_of_each(slices)[1]
-    width = np.linalg.norm([np.ptp(points[of_slice], axis=0) for of_slice in rows], axis=1)
-    middle = np.array([points[of_slice].mean(axis=0) for of_slice in rows])
-    distance = np.linalg.norm(middle - points.mean(axis=0), axis=1)
-    distance[width < _WIDEST * width.max()] = np.inf
-    chosen = rows[np.argmin(distance)]
-    candidates, of_sweeps = _rows_of_each(sweeps[chosen])
-    extent = np.array([np.linalg.norm(np.ptp(points[chosen[of_sweep]], axis=0)) for of_sweep in of_sweeps])
-    return int(candidates[np.argmax(np.round(extent / (extent.max() or 1.0), _SAME_DISTANCE_DECIMALS))])
+def most_informative_sweep(scene: Scene) -> int:
+    """The sweep whose contacts extend farthest; of those that extend nearly as far, that nearest to the middle of the body."""
+    sweeps, points = scene.column("sweep"), scene.points
+    assert sweeps is not None
+    numbers, rows = _rows_of_each(sweeps)
+    extent = np.array([np.linalg.norm(np.ptp(points[of_sweep], axis=0)) for of_sweep in rows])
+    distance = np.linalg.norm([points[of_sweep].mean(axis=0) - points.mean(axis=0) for of_sweep in rows], axis=1)
+    distance[extent < 0.95 * extent.max()] = np.inf
+    # rounded, because in a symmetric body rounding would choose among equals
+    return int(numbers[np.argmin(np.round(distance / (scene.diagonal or 1.0), 6))])
 
 
 def normal_lines(scene: Scene) -> Array:
-    """(k, 2, 3) short lines along the normals of contacts, evenly chosen."""
+    """(k, 2, 3) short lines along the normals of contacts; of more than 500, which would hide them, some evenly chosen."""
     known = np.flatnonzero(np.isfinite(scene.normals).all(axis=1))
-    chosen = known[:: max(1, len(known) // _MOST_NORMALS)]
+    chosen = known[:: max(1, len(known) // 500)]
     points = scene.points[chosen]
-    return np.stack([points, points + _NORMAL_LENGTH * scene.diagonal * scene.normals[chosen]], axis=1)
+    return np.stack([points, points + 0.035 * scene.diagonal * scene.normals[chosen]], axis=1)

@@ -22,25 +22,14 @@ BODY, INK, ROD, TIP, TANGENTIAL = "#c3ccd6", "#222222", "#1b6ca8", "#d98200", "#
 ON_DEVIATION = "#161616", "#ffd60a"
 # Reactions of the rod, the contacts of the sweep that is shown, and the curves of components along x, y and z.
 FORCE, SELECTED, REACTION_COLORS = "#8e24aa", "#00c853", (ROD, TIP, TANGENTIAL)
-UNKNOWN, NORMAL, SLICE, EDGE, BACKDROP = "#9a9a9a", "#6b6b6b", "#5b6672", "#4a4f55", "#eef0f3"
-# Powers of ten below the largest error that its scale shows: more would spend most colours on rounding errors, fewer would
-# show all small errors in one colour.
-_DECADES = 4.0
-# Coefficients of friction that differ by less are shown as one value, in the middle of a scale of twice this half width:
-# a scale of their own range would show rounding errors.
-_SAME_FRICTION, _FRICTION_HALF_WIDTH = 1e-6, 0.05
-# Smallest end of the scale of deviations, relative to the diagonal: a scale of rounding errors would show a body that was found
-# exactly in the colours of a large deviation.
-_SMALLEST_DEVIATION = 1e-9
-# The bending angle has a sign and a middle: a diverging map, whose middle is grey enough to be seen on a white page.
-_BENDING_MAP = "coolwarm"
-# Smallest end of the scale of bending angles, in degrees: a scale of rounding errors would show differences that do not exist.
-_SMALLEST_BENDING_DEG = 1.0
+UNKNOWN, NORMAL, SLICE, EDGE, BACKDROP, BOUND = "#9a9a9a", "#6b6b6b", "#5b6672", "#4a4f55", "#eef0f3", "#3f9e8f"
 
 
 class Shade(NamedTuple):
-    """Colours of some values and their scale."""
+    """Values and their colours by a scale."""
 
+    values: Array
+    """(n,) in the unit of the title"""
     rgb: NDArray[np.uint8]
     """(n, 3)"""
     title: str
@@ -64,12 +53,7 @@ def shade(values: Array, title: str, low: float, high: float, *, map: str = "vir
     known = np.isfinite(values)
     rgb = np.tile(np.array(to_rgb(UNKNOWN)), (len(values), 1))
     rgb[known] = matplotlib.colormaps[map](norm(values[known]))[:, :3]
-    return Shade((255 * rgb + 0.5).astype(np.uint8), title, map, norm)
-
-
-def deviation_limit(scene: Scene, deviation: Array) -> float:
-    """Upper end of the symmetric scale of a surface's deviation (v,)."""
-    return max(float(np.abs(deviation).max()), _SMALLEST_DEVIATION * scene.diagonal) or 1.0
+    return Shade(values, (255 * rgb + 0.5).astype(np.uint8), title, map, norm)
 
 
 def shade_contacts(scene: Scene, color: str) -> Shade:
@@ -85,44 +69,54 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         from matplotlib.colors import to_rgb
 
         pair = (255 * np.array([to_rgb(TANGENTIAL), to_rgb(TIP)]) + 0.5).astype(np.uint8)
-        return Shade(pair[(values == planar.Phase.TIP).astype(int)], "contact", "", None)
+        return Shade(values, pair[(values == planar.Phase.TIP).astype(int)], "contact", "", None)
     if color == "force":
         return shade(values * 1e3, "contact force in mN", 0.0, largest_known(values) * 1e3 or 1.0)
     if color == "friction":
         low, high = -largest_known(-values), largest_known(values)
-        if high - low <= _SAME_FRICTION:
-            low, high = max(low - _FRICTION_HALF_WIDTH, 0.0), high + _FRICTION_HALF_WIDTH
+        if high - low <= 1e-6:  # one value, but for rounding: in the middle of a scale
+            low, high = max(low - 0.05, 0.0), high + 0.05
         return shade(values, "coefficient of friction", low, high)
     if color == "bending":
         angle = out_of_plane_deg(values)
-        largest = max(largest_known(np.abs(angle)), _SMALLEST_BENDING_DEG)
-        return shade(angle, "bending out of the sweep's plane in °", -largest, largest, map=_BENDING_MAP)
+        largest = max(largest_known(np.abs(angle)), 1.0)  # smaller angles are rounding
+        # diverging, with a middle that is grey enough to be seen on a white page
+        return shade(angle, "bending out of the sweep's plane in °", -largest, largest, map="coolwarm")
     high = largest_known(values) or 1.0
-    return shade(values, f"distance from the {scene.truth_name} in {scene.unit}", high * 10**-_DECADES, high, log=True)
+    return shade(values, f"distance from the {scene.truth_name} in {scene.unit}", high * 1e-4, high, log=True)
+
+
+def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
+    """The surface, and the colours of its vertices by the deviation from the truth and by the bound, of those that are known.
+
+    A body with few vertices, such as a cube, may show one bound everywhere: bounds are known at vertices only, and that of a
+    vertex is the largest of the facets around it.
+    """
+    mesh, deviation, bound = shown_surface(scene)
+    shades = []
+    if deviation is not None:
+        # a body that was found exactly is not shown in the colours of a large deviation
+        largest = max(float(np.abs(deviation).max()), 1e-9 * scene.diagonal) or 1.0
+        shades.append(shade(deviation, scene.deviation_title, -largest, largest, map="RdBu_r"))
+    if bound is not None and scene.bound is not None:
+        title = f"certified bound in {scene.unit}"
+        shades.append(shade(bound, title, 0.0, largest_known(scene.bound) or 1.0, map="YlGnBu"))
+    return mesh, shades
 
 
 def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | None]:
     """The surface and the colours of its vertices by the deviation from the truth, or by the bound; None if neither is known.
 
-    A body with few vertices, such as a cube, may show one bound everywhere: bounds are known at vertices only, and that of a
-    vertex is the largest of the facets around it.
-
     Raises InputError without a surface, and for the view "bound" without bounds.
     """
     if scene.surface is None:
         raise InputError(f"{scene.name} has no surface to show; it has a cloud: give the view cloud")
-    if view != "bound" and scene.truth is not None:
-        mesh, deviation, _ = shown_surface(scene)
-        assert deviation is not None
-        largest = deviation_limit(scene, deviation)
-        return mesh, shade(deviation, scene.deviation_title, -largest, largest, map="RdBu_r")
-    if scene.bound is not None and np.isfinite(scene.bound).any():
-        mesh, _, bound = shown_surface(scene)
-        assert bound is not None
-        title = f"certified bound in {scene.unit}"
-        return mesh, shade(bound, title, 0.0, largest_known(scene.bound) or 1.0, map="YlGnBu")
-    if view == "bound":
+    has_bound = scene.bound is not None and np.isfinite(scene.bound).any()
+    if view == "bound" and not has_bound:
         raise InputError(
             f"the bound of {scene.name} is not known; show a scan's folder, its surface.ply, or a recording"
         )
-    return scene.surface, None
+    if scene.truth is None and not has_bound:
+        return scene.surface, None
+    mesh, shades = surface_shades(scene)
+    return mesh, shades[-1 if view == "bound" else 0]

@@ -17,37 +17,18 @@ CHARTS = ("histogram", "forces")
 """Views that show no body: they have no camera, and need no renderer."""
 WITH_OTHER = ("surface", "compare", "histogram")
 """Views that show the surface, and thereby another surface that it is compared with."""
-# Figures have the width of two columns of a paper, in inches; letters of this size, in points, stay legible in one column.
-WIDTH, FONT = 7.0, 12.0
-# Height in inches from which they have room.
-_HEIGHT = 3.2
-# Letters of smaller pictures are in proportion, but not smaller than this, which journals ask for.
+# A picture is two columns of a paper wide, in inches, has letters of 12 points, and is sharp in print and on screens.
+WIDTH, FONT, DPI = 7.0, 12.0, 200
+# Journals ask for letters of at least so many points.
 _SMALLEST_FONT = 8.0
-# Pixels to the inch: 1400 pixels of width are sharp in print and on screens; more make larger files.
-DPI = 200
-# Lowest and highest resolution: below, letters can't be read; above, no printer resolves it.
-_LOWEST_DPI, _HIGHEST_DPI = 50, 2400
-# Smallest width and height in inches, 50 by 35 mm, below which letters take the place of the picture, and the largest side.
-_SMALLEST, _LARGEST = (50 / 25.4, 35 / 25.4), 100.0
-# Most pixels along a side: images are rendered up to twice as large, and graphics drivers stop at 16,384.
+# Graphics drivers stop at twice as many pixels along a side, which is what is rendered.
 _MOST_PIXELS = 8192
-# Images are rendered this many times larger and averaged, so that edges are smooth on any renderer.  Time and memory grow with
-# its square.  From this resolution on single pixels are no longer seen, and they are rendered as they are.
-_SUPERSAMPLING, _FINE_DPI = 2, 600
-# Bytes of memory for each rendered pixel, with depth and copies, and for each pixel of the picture.
-_BYTES = (24, 24)
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0, "pt": 1 / 72}
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _SIZE = re.compile(rf"{_NUMBER}(?:\s*[x×]\s*{_NUMBER})?\s*(mm|cm|in|pt|px)")
-# Azimuth and elevation of named cameras in degrees.
-_NAMED = dict(
-    zip(
-        CAMERAS,
-        ((-90, 0), (90, 0), (180, 0), (0, 0), (-90, 90), (-90, -90), (-45, math.degrees(math.atan(math.sqrt(0.5))))),
-        strict=True,
-    )
-)
-_LARGEST_AZIMUTH, _SMALLEST_ZOOM, _LARGEST_ZOOM = 360.0, 0.1, 100.0
+# Azimuth and elevation of the named cameras in degrees, in the order of `CAMERAS`.
+_ANGLES = (-90, 0), (90, 0), (180, 0), (0, 0), (-90, 90), (-90, -90), (-45, math.degrees(math.atan(math.sqrt(0.5))))
+_NAMED = dict(zip(CAMERAS, _ANGLES, strict=True))
 
 
 @dataclass(frozen=True)
@@ -64,22 +45,18 @@ class Camera:
     @property
     def toward(self) -> tuple[float, float, float]:
         """Unit vector toward the camera."""
-        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
-        return (
-            math.cos(elevation) * math.cos(azimuth),
-            math.cos(elevation) * math.sin(azimuth),
-            math.sin(elevation),
-        )
+        return _direction(self.azimuth_deg, self.elevation_deg)
 
     @property
     def up(self) -> tuple[float, float, float]:
         """Unit vector up in the picture; from the top, with the azimuth of the front, y is up."""
-        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
-        return (
-            -math.sin(elevation) * math.cos(azimuth),
-            -math.sin(elevation) * math.sin(azimuth),
-            math.cos(elevation),
-        )
+        return _direction(self.azimuth_deg, self.elevation_deg + 90)
+
+
+def _direction(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = math.cos(elevation)
+    return across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)
 
 
 @dataclass(frozen=True)
@@ -95,8 +72,8 @@ class Sheet:
 
     @property
     def font(self) -> float:
-        """Size of letters in points."""
-        part = self.width / WIDTH if self.height is None else min(self.width / WIDTH, self.height / _HEIGHT)
+        """Size of letters in points, in proportion to the width, and to the height of a low picture."""
+        part = self.width / WIDTH if self.height is None else min(self.width / WIDTH, self.height / 3.2)
         return min(FONT, max(_SMALLEST_FONT, FONT * part))
 
     @property
@@ -111,8 +88,8 @@ class Sheet:
 
     @property
     def sampling(self) -> int:
-        """How many times larger images are rendered before they are averaged."""
-        return 1 if self.dpi >= _FINE_DPI else _SUPERSAMPLING
+        """How many times larger images are rendered before they are averaged; single pixels of 600 dpi are not seen."""
+        return 1 if self.dpi >= 600 else 2
 
 
 def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | None = None) -> Sheet:
@@ -127,12 +104,20 @@ def sheet(size: str | None = None, dpi: int | str | None = None, camera: str | N
         one of `scan3d.choices.CAMERAS`, or ``AZIMUTH,ELEVATION`` of the camera in degrees; a comma and a factor after either of
         them zoom: ``top``, ``300,25``, ``300,25,1.5``.
 
-    Raises InputError for other values.
+    Raises InputError for other values, and for a picture that is too large to be rendered.
     """
     dots = DPI if dpi is None else _dpi(dpi)
     width, height = (WIDTH, None) if size is None else _size(size, dots)
     made = Sheet(width, height, dots, None if camera is None else _camera(camera))
-    _check_pixels(made)
+    wide, high = (round(side * dots) for side in (width, height or 0.75 * width))
+    if max(wide, high) > _MOST_PIXELS:
+        raise InputError(
+            f"a picture has at most {_MOST_PIXELS} pixels along a side, and this one would have {max(wide, high)}; choose a "
+            "smaller size or resolution"
+        )
+    # 24 bytes for each pixel that is rendered, with depth and copies, and for each of the picture
+    needed = 24 * wide * high * (made.sampling**2 + 1)
+    check_memory(needed, f"a picture of {wide} x {high} pixels", "choose a smaller size or resolution")
     return made
 
 
@@ -141,10 +126,9 @@ def _dpi(dpi: int | str) -> int:
         dots = int(dpi) if float(dpi).is_integer() else 0
     except (ValueError, TypeError, OverflowError):
         dots = 0
-    if not _LOWEST_DPI <= dots <= _HIGHEST_DPI:
+    if not 50 <= dots <= 2400:
         raise InputError(
-            f"the resolution of a picture is a whole number of dots per inch from {_LOWEST_DPI} to {_HIGHEST_DPI}, "
-            f"such as 300, got {dpi!r}"
+            f"the resolution of a picture is a whole number of dots per inch from 50 to 2400, such as 300, got {dpi!r}"
         )
     return dots
 
@@ -158,50 +142,26 @@ def _size(text: str, dpi: int) -> tuple[float, float | None]:
             f"got {text!r}"
         )
     inches = {**_INCHES, "px": 1 / dpi}[match[3]]
-    sides = [float(side) * inches for side in match.groups()[:2] if side is not None]
-    if any(side < smallest for side, smallest in zip(sides, _SMALLEST, strict=False)) or max(sides) > _LARGEST:
+    width, height = (None if side is None else float(side) * inches for side in match.groups()[:2])
+    assert width is not None
+    sides_mm = [round(25.4 * side, 6) for side in (width, width if height is None else height)]
+    if sides_mm[0] < 50 or sides_mm[1] < 35 or max(sides_mm) > 2540:
         at_dpi = f" at {dpi} dpi" if match[3] == "px" else ""
-        raise InputError(
-            f"a picture is at least {_SMALLEST[0] * 25.4:.0f} mm wide and {_SMALLEST[1] * 25.4:.0f} mm high, and at most "
-            f"{_LARGEST * 25.4:.0f} mm, got {text!r}{at_dpi}"
-        )
-    return sides[0], sides[1] if len(sides) > 1 else None
+        raise InputError(f"a picture is at least 50 mm wide and 35 mm high, and at most 2540 mm, got {text!r}{at_dpi}")
+    return width, height
 
 
 def _camera(text: str) -> Camera:
     name, *rest = (part.strip() for part in str(text).split(","))
     try:
         numbers = [float(part) for part in rest]
-        if name.lower() in _NAMED:
-            camera = Camera(*_NAMED[name.lower()], *numbers)
-        else:
-            azimuth, elevation, *zoom = [float(name), *numbers]
-            camera = Camera(azimuth, elevation, *zoom)
-    except (ValueError, TypeError):  # not numbers, or too few or too many
+        angles = _NAMED[name.lower()] if name.lower() in _NAMED else (float(name), numbers.pop(0))
+        camera = Camera(*angles, *numbers)
+    except (ValueError, TypeError, IndexError):  # not numbers, or too few or too many
         camera = Camera(math.nan, math.nan)
-    if not (
-        abs(camera.azimuth_deg) <= _LARGEST_AZIMUTH
-        and abs(camera.elevation_deg) <= 90
-        and _SMALLEST_ZOOM <= camera.zoom <= _LARGEST_ZOOM
-    ):
+    if not (abs(camera.azimuth_deg) <= 360 and abs(camera.elevation_deg) <= 90 and 0.1 <= camera.zoom <= 100):
         raise InputError(
             f"a camera is {', '.join(CAMERAS)}, or AZIMUTH,ELEVATION in degrees (elevation from -90 to 90), such as 300,25, "
-            f"and after either a comma and a zoom from {_SMALLEST_ZOOM:g} to {_LARGEST_ZOOM:g}, got {text!r}"
+            f"and after either a comma and a zoom from 0.1 to 100, got {text!r}"
         )
     return camera
-
-
-def _check_pixels(made: Sheet) -> None:
-    """Raises InputError for a picture that can't be rendered."""
-    width, height = (round(side * made.dpi) for side in (made.width, made.height or 0.75 * made.width))
-    if max(width, height) > _MOST_PIXELS:
-        raise InputError(
-            f"a picture has at most {_MOST_PIXELS} pixels along a side, and this one would have {max(width, height)}; choose a "
-            "smaller size or resolution"
-        )
-    rendered, drawn = _BYTES
-    check_memory(
-        width * height * (rendered * made.sampling**2 + drawn),
-        f"a picture of {width} x {height} pixels",
-        "choose a smaller size or resolution",
-    )

@@ -12,9 +12,8 @@ from scan3d.arrays import Array
 from scan3d.choices import VIEWS
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import DIRECTION, Canvas
-from scan3d.pictures.charts import reactions
+from scan3d.pictures.charts import histograms, reactions
 from scan3d.pictures.figures import blank_figure, box_of, color_bar, legend, picture_height, quiet, save, show_canvas
-from scan3d.pictures.histograms import histograms
 from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, sections, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
@@ -22,27 +21,12 @@ from scan3d.pictures.shading import BODY, INK, NORMAL, ROD, SLICE, TANGENTIAL, T
 from scan3d.pictures.sheet import CHARTS, Sheet
 
 PICTURES = (".png", ".pdf", ".svg")
-# Rods drawn along a sweep: fewer show less of how the rod bends, more would merge.
-_STATES = 7
 # In sizes of letters: the margin around a picture, the room of a colour bar or a legend before it is measured, and that of a
 # title above a picture.
 _MARGIN, _BESIDE, _TITLE = 0.8, 8.0, 1.8
-# Room of the legend below the picture of a sweep, likewise.
-_LEGEND = 4.2
-# Radius of the outline of a sweep's slice as a fraction of the size: more than that of a rod, which distinguishes the two.
-_OUTLINE_RADIUS = 0.004
-# Paths of contacts that are drawn at most in space, where they cross each other: more cover the body.
-_MOST_LINES = 60
-# The line and the contacts of the sweep are moved toward the camera by this fraction of the size: less, and parts of the line
-# are hidden in the body; more, and they are seen through the body's edges.
+# The line and the contacts of the sweep are moved toward the camera by this fraction of the size, so that no parts of the line
+# are hidden in the body.
 _FORWARD = 0.01
-# Distance from a sweep to which the body is drawn, in sizes of the rods: more makes the rods of a long body small, less cuts
-# off more of it.
-_REACH = 0.6
-# The base line is drawn longer by this fraction of its length at each end, so that its arrow is clear of the clamps.
-_BASE_LINE_MARGIN = 0.12
-# Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
-_CONTACT_SIZE = 7
 
 
 def check_path(path: str | Path) -> Path:
@@ -115,7 +99,7 @@ def _cloud(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     shaded = shade_contacts(scene, color)
     canvas = _canvas(np.concatenate([scene.corners, *normal_lines(scene)]), sheet)
     canvas.add_backdrop(scene)
-    canvas.add_points(scene.points, shaded.rgb, _CONTACT_SIZE)
+    canvas.add_points(scene.points, shaded.rgb)
     canvas.add_lines(normal_lines(scene), NORMAL, 1)
     figure = _sized(canvas, sheet)
     if shaded.norm is None:
@@ -165,7 +149,7 @@ def _compare(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
 def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
     sweep = shown_sweep(scene)
     canvas = _sweep_canvas(scene, sweep, sheet)
-    canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES), _FORWARD)
+    canvas.add_rods(sweep, evenly_chosen(len(sweep.base), 7), _FORWARD)
     lines = "contact path" if sweep.slice is None else "slice"
     entries = [
         ("body", BODY, "s"),
@@ -176,7 +160,7 @@ def _explain(scene: Scene, view: str, color: str, sheet: Sheet) -> Any:
         ("clamp", INK, "s"),
         ("clamp travel", INK, "->"),
     ]
-    figure = _sized(canvas, sheet, beside=0.0, above=_LEGEND * sheet.em)
+    figure = _sized(canvas, sheet, beside=0.0, above=4.2 * sheet.em)
     bottom = box_of(figure, legend(figure, entries, 4, sheet.font)).y1
     show_canvas(figure, canvas, _place(figure, sheet, sheet.width - _MARGIN * sheet.em, bottom), sheet, scene.unit)
     return figure
@@ -186,13 +170,13 @@ def _sweep_canvas(scene: Scene, sweep: ShownSweep, sheet: Sheet) -> Canvas:
     """The canvas of one sweep without its rods: body, slices and base line, seen from above the base line."""
     x, _, z = sweep.axes
     rod_points = np.concatenate([sweep.straight[:, 1], sweep.base, sweep.contact])
-    margin = np.array([_BASE_LINE_MARGIN, -_BASE_LINE_MARGIN])
+    margin = np.array([0.12, -0.12])  # its arrow is clear of the clamps
     base_line = sweep.base[[0, -1]] + np.outer(margin, np.linalg.norm(sweep.base[0] - sweep.base[-1]) * x)
     body = scene.truth if scene.truth is not None else scene.surface
     slice_points = sweep.contact if sweep.slice is None else scene.points[scene.column("slice") == sweep.slice]
     size = float(np.linalg.norm(np.ptp(np.concatenate([rod_points, slice_points]), axis=0)))
     # a long body is cut off where the rods do not reach
-    middle, reach = slice_points[0], _REACH * size
+    middle, reach = slice_points[0], 0.6 * size
     if body is not None:
         body = _cut(body, middle, z, reach)
     near = scene.points[np.abs((scene.points - middle) @ z) < reach] if body is None else np.asarray(body.points)
@@ -203,12 +187,13 @@ def _sweep_canvas(scene: Scene, sweep: ShownSweep, sheet: Sheet) -> Canvas:
         canvas.add_body(body, BODY)
     drawn = sweep.number if sweep.slice is None else sweep.slice
     lines = [(line, number) for line, number in sections(scene)[1] if (np.abs((line - middle) @ z) < reach).all()]
-    for k in evenly_chosen(len(lines), _MOST_LINES if sweep.slice is None else len(lines)):
+    # paths in space cross each other: more cover the body
+    for k in evenly_chosen(len(lines), 60 if sweep.slice is None else len(lines)):
         canvas.add_lines(lines[k][0][None], SLICE, 1)
     for line, number in lines:
         if number == drawn:
             # toward the camera, because between samples it lies inside of the body
-            canvas.add_tube(line + _FORWARD * size * canvas.toward, INK, _OUTLINE_RADIUS)
+            canvas.add_tube(line + _FORWARD * size * canvas.toward, INK, 0.004)
     canvas.add_arrow(base_line)
     return canvas
 

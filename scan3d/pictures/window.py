@@ -12,7 +12,7 @@ import numpy as np
 
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.pictures.canvas import WINDOW_SIZE, Canvas
+from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, sections, shown_sweep
 from scan3d.pictures.rendering import renders
 from scan3d.pictures.scene import Scene
@@ -127,7 +127,8 @@ def build_window(
         sweep = shown_sweep(scene)
         window.layers["rods"] = canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))
     _buttons(window, known, color if color in known else "")
-    canvas.aim(*WINDOW_SIZE)
+    canvas.plotter.window_size = [1200, 900]  # fits on the screens of laptops
+    canvas.aim(1200, 900)
     canvas.plotter.enable_point_picking(
         lambda point: window.pick(point), show_message=False, left_clicking=True, show_point=False
     )

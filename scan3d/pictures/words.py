@@ -10,7 +10,6 @@ import numpy as np
 import planar
 from scan3d.arrays import Array
 from scan3d.pictures.scene import Scene
-from scan3d.units import unit_symbol as unit_symbol
 
 
 def out_of_plane_deg(bending_angle: Array) -> Array:
