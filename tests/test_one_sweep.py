@@ -274,12 +274,18 @@ def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, capsys, text, senten
         (["--rod", "auto"], None, True, 2, "name the rod as MATERIAL:DIAMETERxLENGTH"),
         (["--noise-force", "-1"], None, False, 1, "must be finite and at least 0, got -1"),
         (["--truth", "part.stl", "--strict"], None, False, 2, "--truth, --strict can be used only with a recording"),
-        ([], "[noise]\nforce_N = 1.0\n", False, 1, "unknown names: force_N; known for a table that is dimensionless"),
+        (
+            [],
+            "[noise]\nforce_N = 1.0\n",
+            False,
+            1,
+            "unknown names: force_N; known are force, moment for a table that is dimensionless",
+        ),
         ([], "[noise]\nforce = 'much'\n", False, 1, "force must be a number, got 'much'"),
-        ([], "noise = 1\n", False, 1, "noise must be a section [noise], got 1"),
+        ([], "noise = 1\n", False, 1, "noise must be a section [noise] or a table in braces, got 1"),
         ([], "[rod]\nlength_m = 0.05\n", False, 1, "sweep.toml: unknown names: rod"),
         ([], "[rod]\nlength_m = 0.05\n", True, 1, "[rod] needs length_m and bending_stiffness_Nm2"),
-        ([], "[rod\n", True, 1, "can't read"),
+        ([], "[rod\n", True, 1, "sweep.toml is not a TOML file"),
     ],
 )
 def test_wrong_settings_are_refused_in_one_sentence(tmp_path, capsys, left, options, sidecar, si, code, sentence):

@@ -278,11 +278,11 @@ def test_lists_of_poses_with_errors_say_where(tmp_path, text, sentence):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (("speed_m_s = 0.02", "speed_m_s = -1"), "p.toml: speed_m_s must be a number above 0, got -1"),
+        (("speed_m_s = 0.02", "speed_m_s = -1"), "p.toml: speed_m_s must be a finite number above 0, got -1"),
         (("speed_m_s", "sped_m_s"), "p.toml: unknown names: sped_m_s; .* did you mean speed_m_s"),
-        (('model = "planar"', 'model = "flat"'), "p.toml: model must be one of planar, spatial, got 'flat'"),
-        (("length_m", "len"), r"p.toml: \[rod\] needs length_m"),
-        (("[rod]", "[rod"), "p.toml can't be read"),
+        (('model = "planar"', 'model = "flat"'), "p.toml: model must be one of planar, spatial; got 'flat'"),
+        (("length_m", "len"), r"p.toml: \[rod\] has unknown names: len; known are length_m"),
+        (("[rod]", "[rod"), "p.toml is not a TOML file"),
     ],
 )
 def test_toml_files_of_poses_with_errors_say_where(tmp_path, change, sentence):

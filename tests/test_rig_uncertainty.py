@@ -67,9 +67,9 @@ def test_a_recording_keeps_it_bit_for_bit(tmp_path, name):
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        ("quantities = 3", r"log.csv: \[rig\] quantities must be a list, got 3"),
-        ('quantities = ["clamp_x_m"]', r"log.csv: rig: the covariance must be 1 by 1 finite numbers"),
-        ("sizes = []", r"log.toml: \[rig\] has unknown names: sizes; known are quantities, covariance, exact"),
+        ("quantities = 3", r"log.toml: \[rig\] quantities must be a list of names, got 3"),
+        ('quantities = ["clamp_x_m"]', r"log.toml: \[rig\] rig: the covariance must be 1 by 1 finite numbers"),
+        ("sizes = []", r"log.toml: \[rig\] has unknown names: sizes; known are quantities, exact, covariance"),
     ],
 )
 def test_a_wrong_section_names_the_file(tmp_path, section, message):

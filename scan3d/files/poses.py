@@ -6,7 +6,6 @@ The TOML file has the rod, the speed, and how the poses were planned.
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.atomic import write_together
 from scan3d.files.ownership import Inputs, check_companion, check_path
-from scan3d.files.reading import check_file, did_you_mean, read_toml
+from scan3d.files.reading import check_file
+from scan3d.files.section import read_rod, read_section
 from scan3d.files.text import to_toml
 from scan3d.poses import SPEED_M_S, Move, PoseList
-from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "move")
@@ -28,7 +27,6 @@ KIND = "plan of poses"
 # Number of the format of the TOML file.
 _SCHEMA = 1
 _MOVES = {move.name.lower(): move for move in Move}
-_NAMES = ("schema", "unit", "model", "speed_m_s", "rod", "source")
 # Memory per byte of a table while it is read.
 _MEMORY_PER_BYTE = 12
 _YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
@@ -194,38 +192,19 @@ def _move(path: Path, line: int, text: str) -> int:
 
 def _read_sidecar(path: Path) -> dict[str, Any]:
     """What the TOML file of a list of poses says; empty if there is none, or if it belongs to something else."""
-    try:
-        meta = read_toml(path)
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path.name} can't be read: {getattr(error, 'strerror', None) or error}") from None
-    source = meta.get("source")
+    meta = read_section(path, "TOML file of the poses")
+    source = meta.any("source")
     if not isinstance(source, dict) or source.get("kind") != KIND:
         return {}
-    unknown = sorted(set(meta) - set(_NAMES))
-    if unknown:
-        raise InputError(
-            f"{path.name}: unknown names: {', '.join(unknown)}; known are {', '.join(_NAMES)}"
-            f"{did_you_mean(unknown, _NAMES)}"
-        )
-    for name, known in (("unit", tuple(UNITS_M)), ("model", MODELS)):
-        if meta.get(name, known[0]) not in known:
-            raise InputError(f"{path.name}: {name} must be one of {', '.join(known)}, got {meta[name]!r}")
-    speed = meta.get("speed_m_s", SPEED_M_S)
-    if isinstance(speed, bool) or not isinstance(speed, (int, float)) or not 0 < speed < math.inf:
-        raise InputError(f"{path.name}: speed_m_s must be a number above 0, got {speed!r}")
-    rod = meta.get("rod")
-    try:
-        made = None if rod is None else Rod(**{name: float(value) for name, value in rod.items()})
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path.name}: [rod] needs length_m, bending_stiffness_Nm2 and diameter_m: {error}") from None
-    return {
-        "rod": made,
-        "speed_m_s": float(speed),
-        "model": meta.get("model", MODELS[0]),
-        "unit": meta.get("unit", "mm"),
+    meta.any("schema")
+    known = {
+        "rod": read_rod(meta.section("rod")) if "rod" in meta else None,
+        "speed_m_s": meta.number("speed_m_s", SPEED_M_S, above=0),
+        "model": meta.word("model", MODELS),
+        "unit": meta.word("unit", tuple(UNITS_M), "mm"),
         "source": source,
     }
+    meta.finish()
+    return known

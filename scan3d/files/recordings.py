@@ -25,12 +25,12 @@ from scan3d.files.journal import locate
 from scan3d.files.ownership import check_sidecar
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.parquet import parquet_bytes, read_columns
-from scan3d.files.reading import check_file, did_you_mean, read_toml, to_float
+from scan3d.files.reading import check_file
+from scan3d.files.section import Section, read_rod, read_section
 from scan3d.files.text import to_toml
 from scan3d.poses import Move
 from scan3d.recording import Recording
 from scan3d.rigs import RigUncertainty
-from scan3d.rods import Rod
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm")
@@ -44,13 +44,6 @@ _MOVE, _MOVES = "move", tuple(move.name.lower() for move in Move)
 _SWEEP_LIMIT = 2**31
 # Number of the format of the TOML file.
 _SCHEMA = 1
-# Names in the TOML file and in its sections; the section [source] may hold any.
-_NAMES = ("schema", "unit", TABLE, "rod", "noise", "rig", "source")
-_SECTIONS = {
-    "rod": ("length_m", "bending_stiffness_Nm2", "diameter_m", "modulus_Pa"),
-    "noise": ("force_N", "moment_Nm", "pose_m"),
-    "rig": ("quantities", "covariance", "exact"),
-}
 # Memory per byte of a table, of which a number takes eight bytes or more, while it is read.
 _MEMORY_PER_BYTE = 8
 # Rows from which a CSV file is written by pyarrow, if it is installed, five times as fast.  Both ways of writing give the same
@@ -155,11 +148,17 @@ def read_recording(path: str | Path) -> Recording:
     path = Path(path)
     table = _read_table(path)
     meta = _read_sidecar(path)
-    rod, noise, rig, source = (_section(path, meta, name) for name in ("rod", "noise", "rig", "source"))
-    _check_names(path, meta)
-    unit = meta.get("unit", "mm")
-    if not isinstance(unit, str):
-        raise InputError(f"{sidecar(path).name}: unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    noise = meta.section("noise")
+    force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
+    known: dict[str, Any] = {
+        "rod": read_rod(meta.section("rod")),
+        "rig": _rig_of(meta.section("rig")) if "rig" in meta else None,
+        "unit": meta.word("unit", tuple(UNITS_M), "mm"),
+        "table_m": meta.number(TABLE, None),
+        "source": meta.notes("source"),
+    }
+    meta.finish(", and notes belong into [source]")
+    known |= {field: table[name] for name, field in SIX_AXES.items() if name in table}
     try:
         return Recording(
             sweep=_integers(table["sweep"]),
@@ -167,15 +166,10 @@ def read_recording(path: str | Path) -> Recording:
             quaternion=np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
             force_N=np.stack([table["fx_N"], table["fy_N"]], axis=1),
             moment_Nm=table["mz_Nm"],
-            **{field: table[name] for name, field in SIX_AXES.items() if name in table},
-            rod=rod_of(rod),
-            noise_force_N=number_of(noise, "force_N", 0.0),
-            noise_moment_Nm=number_of(noise, "moment_Nm", 0.0),
-            noise_pose_m=number_of(noise, "pose_m", 0.0),
-            unit=unit,
-            table_m=number_of(meta, TABLE) if TABLE in meta else None,
-            source=source,
-            rig=_rig_of(rig) if "rig" in meta else None,
+            noise_force_N=force,
+            noise_moment_Nm=moment,
+            noise_pose_m=pose,
+            **known,
         )
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
@@ -270,66 +264,24 @@ def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
     return columns
 
 
-def _read_sidecar(path: Path) -> dict[str, Any]:
+def _read_sidecar(path: Path) -> Section:
     beside = sidecar(path)
-    try:
-        return read_toml(locate(beside, path.name))
-    except FileNotFoundError:
+    stored = locate(beside, path.name)
+    if not stored.exists():
         raise InputError(
             f"{path.name} needs {beside.name} beside it, with the rod's length_m and bending_stiffness_Nm2"
-        ) from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't read {beside}: {getattr(error, 'strerror', None) or error}") from None
-
-
-def _check_names(path: Path, meta: Mapping[str, Any]) -> None:
-    """Raise InputError for an unknown format, and for names in the TOML file that the program would not read."""
-    name = sidecar(path).name
-    if meta.get("schema", _SCHEMA) != _SCHEMA:
-        raise InputError(
-            f"{name}: schema {meta['schema']!r} is not known, expected {_SCHEMA}; was it written by a newer version?"
         )
-    for section, known in (("", _NAMES), *_SECTIONS.items()):
-        unknown = sorted(set(meta.get(section, {}) if section else meta) - set(known))
-        if unknown:
-            raise InputError(
-                f"{name}: {f'[{section}] has ' if section else ''}unknown names: {', '.join(unknown)}; known are "
-                f"{', '.join(known)}, and notes belong into [source]{did_you_mean(unknown, known)}"
-            )
+    meta = read_section(stored, "TOML file of a recording", name=beside.name)
+    schema = meta.any("schema", _SCHEMA)
+    if schema != _SCHEMA:
+        raise meta.error("schema", f"{schema!r} is not known, expected {_SCHEMA}; was it written by a newer version?")
+    return meta
 
 
-def _section(path: Path, meta: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    section = meta.get(name, {})
-    if not isinstance(section, Mapping):
-        raise InputError(f"{sidecar(path).name}: {name} must be a section [{name}], got {section!r}")
-    return section
-
-
-def rod_of(meta: Mapping[str, Any]) -> Rod:
-    if "length_m" in meta and "bending_stiffness_Nm2" in meta:
-        return Rod(
-            number_of(meta, "length_m"), number_of(meta, "bending_stiffness_Nm2"), number_of(meta, "diameter_m", 0.0)
-        )
-    if all(name in meta for name in ("length_m", "diameter_m", "modulus_Pa")):
-        return Rod.wire(number_of(meta, "length_m"), number_of(meta, "diameter_m"), number_of(meta, "modulus_Pa"))
-    raise InputError("[rod] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
-
-
-def _rig_of(meta: Mapping[str, Any]) -> RigUncertainty:
-    lists = {name: meta.get(name, []) for name in _SECTIONS["rig"]}
-    for name, value in lists.items():
-        if not isinstance(value, list):
-            raise InputError(f"[rig] {name} must be a list, got {value!r}")
-    return RigUncertainty(lists["quantities"], lists["covariance"], lists["exact"])
-
-
-def number_of(section: Mapping[str, Any], name: str, default: float = float("nan")) -> float:
-    value = section.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{name} must be a number, got {value!r}")
-    return to_float(value)
+def _rig_of(section: Section) -> RigUncertainty:
+    quantities, exact = section.texts("quantities"), section.texts("exact")
+    with section.errors_named():
+        return RigUncertainty(quantities, section.any("covariance", []), exact)
 
 
 def _integers(values: Array) -> NDArray[np.int64]:

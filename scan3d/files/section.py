@@ -69,14 +69,20 @@ class Section:
             raise self.error(key, f"is missing{what}{did_you_mean([key], others)}")
         return value
 
-    def section(self, key: str) -> Section:
-        """A table within this one; an empty one if it is not there."""
+    def notes(self, key: str) -> Mapping[str, Any]:
+        """A table within this one that may hold anything; an empty one if it is not there."""
         value = self.any(key, {})
-        name = f"{self.name}.{key}" if self.name else key
         if not isinstance(value, Mapping):
-            raise self.error(key, f"must be a section [{name}] or a table in braces, got {value!r}")
-        self._inner.append(Section(self.file, value, name))
+            raise self.error(key, f"must be a section [{self._path(key)}] or a table in braces, got {value!r}")
+        return value
+
+    def section(self, key: str) -> Section:
+        """A table within this one, with entries of its own; an empty one if it is not there."""
+        self._inner.append(Section(self.file, self.notes(key), self._path(key)))
         return self._inner[-1]
+
+    def _path(self, key: str) -> str:
+        return f"{self.name}.{key}" if self.name else key
 
     def text(self, key: str, default: str | T = REQUIRED) -> str | T:
         value = self._value(key, default)
@@ -172,7 +178,7 @@ def read_section(path: str | Path, what: str, advice: str = "", name: str = "") 
 
 
 def read_rod(section: Section) -> Rod:
-    """The rod of a table [rod]: its length with its stiffness, or with diameter and modulus of a wire."""
+    """The rod of a table [rod]: its length, and its stiffness or the diameter and modulus of a wire."""
     length, stiffness = section.number("length_m", None), section.number("bending_stiffness_Nm2", None)
     diameter, modulus = section.number("diameter_m", None), section.number("modulus_Pa", None)
     with section.errors_named():
@@ -180,4 +186,5 @@ def read_rod(section: Section) -> Rod:
             return Rod(length, stiffness, diameter or 0.0)
         if length is not None and diameter is not None and modulus is not None:
             return Rod.wire(length, diameter, modulus)
-        raise InputError("needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
+    section.finish()  # a name that is nearly right is the likelier reason
+    raise section.error("", "needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")

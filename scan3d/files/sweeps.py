@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ import planar
 from scan3d.errors import InputError
 from scan3d.files.columns import numbers_of
 from scan3d.files.journal import locate
-from scan3d.files.reading import check_file, did_you_mean, read_toml
-from scan3d.files.recordings import number_of, rod_of, sidecar
+from scan3d.files.reading import check_file
+from scan3d.files.recordings import sidecar
+from scan3d.files.section import read_rod, read_section
 from scan3d.one_sweep import OneSweep, SweepContacts
 from scan3d.rods import Rod
 
@@ -30,8 +30,7 @@ COLUMNS = ("x0", "f0x", "f0y", "m0z")
 SI_COLUMNS = ("x0_m", "f0x_N", "f0y_N", "m0z_Nm")
 # What a recording has and one sweep in one plane has not.
 _POSE = {"qw", "qx", "qy", "qz"}
-# Names in the sections of the TOML file; the section [source] may hold any.
-_ROD = ("length_m", "bending_stiffness_Nm2", "diameter_m", "modulus_Pa")
+# Names of the noise in the TOML file.
 _NOISE, _SI_NOISE = ("force", "moment"), ("force_N", "moment_Nm")
 # Memory per byte of a table while it is read.
 _MEMORY_PER_BYTE = 16
@@ -64,25 +63,21 @@ def read_sweep(
     Raises InputError with the name of the file and the error in it.
     """
     path = Path(path)
-    table, si = _read_table(path)
-    meta = _read_sidecar(path, si)
-    forces, moments = _SI_NOISE if si else _NOISE
+    (x0, f0x, f0y, m0z), si = _read_table(path)
+    named, force, moment = _read_sidecar(path, si)
+    force = force if noise_force is None else noise_force
+    moment = moment if noise_moment is None else noise_moment
     try:
         if rod is not None and not si:
             raise InputError(
                 f"its columns are dimensionless and need no rod; with a rod they are {', '.join(SI_COLUMNS)}"
             )
-        if si and rod is None and "rod" not in meta:
+        if si and (rod or named) is None:
             raise InputError(
                 f"its columns are in SI units and need the rod: give --rod MATERIAL:DIAMETERxLENGTH, or a section [rod] in "
                 f"{sidecar(path).name}"
             )
-        used = (rod or rod_of(meta["rod"])) if si else None
-        noise = meta.get("noise", {})
-        force = number_of(noise, forces, 0.0) if noise_force is None else noise_force
-        moment = number_of(noise, moments, 0.0) if noise_moment is None else noise_moment
-        x0, f0x, f0y, m0z = table
-        return OneSweep(x0, f0x, f0y, m0z, used, force, moment)
+        return OneSweep(x0, f0x, f0y, m0z, rod or named, force, moment)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 
@@ -131,29 +126,20 @@ def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
     return columns
 
 
-def _read_sidecar(path: Path, si: bool) -> Mapping[str, Any]:
-    """The TOML file beside a table; empty if there is none.  Raises InputError for names that would not be read."""
+def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float]:
+    """Rod and noise in the TOML file beside a table; None and zeros where it does not state them."""
     beside = sidecar(path)
-    try:
-        meta = read_toml(locate(beside, path.name))
-    except FileNotFoundError:
-        return {}
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"can't read {beside}: {getattr(error, 'strerror', None) or error}") from None
-    known = {"rod": _ROD, "noise": _SI_NOISE if si else _NOISE} if si else {"noise": _NOISE}
-    for section, names in (("", ("schema", *known, "source")), *known.items()):
-        held = meta.get(section, {}) if section else meta
-        if not isinstance(held, Mapping):
-            raise InputError(f"{beside.name}: {section} must be a section [{section}], got {held!r}")
-        if unknown := sorted(set(held) - set(names)):
-            of_table = "in SI units" if si else "dimensionless"
-            raise InputError(
-                f"{beside.name}: {f'[{section}] has ' if section else ''}unknown names: {', '.join(unknown)}; known for a "
-                f"table that is {of_table} are {', '.join(names)}{did_you_mean(unknown, names)}"
-            )
-    return meta
+    stored = locate(beside, path.name)
+    if not stored.exists():
+        return None, 0.0, 0.0
+    meta = read_section(stored, "TOML file of the table", name=beside.name)
+    meta.any("schema")
+    meta.notes("source")
+    noise, names = meta.section("noise"), _SI_NOISE if si else _NOISE
+    force, moment = (noise.number(name, 0.0, at_least=0) for name in names)
+    rod = read_rod(meta.section("rod")) if si and "rod" in meta else None
+    meta.finish(f" for a table that is {'in SI units' if si else 'dimensionless'}")
+    return rod, force, moment
 
 
 def contacts_csv(found: SweepContacts) -> bytes:
