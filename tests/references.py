@@ -7,7 +7,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import scan3d
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.sweeping import sweep
 from tests import rigs
 

@@ -16,8 +16,7 @@ import scan3d
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.simulation.disturbances import pink_noise
 from scan3d.simulation.rig import simulate_rig, standing
-from scan3d.spatial.bodies import Ellipsoid
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import sweep
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan3d.spatial.derivatives import extrapolating, fitting, interpolating, windows
+from scan3d.spatial.normals import extrapolating, fitting, interpolating, windows
 
 
 def samples(width, count=50):

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from scan3d.spatial.bodies import Ellipsoid
-from scan3d.spatial.equations import Law, Mode, system
-from scan3d.spatial.shapes import Clamp, bent
-from scan3d.spatial.vectors import unit
+from scan3d.spatial.bodies import Ellipsoid, unit
+from scan3d.spatial.equilibrium import Clamp, Law, Mode, bent, system
 
 COUNT, STEP = 300, 1e-6
 

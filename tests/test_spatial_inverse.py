@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import planar
-from scan3d.spatial.inverse import Status, reconstruct
-from scan3d.spatial.uncertainty import errors
+from scan3d.spatial.inverse import Status, errors, reconstruct
 
 # Reference values: x0, r1, s1, f0, (m0x, m0z), tangential contacts with an ellipsoid; base at (x0, 0, 0.1125).
 FRICTIONLESS = [

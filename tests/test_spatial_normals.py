@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from spatial_sweeps import ellipsoid_normal, track
 
-from scan3d.spatial.normals import Source, along_sweeps, angles, frictionless, normal_at, sector
+from scan3d.spatial.normals import Source, along_sweeps, angles, frictionless
 
 FRICTION = 0.3
 
@@ -118,22 +118,6 @@ def test_tracks_of_one_two_and_no_contacts_have_no_normals(rubbing):
 def test_a_resting_clamp_gives_no_normals_and_no_exception(rubbing):
     normals = along_sweeps(rubbing._replace(travel=np.zeros_like(rubbing.travel)))
     assert (normals.source == Source.UNKNOWN).all()
-
-
-def test_the_sector_contains_the_normal_and_its_ends_are_the_normals_of_full_friction(rubbing):
-    rows = rubbing.tangential
-    force, tangent, exact = rubbing.force[rows], rubbing.tangent[rows], ellipsoid_normal(rubbing.point)[rows]
-    zeta = np.arctan(FRICTION)
-    theta = sector(force, tangent, zeta)
-    assert np.isfinite(theta).all()
-    ends = np.stack([angles(normal_at(force, tangent, sign * theta), exact) for sign in (-1, 1)])
-    assert ends.min(axis=0).max() < 1e-6  # two normals, one of which is the true one
-    np.testing.assert_allclose((normal_at(force, tangent, theta) * tangent).sum(axis=1), 0, atol=1e-12)
-    wider = sector(force, tangent, 2 * zeta)
-    assert (wider > theta).all()
-    beta = np.arcsin((force * tangent).sum(axis=1) / np.linalg.norm(force, axis=1))
-    too_small = np.abs(beta) > zeta / 2
-    assert np.isnan(sector(force, tangent, zeta / 2)[too_small]).all()
 
 
 def test_without_friction_the_angles_say_so(rubbing):

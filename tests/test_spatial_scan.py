@@ -14,7 +14,7 @@ from scan3d.geometry.distance import nearest
 from scan3d.pictures import rendering
 from scan3d.planning import aims as rasters
 from scan3d.simulation import spatial
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import RoundedPolyhedron
 
 SMALL = dict(model="spatial", slices=8, samples=24)
 TINY = dict(model="spatial", slices=4, samples=8, friction=(0.0, 0.4))

@@ -7,10 +7,9 @@ from rods_in_space import follows, random_paths, rods, shapes, slip, turned
 from scipy.spatial.transform import Rotation
 
 import planar
-from scan3d.spatial.bodies import Ellipsoid
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import End, sweep
-from scan3d.spatial.touching import passages
+from scan3d.spatial.touchdown import passages
 
 HALF = np.array([0.3, 0.2, 0.25])
 

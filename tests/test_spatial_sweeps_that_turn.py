@@ -6,9 +6,8 @@ from rods_in_space import follows, random_ellipsoid, random_paths, rods, shapes,
 from scipy.spatial.transform import Rotation
 
 from scan3d.spatial.bodies import Ellipsoid
-from scan3d.spatial.paths import Paths
 from scan3d.spatial.sweeping import End, sweep
-from scan3d.spatial.touches import first_touches
+from scan3d.spatial.touchdown import Paths, first_touches
 
 
 def turning(body, count, samples, rng, angle):

@@ -5,10 +5,9 @@ import pytest
 import trimesh
 from rods_in_space import random_ellipsoid, random_paths, turned
 
-from scan3d.spatial.bodies import Ellipsoid
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import End, sweep
-from scan3d.spatial.touching import passages
+from scan3d.spatial.touchdown import passages
 
 HALF = np.array([0.3, 0.2, 0.25])
 

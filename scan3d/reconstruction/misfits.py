@@ -18,7 +18,7 @@ from scan3d.reconstruction.planes import slices_of
 from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.spatial import inverse
-from scan3d.spatial.uncertainty import errors
+from scan3d.spatial.inverse import errors
 
 # The misfit of a row without a contact, and the largest one that counts.  Larger, single rows decide; smaller, rows that have
 # lost their contacts count too little against rows that contradict each other.

@@ -22,8 +22,8 @@ from scan3d.reconstruction.spatial_fit import EXACT, with_fit
 from scan3d.reconstruction.spatial_hull import hull_normals
 from scan3d.recording import Recording
 from scan3d.spatial import inverse
+from scan3d.spatial.inverse import SpatialErrors, errors
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
-from scan3d.spatial.uncertainty import SpatialErrors, errors
 from scan3d.units import UNITS_M
 
 # As in the plane (`scan3d.reconstruction.contacts`): standard deviations of the distance to the tip that count as zero, the

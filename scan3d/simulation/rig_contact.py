@@ -13,9 +13,8 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_polygons
 from scan3d.geometry.segments import segments_meet
-from scan3d.spatial.polyhedra import RoundedPolyhedron
-from scan3d.spatial.results import End
-from scan3d.spatial.sweeping import sweep
+from scan3d.spatial.bodies import RoundedPolyhedron
+from scan3d.spatial.sweeping import End, sweep
 
 # Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a planar sweep.
 _STRAIGHT = 1e-6

@@ -6,12 +6,18 @@ In that plane the rod is the one of `planar.elastica`.  Six reactions determine 
 ``m0·t0`` and ``m0·f0`` vanish for a single force at the centre line of a rod that bends alike in all directions.
 
 In contrast to the plane the angle ``β`` may be negative: friction may pull the rod out along itself.
+
+Errors of the reactions carry over to the first order.  In the bending plane the derivatives are those of `planar.jacobian`.
+Across it the plane's angle ω follows from the moment with the standard deviation ``σ_m/|m0|`` and from the force across the rod
+with ``σ_f/|f0⊥|``, together with the weights of `bending_direction`.  Equal errors in all directions make both parts
+independent of each other.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,10 +26,12 @@ import planar
 from planar.elastica import bend_by_half_angle
 from scan3d.arrays import Array, Mask
 
-# Rows processed at once.  More of them and their intermediate results leave the processor's cache; fewer cost more calls.
+# Rows processed at once, whose intermediate results stay in the processor's cache.
 _BLOCK = 8192
 # Reactions between this and its inverse have squares and products that are numbers; rows beyond are scaled first.
 _SAFE = 1e-75
+# Contacts that the noise puts past the tip by this part of the rod have errors as well.
+_PAST_TIP = 0.999
 
 
 class Status(IntEnum):
@@ -152,6 +160,57 @@ def bending_direction(f0: Array, m0: Array, noise: tuple[float, float]) -> tuple
     z = np.copysign(z, double_z)
     sign = np.where(x * m0[2] - z * m0[0] < 0, -1.0, 1.0)
     return sign * x, sign * z
+
+
+class SpatialErrors(NamedTuple):
+    """Standard deviations (n,) and covariances of what six reactions give, dimensionless; infinite where there is no rod."""
+
+    point: Array
+    """(n, 3, 3) covariance of the contact's place in the clamp's frame."""
+    largest: Array
+    """(n,) standard deviation of the place in its least certain direction."""
+    s1: Array
+    """(n,)"""
+    beta: Array
+    """(n,) of the angle β."""
+    tangent: Array
+    """(n,) of the tangent: root of the mean square angle, in radians."""
+    plane: Array
+    """(n,) of the bending plane's angle ω, in radians."""
+    force: Array
+    """(n,) of the direction of the force: root of the mean square angle, in radians."""
+
+
+def errors(f0: Array, m0: Array, noise: tuple[float, float]) -> SpatialErrors:
+    """Errors of the contacts that `reconstruct` finds for reactions (n, 3), by the noise of force and moment."""
+    sigma_f, sigma_m = noise
+    with np.errstate(all="ignore"):  # rows without a force have no errors that are numbers
+        # exact reactions, of rods whose poses alone are noisy, give the same direction with any weights
+        ex, ez = bending_direction(f0.T, m0.T, noise if max(noise) else (1.0, 1.0))
+        m, f0e = m0[:, 2] * ex - m0[:, 0] * ez, f0[:, 0] * ex + f0[:, 2] * ez
+        slopes = planar.jacobian(f0e, f0[:, 1], m) * [sigma_f, sigma_f, sigma_m]
+        angle = 1 / np.sqrt((m / sigma_m) ** 2 + (f0e / sigma_f) ** 2)
+        x, y, s1, alpha, beta = (slopes[:, k] for k in range(5))
+        found = reconstruct(f0, m0, noise=noise, tolerance=_PAST_TIP)
+        zero = np.zeros_like(ex)
+        across, normal = np.stack([ex, zero, ez], axis=1), np.stack([-ez, zero, ex], axis=1)
+        place = across[:, :, None] * x[:, None, :]
+        place[:, 1] += y
+        sideways = ((found.point * across).sum(axis=1) * angle)[:, None] * normal
+        point = place @ place.transpose(0, 2, 1) + sideways[:, :, None] * sideways[:, None, :]
+        sideways_turn = (found.tangent * across).sum(axis=1) * angle
+        tangent = np.sqrt(((alpha - beta) ** 2).sum(axis=1) + sideways_turn**2)
+        s1_sd, beta_sd = (np.linalg.norm(row, axis=1) for row in (s1, beta))
+        force = sigma_f * np.sqrt(2) / np.linalg.norm(f0, axis=1)
+        known = np.isfinite(point).all(axis=(1, 2)) & np.isfinite(tangent)
+        largest = np.full(len(m), np.inf)
+        largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
+
+    def certain(values: Array) -> Array:
+        return np.where(known & np.isfinite(values), values, np.inf)
+
+    point[~known] = np.inf
+    return SpatialErrors(point, largest, *(certain(value) for value in (s1_sd, beta_sd, tangent, angle, force)))
 
 
 def _fill(

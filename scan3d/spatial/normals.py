@@ -10,6 +10,11 @@ from the slip
     tangential contacts.
 from the force
     ``n = F/f`` without friction.
+
+The slopes are those of local polynomials.  A window of samples around each sample, shifted inwards at the ends of its run,
+determines a polynomial, whose slope at the sample is a weighted sum of the window's values.  Through as many coefficients as
+samples it is Lagrange's interpolation in barycentric form; through fewer it is the weighted least-squares fit (Savitzky and
+Golay, for samples at any distances).
 """
 
 from __future__ import annotations
@@ -22,28 +27,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import Array, Mask
-from scan3d.spatial.derivatives import extrapolating, fitting, interpolating, windows
+from scan3d.arrays import Array, Index, Mask
 
-# Widths of the windows for exact data.  More take longer; fewer leave larger errors of truncation where the path is smooth.
+# Widths of the windows for exact data.
 _WIDTHS = (3, 5, 7, 9)
-# Truncation over the change by leaving out a sample at a window's end: on smooth paths it is much smaller, on rough ones up to
-# three times as large.
-_ROUGH = 3.0
 # The same for noisy data: widths of the windows for polynomials of a degree; those of a degree higher by two, which alters the
 # slope in a window's middle, show their truncation.
 _NOISY_WIDTHS = {2: (5, 7, 11, 17, 27, 41), 4: (7, 11, 17, 27, 41)}
-# A step longer than this many times both its neighbours is a snap.  Larger, short snaps count as smooth; smaller, the quick
-# first slip after touch-down counts as a snap.
-_SNAP = 4.0
-# A step sticks if the rod's material point slips by less than this fraction of the clamp's travel.  Larger, slow slip counts
-# as stick; smaller, rounding counts as slip.
+# Truncation over the change by leaving out a sample at a window's end: on smooth paths it is much smaller, on rough ones up to
+# three times as large.
+_ROUGH = 3.0
+# Regularisation of the normal equations, in which all entries are at most the number of samples.
+_RIDGE = 1e-14
+# A step longer than this many times both its neighbours is a snap, unless by noise of so many standard deviations; shorter
+# steps include the quick first slip after touch-down.
+_SNAP, _SNAP_SIGMAS = 4.0, 8.0
+# A step sticks if the rod's material point slips by less than this fraction of the clamp's travel, which is rounding.
 _STICK = 1e-7
-# Noise by which a step may exceed its neighbours without being a snap, in standard deviations.
-_SNAP_SIGMAS = 8.0
-# Normals that are less certain, in radians, are unknown.  Larger, they disturb more than they help; smaller, starts for the fit
-# of a smooth body are lost.
 UNKNOWN = 0.1
+"""Normals that are less certain, in radians, are unknown: as starts for the fit of a smooth body they would disturb it."""
 # Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
 _ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
 # A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
@@ -147,29 +149,85 @@ def frictionless(beta: Array, beta_sd: Array | float = 0.0) -> bool:
     return len(beta) >= _FEWEST and float(np.mean(vanishing)) >= _NEARLY_ALL
 
 
-def sector(force: Array, tangent: Array, friction_angle: Array | float) -> Array:
-    """Largest angle θ (n,) of the normal about the tangent (n, 3) in tangential contact, for friction angles up to a bound.
-
-    ``cos ζ = cos β cos θ``; NaN where the bound is below ``|β|``.  If the friction angle is known exactly and the rod slides,
-    the normal is one of the two at ``±θ`` (`normal_at`).
-    """
-    unit = _unit(force)
-    cos_beta = np.linalg.norm(np.cross(unit, tangent), axis=1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.arccos(np.cos(friction_angle) / cos_beta))
-
-
-def normal_at(force: Array, tangent: Array, theta: Array) -> Array:
-    """The normal (n, 3) across the tangent (n, 3) at an angle θ (n,) to the part of the force across it."""
-    across = _unit(force - _along(force, tangent))
-    return np.asarray(
-        np.cos(theta)[:, None] * across + np.sin(theta)[:, None] * np.cross(tangent, across),
-    )
-
-
 def angles(a: Array, b: Array) -> Array:
     """Angles (n,) between unit vectors (n, 3), with full precision for small ones."""
     return np.asarray(2 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)))
+
+
+class Windows(NamedTuple):
+    """Windows of w samples around some of the samples."""
+
+    rows: Index
+    """(k,) the samples whose runs are long enough."""
+    members: Index
+    """(k, w) the samples of their windows."""
+    own: Index
+    """(k,) place of the sample in its window."""
+
+
+def windows(starts: Mask, width: int) -> Windows:
+    """Windows of `width` samples within runs; `starts` (n,) marks each run's first sample."""
+    n = len(starts)
+    first = np.flatnonzero(starts)
+    run = np.cumsum(starts) - 1
+    begin, end = first[run], np.append(first[1:], n)[run]
+    rows = np.flatnonzero(end - begin >= width)
+    left = np.clip(rows - width // 2, begin[rows], end[rows] - width)
+    return Windows(rows, left[:, None] + np.arange(width), rows - left)
+
+
+def interpolating(position: Array, own: Index) -> Array:
+    """Weights (k, w) of the slope, at the sample `own` (k,), of the polynomial through values at `position` (k, w)."""
+    k, w = position.shape
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.ptp(position, axis=1)[:, None]
+        x = (position - position[:, :1]) / scale
+        difference = x[:, :, None] - x[:, None, :]
+        difference[:, np.arange(w), np.arange(w)] = 1
+        barycentric = 1 / difference.prod(axis=2)
+        picked = np.arange(k)
+        weights = barycentric / barycentric[picked, own][:, None] / difference[picked, own]
+        weights[picked, own] = 0
+        weights[picked, own] = -weights.sum(axis=1)
+        return np.asarray(weights / scale)
+
+
+def extrapolating(position: Array, at: Array) -> Array:
+    """Weights (k, w) of the slope of the polynomial through values at `position` (k, w), at other places `at` (k,)."""
+    _, w = position.shape
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.ptp(position, axis=1)[:, None]
+        difference = (position[:, :, None] - position[:, None, :]) / scale[:, :, None]
+        difference[:, np.arange(w), np.arange(w)] = 1
+        away = (at[:, None] - position) / scale
+        basis = away.prod(axis=1)[:, None] / away / difference.prod(axis=2)
+        return np.asarray(basis * ((1 / away).sum(axis=1)[:, None] - 1 / away) / scale)
+
+
+def fitting(position: Array, own: Index, degree: int, weight: Array, values: Array) -> tuple[Array, Array]:
+    """Weights (k, w) of the slope of a fitted polynomial, and the fit's misfit (k,).
+
+    The polynomial has a degree below w and is fitted with `weight` (k, w), 1 / variance.  The misfit of the `values` (k, w, c)
+    is the sum of their squared deviations, each over its variance, per degree of freedom: about 1 if they are smooth but for
+    noise whose variance is that of all c components together.
+    """
+    k, width = position.shape
+    relative = position - position[np.arange(k), own][:, None]
+    scale = np.abs(relative).max(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        powers = (relative / scale[:, None])[:, None] ** np.arange(degree + 1)[:, None]
+        weighted = powers * (weight / weight.max(axis=1, keepdims=True))[:, None]
+        normal = weighted @ powers.transpose(0, 2, 1)
+        good = np.isfinite(normal).all(axis=(1, 2))
+        normal[~good] = np.eye(degree + 1)
+        normal += _RIDGE * np.eye(degree + 1)
+        slope = np.zeros((k, degree + 1, 1))
+        slope[:, 1] = 1
+        solved = np.linalg.solve(normal, np.concatenate([slope, weighted @ values], axis=2))
+        result = (solved[:, :, 0][:, None] @ weighted)[:, 0] / scale[:, None]
+        residual = ((values - powers.transpose(0, 2, 1) @ solved[:, :, 1:]) ** 2).sum(axis=2)
+    result[~good] = np.nan
+    return result, np.asarray((weight * residual).sum(axis=1) / max(width - degree - 1, 1))
 
 
 def _runs(track: Track) -> tuple[Mask, Mask]:
@@ -207,7 +265,7 @@ class _Slopes(NamedTuple):
 
     width: int
     """Of the windows."""
-    rows: NDArray[np.intp]
+    rows: Index
     used: Array
     """(k, 4) derivatives of point and s1."""
     other: Array
@@ -245,7 +303,7 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
             yield _Slopes(width, rows, used, other, _ROUNDING * np.abs(weights).sum(axis=1), variance, difference)
 
 
-def _without_an_end(position: Array, own: NDArray[np.intp]) -> Array:
+def _without_an_end(position: Array, own: Index) -> Array:
     """Weights (k, w) of the slope of the polynomial through all but one sample of each window, at one of its ends.
 
     If the sample itself is an end it is left out: after a transition it may be the only one on its piece of the surface.
@@ -263,13 +321,13 @@ def _without_an_end(position: Array, own: NDArray[np.intp]) -> Array:
     return weights
 
 
-def _slip(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
+def _slip(track: Track, rows: Index, slopes: Array) -> Array:
     """Slip (k, 3) of the rod's material point at the contact; in tip contact it is the tip."""
     along = np.where(track.tangential[rows], slopes[:, 3], 0.0)
     return np.asarray(slopes[:, :3] - along[:, None] * track.tangent[rows])
 
 
-def _from_slip(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
+def _from_slip(track: Track, rows: Index, slopes: Array) -> Array:
     force = track.force[rows]
     normal = force - _along(force, _unit(_slip(track, rows, slopes)))
     # in tangential contact the normal is perpendicular to the rod, exactly
@@ -277,7 +335,7 @@ def _from_slip(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
     return _unit(np.where(track.tangential[rows, None], across, normal))
 
 
-def _from_path(track: Track, rows: NDArray[np.intp], slopes: Array) -> Array:
+def _from_path(track: Track, rows: Index, slopes: Array) -> Array:
     normal = _unit(np.cross(track.tangent[rows], slopes[:, :3]))
     outward = np.where((normal * track.force[rows]).sum(axis=1) < 0, -1.0, 1.0)
     outward[~track.tangential[rows]] = np.nan

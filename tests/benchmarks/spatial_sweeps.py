@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from scan3d.spatial.bodies import Body, Ellipsoid
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import Body, Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import Sweeps, sweep
-from scan3d.spatial.touching import passages
+from scan3d.spatial.touchdown import passages
 
 Array = NDArray[np.float64]
 
