@@ -49,18 +49,11 @@ def tiny(cube):
         (dict(axis=[0.0, 0.0, 1.0]), r"axis is a setting of slices"),
         (dict(standoff="fixed"), r"standoff is a setting of slices"),
         (dict(tolerance=1e-3), r"tolerance is a setting of slices"),
-        (dict(accuracy=-1.0), r"accuracy must be a number >= 0, got -1\.0"),
-        (dict(accuracy=float("nan")), r"accuracy must be a number >= 0, got nan"),
     ],
 )
 def test_impossible_plans(given, sentence):
     with pytest.raises(InputError, match=sentence):
         scan3d.Plan(**{"model": "spatial", **given})
-
-
-def test_accuracy_is_not_for_the_planar_model():
-    with pytest.raises(InputError, match=r"accuracy is a setting of the spatial model, the planar one is exact"):
-        scan3d.Plan(accuracy=1e-4)
 
 
 def test_the_directions_are_spread_evenly():
@@ -220,15 +213,6 @@ def test_noise_is_that_of_the_plan(cube):
 def test_fixed_sweeps_are_not_aimed(cube):
     recording = scan3d.simulate(cube, scan3d.Plan(friction=0.0, sweeps=2, **SMALL))
     assert len(np.unique(recording.sweep)) <= 24
-
-
-@pytest.mark.slow
-def test_the_accuracy_of_the_steps_is_reported(tiny, cube):
-    plan = dict(SMALL, sweeps=1, samples=8)
-    source = scan3d.simulate(cube, scan3d.Plan(friction=0.2, accuracy=0.05, **plan)).source
-    assert 0 <= source["step_error_median"] <= 0.05
-    assert source["step_error_median"] <= source["step_error_largest"]
-    assert "step_error_median" not in tiny[0].source
 
 
 def test_a_rod_that_reaches_nothing(cube, monkeypatch):

@@ -57,9 +57,6 @@ class Plan:
     rod
         a `scan3d.Rod`, in SI units; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the
         body.
-    accuracy
-        largest change of contacts, in rod lengths, and of reactions that the spatial model leaves where the steps of its
-        sweeps are halved; sweeps with friction take as many steps as that needs.  0: one step from sample to sample.
     noise
         standard deviation of force and moment, in EI/L² and EI/L.
     seed
@@ -81,7 +78,6 @@ class Plan:
     clearance: float = 0.3
     standoff: Standoff = "follow"
     rod: Rod | None = None
-    accuracy: float = 0.0
     noise: float = 0.0
     seed: int = 0
     unit: Unit = "mm"
@@ -95,12 +91,6 @@ class Plan:
             check_choice(name, getattr(self, name), known)
         if not (_is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
-        if not (_is_finite(self.accuracy) and self.accuracy >= 0):
-            raise InputError(f"accuracy must be a number >= 0, got {self.accuracy}")
-        if self.accuracy and self.model != "spatial":
-            raise InputError(
-                f"accuracy is a setting of the spatial model, the planar one is exact; leave out accuracy {self.accuracy!r}"
-            )
         low, high = self.friction_range
         if not 0 <= low <= high:
             raise InputError(f"friction must be a number >= 0 or a rising range LOW:HIGH of such, got {self.friction}")

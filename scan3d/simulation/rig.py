@@ -129,7 +129,6 @@ def simulate_rig(
     rod: Rod | None = None,
     model: str | None = None,
     friction: tuple[float, float] = (0.0, 0.0),
-    accuracy: float = 0.0,
     seed: int = 0,
     unit: str = "mm",
 ) -> RawLog:
@@ -145,7 +144,7 @@ def simulate_rig(
         of contact; that of the poses by default.
     friction
         lowest and highest coefficient of friction, of which every row draws its own.
-    accuracy, seed
+    seed
         as in `scan3d.Plan`.
 
     Raises InputError for bodies that are not closed and convex, where no rod is known, and where the rod touches the body
@@ -161,10 +160,9 @@ def simulate_rig(
     length, radius = real.length_m / metres, real.diameter_m / metres / 2 if model == "spatial" else 0.0
     tracks, members = _tracks(rows, friction, seed, metres)
     _check_begins(mesh, tracks, length, radius)
-    if model == "spatial":
-        reactions = spatial_contact(mesh, tracks, length, radius, accuracy or None)
-    else:
-        reactions = planar_contact(mesh, tracks, length)
+    reactions = (
+        spatial_contact(mesh, tracks, length, radius) if model == "spatial" else planar_contact(mesh, tracks, length)
+    )
     wrench = np.zeros((len(rows.time), 6))
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])

@@ -132,9 +132,7 @@ def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
     return outlines
 
 
-def spatial_contact(
-    mesh: Any, tracks: list[Track], length: float, radius: float, accuracy: float | None = None
-) -> list[Reactions]:
+def spatial_contact(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Reactions]:
     """The reactions of round rods in space; `radius` in the mesh's unit, as `length`.
 
     Raises InputError for sweeps that begin in the body.
@@ -150,9 +148,7 @@ def spatial_contact(
     order = sorted(range(len(tracks)), key=lambda k: len(paths[k][1]))
     for first in range(0, len(order), _AT_ONCE):
         rows = order[first : first + _AT_ONCE]
-        reactions |= dict(
-            zip(rows, _swept(body, [tracks[k] for k in rows], [paths[k] for k in rows], accuracy), strict=True)
-        )
+        reactions |= dict(zip(rows, _swept(body, [tracks[k] for k in rows], [paths[k] for k in rows]), strict=True))
     return [reactions[k] for k in range(len(tracks))]
 
 
@@ -172,9 +168,7 @@ def _places(position: Array, track: Track) -> tuple[Array, Array]:
     return at, np.stack(columns, axis=1)
 
 
-def _swept(
-    body: RoundedPolyhedron, tracks: list[Track], paths: list[tuple[Array, Array]], accuracy: float | None
-) -> list[Reactions]:
+def _swept(body: RoundedPolyhedron, tracks: list[Track], paths: list[tuple[Array, Array]]) -> list[Reactions]:
     """Sweeps of similar lengths at once: shorter ones go on beyond their ends, which is cut off."""
     n = max(len(at) for at, _ in paths)
     position, friction = np.empty((len(tracks), n, 3)), np.empty((len(tracks), n))
@@ -188,7 +182,7 @@ def _swept(
         friction[k, :count], friction[k, count:] = track.friction[rows], track.friction[-1]
         axes[k, :count], axes[k, count:] = track.axes[rows], track.axes[-1]
     try:
-        result = sweep(body, position, axes if turning else axes[:, 0], friction, accuracy=accuracy)
+        result = sweep(body, position, axes if turning else axes[:, 0], friction)
     except ValueError as error:
         raise InputError(f"these poses can't be swept in space: {error}; plan with a larger --around") from None
     reactions = []

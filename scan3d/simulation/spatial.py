@@ -124,7 +124,7 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
         draws = [np.random.default_rng([plan.seed, 3, number, int(row)]) for row in rows]
         friction = np.array([draw.uniform(low, high, samples) for draw in draws]).reshape(friction.shape)
     axes = lines.axes[rows]
-    result = sweep(body, position, axes, friction, accuracy=plan.accuracy or None, effort=_EFFORT)
+    result = sweep(body, position, axes, friction, effort=_EFFORT)
     return [_Swept(position, axes, result)]
 
 
@@ -170,21 +170,5 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
         noise_force_N=plan.noise * rod.force_unit_N,
         noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
         unit=plan.unit,
-        source={"kind": "simulation", "seed": plan.seed, "model": "spatial", **_step_errors(swept)},
+        source={"kind": "simulation", "seed": plan.seed, "model": "spatial"},
     )
-
-
-def _step_errors(swept: list[_Swept]) -> dict[str, Any]:
-    """What the steps of the sweeps leave, where that was checked: the median and the largest change by halving them.
-
-    Sweeps in which the rod touches at other samples if the steps are halved have no such change; their number is stated.
-    """
-    errors = np.concatenate([part.result.step_error for part in swept])
-    errors = errors[~np.isnan(errors)]
-    if not len(errors):
-        return {}
-    known = errors[np.isfinite(errors)]
-    found: dict[str, Any] = {"step_error_unknown_sweeps": len(errors) - len(known)}
-    if len(known):
-        found |= {"step_error_median": float(np.median(known)), "step_error_largest": float(known.max())}
-    return found
