@@ -23,11 +23,11 @@ from scan3d.extras import import_open3d
 from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, listed, to_polydata, write_shape
 from scan3d.files.imports import read_cloud, stated_unit
 from scan3d.files.meshes import FORMATS, read_mesh
-from scan3d.files.ownership import check_recording
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import Shape
 from scan3d.files.tables import cloud_table, surface_table
+from scan3d.files.whole import check_pair
 from scan3d.geometry.distance import distances
 from scan3d.recording import Recording
 from scan3d.shown import Exported, Rows
@@ -97,7 +97,7 @@ def save(
     written or must not be replaced.
     """
     if isinstance(what, Recording):
-        check_recording(Path(path), sidecar(Path(path)), {}, overwrite, "path", _kind_of(what))
+        check_pair(Path(path), sidecar(Path(path)), {}, overwrite, "path", _kind_of(what))
         write_recording(what, Path(path), overwrite=True)  # checked above
     else:
         write_shape(to_shape(what, truth, unit), Path(path), overwrite=overwrite, option="path")

@@ -15,11 +15,10 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
 from scan3d.files.meshes import mesh_itself
-from scan3d.files.ownership import RECORDING
 from scan3d.files.ply import ply
 from scan3d.files.recordings import recording_files
-from scan3d.files.results import Result, opened
 from scan3d.files.tables import cloud_table, surface_table
+from scan3d.files.whole import RECORDING, Replacement, replacing
 from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError, Job
 from scan3d.pictures.scene import Scene, of_cloud
@@ -108,7 +107,7 @@ def _compared(analysis: Analysis, truth: Any) -> Analysis:
 
 def write(
     analysis: Analysis,
-    folder: str | Path | Result,
+    folder: str | Path | Replacement,
     *,
     settings: Mapping[str, Any],
     with_recording: bool,
@@ -123,7 +122,7 @@ def write(
     All files appear together: an earlier result in the folder stays as it is until the new one is complete.
 
     folder
-        its path, or the result that `files.results.opened` has opened there.
+        its path, or the result that `files.whole.replacing` has opened there.
     settings
         those of the run, which the report repeats.
     with_recording
@@ -141,8 +140,8 @@ def write(
 
     Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
     """
-    if not isinstance(folder, Result):
-        with opened(folder, with_recording=with_recording, overwrite=overwrite) as result:
+    if not isinstance(folder, Replacement):
+        with replacing(folder, with_recording=with_recording, overwrite=overwrite) as result:
             rest: dict[str, Any] = {"seconds": seconds, "notify": notify, "drawing": drawing}
             return write(analysis, result, settings=settings, with_recording=with_recording, step=step, **rest)
     clock = _Clock({**(seconds or {}), **analysis.seconds}, step)
@@ -157,7 +156,7 @@ def write(
     return folder.commit(data)
 
 
-def _put_tables(analysis: Analysis, result: Result, with_recording: bool) -> None:
+def _put_tables(analysis: Analysis, result: Replacement, with_recording: bool) -> None:
     """Add the recording, if it is wanted, the cloud and the surface to a result."""
     cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
     if with_recording:
@@ -194,7 +193,7 @@ def jobs() -> list[Job]:
     return [(".png", {"view": name}) for name in PICTURES]
 
 
-def _draw(scene: Scene, result: Result, drawing: Drawing, notify: Callable[[str], None]) -> None:
+def _draw(scene: Scene, result: Replacement, drawing: Drawing, notify: Callable[[str], None]) -> None:
     """Add the page and, where they can be rendered, the pictures to a result."""
     if not drawing.has_begun:  # while the page is made
         drawing.begin(scene, jobs())

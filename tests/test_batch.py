@@ -30,7 +30,6 @@ from scan3d.batches.runs import COLUMNS
 from scan3d.batches.summary import parquet_table
 from scan3d.cli import batch as command
 from scan3d.cli import main
-from scan3d.files.journal import claim
 from scan3d.pictures import rendering
 
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
@@ -486,33 +485,7 @@ def test_files_of_others_are_replaced_only_if_asked_to(again, call):
     assert [row["status"] for row in rows_of(out)] == ["done", "done"]
 
 
-def test_a_folder_in_which_another_batch_runs_is_refused(tmp_path):
-    work = claim(tmp_path)
-    try:
-        with pytest.raises(scan3d.InputError, match=r"is being written by another run"):
-            scan3d.batch(EGG, tmp_path, **SETTINGS)
-    finally:
-        work.release()
-
-
 # --- failures ---
-
-
-def test_a_run_waits_for_another_process_with_the_same_results(again, monkeypatch):
-    out, meshes = again
-    monkeypatch.setattr(runs, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(runs, "_PATIENCE_S", 0.05)
-    run = runs.runs_of(meshes[:1], [({}, run_settings())], out)[0]
-    work = claim(out / "egg")
-    try:
-        assert re.search(r"egg is being written by another run .*; wait until it has ended", runs.perform(run).error)
-    finally:
-        work.release()
-    assert runs.perform(run).error == ""
-    # what another process has made in the meantime is not made again
-    before = stamps(out)
-    assert runs.perform(run, 2).error == ""
-    assert stamps(out) == before
 
 
 @pytest.mark.parametrize(
@@ -604,7 +577,7 @@ def test_interruptions_leave_what_is_done(again):
     with pytest.raises(KeyboardInterrupt):
         scan3d.batch(meshes[:3], out, progress=interrupt, **SETTINGS | {"seed": 1})
     assert (out / "summary.csv").read_bytes() == before
-    assert not list(out.rglob(".scan3d-run"))
+    assert not list(out.rglob(".scan3d-*"))
     assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 1
 
 
@@ -702,15 +675,14 @@ class Killer(threading.Thread):
 
     def __init__(self, folder, times=1):
         super().__init__(daemon=True)
-        self.lock, self.times, self.killed, self.is_over = folder / ".scan3d-run" / ".scan3d-lock", times, [], False
+        self.folder, self.times, self.killed, self.is_over = folder, times, [], False
 
     def run(self):
         while len(self.killed) < self.times and not self.is_over:
-            try:
-                pid = int(self.lock.read_text().split()[1])
-            except (OSError, IndexError, ValueError):
-                pid = None
-            if pid and pid not in self.killed and pid != os.getpid():
+            for work in self.folder.glob(".scan3d-work-*"):
+                pid = int(work.name.split("-")[3])
+                if pid in (*self.killed, os.getpid()) or len(self.killed) == self.times:
+                    continue
                 os.kill(pid, signal.SIGKILL)
                 self.killed.append(pid)
             time.sleep(0.002)
@@ -780,14 +752,14 @@ def test_a_batch_that_is_interrupted_continues(serial, tmp_path, number):
     meshes = [*THREE, serial[0].parent / "bad.stl"]
     arguments = ["-m", "scan3d", "batch", *meshes, "--out", tmp_path / "out", *FEW]
     with started(*arguments) as first:
-        waited_for(lambda: (tmp_path / "out" / "cube" / ".scan3d-run").exists() or first.poll() is not None)
+        waited_for(lambda: (tmp_path / "out" / "cube").exists() or first.poll() is not None)
         assert first.poll() is None
         first.send_signal(number)
         _, stderr = first.communicate(timeout=120)
     assert first.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
     if number == signal.SIGINT:
         assert stderr == "scan3d: interrupted\n"
-        assert not list((tmp_path / "out").rglob(".scan3d-run"))
+        assert not list((tmp_path / "out").rglob(".scan3d-*"))
     assert not (tmp_path / "out" / "summary.csv").exists()
     before = stamps(tmp_path / "out")
     assert (tmp_path / "out" / "egg" / "report.json") in before

@@ -19,7 +19,7 @@ import trimesh
 
 from scan3d import InputError, choices, read_recording, surfaces
 from scan3d.cli import main
-from scan3d.files import journal
+from scan3d.files import whole
 from scan3d.pictures import rendering
 from scan3d.settings import Settings, settings
 
@@ -308,17 +308,17 @@ def test_ctrl_c_while_it_simulates(tmp_path):
 @pytest.mark.parametrize("nth", [0, 1, 3, 5])
 @pytest.mark.slow
 def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
-    # before the first renaming nothing has changed; after it everything appears
-    replaced, original = [], os.replace
+    # before the renaming nothing has changed; after it everything appears
+    replaced, original = [], os.rename if nth == 0 else os.replace
 
     def replace(*arguments):
         replaced.append(arguments)
-        if len(replaced) == nth + 1:
+        if len(replaced) == max(nth, 1):
             raise KeyboardInterrupt
         original(*arguments)
 
     with monkeypatch.context() as patched:
-        patched.setattr(journal.os, "replace", replace)
+        patched.setattr(whole.os, "rename" if nth == 0 else "replace", replace)
         code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
     assert (code, stdout) == (130, "")
     assert stderr == f"scan3d: {rendering.NO_RENDERER}\nscan3d: interrupted\n"

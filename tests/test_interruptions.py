@@ -13,8 +13,6 @@ from small_scans import CUBE, FEW
 
 from scan3d.cli import interruptions, main
 from scan3d.cli.interruptions import Interruptions, Terminated
-from scan3d.files import journal
-from scan3d.files.results import opened
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are different there")
 # The seconds after its beginning at which a run is interrupted: while it imports, computes and writes.
@@ -184,27 +182,6 @@ def test_errors_of_other_kinds_pass():
     assert context.code == 143
 
 
-def test_a_second_run_is_told_who_is_there(tmp_path, capsys):
-    first = start("scan", CUBE, "--out", tmp_path / "out", "--slices", "20000", "--quiet")
-    try:
-        lock = tmp_path / "out" / ".scan3d-run" / ".scan3d-lock"
-        deadline = time.monotonic() + 60
-        while not (lock.exists() and lock.read_text()):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        assert main(["scan", str(CUBE), "--out", str(tmp_path / "out"), *FEW]) == 1
-        stderr = capsys.readouterr().err
-        assert f"out is being written by another run (process {first.pid} on " in stderr
-        assert "wait until it has ended, or choose another place with --out" in stderr
-        assert first.poll() is None
-    finally:
-        first.kill()
-        first.communicate()
-    # a killed run leaves no lock
-    assert main(["simulate", str(CUBE), "--out", str(tmp_path / "out" / "log.csv"), *FEW]) == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["log.csv", "log.toml"]
-
-
 @pytest.mark.parametrize(
     "runs",
     [
@@ -267,36 +244,3 @@ def test_an_interruption_that_a_library_has_caught_is_raised_at_the_next_check()
         pytest.fail("no interruption was raised")
     assert run.code == 130
     interruptions.check()
-
-
-def begun_and_interrupted(folder, number):
-    """Begin to write a result, and raise KeyboardInterrupt after call `number` of a built-in function in `scan3d.files`.
-
-    Returns whether there were so many calls.
-    """
-    calls = 0
-
-    def profile(frame, event, _):
-        nonlocal calls
-        if event == "c_return" and frame.f_code.co_filename.startswith(str(Path(journal.__file__).parent)):
-            calls += 1
-            if calls == number:
-                sys.setprofile(None)
-                raise KeyboardInterrupt
-
-    before = sys.getprofile()
-    sys.setprofile(profile)
-    try:
-        with contextlib.suppress(KeyboardInterrupt), opened(folder, with_recording=False):
-            pass
-    finally:
-        sys.setprofile(before)
-    return calls >= number
-
-
-def test_an_interruption_while_the_folder_is_prepared_leaves_nothing_behind(tmp_path):
-    number = 1
-    while begun_and_interrupted(tmp_path / "out", number):
-        assert list(tmp_path.rglob("*")) == [], number
-        number += 1
-    assert number > 20

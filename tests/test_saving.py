@@ -165,7 +165,7 @@ def test_what_can_not_be_saved(result, tmp_path):
     scan3d.save(result.recording, tmp_path / "log.csv")
     toml = tmp_path / "log.toml"
     toml.write_text(toml.read_text(encoding="utf-8").replace('"simulation"', '"import"'), encoding="utf-8")
-    with pytest.raises(scan3d.InputError, match=r"log\.csv is not a recording that scan3d has simulated"):
+    with pytest.raises(scan3d.InputError, match=r"log\.toml can't be recognised as a simulation by scan3d"):
         scan3d.save(result.recording, tmp_path / "log.csv")
 
 

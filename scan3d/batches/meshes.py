@@ -9,8 +9,8 @@ from pathlib import Path
 
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
-from scan3d.files.ownership import earlier_files
 from scan3d.files.reading import read_small
+from scan3d.files.whole import earlier_files
 
 _KINDS = f".{', .'.join(FORMATS)}"
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scan3d.files.ownership import BATCH
+from scan3d.files.whole import BATCH
 
 # Characters of a name; what is longer ends with a hash.  Longer, paths could exceed 260 characters, which Windows allows by
 # default; shorter, names would not say all settings.

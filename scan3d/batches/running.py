@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from scan3d.batches.runs import Outcome, Run, perform
 from scan3d.errors import InputError
-from scan3d.files.journal import claim
-from scan3d.files.ownership import REPORT
+from scan3d.files.whole import REPORT, clean
 from scan3d.workers import Workers
 
 # A run whose worker is lost is tried so many times: the worker may have been ended for another reason, but a run that ends
@@ -63,7 +62,7 @@ def outcomes(runs: Sequence[Run], executor: Executor | None, total: int, report:
                 future.cancel()
             if isinstance(executor, Workers):
                 executor.kill()
-                executor.shutdown(cancel_futures=True)  # when it returns, the processes have ended and hold no locks
+                executor.shutdown(cancel_futures=True)  # when it returns, the processes have ended
                 _tidy(runs[number] for number, _ in pending.values())
             raise
     return [collected[number] for number in range(len(runs))]
@@ -144,7 +143,7 @@ def _tidy(runs: Iterable[Run]) -> None:
         folder = Path(run.folder)
         if folder.is_dir():
             with suppress(OSError, InputError):
-                claim(folder).release()
+                clean(folder)
             with suppress(OSError):  # it holds earlier results
                 folder.rmdir()
 

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 from scan3d import scans
 from scan3d.batches.names import body_names, distinct, run_name
 from scan3d.errors import InputError
-from scan3d.files.journal import BusyError
-from scan3d.files.ownership import read_report, unchanged
+from scan3d.files.whole import read_report, unchanged
 from scan3d.settings import Settings
 
 Row = dict[str, Any]
@@ -53,9 +52,6 @@ COLUMNS: dict[str, type] = {
 # Scans of one process are made one after the other: a scheduler may give a process several threads, and libraries that read and
 # draw meshes are not made for that.
 _ONE_AT_A_TIME = threading.Lock()
-# Seconds for which a run waits for another process that writes the same results, and between two looks at it.  Workers of a
-# cluster go on with what they compute when a batch is interrupted, and the same batch may be started again in the meantime.
-_PATIENCE_S, _AGAIN_S = 600.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -166,22 +162,9 @@ def perform(run: Run, attempt: int = 1) -> Outcome:
 
 
 def _scan(run: Run, notify: Callable[[str], None]) -> None:
-    """Make a run, unless another process has made it; one that is just making it is waited for."""
-    end = time.monotonic() + _PATIENCE_S
-    while not run.is_done():
-        try:
-            scans.perform(
-                run.path,
-                run.settings,
-                run.folder,
-                overwrite=run.overwrite,
-                notify=notify,
-            )
-            return
-        except BusyError:
-            if time.monotonic() > end:
-                raise
-        time.sleep(_AGAIN_S)
+    """Make a run, unless another process has made it."""
+    if not run.is_done():
+        scans.perform(run.path, run.settings, run.folder, overwrite=run.overwrite, notify=notify)
 
 
 def _numbers(report: Mapping[str, Any]) -> Row:

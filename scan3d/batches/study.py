@@ -16,8 +16,7 @@ from scan3d.batches.running import Report, outcomes
 from scan3d.batches.runs import Outcome, Row, Run, runs_of
 from scan3d.batches.summary import Ranks, csv_bytes, failures, parquet_table, ranks
 from scan3d.errors import InputError
-from scan3d.files.ownership import BATCH, Inputs
-from scan3d.files.results import Result, opened
+from scan3d.files.whole import BATCH, Inputs, Replacement, replacing
 from scan3d.pictures.overview import overview
 from scan3d.scans import StoredScan
 from scan3d.scans import open as open_scan
@@ -145,7 +144,7 @@ def perform_batch(
     paths = mesh_files(given)
     folder = Path(out)
     runs = runs_of(paths, choices, folder, overwrite=overwrite)
-    with opened(folder, with_recording=False, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
+    with replacing(folder, with_recording=False, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
         missing = [run for run in runs if not run.is_done()]
         found = dict(zip([run.name for run in missing], outcomes(missing, executor, len(runs), progress), strict=True))
         for notice in dict.fromkeys(notice for outcome in found.values() for notice in outcome.notices):
@@ -162,7 +161,7 @@ def _row(run: Run, outcome: Outcome | None) -> Row:
         return run.row(Outcome(f"its results can't be read: {error}", 0.0))
 
 
-def _write(result: Result, folder: Path, rows: Sequence[Row]) -> None:
+def _write(result: Replacement, folder: Path, rows: Sequence[Row]) -> None:
     """Write the summary."""
     result.put("summary.csv", csv_bytes(rows))
     table = parquet_table(rows)

@@ -29,9 +29,8 @@ def import_(arguments: Namespace) -> int:
         arguments.misuse("--map says what the columns mean; --guess writes a first one")
     if not (arguments.out or arguments.dry_run):
         arguments.misuse("--out names the recording; --dry-run only shows what would become of the table")
-    from scan3d.files.atomic import folder, write_atomic
-    from scan3d.files.ownership import check_file, check_recording
     from scan3d.files.recordings import check_path, read_recording, sidecar, write_recording
+    from scan3d.files.whole import check_file, check_pair, folder, write_atomic
     from scan3d.laboratory.importing import KIND, convert, load
     from scan3d.laboratory.maps import read_map
     from scan3d.laboratory.rigged import with_rig
@@ -44,7 +43,7 @@ def import_(arguments: Namespace) -> int:
     if arguments.out:
         check_path(arguments.out)
     if writes:
-        check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite, kind=KIND)
+        check_pair(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite, kind=KIND)
     page = arguments.html or (str(Path(arguments.raw).with_suffix(".html")) if arguments.dry_run else None)
     if page:
         check_file(page, inputs, arguments.overwrite, "--html")
@@ -69,7 +68,7 @@ def import_(arguments: Namespace) -> int:
 
 
 def _guess(arguments: Namespace) -> int:
-    from scan3d.files.atomic import folder, write_atomic
+    from scan3d.files.whole import folder, write_atomic
     from scan3d.laboratory.guessing import guess_map
 
     path = Path(arguments.map) if arguments.map else Path(arguments.raw).with_suffix(".map.toml")

@@ -70,10 +70,9 @@ def is_one_sweep(arguments: Namespace) -> bool:
 
 def reconstruct(arguments: Namespace) -> int:
     """Contour and friction of one sweep: a summary, the contacts as CSV, and a picture."""
-    from scan3d.files.atomic import atomic, folder, write_atomic
-    from scan3d.files.ownership import check_file
     from scan3d.files.recordings import sidecar
     from scan3d.files.sweeps import contacts_csv, read_sweep
+    from scan3d.files.whole import atomic, check_file, folder, write_atomic
     from scan3d.pictures.one_sweep import sweep_picture
     from scan3d.reconstruction.one_sweep import reconstruct_sweep
     from scan3d.rods import parse_rod
@@ -85,11 +84,12 @@ def reconstruct(arguments: Namespace) -> int:
     found = reconstruct_sweep(read_sweep(arguments.recording, rod, arguments.noise_force, arguments.noise_moment))
     inputs = {"table": arguments.recording, "TOML file of the table": sidecar(arguments.recording)}
     with folder(picture.parent):
-        for file in (picture, contacts):
-            check_file(file, inputs, arguments.overwrite, "--out")
+        text = contacts_csv(found)
+        check_file(picture, inputs, arguments.overwrite, "--out")
+        check_file(contacts, inputs, arguments.overwrite, "--out", text)
         with atomic(picture) as path:
             sweep_picture(found, path)
-        write_atomic(contacts, contacts_csv(found))
+        write_atomic(contacts, text)
     data = _data(found) | {"files": [str(contacts), str(picture)]}
     return print_result(arguments, data, table("", _rows(data), sys.stdout))
 

@@ -24,8 +24,8 @@ _SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "to
 
 def plan(arguments: Namespace) -> Outcome:
     """Write poses for an unknown body."""
-    from scan3d.files.atomic import folder
     from scan3d.files.poses import check_poses, write_poses
+    from scan3d.files.whole import folder
     from scan3d.planning.rig import FORCE_FACTOR, RigPlan, parse_envelope, plan_poses
 
     check_poses(arguments.out, arguments.overwrite)
@@ -83,10 +83,9 @@ def _limits(arguments: Namespace) -> dict[str, Any]:
 
 def further(arguments: Namespace) -> Outcome:
     """Write poses where a folder's contacts leave most room."""
-    from scan3d.files.atomic import folder
-    from scan3d.files.ownership import RECORDING, read_report
     from scan3d.files.poses import check_poses, write_header, write_poses
     from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.files.whole import RECORDING, folder, read_report
     from scan3d.planning.rig import parse_envelope
     from scan3d.session import Session, around_contacts
 
@@ -153,11 +152,11 @@ def check_rig_options(arguments: Namespace) -> None:
 
 def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
     """Write the log of a rig that goes through a list of poses."""
-    from scan3d.files.atomic import folder
     from scan3d.files.meshes import load_mesh
     from scan3d.files.poses import read_poses
     from scan3d.files.raw_logs import map_path
     from scan3d.files.reading import read_toml
+    from scan3d.files.whole import folder
     from scan3d.simulation import rig
     from scan3d.simulation.faults import read_faults
 
@@ -204,9 +203,9 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
 
 def _check_files(arguments: Namespace) -> None:
     """Raise InputError for files that must not be written."""
-    from scan3d.files.ownership import check_file, check_recording
     from scan3d.files.raw_logs import check_log
     from scan3d.files.recordings import check_path, sidecar
+    from scan3d.files.whole import check_file, check_pair
 
     check_path(arguments.out)
     inputs = {"mesh": arguments.mesh, "list of poses": arguments.poses, "file of faults": arguments.faults}
@@ -214,7 +213,7 @@ def _check_files(arguments: Namespace) -> None:
     if arguments.faults:
         check_log(arguments.out, inputs, arguments.overwrite)
     else:
-        check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
+        check_pair(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
     if arguments.placed:
         if Path(arguments.placed).suffix != ".ply":
             raise InputError(f"the placed mesh is written as .ply, got {Path(arguments.placed).name!r}")
@@ -244,8 +243,8 @@ def _write_placed(body: Any, unit: str, path: str) -> None:
     """Write a mesh with coordinates of double precision."""
     import numpy as np
 
-    from scan3d.files.atomic import write_atomic
     from scan3d.files.ply import ply
+    from scan3d.files.whole import write_atomic
 
     vertices = np.asarray(body.vertices, dtype=float)
     table = np.array(list(map(tuple, vertices)), dtype=[(name, "f8") for name in "xyz"])

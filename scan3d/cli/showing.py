@@ -97,7 +97,7 @@ def show(arguments: Namespace) -> int:
     """Show a scan's folder, a recording, a cloud or a mesh in files, or in a window if no file is named."""
     _check(arguments)
     chosen = _sheet(arguments)
-    from scan3d.files.ownership import check_file
+    from scan3d.files.whole import check_file
     from scan3d.pictures import movie, views, window
 
     screenshot, html, film = arguments.screenshot, arguments.html, arguments.movie
@@ -130,7 +130,7 @@ def show(arguments: Namespace) -> int:
 
 def _write(arguments: Namespace, scene: Any, chosen: Sheet) -> list[str]:
     """Write the page, the movie and the picture that are asked for; the files that were written."""
-    from scan3d.files.atomic import atomic, write_atomic
+    from scan3d.files.whole import atomic, write_atomic
     from scan3d.pictures import drawing, movie, page
 
     screenshot, html, film = arguments.screenshot, arguments.html, arguments.movie

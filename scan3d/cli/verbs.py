@@ -65,10 +65,9 @@ def simulate(arguments: Namespace) -> int:
     """Step 1 only: write the recording of a simulated scan."""
     import numpy as np
 
-    from scan3d.files.atomic import folder
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.ownership import check_recording
     from scan3d.files.recordings import check_path, sidecar, write_recording
+    from scan3d.files.whole import check_pair, folder
     from scan3d.scans import with_origin
     from scan3d.simulation.scan import simulate as simulate_scan
 
@@ -80,7 +79,7 @@ def simulate(arguments: Namespace) -> int:
         return _printed(arguments, *rig.simulate_rig(arguments, chosen))
     check_path(arguments.out)
     inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
-    check_recording(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
+    check_pair(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
     plan = chosen.plan()
     arguments.progress.tell("reading")
     body = load_mesh(arguments.mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
@@ -103,7 +102,7 @@ def reconstruct(arguments: Namespace) -> int:
     from scan3d import workflow
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, sidecar
-    from scan3d.files.results import opened
+    from scan3d.files.whole import replacing
 
     chosen = settings({name: getattr(arguments, name) for name in ("hull", "clip_dent", "method")})
     start, progress = time.perf_counter(), arguments.progress
@@ -124,7 +123,7 @@ def reconstruct(arguments: Namespace) -> int:
         "true body": arguments.truth,
         "rig": arguments.rig,
     }
-    with opened(arguments.out, with_recording=False, inputs=inputs, overwrite=arguments.overwrite) as result:
+    with replacing(arguments.out, with_recording=False, inputs=inputs, overwrite=arguments.overwrite) as result:
         analysis = workflow.analyse(recording, body, chosen.method, arguments.model, progress.step)
         data = workflow.write(
             analysis,

@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from scan3d.choices import EXPORTS
 from scan3d.errors import InputError
 from scan3d.files.adapting import colored, in_unit, named_for
-from scan3d.files.atomic import atomic, folder
 from scan3d.files.bags import packed_points, point_cloud_bag
 from scan3d.files.gltf import glb
-from scan3d.files.journal import locate
-from scan3d.files.ownership import Inputs, check_belongs, check_file, read_report
 from scan3d.files.ply import ply
 from scan3d.files.shapes import FRAME, LENGTHS, NORMAL, POINT, Shape, read_shape
+from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.units import UNITS_M
 
@@ -113,7 +111,7 @@ def write_shape(
     """Write a cloud or a surface to a file, whose ending determines the format.
 
     inputs, option
-        as in `files.ownership.check_file`.
+        as in `files.whole.check_file`.
     contents
         what may be written, of `EXPORTS`; by default what a file with this ending can contain.
 
@@ -190,12 +188,12 @@ def _read(source: Path, what: str) -> Shape:
         raise InputError(f"there is no {source}; give the folder of a scan, or a PLY written by scan3d")
     if source.is_dir():
         name = f"{what}.ply"
-        if not locate(source / name, "").is_file():
+        if not locate(source / name).is_file():
             raise InputError(
                 f"there is no {name} in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
             )
         check_belongs(source, _report(source), [name])
-        return read_shape(locate(source / name, ""))
+        return read_shape(locate(source / name))
     return read_shape(locate(source))
 
 
@@ -310,6 +308,7 @@ def to_polydata(shape: Shape) -> Any:
     for name, column in shape.scalars.items():
         data.point_data[name] = column
     data.set_active_scalars(None)
+    data.field_data["scan3d"] = [shape.what]  # by which the file is recognised
     data.field_data["unit"] = [shape.unit]
     data.field_data["frame"] = [FRAME]
     return data

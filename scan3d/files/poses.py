@@ -13,11 +13,10 @@ import numpy as np
 
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
-from scan3d.files.atomic import write_together
-from scan3d.files.ownership import Inputs, check_companion, check_path
 from scan3d.files.reading import check_file
 from scan3d.files.section import read_rod, read_section
 from scan3d.files.text import to_toml
+from scan3d.files.whole import Inputs, check_pair, write_together
 from scan3d.poses import SPEED_M_S, Move, PoseList
 from scan3d.units import UNITS_M
 
@@ -43,10 +42,7 @@ def check_poses(path: str | Path, overwrite: bool, inputs: Inputs | None = None)
     path = Path(path)
     if path.suffix not in (".csv", ".yaml"):
         raise InputError(f"poses are written as .csv, or as .yaml in the manner of ROS, got {path.name!r}")
-    check_path(path, inputs or {}, "--out")
-    check_path(sidecar(path), inputs or {}, "--out")
-    if not overwrite:
-        check_companion(path, sidecar(path), KIND, "--out")
+    check_pair(path, sidecar(path), inputs or {}, overwrite, kind=KIND)
 
 
 def write_poses(poses: PoseList, path: str | Path) -> None:

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.atomic import write_together
-from scan3d.files.ownership import Inputs, check_path
 from scan3d.files.recordings import TABLE, recording_files, sidecar
 from scan3d.files.text import to_toml
+from scan3d.files.whole import Inputs, check_path, write_together
 from scan3d.poses import Move
 from scan3d.recording import Recording
 

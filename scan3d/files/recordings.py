@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.atomic import write_together
 from scan3d.files.columns import numbers_of, plain_numbers
-from scan3d.files.journal import locate
-from scan3d.files.ownership import check_sidecar
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.parquet import parquet_bytes, read_columns
 from scan3d.files.reading import check_file
 from scan3d.files.section import Section, read_rod, read_section
 from scan3d.files.text import to_toml
+from scan3d.files.whole import locate, source_kind, write_together
 from scan3d.poses import Move
 from scan3d.recording import Recording
 from scan3d.rigs import RigUncertainty
@@ -70,8 +68,11 @@ def write_recording(recording: Recording, path: str | Path, *, overwrite: bool =
     """
     path = Path(path)
     check_path(path)
-    if not overwrite:
-        check_sidecar(sidecar(path), "; choose another name for the recording, or write with overwrite=True")
+    beside = sidecar(path)
+    if not overwrite and beside.exists() and source_kind(beside) is None:
+        raise InputError(
+            f"{beside} is not the TOML file of a recording; choose another name for the recording, or write with overwrite=True"
+        )
     # both files or neither: a table with the rod of another one would be read without a warning
     write_together(path, recording_files(recording, path.name))
 
@@ -266,7 +267,7 @@ def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
 
 def _read_sidecar(path: Path) -> Section:
     beside = sidecar(path)
-    stored = locate(beside, path.name)
+    stored = locate(beside)
     if not stored.exists():
         raise InputError(
             f"{path.name} needs {beside.name} beside it, with the rod's length_m and bending_stiffness_Nm2"

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 import planar
 from scan3d.errors import InputError
 from scan3d.files.columns import numbers_of
-from scan3d.files.journal import locate
 from scan3d.files.reading import check_file
 from scan3d.files.recordings import sidecar
 from scan3d.files.section import read_rod, read_section
+from scan3d.files.whole import locate
 from scan3d.one_sweep import OneSweep, SweepContacts
 from scan3d.rods import Rod
 
@@ -129,7 +129,7 @@ def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
 def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float]:
     """Rod and noise in the TOML file beside a table; None and zeros where it does not state them."""
     beside = sidecar(path)
-    stored = locate(beside, path.name)
+    stored = locate(beside)
     if not stored.exists():
         return None, 0.0, 0.0
     meta = read_section(stored, "TOML file of the table", name=beside.name)

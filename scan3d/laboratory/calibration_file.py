@@ -11,10 +11,9 @@ import numpy as np
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.atomic import folder, write_atomic
-from scan3d.files.ownership import Inputs, check_file
 from scan3d.files.reading import did_you_mean, read_toml
 from scan3d.files.text import to_toml
+from scan3d.files.whole import Inputs, check_file, folder, write_atomic
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR
 from scan3d.laboratory.calibration_reference import KINDS
 from scan3d.laboratory.calibration_result import Calibration

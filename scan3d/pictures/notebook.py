@@ -20,8 +20,7 @@ from scan3d.choices import Color, View, one_of
 from scan3d.cloud import Cloud
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
-from scan3d.files.atomic import atomic
-from scan3d.files.ownership import check_file
+from scan3d.files.whole import atomic, check_file
 from scan3d.pictures import charts, rendering, views
 from scan3d.pictures.figures import quiet, save
 from scan3d.pictures.scene import Scene, of_cloud

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from scan3d.files.journal import locate
+from scan3d.files.whole import locate
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.units import unit_symbol
 
@@ -144,7 +144,7 @@ def _picture(folder: Path) -> str:
     from PIL import Image
 
     try:
-        with Image.open(locate(folder / "surface.png", "")) as picture:
+        with Image.open(locate(folder / "surface.png")) as picture:
             small, file = picture.convert("RGB").reduce(_REDUCTION), io.BytesIO()
     except OSError:  # of a machine that can't render
         return '<div class="none">no picture</div>'

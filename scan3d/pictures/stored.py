@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,12 +14,11 @@ from numpy.typing import NDArray
 import planar
 from scan3d.errors import InputError
 from scan3d.files.declared import shortfall
-from scan3d.files.journal import locate
-from scan3d.files.ownership import REPORT, check_belongs
-from scan3d.files.ownership import read_report as read_any_report
 from scan3d.files.ply import read_ply
 from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
+from scan3d.files.whole import REPORT, check_belongs, locate, sha256
+from scan3d.files.whole import read_report as read_any_report
 from scan3d.pictures.edited import checked_report
 from scan3d.pictures.scene import Scene, columns
 from scan3d.pictures.words import key_figures
@@ -58,7 +56,7 @@ def of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
     """The scene in a scan's folder, without the truth.  Raises InputError as `read_folder`."""
     names = ("cloud.ply", "surface.ply", "recording.csv", "recording.toml")
     check_belongs(folder, report, names)
-    cloud, surface, log = (locate(folder / name, "") for name in names[:3])
+    cloud, surface, log = (locate(folder / name) for name in names[:3])
     if not (cloud.exists() or surface.exists()):
         raise InputError(f"{folder} holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'")
     parts: dict[str, Any] = {"key_figures": key_figures(report)}
@@ -89,14 +87,9 @@ def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
     places = (folder, folder.resolve().parent, Path(), *sorted(path for path in Path().iterdir() if path.is_dir()))
     for path in (place / name for place in places):
         with suppress(OSError, ValueError):  # a name that can't be one of a file, or a file that can't be read
-            if path.is_file() and _sha256(path) == digest:
+            if path.is_file() and sha256(path) == digest:
                 return str(path)
     return None
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_ply_scene(path: Path, unit: str) -> Scene | None:

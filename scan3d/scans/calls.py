@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scan3d.errors import InputError
-from scan3d.files.ownership import REPORT
+from scan3d.files.whole import REPORT
 from scan3d.pictures import stored
 from scan3d.scans.performing import perform
 from scan3d.scans.results import Scan, StoredScan

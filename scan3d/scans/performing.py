@@ -12,8 +12,7 @@ from typing import Any
 from scan3d import workflow
 from scan3d.cloud import Cloud
 from scan3d.files.meshes import judge_mesh, load_mesh
-from scan3d.files.ownership import Inputs
-from scan3d.files.results import opened
+from scan3d.files.whole import Inputs, replacing
 from scan3d.pictures.drawing import Drawing
 from scan3d.pictures.scene import of_cloud
 from scan3d.recording import Recording
@@ -41,7 +40,7 @@ def perform(
     out
         the folder; None: nothing is written.
     inputs, overwrite, notify
-        as in `workflow.write` and `files.results.opened`: what the run reads besides the mesh, whether files that the program
+        as in `workflow.write` and `files.whole.replacing`: what the run reads besides the mesh, whether files that the program
         did not write may be replaced, and what is called with a sentence if
         pictures cannot be rendered.
     progress, step
@@ -68,7 +67,7 @@ def perform(
         times = {**seconds, **found.seconds}
         return found, report(found, settings=values, friction_set=chosen.friction, timings_s=times)
     read = {**({"mesh": mesh} if _is_path(mesh) else {}), **(inputs or {})}
-    with opened(out, with_recording=True, inputs=read, overwrite=overwrite) as result, Drawing() as drawing:
+    with replacing(out, with_recording=True, inputs=read, overwrite=overwrite) as result, Drawing() as drawing:
 
         def draw(cloud: Cloud, surface: Any) -> None:
             """Contacts and surface are drawn while the surface is certified and compared; pictures show neither."""

@@ -17,11 +17,9 @@ from scan3d.choices import Color, View
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError
-from scan3d.files.journal import locate
 from scan3d.files.meshes import judge_mesh, load_mesh
-from scan3d.files.ownership import RECORDING, REPORT, RESULTS, check_belongs
 from scan3d.files.recordings import read_recording
-from scan3d.files.results import opened
+from scan3d.files.whole import RECORDING, REPORT, RESULTS, check_belongs, locate, replacing
 from scan3d.pictures import notebook, stored
 from scan3d.pictures.scene import Scene, columns
 from scan3d.pictures.sheet import sheet
@@ -173,7 +171,7 @@ class StoredScan(_Result):
         Raises InputError if the folder has none, as one of ``scan3d reconstruct``, or one of another run.
         """
         path = self.folder / RECORDING[0]
-        if not locate(path, "").exists():
+        if not locate(path).exists():
             raise InputError(
                 f"{self.folder} has no {RECORDING[0]}: the scan was made from a recording elsewhere; read that with "
                 "scan3d.read_recording"
@@ -251,11 +249,11 @@ class StoredScan(_Result):
         """
         names = [name for name in self.report.get("files", ()) if name in RECORDING + RESULTS and name != REPORT]
         check_belongs(self.folder, self.report, names)
-        missing = [name for name in names if not locate(self.folder / name, "").is_file()]
+        missing = [name for name in names if not locate(self.folder / name).is_file()]
         if missing:
             raise InputError(f"{self.folder} lacks {', '.join(missing)}, which its {REPORT} names; run the scan again")
-        files = {name: locate(self.folder / name, "").read_bytes() for name in names}
-        with opened(Path(folder), with_recording=RECORDING[0] in files, overwrite=overwrite) as result:
+        files = {name: locate(self.folder / name).read_bytes() for name in names}
+        with replacing(Path(folder), with_recording=RECORDING[0] in files, overwrite=overwrite) as result:
             for name, data in files.items():
                 result.put(name, data)
             result.commit(self.report)

@@ -22,10 +22,9 @@ from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).parents[2]
 MESHES = ROOT / "meshes"
-# The first file that a run writes.
-FIRST = Path(".scan3d-run", "cloud.ply")
-# What appears when all files are written, and are about to be moved, which takes about so many seconds.
-JOURNAL = Path(".scan3d-run", ".scan3d-journal.json")
+# What appears when a run begins to write, and when all files are written and are about to be moved, which takes about so many
+# seconds.
+WORK, COMPLETE = ".scan3d-work-*", ".scan3d-complete"
 _MOVING_S = 0.003
 SCAN = ("--slices", "4", "--sweeps", "4", "--samples", "8", "--quiet")
 # Without a display this class of VTK's windows can't be opened, and there are no pictures.
@@ -44,7 +43,7 @@ def kills(number: int, place: Path, *, seed: int = 0, pictures: bool = False) ->
         _call(environment, "simulate", MESHES / f"{recording.stem}.stl", "--out", recording, *SCAN)
         start = time.monotonic()
         child = _start(environment, "reconstruct", recording, "--out", place / recording.stem, "--quiet")
-        _wait_for(child, place / recording.stem / FIRST)
+        _wait_for(child, place / recording.stem, WORK)
         writing = time.monotonic()
         assert child.wait() == 0
         seconds, seconds_writing = time.monotonic() - start, time.monotonic() - writing
@@ -59,7 +58,7 @@ def kills(number: int, place: Path, *, seed: int = 0, pictures: bool = False) ->
         if when == "any time":
             _wait(child, seconds * draw.random())
         else:
-            _wait_for(child, folder / (FIRST if when == "writing" else JOURNAL))
+            _wait_for(child, folder, WORK if when == "writing" else COMPLETE)
             _wait(child, (seconds_writing if when == "writing" else _MOVING_S) * draw.random())
         counts["ended before"] += child.poll() is not None
         child.kill()
@@ -71,13 +70,13 @@ def kills(number: int, place: Path, *, seed: int = 0, pictures: bool = False) ->
         held = matches[0]
     _call(environment, "reconstruct", recordings[0], "--out", folder, "--quiet")
     assert _files(folder) == expected[recordings[0]]
-    assert not (folder / ".scan3d-run").exists()
+    assert not list(folder.glob(".scan3d-*"))
     return counts
 
 
 def _files(folder: Path) -> dict[str, str]:
     """The hashes of the files in a folder but the report, after the program has read it without complaint."""
-    from scan3d.files.ownership import read_report
+    from scan3d.files.whole import read_report
     from scan3d.pictures.stored import read_folder
 
     _, report = read_folder(folder, "mm")
@@ -110,8 +109,8 @@ def _wait(child: subprocess.Popen[bytes], seconds: float) -> None:
         time.sleep(0.001)
 
 
-def _wait_for(child: subprocess.Popen[bytes], path: Path) -> None:
-    while child.poll() is None and not path.exists():
+def _wait_for(child: subprocess.Popen[bytes], folder: Path, pattern: str) -> None:
+    while child.poll() is None and not any(folder.glob(pattern)):
         time.sleep(0.0002)
 
 

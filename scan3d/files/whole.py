@@ -1,0 +1,482 @@
+"""Files and folders of results that are written whole or not at all, and the rules by which files are replaced.
+
+The files of a result are written into a hidden folder within that of the result, and flushed to the disk.  One rename then
+gives that folder the name `_COMPLETE`: before it there is the earlier result, after it the new one.  Its files are then moved
+over the earlier ones, the report, which names the others with their SHA-256, as the last.  Moving what is still to be moved
+gives the same result however often it was begun: what a killed run has not moved the next reader or writer of the folder
+moves, and a reader who can't write reads it where it is.  No locks are needed, which some file systems do not have.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import platform
+import secrets
+import shutil
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from scan3d.errors import InputError
+from scan3d.files.reading import read_small
+from scan3d.files.text import to_json
+
+REPORT = "report.json"
+RECORDING = ("recording.csv", "recording.toml")
+RESULTS = ("cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
+"""The files of a result."""
+
+
+class Kind(NamedTuple):
+    """A kind of result: a folder's report, which names the other files with their SHA-256."""
+
+    report: str
+    results: tuple[str, ...]
+    further: tuple[str, ...] = ()
+    """Files that only some results of this kind have."""
+
+
+SCAN = Kind(REPORT, RESULTS, RECORDING)
+BATCH = Kind("batch.json", ("summary.csv", "summary.parquet", "index.html", "batch.json"))
+Inputs = Mapping[str, str | os.PathLike[str] | None]
+"""What a run reads: the path of each, by what it is, such as ``mesh``."""
+
+# The folder whose files are complete and to be moved, and the beginning of the names of what is being written.
+_COMPLETE, _WORK = ".scan3d-complete", ".scan3d-work"
+# Seconds after which work of another machine, whose processes are not seen from here, counts as left behind.
+_DAY_S = 86400.0
+# Bytes at the beginning and at the end of a file in which the name of the program is looked for: headers are shorter.
+_LOOKED_AT = 1 << 12
+# Columns by which a table is recognised: places, and what comes first beside them.
+_COLUMNS = 4
+_ASK = "give --overwrite (overwrite=True) to replace it, or choose another place with"
+
+
+# --- writing ---
+
+
+@dataclass(frozen=True)
+class Replacement:
+    """A result that is being written in the place of the one in a folder."""
+
+    folder: Path
+    inputs: Inputs
+    option: str
+    kind: Kind
+    _work: Path
+    _sha256: dict[str, str] = field(default_factory=dict)
+
+    def put(self, name: str, data: bytes) -> None:
+        """Add a file, which appears in the folder with all others."""
+        with in_a_sentence(self.folder / name, self.option):
+            self._work.mkdir(exist_ok=True)
+            _write(self._work / name, data)
+        self._sha256[name] = hashlib.sha256(data).hexdigest()
+
+    def commit(self, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Let the result appear, with the report, which is returned with its sections `files` and `sha256`.
+
+        Files of the result before that this one does not have are removed, if they are as the program wrote them.
+        """
+        kept = [name for name in earlier_files(self.folder, self.kind) if self._is_kept(name)]
+        names = [*kept, *self._sha256, self.kind.report]
+        data = {**report, "files": names, "sha256": {**self._recording_read(), **self._sha256}}
+        self.put(self.kind.report, to_json(data))
+        with in_a_sentence(self.folder, self.option):
+            _replace(self._work, self.folder)
+        return data
+
+    def _is_kept(self, name: str) -> bool:
+        """Whether a file of the result before stays, because this run has read it."""
+        return name not in self._sha256 and self._is_input(name) and name in unchanged(self.folder, self.kind)
+
+    def _recording_read(self) -> dict[str, str]:
+        """The recording in the folder with its SHA-256, if it is the one that this run has read."""
+        if self._sha256.keys() & set(RECORDING) or not all(self._is_input(name) for name in RECORDING):
+            return {}
+        return {name: sha256(self.folder / name) for name in RECORDING}
+
+    def _is_input(self, name: str) -> bool:
+        return any(_is_same(self.folder / name, source) for source in self.inputs.values())
+
+
+@contextmanager
+def replacing(
+    path: str | Path,
+    *,
+    with_recording: bool,
+    inputs: Inputs | None = None,
+    overwrite: bool = False,
+    option: str = "--out",
+    kind: Kind = SCAN,
+) -> Iterator[Replacement]:
+    """A result to be written into a folder, which is created if it is missing.
+
+    with_recording
+        whether the result has a recording.
+    inputs
+        what the run reads, which is not overwritten.
+    overwrite
+        whether files that the program did not write may be replaced.
+    option
+        the option in which the user gave the path, for messages.
+
+    Raises InputError if the folder can't be written into, and if a file would be replaced that must not be.
+    """
+    with folder(path, option) as place, _working(place) as work:
+        ours, stated = unchanged(place, kind), earlier_files(place, kind)
+        for name in (*(RECORDING if with_recording else ()), *kind.results):
+            check_path(place / name, inputs or {}, option)
+            if (place / name).exists() and name not in ours and not overwrite:
+                since = " or was changed since" if name in stated else ""
+                raise InputError(f"{place / name} was not written by scan3d{since}; {_ASK} {option}")
+        yield Replacement(place, inputs or {}, option, kind, work)
+
+
+@contextmanager
+def atomic(path: str | Path, option: str = "--out") -> Iterator[Path]:
+    """Path of a file with the same ending beside `path`, which is moved to `path` at the end.
+
+    If writing fails, an earlier file at `path` is kept.  Raises InputError, which names the `option` in which the user gave the
+    path, if the file can't be written.
+    """
+    path = Path(path)
+    with in_a_sentence(path, option), _working(path.parent, path.suffix) as work:
+        yield work
+        _flush(work)
+        os.replace(work, path)
+        _flush_folder(path.parent)
+
+
+def write_atomic(path: str | Path, data: bytes, option: str = "--out") -> None:
+    """Write a file so that no reader ever sees an incomplete one."""
+    with atomic(path, option) as file:
+        file.write_bytes(data)
+
+
+def write_together(path: Path, files: Mapping[str, bytes], option: str = "--out") -> None:
+    """Write files that belong together, by name, into the folder of `path`, which is one of them: all or none."""
+    with in_a_sentence(path, option), _working(path.parent) as work:
+        work.mkdir()
+        for name, data in files.items():
+            if (path.parent / name).is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), name)
+            _write(work / name, data)
+        _replace(work, path.parent)
+
+
+@contextmanager
+def in_a_sentence(path: Path, option: str) -> Iterator[None]:
+    """Within it an OSError becomes an InputError with the path, the reason and the option to change."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"can't write {path}: {error.strerror or error}; choose another place with {option}") from None
+
+
+@contextmanager
+def folder(path: str | Path, option: str = "--out") -> Iterator[Path]:
+    """The folder, which is created if it is missing.
+
+    Raises InputError if it cannot be created or written into; `option` is the option in which the user gave the path.  If the
+    work in the folder fails before anything is written there, the folders that were created are removed again.
+    """
+    path = Path(path)
+    created: list[Path] = []
+    try:
+        try:
+            created = [parent for parent in (path, *path.parents) if not parent.exists()]
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path):
+                pass
+        except OSError as error:
+            raise InputError(
+                f"can't write into the folder {path}: {error.strerror}; choose another one with {option}"
+            ) from None
+        yield path
+    except BaseException:
+        for parent in created:
+            with suppress(OSError):  # the folder is not empty, or was never created
+                parent.rmdir()
+        raise
+
+
+@contextmanager
+def _working(place: Path, suffix: str = "") -> Iterator[Path]:
+    """A path in a folder for what is being written there, which is removed at the end if it is still there."""
+    clean(place)
+    work = place / f"{_WORK}-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
+    try:
+        yield work
+    finally:
+        _remove(work)
+
+
+def clean(place: Path) -> None:
+    """Finish and remove what killed runs have left in a folder, never the work of one that is running."""
+    finish(place)
+    with suppress(OSError):
+        for name in os.listdir(place):
+            if name.startswith(_WORK) and _is_left(place / name):
+                _remove(place / name)
+
+
+def _is_left(work: Path) -> bool:
+    """Whether the process that made a work folder has ended; on another machine, whether nothing came for a day."""
+    machine, _, rest = work.name.removeprefix(f"{_WORK}-").partition("-")
+    number = rest.partition("-")[0]
+    if machine == _machine() and number.isdecimal() and os.name != "nt":
+        try:
+            os.kill(int(number), 0)
+        except ProcessLookupError:
+            return True
+        except (OSError, OverflowError):
+            pass
+        return False
+    return time.time() - work.stat().st_mtime > _DAY_S
+
+
+def _machine() -> str:
+    return hashlib.sha256(platform.node().encode(errors="replace")).hexdigest()[:8]
+
+
+def _remove(work: Path) -> None:
+    if work.is_dir():
+        shutil.rmtree(work, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            work.unlink(missing_ok=True)
+
+
+def _replace(work: Path, place: Path) -> None:
+    """Let the files of a work folder appear in the folder: all, or none."""
+    _flush_folder(work)
+    try:
+        while True:
+            try:
+                os.rename(work, place / _COMPLETE)  # from here on it is the new result
+                break
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.EACCES) or not _is_waiting(place):
+                    raise
+            _move(place)  # that of another run, which has just ended or was killed
+        _flush_folder(place)
+        _move(place)
+    except BaseException:  # after the rename the new files shall be there also for those who list the folder
+        finish(place)
+        raise
+
+
+def _move(place: Path) -> None:
+    """Move the files that are complete to their places, the report last, and remove what the earlier result had besides."""
+    complete = place / _COMPLETE
+    try:
+        names = os.listdir(complete)
+    except FileNotFoundError:
+        return
+    last = [name for name in names if name in (SCAN.report, BATCH.report)]
+    for name in [*(name for name in names if name not in last), *last]:
+        if name in last:
+            _remove_obsolete(place, SCAN if name == SCAN.report else BATCH)
+        with suppress(FileNotFoundError):  # another process has moved it
+            os.replace(complete / name, place / name)
+    _flush_folder(place)
+    with suppress(OSError):  # another run has just come
+        complete.rmdir()
+
+
+def _remove_obsolete(place: Path, kind: Kind) -> None:
+    """Remove unchanged files of the earlier result that the new one, whose report is still to be moved, does not name."""
+    new = _named_files(place / _COMPLETE / kind.report, kind).keys()
+    for name, stated in _named_files(place / kind.report, kind).items():
+        if name not in new and _has_sha256(place / name, stated):
+            (place / name).unlink(missing_ok=True)
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    _flush(path)
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file is on the disk."""
+    with open(path, "r+b") as file:
+        os.fsync(file.fileno())
+
+
+def _flush_folder(path: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the operating system can do that."""
+    if os.name == "nt":
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+# --- reading ---
+
+
+def finish(place: Path) -> None:
+    """Finish the moves of a run that was killed, where this is possible."""
+    if _is_waiting(place):
+        with suppress(OSError):  # the folder is read-only: `locate` knows where the files are
+            _move(place)
+
+
+def locate(path: Path) -> Path:
+    """Where a file is read: at its path, or where a run has left it that was killed, if nothing can be written there."""
+    finish(path.parent)
+    waiting = path.parent / _COMPLETE / path.name
+    return waiting if waiting.exists() else path
+
+
+def _is_waiting(place: Path) -> bool:
+    return (place / _COMPLETE).is_dir()
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def earlier_files(place: Path, kind: Kind = SCAN) -> dict[str, str | None]:
+    """Names of the files that the report in a folder says were written, with their SHA-256 where it is stated.
+
+    Empty if the folder has no report, or one of another program.
+    """
+    return _named_files(locate(place / kind.report), kind)
+
+
+def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
+    try:
+        data: Any = json.loads(report.read_text(encoding="utf-8"))
+        if kind.report not in data["files"] or "scan3d" not in data["versions"]:
+            return {}
+        stated = data.get("sha256") or {}
+        return {name: stated.get(name) for name in data["files"] if name in kind.results + kind.further}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}
+
+
+def unchanged(place: Path, kind: Kind = SCAN) -> set[str]:
+    """The files of the result in a folder that are as the program wrote them."""
+    return {name for name, stated in earlier_files(place, kind).items() if _has_sha256(locate(place / name), stated)}
+
+
+def _has_sha256(path: Path, stated: str | None) -> bool:
+    """Whether a file exists and has the SHA-256, if that is stated."""
+    try:
+        return path.is_file() and stated in (None, sha256(path))
+    except OSError:
+        return False
+
+
+def read_report(place: Path) -> Mapping[str, Any]:
+    """A scan's report.json; empty if the file does not exist.  Raises InputError if it can't be read."""
+    path = locate(place / REPORT)
+    if not path.exists():
+        return {}
+    try:
+        data = json.loads(read_small(path))
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"can't read {path}: {error}; run the scan again") from None
+    if not isinstance(data, Mapping):
+        raise InputError(f"{path} is not a report: expected a JSON object; run the scan again")
+    return data
+
+
+def check_belongs(place: Path, report: Mapping[str, Any], names: Iterable[str]) -> None:
+    """Raise InputError if a file in a folder is not the one that the report names; reports without hashes name none."""
+    stated = report.get("sha256")
+    if not isinstance(stated, Mapping):
+        return
+    for name in names:
+        path = locate(place / name)
+        if name in stated and path.is_file() and sha256(path) != stated[name]:
+            raise InputError(
+                f"{place / name} is not the file that {REPORT} beside it names: it was changed, or is of another run; run "
+                "the scan again, or give the path of the file alone"
+            )
+
+
+# --- what may be replaced ---
+
+
+def check_path(path: Path, inputs: Inputs, option: str) -> None:
+    """Raise InputError unless the path is free or a regular file, and no input."""
+    if not path.exists():
+        return
+    for what, source in inputs.items():
+        if _is_same(path, source):
+            raise InputError(
+                f"{path} is the {what} that this run reads, which is never overwritten; choose another place with {option}"
+            )
+    if path.is_dir():
+        raise InputError(f"can't write {path}: {os.strerror(errno.EISDIR)}; choose another place with {option}")
+    if not path.is_file():
+        raise InputError(f"can't write {path}: it is a device or a pipe; choose another place with {option}")
+
+
+def _is_same(path: Path, source: str | os.PathLike[str] | None) -> bool:
+    return source is not None and path.exists() and os.path.exists(source) and os.path.samefile(path, source)
+
+
+def _check_single(path: Path, inputs: Inputs, option: str) -> None:
+    check_path(path, inputs, option)
+    if path.name in RESULTS + RECORDING and earlier_files(path.parent):
+        raise InputError(f"{path} belongs to the scan in {path.parent}; choose another place with {option}")
+
+
+def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, contents: bytes | None = None) -> None:
+    """Raise InputError if a single file must not be written at the path; nothing is lost if it has the `contents` already."""
+    path = Path(path)
+    _check_single(path, inputs, option)
+    if path.exists() and not overwrite and not _is_ours(path, contents or b"") and contents != path.read_bytes():
+        raise InputError(f"{path} can't be recognised as written by scan3d; {_ASK} {option}")
+
+
+def _is_ours(path: Path, contents: bytes) -> bool:
+    """Whether a file bears the name of the program at its beginning or at its end, where all writers put it.
+
+    CSV has no place for it: a table is recognised by its first columns, which are those of the new contents.
+    """
+    with open(path, "rb") as file:
+        begin = file.read(_LOOKED_AT)
+        if path.suffix.lower() == ".csv":
+            return begin.split(b",")[:_COLUMNS] == contents.split(b",", _COLUMNS)[:_COLUMNS]
+        file.seek(max(len(begin), os.path.getsize(path) - _LOOKED_AT))
+        return b"scan3d" in begin + file.read(_LOOKED_AT)
+
+
+def check_pair(
+    path: str | Path, sidecar: Path, inputs: Inputs, overwrite: bool, option: str = "--out", kind: str = "simulation"
+) -> None:
+    """Raise InputError if a table must not be written with its TOML file, which names its `kind`; one of the same kind is
+    replaced."""
+    for file in (sidecar, Path(path)):
+        _check_single(file, inputs, option)
+        if file.exists() and not overwrite and source_kind(sidecar) != kind:
+            raise InputError(f"{file} can't be recognised as a {kind} by scan3d; {_ASK} {option}")
+
+
+def source_kind(sidecar: Path) -> str | None:
+    """What the TOML file beside a table says of its source, "" if nothing; None if it is no such file."""
+    try:
+        data: Any = tomllib.loads(sidecar.read_text(encoding="utf-8-sig"))
+        return str(data.get("source", {}).get("kind", "")) if "length_m" in data["rod"] else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None

@@ -1,0 +1,369 @@
+"""Results are written whole or not at all, at whatever call of the file system a run ends."""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from crashes import every, run
+
+import scan3d
+from scan3d import InputError
+from scan3d.files import whole
+from scan3d.files.whole import (
+    RECORDING,
+    RESULTS,
+    atomic,
+    check_belongs,
+    folder,
+    locate,
+    read_report,
+    replacing,
+    write_atomic,
+    write_together,
+)
+
+can_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="the operating system can't fork a process")
+# Every third call of the file system here, every call in `make trust`.
+HOW = [
+    pytest.param(how, step, marks=[can_fork, *([pytest.mark.trust] if step == 1 else [])], id=f"{how} {step}")
+    for how in ("kill", "ctrl-c", "full disk")
+    for step in (3, 1)
+]
+REPORT = {"schema": 1, "versions": {"scan3d": "0"}}
+OLD = {name: f"old {name}".encode() * 50 for name in (*RECORDING, *RESULTS) if name != "report.json"}
+# the new result has neither a recording nor one of the pictures
+NEW = {name: f"new {name}".encode() * 60 for name in ("cloud.ply", "surface.ply", "view.html", "cloud.png")}
+FOREIGN = {"notes.txt": b"of the user", ".hidden": b"as well"}
+
+
+class DisasterError(Exception):
+    pass
+
+
+def write(place, files):
+    with replacing(place, with_recording=RECORDING[0] in files) as result:
+        for name, data in files.items():
+            result.put(name, data)
+        result.commit(REPORT)
+
+
+def names(place):
+    return sorted(path.name for path in place.iterdir())
+
+
+def contents(place):
+    return {path.name: path.read_bytes() for path in place.iterdir() if path.is_file() and path.name != "report.json"}
+
+
+def seen(place):
+    """The files of the result that a reader sees, who has checked that they belong to the report."""
+    report = read_report(place)
+    check_belongs(place, report, (*RECORDING, *RESULTS))
+    return {name: locate(place / name).read_bytes() for name in report.get("files", ()) if name != "report.json"}
+
+
+@pytest.fixture(autouse=True)
+def _without_waiting_for_the_disk(monkeypatch):
+    """Nothing here depends on it, and another program that writes would slow the tests down."""
+    monkeypatch.setattr(os, "fsync", lambda _: None)
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder with an earlier result and files of the user, made anew by each call."""
+
+    def prepare(files=OLD):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+        if files:
+            write(tmp_path / "out", files)
+            for name, data in FOREIGN.items():
+                (tmp_path / "out" / name).write_bytes(data)
+        return tmp_path / "out"
+
+    return prepare
+
+
+@pytest.mark.parametrize(("how", "step"), HOW)
+def test_a_result_is_the_old_or_the_new_one(place, monkeypatch, how, step):
+    out = place()
+    outcomes = []
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    def check(kth, ended):
+        # whoever can't write sees the same as who can
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "replace", refuse)
+            patched.setattr(Path, "unlink", refuse)
+            read_only = seen(out)
+        found = seen(out)
+        assert found in (OLD, NEW), kth
+        assert read_only == found, kth
+        # and so do those who list the folder afterwards
+        assert contents(out) == {**found, **FOREIGN}
+        outcomes.append(found == NEW)
+        write(out, NEW)
+        assert contents(out) == {**NEW, **FOREIGN}
+        assert names(out) == sorted([*NEW, *FOREIGN, "report.json"])
+
+    every(lambda: write(out, NEW), how, place, check, step)
+    # there is one point before which it is the old result, and after which the new one
+    assert outcomes == sorted(outcomes)
+    assert {*outcomes} == {False, True}
+
+
+@pytest.mark.parametrize(("how", "step"), HOW)
+def test_a_first_result_is_there_or_not(place, how, step):
+    out = place(())
+
+    def check(kth, ended):
+        assert not out.exists() or seen(out) in ({}, NEW), kth
+        write(out, NEW)
+        assert names(out) == sorted([*NEW, "report.json"])
+
+    every(lambda: write(out, NEW), how, lambda: place(()), check, step)
+
+
+@can_fork
+def test_who_finishes_the_work_of_a_killed_run_may_be_killed_as_well(place):
+    out, kth = place(), 0
+    while not (out / whole._COMPLETE).exists():
+        kth += 1
+        place()
+        run(lambda: write(out, NEW), "kill", kth)
+
+    def prepare():
+        place()
+        run(lambda: write(out, NEW), "kill", kth)
+
+    assert (
+        every(lambda: whole.finish(out), "kill", prepare, lambda kth, ended: seen(out) == NEW or pytest.fail(kth)) > 5
+    )
+
+
+@pytest.mark.parametrize(("how", "step"), HOW)
+def test_a_recording_has_the_table_and_the_rod_of_one_run(tmp_path, how, step):
+    path = tmp_path / "log.csv"
+
+    def files(which):
+        return {"log.toml": f"{which} rod".encode() * 30, "log.csv": f"{which} table".encode() * 30}
+
+    def check(kth, ended):
+        pair = locate(path.with_suffix(".toml")).read_bytes(), locate(path).read_bytes()
+        assert pair in (tuple(files("old").values()), tuple(files("new").values())), kth
+        write_together(path, files("new"))
+        assert contents(tmp_path) == files("new")
+        assert names(tmp_path) == ["log.csv", "log.toml"]
+
+    every(lambda: write_together(path, files("new")), how, lambda: write_together(path, files("old")), check, step)
+
+
+@pytest.mark.parametrize(("how", "step"), HOW)
+def test_a_single_file_is_the_old_or_the_new_one(tmp_path, how, step):
+    path = tmp_path / "a.stl"
+
+    def check(kth, ended):
+        assert path.read_bytes() in (b"old", b"new"), kth
+        # what was left is removed by the next run that writes any file there
+        write_atomic(tmp_path / "b.stl", b"other")
+        assert names(tmp_path) == ["a.stl", "b.stl"]
+
+    every(lambda: write_atomic(path, b"new"), how, lambda: write_atomic(path, b"old"), check, step)
+
+
+def test_everything_is_on_the_disk_before_the_next_step_begins(place, monkeypatch):
+    """A computer that loses its power keeps what was flushed, and may keep later changes without earlier ones."""
+    out, calls, replace, rename = place(), [], os.replace, os.rename
+
+    def shown(path):
+        return "work" if os.path.basename(path).startswith(whole._WORK) else os.path.basename(path)
+
+    def flushed(handle):
+        calls.append(shown(os.readlink(f"/proc/self/fd/{handle}")))
+
+    def moved(move):
+        def watched(source, to):
+            calls.append(("moved", shown(to)))
+            move(source, to)
+
+        return watched
+
+    if not os.path.isdir("/proc/self/fd"):
+        pytest.skip("the operating system does not say which file is flushed")
+    monkeypatch.setattr(os, "fsync", flushed)
+    monkeypatch.setattr(os, "replace", moved(replace))
+    monkeypatch.setattr(os, "rename", moved(rename))
+    write(out, NEW)
+    written = [*NEW, "report.json"]
+    complete = len(written) + 3
+    assert calls[:complete] == [*written, "work", ("moved", whole._COMPLETE), out.name]
+    assert sorted(calls[complete:-2]) == sorted(("moved", name) for name in NEW)
+    assert calls[-2:] == [("moved", "report.json"), out.name]  # the report is the last
+    calls.clear()
+    write_atomic(out / "a.stl", b"new")
+    assert calls == ["work", ("moved", "a.stl"), out.name]
+
+
+@can_fork
+def test_a_file_that_is_larger_than_the_system_allows(place):
+    """The kernel refuses to write, as on a full disk."""
+    import resource
+
+    out = place()
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (400, 400))
+        with pytest.raises(InputError, match=r"can't write .*: File too large; choose another place with --out"):
+            write(out, {**NEW, "view.html": b"x" * 4000})
+
+    assert run(limited, "kill", 10_000)
+    assert seen(out) == OLD
+    assert names(out) == sorted([*OLD, *FOREIGN, "report.json"])
+
+
+def test_of_two_runs_at_once_the_one_that_ends_last_is_there(place):
+    out = place()
+    with replacing(out, with_recording=True) as first:
+        first.put("cloud.ply", b"of the first")
+        write(out, NEW)
+        assert seen(out) == NEW
+        first.commit(REPORT)
+    assert seen(out) == {"cloud.ply": b"of the first"}
+    assert contents(out) == {"cloud.ply": b"of the first", **FOREIGN}
+
+
+def test_what_is_left_behind_is_removed_and_the_work_of_others_is_not(tmp_path, monkeypatch):
+    ended = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True, check=True
+    )
+    machine, pid = whole._machine(), int(ended.stdout)
+    left = [
+        f"{whole._WORK}-{machine}-{pid}-0a",
+        f"{whole._WORK}-{machine}-{pid}-0b.png",
+        f"{whole._WORK}-00000000-1-old",
+    ]
+    kept = [f"{whole._WORK}-{machine}-{os.getpid()}-0a", f"{whole._WORK}-00000000-1-new", ".scan3d-notes"]
+    for name in (*left, *kept):
+        (tmp_path / name).write_bytes(b"") if name.endswith(".png") else (tmp_path / name).mkdir()
+    os.utime(tmp_path / left[2], (0, 0))
+    write_atomic(tmp_path / "a.stl", b"new")
+    assert names(tmp_path) == sorted([*kept, "a.stl"])
+
+
+def test_the_results_of_an_earlier_version_are_replaced(place):
+    """Their reports name no hashes."""
+    out = place()
+    report = json.loads((out / "report.json").read_text())
+    del report["sha256"]
+    (out / "report.json").write_text(json.dumps(report))
+    write(out, NEW)
+    assert contents(out) == {**NEW, **FOREIGN}
+
+
+@can_fork
+def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
+    """On Lustre and some NFS they raise errors."""
+    import fcntl
+
+    def refuse(*_, **__):
+        raise OSError(38, "lock unavailable")
+
+    for name in ("flock", "lockf", "fcntl"):
+        monkeypatch.setattr(fcntl, name, refuse)
+    cube = Path(__file__).parents[1] / "meshes" / "cube.stl"
+    scan3d.scan(cube, tmp_path, slices=4, sweeps=4, samples=8)
+    assert names(tmp_path) == [
+        "cloud.ply",
+        "recording.csv",
+        "recording.toml",
+        "report.json",
+        "surface.ply",
+        "view.html",
+    ]
+
+
+@pytest.mark.trust
+@pytest.mark.skipif(os.name == "nt", reason="an open file can't be moved there while it is read")
+def test_a_killed_run_leaves_the_whole_earlier_or_the_whole_new_result(tmp_path):
+    path = Path(__file__).parent / "robustness" / "kills.py"
+    spec = importlib.util.spec_from_file_location("kills", path)
+    kills = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(kills)
+    counts = kills.kills(9, tmp_path, seed=1)
+    assert counts["earlier result"] + counts["new result"] == 9
+
+
+# --- single files and folders ---
+
+
+def test_a_file_is_written_with_the_permissions_of_any_new_file(tmp_path):
+    (tmp_path / "plain").write_bytes(b"")
+    write_atomic(tmp_path / "a.bin", b"\x00new\n")
+    assert (tmp_path / "a.bin").read_bytes() == b"\x00new\n"
+    assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert names(tmp_path) == ["a.bin", "plain"]
+
+
+def test_the_old_file_stays_when_the_writing_fails(tmp_path):
+    path = tmp_path / "picture.png"
+    path.write_bytes(b"old")
+
+    def draw():
+        with atomic(path) as temporary:
+            # beside it, on the same disk, with the ending that determines the format
+            assert (temporary.parent, temporary.suffix) == (tmp_path, ".png")
+            temporary.write_bytes(b"ne")
+            raise DisasterError
+
+    with pytest.raises(DisasterError):
+        draw()
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == ["picture.png"]
+
+
+def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match=r"can't write .*: Is a directory"):
+        write_together(tmp_path / "a", {"a": b"new", "b": b"new"})
+    with pytest.raises(InputError, match=r"can't write .*missing"):
+        write_together(tmp_path / "missing" / "a", {"a": b"new", "b": b"new"})
+    assert (tmp_path / "a").read_bytes() == b"old"
+    assert names(tmp_path) == ["a", "b"]
+
+
+def test_a_path_that_cannot_be_written_is_named_with_the_option_to_change(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(InputError, match=r"can't write .*file/a.txt: Not a directory; choose another place with --out"):
+        write_atomic(tmp_path / "file" / "a.txt", b"")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match=r"can't write .*folder: Is a directory"):
+        write_atomic(tmp_path / "folder", b"")
+    for path in ("/proc/nowhere/out", tmp_path / "file" / "out", tmp_path / "file"):
+        with pytest.raises(InputError, match=r"can't write into the folder .*; choose another one"), folder(path):
+            pass
+    assert names(tmp_path) == ["file", "folder"]
+
+
+def test_a_folder_created_in_vain_is_removed_and_an_existing_one_is_kept(tmp_path):
+    def work(path, file=None):
+        with folder(path):
+            if file:
+                (path / file).write_bytes(b"")
+            raise DisasterError
+
+    (tmp_path / "there").mkdir()
+    for path in (tmp_path / "a" / "b", tmp_path / "there", tmp_path / "there" / "c"):
+        with pytest.raises(DisasterError):
+            work(path)
+    assert names(tmp_path) == ["there"]
+    assert names(tmp_path / "there") == []
+    with pytest.raises(DisasterError):
+        work(tmp_path / "a" / "b", "result")
+    assert names(tmp_path / "a" / "b") == ["result"]
