@@ -7,7 +7,7 @@ from small_scans import EGG, scanned, scanned_folder, scanned_in_space
 import scan3d
 from scan3d.cli import main
 from scan3d.pictures import shading, window
-from scan3d.pictures.words import contact_sentence
+from scan3d.pictures.scene import contact_sentence
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
 @pytest.mark.rendering
 def test_the_window(egg):
     sentences = []
-    built = window.build_window(egg, sentences.append, "phase", off_screen=True)
+    built = window.Window(egg, sentences.append, "phase", off_screen=True)
     try:
         assert list(built.layers) == ["surface", "truth", "contacts", "normals", "slices", "rods"]
         visible = {name: all(actor.GetVisibility() for actor in actors) for name, actors in built.layers.items()}
@@ -44,7 +44,7 @@ def test_the_window(egg):
 @pytest.mark.rendering
 def test_the_window_of_a_scan_in_space():
     scene = scanned_in_space()
-    built = window.build_window(scene, print, "bending", off_screen=True)
+    built = window.Window(scene, print, "bending", off_screen=True)
     try:
         assert list(built.layers) == ["surface", "contacts", "normals", "contact paths", "rods"]
         assert all(built.layers.values())

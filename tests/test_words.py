@@ -9,7 +9,8 @@ from small_scans import EGG, scanned, scanned_folder, scanned_in_space
 
 import planar
 import scan3d
-from scan3d.pictures.words import contact_sentence, key_figures, out_of_plane_deg
+from scan3d.pictures.scene import contact_sentence, out_of_plane_deg
+from scan3d.pictures.words import key_figures
 
 
 @pytest.fixture(scope="module")

@@ -13,18 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
-from scan3d.pictures.figures import SPATIAL_LABELS, quiet
-from scan3d.pictures.shading import INK, UNKNOWN
+from scan3d.pictures.figures import SPATIAL_LABELS, open_axes, quiet
+from scan3d.pictures.parts import evenly_chosen
+from scan3d.pictures.shading import INK, REACTION_COLORS, UNKNOWN
 from scan3d.pictures.sheet import FONT
 
-# Colours of the components x, y and z, which also the colour-blind can distinguish (Okabe and Ito).
-_COLORS = ("#0072B2", "#D55E00", "#009E73")
-_AIR = "#56B4E9"
-# Points of a curve: more than the page has pixels are not seen.  Longer curves are drawn by the extremes of their parts.
-_POINTS = 1500
-# Stretches in the air, and sweeps, that are drawn at most.
-_MOST = 400
-_SIZE = (9.6, 4.6)
+# Points of a curve, about as many as the page has pixels, and stretches and sweeps that are drawn at most.
+_POINTS, _MOST = 1500, 400
 _STYLE = """body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:62rem;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.4rem}h2{font-size:1.1rem;margin-top:2rem}svg{width:100%;height:auto}
 table{border-collapse:collapse}th,td{padding:.15rem .6rem;text-align:right;font-variant-numeric:tabular-nums}
@@ -101,35 +96,31 @@ def _svg(figure: Any) -> str:
     return re.sub("<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
-def _figure(height: float) -> Any:
+def _figure() -> Any:
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(_SIZE[0], height), layout="constrained")
+    return Figure(figsize=(9.6, 4.6), layout="constrained")
 
 
 def _curves(view: ImportView, values: Array, zero: Array | None, what: str) -> Any:
     """Forces above moments, over time."""
-    figure = _figure(_SIZE[1])
+    figure = _figure()
     panels = figure.subplots(2, 1, sharex=True)
-    marked = view.air if zero is not None else view.sweep >= 0
+    marked, mark = (view.sweep >= 0, UNKNOWN) if zero is None else (view.air, "#56B4E9")
     for part, axes in enumerate(panels):
-        label, *names = SPATIAL_LABELS[part]
-        scale = (1e3, 1e6)[part]
+        (label, *names), scale = SPATIAL_LABELS[part], (1e3, 1e6)[part]
         for start, stop in _spans(marked):
-            axes.axvspan(
-                view.clock[start], view.clock[stop - 1], color=_AIR if zero is not None else UNKNOWN, alpha=0.25, lw=0
-            )
+            axes.axvspan(view.clock[start], view.clock[stop - 1], color=mark, alpha=0.25, lw=0)
         for axis in range(3):
             column = values[:, 3 * part + axis]
             if not column.any():
                 continue
             name = names[axis] if zero is None else "xyz"[axis]
-            axes.plot(*_thin(view.clock, scale * column), color=_COLORS[axis], lw=0.8, label=name)
+            axes.plot(*_thin(view.clock, scale * column), color=REACTION_COLORS[axis], lw=0.8, label=name)
             if zero is not None and len(zero) == len(column):
                 axes.plot(*_thin(view.clock, scale * zero[:, 3 * part + axis]), color=INK, lw=0.9, ls="--")
         axes.set_ylabel(label, fontsize=FONT - 2)
-        axes.tick_params(labelsize=FONT - 3)
-        axes.spines[["top", "right"]].set_visible(False)
+        open_axes(axes, FONT - 3)
         axes.margins(x=0.01)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), fontsize=FONT - 3, frameon=False, ncols=3)
@@ -158,23 +149,18 @@ def _path(view: ImportView) -> Any:
     """The clamp's path from above and from the side."""
     from matplotlib import colormaps
 
-    figure = _figure(_SIZE[1])
+    figure = _figure()
     numbers = np.unique(view.sweep[view.sweep >= 0])
     colors = colormaps["viridis"](np.linspace(0, 0.95, max(len(numbers), 1)))
-    chosen = np.linspace(0, len(numbers) - 1, min(len(numbers), _MOST)).astype(np.intp)
-    spans = _spans(np.isin(view.sweep, numbers[chosen]))
+    sweeps = [(np.flatnonzero(view.sweep == numbers[k]), colors[k]) for k in evenly_chosen(len(numbers), _MOST)]
+    step = max(1, len(view.clock) // (4 * _POINTS))
     for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
-        step = max(1, len(view.clock) // (4 * _POINTS))
         axes.plot(view.position_mm[::step, a], view.position_mm[::step, b], color="0.8", lw=0.6, zorder=1)
-        for start, stop in spans:
-            inner = np.flatnonzero(np.diff(view.sweep[start:stop])) + start + 1
-            for first, last in zip([start, *inner], [*inner, stop], strict=True):
-                ends = np.unique(np.linspace(first, last - 1, min(last - first, 30)).astype(np.intp))
-                color = colors[int(np.searchsorted(numbers, view.sweep[first]))]
-                axes.plot(view.position_mm[ends, a], view.position_mm[ends, b], color=color, lw=1.0, zorder=2)
+        for rows, color in sweeps:
+            drawn = view.position_mm[rows[evenly_chosen(len(rows), 30)]]
+            axes.plot(drawn[:, a], drawn[:, b], color=color, lw=1.0, zorder=2)
         axes.set_xlabel(f"{'xyz'[a]} in mm", fontsize=FONT - 2)
         axes.set_ylabel(f"{'xyz'[b]} in mm", fontsize=FONT - 2)
-        axes.tick_params(labelsize=FONT - 3)
-        axes.spines[["top", "right"]].set_visible(False)
+        open_axes(axes, FONT - 3)
         axes.set_aspect("equal", adjustable="datalim")
     return figure

@@ -15,19 +15,13 @@ from scipy.spatial import ConvexHull
 from scan3d.arrays import Array
 from scan3d.choices import MOVIES
 from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull
 from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, quiet
+from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, open_axes, quiet
 from scan3d.pictures.parts import ShownSweep, evenly_chosen, is_spatial, outlines, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import (
-    BODY,
-    INK,
-    ROD,
-    SLICE,
-    TANGENTIAL,
-    TIP,
-)
+from scan3d.pictures.shading import BODY, INK, REACTION_COLORS, ROD, SLICE, TANGENTIAL
 from scan3d.pictures.sheet import FONT
 from scan3d.units import unit_symbol
 
@@ -35,23 +29,13 @@ ENDINGS = (".gif", ".mp4")
 NO_FFMPEG = (
     "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
 )
-# Frames of a movie, at most as many as samples, slices or sweeps: five seconds, in a GIF of less than a megabyte.
 FRAMES = 60
+"""Frames of a movie, of five seconds in a GIF of less than a megabyte."""
 _PER_SECOND = 12
-# The last frame is shown as long as this many frames, so that the result can be looked at before the movie starts again.
+# The last frame is shown as long as so many frames, so that the result can be looked at before the movie starts again.
 _HELD = 18
 # Inches and pixels to the inch: 980 by 560 pixels, even numbers, which video codecs need.
 _SIZE, _DPI = (7.0, 4.0), 140
-# Colours of a GIF, of at most 256: more make larger files, fewer show steps in the shading.
-_COLORS = 128
-# Colours of a GIF's palette with all components at least this bright become white: paper is not grey.
-_WHITE = 245
-# Margins as fractions of what is drawn: points and lines at the border are seen entirely.
-_CURVE_MARGIN, _PLANE_MARGIN = 0.06, 0.05
-# Diameter of a contact in pixels, smaller than in pictures as frames are smaller.
-_CONTACT_SIZE = 3
-# Colours of the components along x, y and z, of which the first is that of single curves.
-_COMPONENTS = (ROD, TIP, TANGENTIAL)
 # Height of the rendered body as a fraction of the frame; the caption is below.
 _BODY_HEIGHT = 0.92
 
@@ -67,7 +51,7 @@ def check_path(path: str | Path) -> Path:
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"a movie is written as {' or '.join(ENDINGS)}, got {path.name!r}")
     if path.suffix.lower() == ".mp4":
-        _mp4()
+        _ffmpeg()
     return path
 
 
@@ -85,51 +69,49 @@ def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = 
     path = check_path(path)
     if subject not in MOVIES:
         raise InputError(f"a movie is of {' or '.join(MOVIES)}, got {subject!r}")
-    write = _gif if path.suffix.lower() == ".gif" else _mp4()
+    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with quiet():
-        write(path, _sweep_frames(scene, frames) if subject == "sweep" else _growth_frames(scene, frames))
+        write(path, (_sweep_frames if subject == "sweep" else _growth_frames)(scene, frames))
 
 
-def _gif(path: Path, images: Iterator[Image]) -> None:
+def _write_gif(path: Path, images: Iterator[Image]) -> None:
     from PIL import Image as Pillow
 
     frames = [Pillow.fromarray(image) for image in images]
-    # the last frame has all the colours
-    palette = frames[-1].quantize(_COLORS, dither=Pillow.Dither.NONE)
+    # the last frame has all the colours; 128 show no steps in the shading
+    palette = frames[-1].quantize(128, dither=Pillow.Dither.NONE)
     colors = np.array(palette.getpalette()).reshape(-1, 3)
-    colors[(colors >= _WHITE).all(axis=1)] = 255
+    colors[(colors >= 245).all(axis=1)] = 255  # paper is not grey
     palette.putpalette(colors.ravel().tolist())
-    quantized = [frame.quantize(palette=palette, dither=Pillow.Dither.NONE) for frame in frames]
+    first, *rest = [frame.quantize(palette=palette, dither=Pillow.Dither.NONE) for frame in frames]
     duration_ms = 1000 // _PER_SECOND
-    times = [duration_ms] * (len(quantized) - 1) + [duration_ms * _HELD]
-    quantized[0].save(path, save_all=True, append_images=quantized[1:], duration=times, loop=0, optimize=False,
-                      comment=MARK)  # fmt: skip
+    times = [duration_ms] * len(rest) + [duration_ms * _HELD]
+    first.save(path, save_all=True, append_images=rest, duration=times, loop=0, optimize=False, comment=MARK)
 
 
-def _mp4() -> Any:
+def _write_mp4(path: Path, images: Iterator[Image]) -> None:
+    size = tuple(round(inches * _DPI) for inches in _SIZE)
+    writer = _ffmpeg().write_frames(
+        str(path),
+        size,
+        fps=_PER_SECOND,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=["-metadata", f"comment={MARK.decode()}"],
+    )
+    writer.send(None)
+    for image in images:
+        writer.send(image)
+    for _ in range(_HELD):
+        writer.send(image)
+    writer.close()
+
+
+def _ffmpeg() -> Any:
     try:
-        ffmpeg = import_module("imageio_ffmpeg")
+        return import_module("imageio_ffmpeg")
     except ImportError:
         raise InputError(NO_FFMPEG) from None
-
-    def write(path: Path, images: Iterator[Image]) -> None:
-        size = tuple(round(inches * _DPI) for inches in _SIZE)
-        writer = ffmpeg.write_frames(str(path), size, fps=_PER_SECOND, macro_block_size=2, ffmpeg_log_level="error",
-                                     output_params=["-metadata", f"comment={MARK.decode()}"])  # fmt: skip
-        writer.send(None)
-        for image in images:
-            writer.send(image)
-        for _ in range(_HELD):
-            writer.send(image)
-        writer.close()
-
-    return write
-
-
-def _blank_frame() -> Any:
-    figure = blank_figure(_SIZE[1], _DPI)
-    assert figure.get_size_inches()[0] == _SIZE[0]
-    return figure
 
 
 def _pixels(figure: Any) -> Image:
@@ -142,14 +124,14 @@ def _sweep_frames(scene: Scene, frames: int) -> Iterator[Image]:
     """A slice's plane, or the body in space, with clamp, rod and contacts so far; beside it the reactions over the travel."""
     sweep = shown_sweep(scene)
     assert scene.recording is not None
-    rod, x, y, origin = scene.recording.rod, *sweep.axes[:2], sweep.base[0]
-    units = [rod.force_unit_N * 1e3] * (sweep.reactions.shape[1] - 1) + [rod.moment_unit_Nm * 1e6]
-    caption = f"{scene.name}, slice {sweep.slice}, sweep {sweep.number}"
-    labels, views = [[label] for label in REACTION_LABELS], np.stack([x, y])
+    rod, x, origin = scene.recording.rod, sweep.axes[0], sweep.base[0]
+    moments = sweep.reactions.shape[1] // 2
+    units = [1e3 * rod.force_unit_N] * (sweep.reactions.shape[1] - moments) + [1e6 * rod.moment_unit_Nm] * moments
     if sweep.slice is None:
-        units = [rod.force_unit_N * 1e3] * 3 + [rod.moment_unit_Nm * 1e6] * 3
-        caption = f"{scene.name}, sweep {sweep.number}"
-        labels, views = SPATIAL_LABELS, _projection(sweep)
+        caption, labels, views = f"sweep {sweep.number}", SPATIAL_LABELS, _projection(sweep)
+    else:
+        caption, labels = f"slice {sweep.slice}, sweep {sweep.number}", [[label] for label in REACTION_LABELS]
+        views = sweep.axes[:2]
 
     def in_plane(points: Array) -> Array:
         coordinates: Array = (points - origin) @ views.T
@@ -157,10 +139,10 @@ def _sweep_frames(scene: Scene, frames: int) -> Iterator[Image]:
 
     base, contacts, rods = in_plane(sweep.base), in_plane(sweep.contact), in_plane(sweep.rods)
     travel = -(sweep.base - origin) @ x
-    figure = _blank_frame()
+    figure = blank_figure(_SIZE[1], _DPI, _SIZE[0])
     axes = _plane_axes(figure, in_plane(_outline(scene, sweep, views)), rods, base)
     curves = _reaction_axes(figure, travel, sweep.reactions * units, labels, unit_symbol(scene.unit))
-    figure.text(0.02, 0.03, caption, fontsize=FONT - 1, va="center")
+    figure.text(0.02, 0.03, f"{scene.name}, {caption}", fontsize=FONT - 1, va="center")
     trace = axes.plot([], [], ".", color=TANGENTIAL, ms=4)[0]
     bent = axes.plot([], [], color=ROD, lw=2.5, solid_capstyle="round")[0]
     clamp = axes.plot([], [], "s", color=INK, ms=9)[0]
@@ -208,13 +190,12 @@ def _reaction_axes(
     for axes, (label, *names) in zip(all_axes, labels, strict=True):
         group = [next(columns) for _ in names or [label]]
         low, high = min(values.min() for values in group), max(values.max() for values in group)
-        margin = _CURVE_MARGIN * ((high - low) or 1.0)
+        margin = 0.06 * ((high - low) or 1.0)
         axes.set_ylim(low - margin, high + margin)
         axes.set_xlim(travel[0], travel[-1])
         axes.set_ylabel(label, fontsize=FONT - 1)
-        axes.tick_params(labelsize=FONT - 3)
-        axes.spines[["top", "right"]].set_visible(False)
-        for values, color in zip(group, _COMPONENTS, strict=False):
+        open_axes(axes, FONT - 3)
+        for values, color in zip(group, REACTION_COLORS, strict=False):
             axes.plot(travel, values, color="#dddddd", lw=1)
             curve, mark = axes.plot([], [], color=color, lw=2)[0], axes.plot([], [], "o", color=color, ms=5)[0]
             curves.append((curve, mark, values))
@@ -234,7 +215,7 @@ def _plane_axes(figure: Any, outline: Array, rods: Array, base: Array) -> Any:
     axes.plot(base[[0, -1], 0], base[[0, -1], 1], color=INK, lw=0.8)
     points = np.concatenate([outline, *rods])
     low, high = points.min(axis=0), points.max(axis=0)
-    margin = _PLANE_MARGIN * np.ptp(points, axis=0).max()
+    margin = 0.05 * (high - low).max()
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_aspect("equal")
@@ -244,8 +225,6 @@ def _plane_axes(figure: Any, outline: Array, rods: Array, base: Array) -> Any:
 
 def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
     """The hull of the contacts of more and more slices, or sweeps where there are no slices."""
-    from scan3d.geometry.hulls import hull
-
     name = "sweep" if is_spatial(scene) else "slice"
     parts = scene.column(name)
     if parts is None:
@@ -254,24 +233,21 @@ def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
         )
     need_renderer()
     numbers, points = np.unique(parts), scene.points
-    figure = _blank_frame()
-    canvas = Canvas(points)
+    figure, canvas = blank_figure(_SIZE[1], _DPI, _SIZE[0]), Canvas(points)
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
+    axes = figure.add_axes((0, 1 - _BODY_HEIGHT, 1, _BODY_HEIGHT))
     width, height = round(_SIZE[0] * _DPI), round(_BODY_HEIGHT * _SIZE[1] * _DPI)
-    shown = None
     for k in evenly_chosen(len(numbers), frames):
         selected = points[parts <= numbers[k]]
-        actors = [canvas.add_points(selected, TANGENTIAL, _CONTACT_SIZE)]
+        actors = [canvas.add_points(selected, TANGENTIAL, 3)]  # smaller than in pictures, as frames are
         with suppress(InputError):  # the contacts of one slice or sweep span no body yet
             actors.append(canvas.add_body(hull(selected), BODY))
         image, _ = canvas.image(width, height)
         for actor in actors:
             canvas.plotter.remove_actor(actor, render=False)
-        if shown is None:
-            axes = figure.add_axes((0, 1 - _BODY_HEIGHT, 1, _BODY_HEIGHT))
-            axes.set_axis_off()
-            shown = axes.imshow(image, interpolation="nearest", aspect="auto")
-        shown.set_data(image)
+        axes.clear()
+        axes.set_axis_off()
+        axes.imshow(image, interpolation="nearest", aspect="auto")
         caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} {name}s, {len(selected)} contacts")
         yield _pixels(figure)
     canvas.plotter.close()

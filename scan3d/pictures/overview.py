@@ -19,17 +19,7 @@ from scan3d.files.whole import locate
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.units import unit_symbol
 
-# Pictures are reduced by this factor, to 350 pixels: those of 200 bodies take 3 MB, and the scales stay legible.
-_REDUCTION, _QUALITY = 4, 85
 _FAILED = "failed"
-# What the cards can be sorted by: the attribute, with a second word if the largest comes first, and its name.
-_ORDERS = (
-    ("number", "order of the runs"),
-    ("error", "Hausdorff distance, best first"),
-    ("error worst", "Hausdorff distance, worst first"),
-    ("certified worst", "certified bound, largest first"),
-    ("seconds longest", "time, longest first"),
-)
 
 
 def overview(folder: Path, rows: Sequence[Mapping[str, Any]], ranked: Mapping[str, str | None]) -> bytes:
@@ -47,15 +37,14 @@ def overview(folder: Path, rows: Sequence[Mapping[str, Any]], ranked: Mapping[st
     failed = [row for row in rows if row["status"] == _FAILED]
     marks = {run: mark for mark, run in reversed([*ranked.items()]) if run is not None}
     varied = _varied(rows)
+    cards = [_card(number, folder, row, marks.get(row["run"], ""), varied) for number, row in enumerate(rows)]
+    reasons = _cells([(row["run"], row["error"]) for row in failed])
     filled = {
         "NAME": html.escape(f"Batch {folder.resolve().name}"),
         "COUNTS": f"{len(rows)} runs: {len(rows) - len(failed)} done, {len(failed)} failed",
         "RANKED": _ranked(rows, ranked),
-        "FAILURES": _failures(failed),
-        "ORDERS": "".join(f'<option value="{value}">{name}</option>' for value, name in _ORDERS),
-        "CARDS": "\n".join(
-            _card(number, folder, row, marks.get(row["run"], ""), varied) for number, row in enumerate(rows)
-        ),
+        "FAILURES": f"<h2>Failures</h2>\n<table>{reasons}</table>" if failed else "",
+        "CARDS": "\n".join(cards),
     }
     blank = files("scan3d.pictures").joinpath("overview.html").read_text(encoding="utf-8")
     return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], blank).encode(errors="replace")
@@ -80,37 +69,23 @@ def _ranked(rows: Sequence[Mapping[str, Any]], ranked: Mapping[str, str | None])
     return f"Hausdorff distance to the {body}, of its bounding box's diagonal – {', '.join(parts)}" if parts else ""
 
 
-def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
-    if not failed:
-        return ""
-    rows = "".join(f"<tr><th>{html.escape(row['run'])}</th><td>{html.escape(row['error'])}</td></tr>" for row in failed)
-    return f"<h2>Failures</h2>\n<table>{rows}</table>"
-
-
 def _card(number: int, folder: Path, row: Mapping[str, Any], mark: str, varied: Sequence[str]) -> str:
-    is_failed = row["status"] == _FAILED
-    label = f'<span class="mark{" bad" if is_failed else ""}">{"failed" if is_failed else mark}</span>'
-    values = {
-        "number": number,
-        "error": row["hausdorff_relative"],
-        "certified": row["certificate_relative"],
-        "seconds": row["seconds"],
-    }
-    data = " ".join(f'data-{name}="{"" if value is None else value}"' for name, value in values.items())
-    cells = _cells([(name, str(row[name])) for name in varied])
-    cells += "" if is_failed else _cells(_figures(row), ' class="figure"')
-    name = html.escape(row["run"]) if is_failed else _link(row["run"])
-    shown = f'<div class="none">{html.escape(row["error"])}</div>' if is_failed else _picture(folder / row["run"])
-    return (
-        f'<div class="card{" failed" if is_failed else ""}" {data}>{label if is_failed or mark else ""}<h3>{name}</h3>'
-        f"{shown}<table>{cells}</table></div>"
+    name, kind, cells = html.escape(row["run"]), "", _cells([(name, str(row[name])) for name in varied])
+    if row["status"] == _FAILED:
+        kind, mark, shown = " failed", "failed", f'<div class="none">{html.escape(row["error"])}</div>'
+    else:
+        name, cells, shown = _link(row["run"]), cells + _cells(_figures(row)), _picture(folder / row["run"])
+    label = f'<span class="mark">{mark}</span>' if mark else ""
+    values = [number, row["hausdorff_relative"], row["certificate_relative"], row["seconds"]]
+    data = " ".join(
+        f'data-{name}="{"" if value is None else value}"'
+        for name, value in zip(("number", "error", "certified", "seconds"), values, strict=True)
     )
+    return f'<div class="card{kind}" {data}>{label}<h3>{name}</h3>{shown}<table>{cells}</table></div>'
 
 
-def _cells(figures: Sequence[tuple[str, str]], kind: str = "") -> str:
-    return "".join(
-        f"<tr{kind}><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in figures
-    )
+def _cells(figures: Sequence[tuple[str, str]]) -> str:
+    return "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in figures)
 
 
 def _figures(row: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -140,15 +115,15 @@ def _link(run: str) -> str:
 
 
 def _picture(folder: Path) -> str:
-    """An <img> that contains the picture of a run, reduced, or a remark where there is none."""
+    """An <img> that contains the picture of a run, reduced to 350 pixels, or a remark where there is none."""
     from PIL import Image
 
     try:
         with Image.open(locate(folder / "surface.png")) as picture:
-            small, file = picture.convert("RGB").reduce(_REDUCTION), io.BytesIO()
+            small, file = picture.convert("RGB").reduce(4), io.BytesIO()
     except OSError:  # of a machine that can't render
         return '<div class="none">no picture</div>'
-    small.save(file, "JPEG", quality=_QUALITY)
+    small.save(file, "JPEG", quality=85)
     data = base64.b64encode(file.getvalue()).decode()
     size = f'width="{small.width}" height="{small.height}"'
     return f'<img {size} loading="lazy" alt="{html.escape(folder.name)}" src="data:image/jpeg;base64,{data}">'

@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.files.tables import cloud_table
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.recording import Recording
-
-# Largest value of a column.  Larger, it is no measurement, and colours and labels, in float32 and in other units, could not be
-# computed for it.
-_LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -86,12 +83,15 @@ class Scene:
         return float(np.linalg.norm(np.ptp(self.corners, axis=0)))
 
     def column(self, name: str) -> Array | None:
-        """(n,) a column of the contacts, None if it does not exist or holds no finite value."""
+        """(n,) a column of the contacts, None if it does not exist or holds no finite value.
+
+        Values that colours and labels, in float32 and in other units, could not be computed for are not known.
+        """
         name = {"error": "quality"}.get(name, name)
         if self.contacts is None or name not in (self.contacts.dtype.names or ()):
             return None
         values = columns(self.contacts, name)[:, 0]
-        values[np.abs(values) > _LARGEST] = np.nan
+        values[np.abs(values) > 1e30] = np.nan
         return values if np.isfinite(values).any() else None
 
 
@@ -103,3 +103,36 @@ def columns(rows: NDArray[Any], *names: str) -> Array:
 def of_cloud(cloud: Cloud, error: Array | None = None, **more: Any) -> Scene:
     """A scene of a cloud; `error` (n,) is the contacts' distance from the truth, `more` the fields of `Scene`."""
     return Scene(**{"name": "body", **more}, unit=cloud.unit, contacts=cloud_table(cloud, error))
+
+
+def out_of_plane_deg(bending_angle: Array) -> Array:
+    """(n,) angles in degrees between the directions to which the rod bends and the plane of the sweep, from -90 to 90.
+
+    In contrast to the angle of the bending plane, from -180° to 180°, it does not jump, and is 0 for rods that bend backward.
+    """
+    return np.rad2deg(np.arcsin(np.sin(bending_angle)))
+
+
+def contact_sentence(scene: Scene, contact: int) -> str:
+    """What was measured at a contact, given by its row in the scene's contacts."""
+    parts = [
+        "contact {}: ({})".format(contact, ", ".join(f"{x:.6g}" for x in scene.points[contact])) + f" {scene.unit}"
+    ]
+    for name in ("sweep", "slice"):
+        values = scene.column(name)
+        if values is not None:
+            parts.append(f"{name} {values[contact]:.0f}")
+    phase, force, friction = (scene.column(name) for name in ("phase", "force", "friction"))
+    if phase is not None:
+        parts.append(f"{planar.Phase(int(phase[contact])).name.lower()} contact")
+    if force is not None:
+        parts.append(f"force {1e3 * force[contact]:.4g} mN")
+    if friction is not None and np.isfinite(friction[contact]):
+        parts.append(f"friction {friction[contact]:.4g}")
+    bending = scene.column("bending")
+    if bending is not None:
+        parts.append(f"bending {out_of_plane_deg(bending)[contact]:.1f}° out of the sweep's plane")
+    normal = scene.normals[contact]
+    if np.isfinite(normal).all():
+        parts.append("normal ({})".format(", ".join(f"{x:.4f}" for x in normal)))
+    return ", ".join(parts)

@@ -12,8 +12,7 @@ from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.parts import shown_surface
-from scan3d.pictures.scene import Scene
-from scan3d.pictures.words import out_of_plane_deg
+from scan3d.pictures.scene import Scene, out_of_plane_deg
 
 # A pale body, on which contacts and rods of saturated colours stand out.  Red and orange differ in lightness, so that readers
 # with deficient colour vision can distinguish them.

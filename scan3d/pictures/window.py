@@ -12,37 +12,19 @@ import numpy as np
 
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.pictures.canvas import Canvas
+from scan3d.pictures.canvas import CONTACT_SIZE, Canvas
 from scan3d.pictures.parts import evenly_chosen, has_rods, normal_lines, sections, shown_sweep
 from scan3d.pictures.rendering import renders
-from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import (
-    BODY,
-    INK,
-    NORMAL,
-    ROD,
-    TANGENTIAL,
-    TIP,
-    Shade,
-    shade_contacts,
-    shade_surface,
-)
-from scan3d.pictures.words import contact_sentence
+from scan3d.pictures.scene import Scene, contact_sentence
+from scan3d.pictures.shading import BODY, INK, NORMAL, ROD, TANGENTIAL, TIP, Shade, shade_contacts, shade_surface
 
 NO_DISPLAY = (
     "there is no display to open a window on; write a picture with --screenshot FILE, or a page with --html FILE"
 )
-# A click picks the contact nearest to it, if it is nearer than this fraction of the diagonal: a click beside a contact still
-# picks it, and a click on a bare part of the body does not.
-_NEAR = 0.03
-# Rods drawn along a sweep: more than in a picture, as the window can be enlarged.
-_STATES = 9
+# Pixels of a window, which fits on the screens of laptops.
+_SIZE = (1200, 900)
 # Pixels from button to button, from the left edge, of a button, and points of its label.
 _LINE, _LEFT, _BUTTON, _FONT = 34, 14, 24, 11
-# Diameter of a contact in pixels, as in pictures.
-_CONTACT_SIZE = 7
-# Opacity of the truth: the surface is seen through it.
-_TRUTH_OPACITY = 0.4
 
 
 @functools.cache
@@ -60,16 +42,68 @@ def open_window(scene: Scene, on_pick: Callable[[str], None], color: str = "forc
     """
     if not can_open():
         raise InputError(NO_DISPLAY)
-    build_window(scene, on_pick, color).plotter.show(title=f"{scene.name} – scan3d")
+    Window(scene, on_pick, color).plotter.show(title=f"{scene.name} – scan3d")
 
 
 class Window:
-    """A plotter that is not shown yet, and its layers, lists of actors, by name."""
+    """A window with its buttons, which `plotter.show()` opens, and its layers, lists of actors, by name."""
 
-    def __init__(self, plotter: Any, scene: Scene, on_pick: Callable[[str], None]) -> None:
-        self.plotter, self.scene, self.on_pick = plotter, scene, on_pick
+    def __init__(
+        self, scene: Scene, on_pick: Callable[[str], None], color: str = "force", *, off_screen: bool = False
+    ) -> None:
+        import pyvista
+
+        canvas = Canvas(scene.corners, off_screen=off_screen)
+        canvas.plotter.window_size = [*_SIZE]
+        self.plotter, self.scene, self.on_pick = canvas.plotter, scene, on_pick
         self.layers: dict[str, list[Any]] = {}
-        self.contacts: Any = None
+        if scene.surface is not None:
+            mesh, shaded = shade_surface(scene)
+            self.layers["surface"] = [canvas.add_body(mesh, BODY if shaded is None else shaded.rgb)]
+            if shaded is not None:
+                _color_bar(canvas.plotter, shaded)
+        if scene.truth is not None:
+            self.layers[scene.reference] = [canvas.add_body(scene.truth, TIP, opacity=0.4)]
+        if scene.contacts is not None:
+            self.contacts = pyvista.PolyData(scene.points)
+            plain = np.array(pyvista.Color(TANGENTIAL).int_rgb, dtype=np.uint8)
+            self.contacts["rgb"] = np.tile(plain, (len(scene.points), 1))
+            actor = canvas.plotter.add_mesh(
+                self.contacts, scalars="rgb", rgb=True, point_size=CONTACT_SIZE, render_points_as_spheres=True
+            )
+            self.layers["contacts"] = [actor]
+            self.layers["normals"] = canvas.add_lines(normal_lines(scene), NORMAL, 1)
+            name, lines = sections(scene)
+            self.layers[name] = [actor for line, _ in lines for actor in canvas.add_lines(line[None], INK, 1)]
+        if has_rods(scene):
+            sweep = shown_sweep(scene)
+            self.layers["rods"] = canvas.add_rods(sweep, evenly_chosen(len(sweep.base), 9))
+        self._add_buttons(color)
+        canvas.aim(*_SIZE)
+        canvas.plotter.enable_point_picking(self.pick, show_message=False, left_clicking=True, show_point=False)
+
+    def _add_buttons(self, color: str) -> None:
+        """Add a box for every layer, and a button for every known colour of the contacts."""
+        plotter, bottom = self.plotter, _LEFT
+        known = [name for name in COLORS if self.scene.column(name) is not None]
+        for name in reversed(known):
+            paint = functools.partial(self.paint, name)
+            place = (_LEFT, bottom)
+            plotter.add_radio_button_widget(paint, "colour", value=name == color, position=place, size=_BUTTON)
+            bottom = self._add_label(f"colour: {name}", bottom)
+        for name in reversed(self.layers):
+            on, switch = name in ("surface", "contacts"), functools.partial(self.switch, name)
+            self.switch(name, on)
+            place = (_LEFT, bottom)
+            plotter.add_checkbox_button_widget(switch, value=on, position=place, size=_BUTTON, color_on=ROD)
+            bottom = self._add_label(name, bottom)
+        if color in known:
+            self.paint(color)
+
+    def _add_label(self, text: str, bottom: int) -> int:
+        """Write the label of a button; the place of the next one."""
+        self.plotter.add_text(text, position=(_LEFT + _LINE, bottom), font_size=_FONT, color=INK)
+        return bottom + _LINE
 
     def switch(self, name: str, on: bool) -> None:
         """Show or hide a layer."""
@@ -89,84 +123,17 @@ class Window:
         self.plotter.render()
 
     def pick(self, point: Any) -> None:
-        """Call `on_pick` for the contact nearest to a clicked point (3,), if one is near."""
+        """Call `on_pick` for the contact nearest to a clicked point (3,), if one is near; also for a click beside it."""
         distance = np.linalg.norm(self.scene.points - np.asarray(point), axis=1)
-        if len(distance) and distance.min() <= _NEAR * self.scene.diagonal:
+        if len(distance) and distance.min() <= 0.03 * self.scene.diagonal:
             self.on_pick(contact_sentence(self.scene, int(distance.argmin())))
-
-
-def build_window(
-    scene: Scene, on_pick: Callable[[str], None], color: str = "force", *, off_screen: bool = False
-) -> Window:
-    """A window with its buttons; its `plotter.show()` opens it."""
-    import pyvista
-
-    canvas = Canvas(scene.corners, off_screen=off_screen)
-    window = Window(canvas.plotter, scene, on_pick)
-    if scene.surface is not None:
-        mesh, shaded = shade_surface(scene)
-        window.layers["surface"] = [canvas.add_body(mesh, BODY if shaded is None else shaded.rgb)]
-        if shaded is not None:
-            _color_bar(canvas.plotter, shaded)
-    if scene.truth is not None:
-        window.layers[scene.reference] = [canvas.add_body(scene.truth, TIP, opacity=_TRUTH_OPACITY)]
-    known = [name for name in COLORS if scene.column(name) is not None]
-    if scene.contacts is not None:
-        window.contacts = pyvista.PolyData(scene.points)
-        window.contacts["rgb"] = np.tile(
-            np.array(pyvista.Color(TANGENTIAL).int_rgb, dtype=np.uint8), (len(scene.points), 1)
-        )
-        actor = canvas.plotter.add_mesh(
-            window.contacts, scalars="rgb", rgb=True, point_size=_CONTACT_SIZE, render_points_as_spheres=True
-        )
-        window.layers["contacts"] = [actor]
-        window.layers["normals"] = canvas.add_lines(normal_lines(scene), NORMAL, 1)
-        name, lines = sections(scene)
-        window.layers[name] = [actor for line, _ in lines for actor in canvas.add_lines(line[None], INK, 1)]
-    if has_rods(scene):
-        sweep = shown_sweep(scene)
-        window.layers["rods"] = canvas.add_rods(sweep, evenly_chosen(len(sweep.base), _STATES))
-    _buttons(window, known, color if color in known else "")
-    canvas.plotter.window_size = [1200, 900]  # fits on the screens of laptops
-    canvas.aim(1200, 900)
-    canvas.plotter.enable_point_picking(
-        lambda point: window.pick(point), show_message=False, left_clicking=True, show_point=False
-    )
-    return window
-
-
-def _buttons(window: Window, known: list[str], color: str) -> None:
-    """Add a box for every layer, and a button for every known colour of the contacts."""
-    plotter, height = window.plotter, _LEFT
-
-    def label(text: str, bottom: int) -> None:
-        plotter.add_text(text, position=(_LEFT + _LINE, bottom), font_size=_FONT, color=INK)
-
-    for name in [name for name in COLORS[::-1] if name in known]:
-        plotter.add_radio_button_widget(
-            functools.partial(window.paint, name), "colour", value=name == color, position=(_LEFT, height), size=_BUTTON
-        )
-        label(f"colour: {name}", height)
-        height += _LINE
-    for name in reversed(list(window.layers)):
-        on = name in ("surface", "contacts")
-        window.switch(name, on)
-        plotter.add_checkbox_button_widget(
-            functools.partial(window.switch, name), value=on, position=(_LEFT, height), size=_BUTTON, color_on=ROD
-        )
-        label(name, height)
-        height += _LINE
-    if color:
-        window.paint(color)
 
 
 def _color_bar(plotter: Any, shaded: Shade) -> None:
     import pyvista
 
-    low, high = shaded.norm.vmin, shaded.norm.vmax
-    table = pyvista.LookupTable(shaded.map, scalar_range=(low, high))
     mapper = pyvista.DataSetMapper()
-    mapper.lookup_table = table
+    mapper.lookup_table = pyvista.LookupTable(shaded.map, scalar_range=(shaded.norm.vmin, shaded.norm.vmax))
     plotter.add_scalar_bar(
         shaded.title, mapper=mapper, vertical=True, position_x=0.88, position_y=0.25, width=0.06, height=0.5,
         fmt="%.3g", color=INK, title_font_size=16, label_font_size=14,

@@ -1,4 +1,4 @@
-"""A scene in words: the key figures of a report, and what was measured at a contact."""
+"""The key figures of a report."""
 
 from __future__ import annotations
 
@@ -6,18 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-
-import planar
-from scan3d.arrays import Array
-from scan3d.pictures.scene import Scene
-
-
-def out_of_plane_deg(bending_angle: Array) -> Array:
-    """(n,) angles in degrees between the directions to which the rod bends and the plane of the sweep, from -90 to 90.
-
-    In contrast to the angle of the bending plane, from -180° to 180°, it does not jump, and is 0 for rods that bend backward.
-    """
-    return np.rad2deg(np.arcsin(np.sin(bending_angle)))
 
 
 def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
@@ -65,28 +53,3 @@ def key_figures(report: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
             distance, share = itself["two_sided"], f"{100 * itself['relative']:.2g} %"
             rows.append(("distance from the mesh itself", f"{distance:.3g} {unit} ({share})"))
     return tuple(rows)
-
-
-def contact_sentence(scene: Scene, contact: int) -> str:
-    """What was measured at a contact, given by its row in the scene's contacts."""
-    parts = [
-        "contact {}: ({})".format(contact, ", ".join(f"{x:.6g}" for x in scene.points[contact])) + f" {scene.unit}"
-    ]
-    for name in ("sweep", "slice"):
-        values = scene.column(name)
-        if values is not None:
-            parts.append(f"{name} {values[contact]:.0f}")
-    phase, force, friction = (scene.column(name) for name in ("phase", "force", "friction"))
-    if phase is not None:
-        parts.append(f"{planar.Phase(int(phase[contact])).name.lower()} contact")
-    if force is not None:
-        parts.append(f"force {1e3 * force[contact]:.4g} mN")
-    if friction is not None and np.isfinite(friction[contact]):
-        parts.append(f"friction {friction[contact]:.4g}")
-    bending = scene.column("bending")
-    if bending is not None:
-        parts.append(f"bending {out_of_plane_deg(bending)[contact]:.1f}° out of the sweep's plane")
-    normal = scene.normals[contact]
-    if np.isfinite(normal).all():
-        parts.append("normal ({})".format(", ".join(f"{x:.4f}" for x in normal)))
-    return ", ".join(parts)
