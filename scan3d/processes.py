@@ -1,12 +1,15 @@
-"""Child processes of Python: they import what this process imports, and nothing from the current folder."""
+"""This process and its children: how many threads they compute with, and that they import nothing from the current folder."""
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 # The folder from which this program is imported.  It may be the current one, as in a checkout.
 _HOME = Path(__file__).resolve().parents[1]
+ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""The numbers of threads that OpenBLAS, MKL and Accelerate read when they start."""
 
 
 def python(code: str, *arguments: str) -> list[str]:
@@ -31,3 +34,13 @@ def _is_foreign(entry: str) -> bool:
         return here != _HOME and (not entry or Path(entry).resolve() == here)
     except OSError:  # the current folder has been deleted
         return not entry
+
+
+def compute_algebra_in_one_thread() -> None:
+    """Linear algebra uses one thread, unless the environment states how many; must be called before numpy is imported.
+
+    The matrices of a scan are small: further threads wait for each other while other processes need the processor, and the sums
+    would be rounded differently on machines of different numbers of cores.
+    """
+    for name in ALGEBRA:
+        os.environ.setdefault(name, "1")

@@ -1,18 +1,20 @@
-"""Settings of a scan, as text and numbers: those of the commands, of `scan3d.scan` and of `scan3d.batch`.
+"""Settings of a scan: those of the commands, of `scan3d.scan` and `scan3d.batch`, and of files in TOML.
 
-Settings from a TOML file take precedence over the defaults, and those of the command line over the file.
+`Settings` is their one source: the options of the commands, the signatures in Python and the keys of a file are made of its
+fields.  Settings from a file take precedence over the defaults, and those of the command line over the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
 
 from scan3d.choices import METHODS, Method, Model, Spacing
-from scan3d.errors import InputError
-from scan3d.files.reading import dent_size, did_you_mean, read_toml, to_float
+from scan3d.errors import InputError, UsageError
+from scan3d.files.reading import did_you_mean, read_toml, to_float
 from scan3d.rods import parse_rod
 from scan3d.units import Unit
 
@@ -23,32 +25,50 @@ SLICES_FOR_TOLERANCE = 1024
 """Slices along each axis at most, where a tolerance is given and their number is not."""
 # The types of settings as error messages name them.
 _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-class UsageError(InputError):
-    """A setting with a value that can't be used.  The command line exits with 2, as for an option that it does not know."""
+def _setting(default: Any, meaning: str) -> Any:
+    return field(default=default, metadata={"meaning": meaning})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of `scan3d scan`, in the types that a TOML file has."""
+    """The settings of a scan, in the types that a TOML file has; the metadata of each field say what it means."""
 
-    model: Model = "planar"
-    slices: int = 64
-    spacing: Spacing = "adaptive"
-    axis: str = "z"
-    sweeps: str = "auto"
-    samples: int = 64
-    friction: str = "0.3"
-    rod: str = "auto"
-    clearance: float = 0.3
-    tolerance: float = 0.0
-    noise: float = 0.0
-    seed: int = 0
-    unit: Unit = "mm"
-    method: Method = "auto"
-    hull: bool = False
-    clip_dent: str = "0"
+    model: Model = _setting("planar", "model of contact; a round rod in space leaves the plane of its sweep")
+    slices: int = _setting(
+        64, "number of slices; in the spatial model 0.6 times as many sweeps from each of 12 directions"
+    )
+    spacing: Spacing = _setting(
+        "adaptive", "heights of the slices: adaptive where the bound is widest, cosine dense at the ends"
+    )
+    axis: str = _setting("z", "normal of the slices: x, y, z, several such as xyz, or a vector such as 1,1,0")
+    sweeps: str = _setting(
+        "auto", "sweeps per slice, or in the spatial model per direction, or auto: as many as the body needs"
+    )
+    samples: int = _setting(64, "samples per sweep")
+    friction: str = _setting(
+        "0.3", "coefficient of friction, or a range such as 0.0:0.4 from which every sample draws its own"
+    )
+    rod: str = _setting(
+        "auto", "MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits the body"
+    )
+    clearance: float = _setting(0.3, "distance of the base line from the slice, in rod lengths")
+    tolerance: float = _setting(
+        0.0,
+        "certified bound at which adaptive spacing stops, relative to the diagonal; as many slices and samples as it takes",
+    )
+    noise: float = _setting(0.0, "standard deviation of force and moment, in EI/L² and EI/L")
+    seed: int = _setting(0, "seed of the random numbers; the same seed gives the same files")
+    unit: Unit = _setting("mm", "unit of the mesh's coordinates")
+    method: Method = _setting(
+        "auto", "surface from the contacts; bracket estimates it between the certified bounds, auto chooses"
+    )
+    hull: bool = _setting(False, "scan the convex hull of a body that is not convex")
+    clip_dent: str = _setting(
+        "0", "fill dents up to this depth, in the mesh's unit or relative to its diagonal like 0.05%"
+    )
 
     def __post_init__(self) -> None:
         dent_size(self.clip_dent)
@@ -77,6 +97,49 @@ class Settings:
         )
 
 
+class Given(TypedDict, total=False):
+    """Settings as a program in Python may give them, by name; what is left out has its default."""
+
+    model: Model
+    slices: int
+    spacing: Spacing
+    axis: str | Sequence[float]
+    sweeps: int | Literal["auto"]
+    samples: int
+    friction: float | str | tuple[float, float]
+    rod: str
+    clearance: float
+    tolerance: float
+    noise: float
+    seed: int
+    unit: Unit
+    method: Method
+    hull: bool
+    clip_dent: float | str
+
+
+def shows_settings(function: _Function) -> _Function:
+    """The function, whose keywords ``**settings`` stand one by one in its signature and at the end of its docstring.
+
+    `help` and completion show them with their types, their defaults and what they mean.
+    """
+    shown = inspect.signature(function)
+    keywords = [
+        inspect.Parameter(
+            one.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=one.default,
+            annotation=str(Given.__annotations__[one.name].__forward_arg__),
+        )
+        for one in fields(Settings)
+    ]
+    others = [parameter for parameter in shown.parameters.values() if parameter.name != "settings"]
+    function.__signature__ = shown.replace(parameters=[*others, *keywords])  # type: ignore[attr-defined]
+    meanings = "\n".join(f"    {one.name}\n        {one.metadata['meaning']}" for one in fields(Settings))
+    function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nSettings:\n\n{inspect.cleandoc(meanings)}\n"
+    return function
+
+
 def settings(given: Mapping[str, Any], config: str | Path | None = None, source: str = "the command line") -> Settings:
     """The defaults, replaced by the settings of the file `config` and then by those in `given`.
 
@@ -85,15 +148,7 @@ def settings(given: Mapping[str, Any], config: str | Path | None = None, source:
     Raises InputError for a file that cannot be read, for unknown settings and for values of the wrong type or out of range;
     UsageError if the file is not at fault.
     """
-    file = {} if config is None else _read(config)
-    try:
-        chosen = _merged((str(config), file), (source, given))
-        chosen.plan()
-    except InputError as error:
-        if config is not None:
-            _merged((str(config), file)).plan()
-        raise UsageError(str(error)) from None
-    return chosen
+    return varied_settings(given, [{}], config, source)[0]
 
 
 def varied_settings(
@@ -107,8 +162,8 @@ def varied_settings(
 
     Raises InputError as `settings`, and for values of the grid; UsageError for a setting that is given and in the grid.
     """
-    file = {} if config is None else _read(config)
-    _merged((str(config), file))
+    file = (str(config), {} if config is None else _read(config))
+    _merged(file)
     try:
         _merged((source, given))
     except InputError as error:
@@ -118,10 +173,13 @@ def varied_settings(
         twice = sorted(given.keys() & values.keys())
         if twice:
             raise UsageError(f"{twice[0]} is given by {source} and by {grid_source}; leave one of them out")
-        chosen = _merged((str(config), file), (source, given), (grid_source, values))
+        chosen = _merged(file, (source, given), (grid_source, values))
         try:
             chosen.plan()
         except InputError as error:
+            _merged(file).plan()  # raises if the file is at fault by itself
+            if not values:
+                raise UsageError(str(error)) from None
             named = ", ".join(f"{name} = {value!r}" for name, value in values.items())
             raise InputError(f"{grid_source}, {named}: {error}") from None
         found.append(chosen)
@@ -130,8 +188,8 @@ def varied_settings(
 
 def _merged(*layers: tuple[str, Mapping[str, Any]]) -> Settings:
     """The defaults, replaced by the settings of each layer, which is a pair of its source and its values by name."""
-    merged: Settings = Settings()
-    known = {field.name: type(field.default) for field in fields(Settings)}
+    merged = Settings()
+    known = {one.name: type(one.default) for one in fields(Settings)}
     for source, values in layers:
         unknown = sorted(set(values) - set(known))
         if unknown:
@@ -159,13 +217,32 @@ def _typed(source: str, name: str, value: Any, kind: type) -> Any:
         value = value.tolist()
     if kind is str and isinstance(value, (list, tuple)):
         value = (":" if name == "friction" else ",").join(str(item) for item in value)
-    if kind is str and isinstance(value, (int, float)) and not isinstance(value, bool):
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if kind is str and is_number:
         value = str(value)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and is_number:
         value = to_float(value)
     if type(value) is not kind:
         raise InputError(f"{source}: {name} must be {_KINDS[kind]}, got {value!r}")
     return value
+
+
+def dent_size(given: float | str) -> tuple[float, float]:
+    """A depth of dents in the mesh's unit, and one relative to the diagonal of its bounding box: one of them is given.
+
+    Raises InputError for what is neither a number nor a percentage, and for negative ones.
+    """
+    number, percent, rest = str(given).strip().partition("%")
+    try:
+        size = float(number)
+    except ValueError:
+        size = -1.0
+    if rest or not 0 <= size < float("inf"):
+        raise InputError(
+            "clip_dent must be a depth in the mesh's unit, such as 0.1, or a part of its diagonal, such as 0.05%; "
+            f"got {given!r}"
+        )
+    return (0.0, size / 100) if percent else (size, 0.0)
 
 
 def _friction(text: str) -> float | tuple[float, float]:

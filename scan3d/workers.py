@@ -22,11 +22,10 @@ from types import TracebackType
 from typing import Any
 
 from scan3d.errors import InputError
+from scan3d.processes import ALGEBRA
 
-# What libraries read when they start: the number of threads of OpenBLAS, MKL and Accelerate,
-_ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-# and of OpenMP and of Mesa's software renderer.
-_THREADS = (*_ALGEBRA, "OMP_NUM_THREADS", "LP_NUM_THREADS")
+# What libraries read when they start: the number of threads of linear algebra, of OpenMP and of Mesa's software renderer.
+_THREADS = (*ALGEBRA, "OMP_NUM_THREADS", "LP_NUM_THREADS")
 
 # Keeps the current folder out of the module path of Python's children, so that no file that lies there is executed.  What
 # starts them asks neither for `-P` nor for `-I`.
@@ -134,16 +133,6 @@ def _safe_path() -> Iterator[None]:
             os.environ.pop(_SAFE_PATH)
             if before is not None:
                 os.environ[_SAFE_PATH] = before
-
-
-def compute_algebra_in_one_thread() -> None:
-    """Linear algebra uses one thread, unless the environment states how many; must be called before numpy is imported.
-
-    The matrices of a scan are small: further threads wait for each other while other processes need the processor, and the sums
-    would be rounded differently on machines of different numbers of cores.
-    """
-    for name in _ALGEBRA:
-        os.environ.setdefault(name, "1")
 
 
 def _begin() -> None:

@@ -14,7 +14,6 @@ import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +27,6 @@ from scan3d.batches.meshes import mesh_files
 from scan3d.batches.names import body_names, run_name
 from scan3d.batches.runs import COLUMNS
 from scan3d.batches.summary import parquet_table
-from scan3d.cli import batch as command
 from scan3d.cli import main
 from scan3d.pictures import rendering
 
@@ -639,15 +637,6 @@ def test_the_settings_are_printed(call, tmp_path):
     assert code == 0
     assert "slices = 7" in stdout
     assert not (tmp_path / "out").exists()
-
-
-def test_the_time_left_is_shown(monkeypatch):
-    shown = []
-    show = command._report(SimpleNamespace(tell=shown.append))
-    show(running.BatchProgress(1, 4, 0, None))
-    show(running.BatchProgress(2, 4, 1, 61.0))
-    show(running.BatchProgress(4, 4, 1, 0.0))
-    assert shown == ["1/4 runs", "2/4 runs, 1 failed, 1 min 1 s left", "4/4 runs, 1 failed, 0 s left"]
 
 
 def test_progress_counts_all_runs(again):

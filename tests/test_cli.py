@@ -1,14 +1,13 @@
 """The command: its output and exit codes, its messages for wrong input, and that it writes all results or none."""
 
-import contextlib
+import dataclasses
 import io
 import json
 import os
 import re
-import signal
+import shlex
 import subprocess
 import sys
-import time
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
@@ -17,9 +16,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan3d import InputError, choices, read_recording, surfaces
-from scan3d.cli import main
-from scan3d.files import whole
+from scan3d import InputError, read_recording
+from scan3d.choices import SHELLS
+from scan3d.cli import verbs
+from scan3d.cli.commands import COMMANDS, app
 from scan3d.pictures import rendering
 from scan3d.settings import Settings, settings
 
@@ -71,7 +71,6 @@ def bad(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("command", ["scan", "simulate"])
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
@@ -87,15 +86,14 @@ def bad(tmp_path_factory):
         ("", "is a folder, where a mesh file is expected"),
     ],
 )
-def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, command, name, sentence):
-    out = tmp_path / "new" / ("out" if command == "scan" else "log.csv")
-    code, stdout, stderr = call(command, bad / name, "--out", out, *FEW)
-    assert (code, stdout) == (1, "")
-    assert_sentence(stderr, sentence)
-    assert tree(tmp_path) == {}
+def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, name, sentence):
+    for command, out in (("scan", "out"), ("simulate", "log.csv")):
+        code, stdout, stderr = call(command, bad / name, "--out", tmp_path / "new" / out, *FEW)
+        assert (code, stdout) == (1, "")
+        assert_sentence(stderr, sentence)
+        assert tree(tmp_path) == {}
 
 
-@pytest.mark.parametrize("command", ["scan", "simulate"])
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -110,8 +108,13 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, command, name, se
         (["--sweeps", "0"], "sweeps must be a whole number of at least 1, got 0"),
         (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
         (["--sweeps", "2.5"], r"sweeps must be 'auto' or a whole number, got '2\.5'"),
-        (["--spacing", "random"], "spacing must be one of adaptive, cosine, uniform, got 'random'"),
-        (["--unit", "furlong"], "unit must be one of m, cm, mm, um, in, got 'furlong'"),
+        (["--slices", "4.5"], r"Invalid value for --slices: expected a whole number, got '4\.5'"),
+        (["--clearance", "far"], 'Invalid value for --clearance: unable to convert "far" into float'),
+        (
+            ["--spacing", "cosin"],
+            'Invalid value "cosin" for --spacing. Choose from: "adaptive", .* Did you mean "cosine"',
+        ),
+        (["--unit", "furlong"], 'Invalid value "furlong" for --unit. Choose from: "m", "cm", "mm", "um", "in"'),
         (["--axis", "w"], "axis must be .*, got 'w'"),
         (["--axis", "0,0,0"], r"axis must be .*, got \(0\.0, 0\.0, 0\.0\)"),
         (["--axis", "1,1"], r"axis must be .*, got \(1\.0, 1\.0\)"),
@@ -122,18 +125,15 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, command, name, se
         (["--clearance", "1.5"], r"clearance must lie between 0 and 1 rod lengths, got 1\.5"),
         (["--noise", "-1"], r"noise must be a number >= 0, got -1\.0"),
         (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),
-        (["--method", "magic"], "method must be one of auto, hull.*, got 'magic'"),
+        (["--method", "magic"], 'Invalid value "magic" for --method. Choose from: "auto", "hull"'),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_invalid_settings(call, tmp_path, command, arguments, sentence):
-    out = tmp_path / "new" / ("out" if command == "scan" else "log.csv")
-    # an argument that begins with a minus needs the equals sign
-    given = [f"{arguments[0]}={arguments[1]}"]
+def test_invalid_settings(call, tmp_path, arguments, sentence):
     for asked in ([], ["--print-config"]):
-        code, stdout, stderr = call(command, CUBE, "--out", out, *given, *asked)
+        code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *arguments, *asked)
         assert (code, stdout) == (2, "")
-        assert_sentence(stderr, sentence + f".*; see 'scan3d {command} --help'")
+        assert_sentence(stderr, sentence + ".*; see 'scan3d scan --help'")
         assert tree(tmp_path) == {}
 
 
@@ -218,15 +218,22 @@ def test_a_failed_run_leaves_the_results_of_the_one_before(call, tmp_path, no_pi
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["peel"], "invalid choice: 'peel'.*; see 'scan3d --help'"),
-        (["scan"], "the following arguments are required: MESH, --out; see 'scan3d scan --help'"),
-        (["scan", CUBE], "the following arguments are required: --out; see 'scan3d scan --help'"),
-        (["scan", CUBE, "--out", "out", "--colour"], "unrecognized arguments: --colour; see 'scan3d scan --help'"),
-        (["scan", CUBE, "--out", "out", "--slices", "few"], "argument --slices: invalid int value: 'few'; see"),
-        (["scan", CUBE, "--out", "out", "--slices"], "argument --slices: expected one argument; see"),
-        (["reconstruct", "log.csv"], "the following arguments are required: --out; see"),
-        (["compare", CUBE], "the following arguments are required: B; see"),
-        (["compare", CUBE, CUBE, "--unit", "furlong"], "argument --unit: invalid choice: 'furlong'"),
+        (["scna", CUBE], 'Unknown command "scna". Did you mean "scan".*; see \'scan3d --help\''),
+        (["--hlep"], "Unknown command .*; see 'scan3d --help'"),
+        (["scan"], "MESH is missing; see 'scan3d scan --help'"),
+        (["scan", CUBE], "--out is missing; see 'scan3d scan --help'"),
+        (["scan", CUBE, CUBE, "--out", "out"], r"unexpected arguments: \S+cube\.stl; see"),
+        (["scan", CUBE, "--out", "out", "--frictoin", "3"], "Unknown option: --frictoin. Did you mean --friction"),
+        (["scan", CUBE, "--out", "out", "--slices"], "--slices is missing; see"),
+        (["scan", CUBE, "--out", "out", "--hull", "true"], "unexpected arguments: true; see"),
+        (["reconstruct", "log.csv"], "--out is missing: it names the folder for the results; see"),
+        (["compare", CUBE], "SECOND is missing; see"),
+        (["compare", CUBE, CUBE, "--unit", "furlong"], 'Invalid value "furlong" for --unit. Choose from'),
+        (["show", "o", "--view", "compar"], 'Invalid value "compar" for --view.* Did you mean "compare"'),
+        (["calibrate", "log.csv", "--out", "rig.toml"], "the reference is one of --sphere D, --plane"),
+        (["batch", CUBE, "--out", "out", "--jobs", "2", "--scheduler", "x"], "--jobs and --scheduler are two places"),
+        (["simulate", CUBE, "--out", "log.csv", "--placed", "p.ply"], "--placed is for a rig: give --poses FILE"),
+        (["completion", "tcsh"], 'Invalid value "tcsh" for SHELL'),
     ],
 )
 def test_wrong_usage(call, tmp_path, monkeypatch, arguments, sentence):
@@ -275,63 +282,6 @@ def test_meshes_that_can_not_be_compared(call, bad):
         assert_sentence(stderr, "")
 
 
-# --- interruptions ---
-
-
-def test_ctrl_c_while_it_simulates(tmp_path):
-    # SIGINT may be ignored in this process, and a child process would inherit that
-    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    code += "; from scan3d.cli import main; sys.exit(main())"
-    out = tmp_path / "out"
-    arguments = [sys.executable, "-c", code, "scan", str(EGG), "--out", str(out), "--slices", "20000"]
-    child = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        deadline = time.monotonic() + 60
-        while not out.exists():  # it is created just before the simulation begins
-            assert child.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        time.sleep(0.3)
-        # Python loses an interrupt that arrives in a finaliser; as a user would do, the test sends it again
-        while child.poll() is None and time.monotonic() < deadline + 60:
-            child.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(timeout=5)
-        stdout, stderr = child.communicate(timeout=5)
-    finally:
-        child.kill()
-        child.wait()
-    assert (child.returncode, stdout, stderr) == (130, "", "scan3d: interrupted\n")
-    assert tree(tmp_path) == {}
-
-
-@pytest.mark.parametrize("nth", [0, 1, 3, 5])
-@pytest.mark.slow
-def test_ctrl_c_while_it_writes(call, tmp_path, monkeypatch, no_pictures, nth):
-    # before the renaming nothing has changed; after it everything appears
-    replaced, original = [], os.rename if nth == 0 else os.replace
-
-    def replace(*arguments):
-        replaced.append(arguments)
-        if len(replaced) == max(nth, 1):
-            raise KeyboardInterrupt
-        original(*arguments)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(whole.os, "rename" if nth == 0 else "replace", replace)
-        code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW)
-    assert (code, stdout) == (130, "")
-    assert stderr == f"scan3d: {rendering.NO_RENDERER}\nscan3d: interrupted\n"
-    assert (tmp_path / "out").exists() == (nth > 0)
-    if nth:
-        complete = tmp_path / "complete"
-        assert main(["scan", str(CUBE), "--out", str(complete), *FEW, "--quiet"]) == 0
-        written, expected = tree(tmp_path / "out"), tree(complete)
-        assert written.keys() == expected.keys()
-        for name in written.keys() - {Path("report.json")}:
-            assert written[name] == expected[name]
-
-
 def test_a_disk_that_is_full(call, tmp_path, monkeypatch, no_pictures):
     def write(*_):
         raise OSError(28, "No space left on device")
@@ -375,33 +325,93 @@ def test_no_output_at_all(call, tmp_path, monkeypatch):
 
 
 def test_help_and_version(call):
-    for arguments in (["--help"], ["-h"], ["scan", "--help"], ["reconstruct", "--help"]):
-        code, stdout, stderr = call(*arguments)
-        assert (code, stderr) == (0, "")
-        assert stdout.startswith("usage: scan3d")
+    code, stdout, stderr = call("--help")
+    assert (code, stderr) == (0, "")
+    assert all(f" {name} " in stdout for name in COMMANDS)
     assert call("--version") == (0, version("scan3d") + "\n", "")
+    # the program alone prints a short guide
+    code, stdout, stderr = call()
+    assert (code, stderr) == (0, "")
+    assert set(re.findall(r"^  scan3d ([a-z]+)", stdout, re.MULTILINE)) <= set(COMMANDS)
 
 
-def test_every_setting_is_an_option_and_its_help_has_the_default(call):
-    stdout = " ".join(call("scan", "--help")[1].split())
-    for name, default in vars(Settings()).items():
-        assert f"--{name.replace('_', '-')}" in stdout
-        assert name == "hull" or f"(default {default})" in stdout
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_describes_each_option_and_has_examples_that_run(call, command):
+    code, stdout, stderr = call(command, "--help")
+    assert (code, stderr) == (0, "")
+    arguments = app()[command].assemble_argument_collection(parse_docstring=True)
+    assert all(argument.parameter.help for argument in arguments.filter_by(show=True))
+    for line in re.findall(r"^  (?:eval \"\$\()?(scan3d .*?)(?:\)\"| > .*)?$", COMMANDS[command].__doc__, re.MULTILINE):
+        words = shlex.split(line.strip())
+        assert words[1] == command
+        app().parse_args(words[1:], exit_on_error=False, print_error=False)
+    assert "scan3d " in COMMANDS[command].__doc__ or command == "demo"
 
 
-def test_the_installed_command():
-    done = subprocess.run([COMMAND, "--version"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, version("scan3d") + "\n", "")
-    done = subprocess.run([COMMAND], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "scan3d demo" in done.stdout
+def test_every_setting_is_an_option_and_its_help_has_the_default(call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "250")
+    stdout = call("scan", "--help")[1]
+    for setting in dataclasses.fields(Settings):
+        assert f"--{setting.name.replace('_', '-')} " in stdout
+        assert f"{setting.metadata['meaning']} " in stdout
+        assert setting.name == "hull" or f"[default: {setting.default}]" in stdout
 
 
-def test_a_terminal_with_ascii_only():
+def test_help_is_quick():
+    def seconds(command):
+        """Of the processor, because tests run side by side and wait for each other; the best of three."""
+        taken = []
+        for _ in range(3):
+            before = os.times()
+            subprocess.run(command, capture_output=True, check=True)
+            after = os.times()
+            taken.append(sum(after[2:4]) - sum(before[2:4]))  # of child processes, in user and in system mode
+        return min(taken)
+
+    # a command that computes imports these and more
+    assert 0 < seconds([COMMAND, "export", "--help"]) < seconds([sys.executable, "-c", "import numpy, scipy.spatial"])
+
+
+def test_the_command_and_the_module_in_a_terminal_with_ascii_only():
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run([COMMAND, "scan", "--help"], env=environment, capture_output=True, check=False)
     assert done.returncode == 0
     assert b"EI/L?" in done.stdout
+    done = subprocess.run([sys.executable, "-m", "scan3d", "peel"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith('scan3d: Unknown command "peel"')
+
+
+def test_bash_completes_commands_options_and_values(call, tmp_path):
+    for shell in SHELLS:
+        script = call("completion", shell)[1]
+        for name in COMMANDS:
+            assert name in script, shell
+        assert "clip-dent" in script
+    (tmp_path / "bash").write_text(call("completion", "bash")[1])
+    for words, offers in (
+        (["scan3d", "sc"], {"scan"}),
+        (["scan3d", "scan", "--sp"], {"--spacing"}),
+        (["scan3d", "scan", "x.stl", "--spacing", ""], {"adaptive", "cosine", "uniform"}),
+        (["scan3d", "completion", ""], set(SHELLS)),
+    ):
+        line = f"COMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _scan3d"
+        code = f"source {tmp_path / 'bash'}; {line}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+        done = subprocess.run(["bash", "--norc", "-c", code], capture_output=True, text=True, check=True)
+        assert {word.strip() for word in done.stdout.split()} == offers
+
+
+def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, monkeypatch, no_pictures):
+    assert verbs.DEMO.read_bytes() == (MESHES / "gem.glb").read_bytes()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(verbs, "DEMO_SETTINGS", {"slices": 4, "sweeps": 4, "samples": 8})
+    code, stdout, _ = call("demo")
+    assert code == 0
+    assert "written to         scan3d-demo\n" in stdout
+    named = re.search(r"Open (\S+) in a browser", stdout)[1]
+    assert Path(named) == Path("scan3d-demo/view.html")
+    assert Path(named).is_file()
+    assert "Open" not in call("demo", "--quiet")[1]
 
 
 @pytest.mark.rendering
@@ -522,38 +532,6 @@ def test_quiet_prints_nothing(call, tmp_path, monkeypatch, no_pictures):
     assert stderr in ("", "scan3d: nothing to see\n")
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
-def test_progress_on_a_terminal(monkeypatch, tmp_path):
-    shown = {}
-    for quiet in ([], ["--quiet"]):
-        terminal = Terminal()
-        monkeypatch.setattr(sys, "stderr", terminal)
-        assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv"), *FEW, *quiet]) == 0
-        shown[bool(quiet)] = terminal.getvalue()
-    assert shown[True] == ""
-    assert shown[False].startswith("\rsimulate: starting")
-    assert "\rsimulate: simulating 3/3 slices" in shown[False]
-    # the line is erased: overwritten by blanks, with the cursor at the start
-    assert re.search(r"\r +\r$", shown[False])
-    assert "\n" not in shown[False]
-
-
-def test_ctrl_c_on_a_terminal_begins_a_line(monkeypatch, tmp_path):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("scan3d.simulation.scan.simulate", interrupted)
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv")]) == 130
-    # below the line that says what was interrupted, and below ^C
-    assert re.fullmatch(r"(\rsimulate: \w+ *\r)+\nscan3d: interrupted\n", terminal.getvalue())
-
-
 def test_hull_scans_a_body_that_is_not_convex(call, bad, tmp_path, no_pictures):
     code, stdout, _ = call(
         "scan", bad / "torus.stl", "--out", tmp_path / "out", "--hull", *FEW, "--slices", "6", "--json"
@@ -642,37 +620,6 @@ def test_settings_given_in_python():
         settings({"slises": 3})
     with pytest.raises(InputError, match="the command line: slices must be a whole number, got True"):
         settings({"slices": True})
-
-
-@pytest.mark.slow
-def test_every_method_of_the_surface_can_be_chosen(call, tmp_path, no_pictures):
-    assert choices.METHODS == surfaces.METHODS
-    # with few slices there is no cross-validation, and there are too few contacts for a fit
-    enough = ("--slices", "6", "--samples", "24")
-    for method, size, chosen in (
-        ("auto", FEW, "bracket"),
-        ("auto", ("--slices", "12", "--samples", "24"), "support"),
-        ("hull", FEW, "hull"),
-        ("bracket", FEW, "bracket"),
-        ("support", enough, "support"),
-    ):
-        code, stdout, _ = call("scan", EGG, "--out", tmp_path / method, *size, "--method", method, "--json")
-        assert code == 0
-        surface = json.loads(stdout)["surface"]
-        assert (surface["method"], surface["watertight"]) == (chosen, True)
-
-
-@pytest.mark.open3d
-@pytest.mark.parametrize(
-    "method",
-    [pytest.param("poisson", marks=pytest.mark.slow), pytest.param("ball-pivoting", marks=pytest.mark.trust)],
-)
-def test_open3ds_methods_can_be_chosen(call, tmp_path, no_pictures, method):
-    code, stdout, _ = call(
-        "scan", EGG, "--out", tmp_path, "--slices", "12", "--samples", "24", "--method", method, "--json"
-    )
-    assert code == 0
-    assert json.loads(stdout)["surface"]["method"] == method
 
 
 def test_a_method_that_the_body_does_not_allow(call, tmp_path, no_pictures):

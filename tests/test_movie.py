@@ -1,7 +1,6 @@
 """Movies: the rod of a sweep with its reactions growing beside it, and the body growing slice by slice."""
 
 import re
-import subprocess
 import sys
 import types
 from dataclasses import replace
@@ -14,9 +13,7 @@ from PIL import Image, ImageSequence
 from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d.choices import COLORS, MOVIES, VIEWS
-from scan3d.cli import main, showing
-from scan3d.cli.parser import parser
+from scan3d.cli import main, show
 from scan3d.pictures import movie, rendering, shading
 from scan3d.pictures.parts import evenly_chosen
 
@@ -184,7 +181,7 @@ def test_growth_without_a_renderer(egg, tmp_path, monkeypatch):
 )
 def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, capsys, what, name, sentence):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(showing, "read_scene", None)  # calling it would fail in another way
+    monkeypatch.setattr(show, "read_scene", None)  # calling it would fail in another way
     assert main(["show", "x", f"--{what}", str(tmp_path / name)]) == 1
     assert re.search(sentence, capsys.readouterr().err)
 
@@ -197,28 +194,3 @@ def test_a_movie_that_fails_leaves_no_file(tmp_path, monkeypatch, capsys):
     assert main(["show", str(CUBE), "--movie", str(tmp_path / "x.gif")]) == 1
     assert capsys.readouterr().err == "scan3d: no\n"
     assert not list(tmp_path.iterdir())
-
-
-def test_help_loads_no_library_for_pictures():
-    code = (
-        "import sys; from scan3d.cli.parser import parser; parser(); "
-        "print({'matplotlib', 'PIL', 'pyvista', 'numpy'} & {*sys.modules})"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
-
-
-@pytest.mark.parametrize(
-    ("option", "choices"),
-    [
-        ("--view", ("cloud", "surface", "bound", "compare", "explain", "histogram", "forces")),
-        ("--color", ("phase", "force", "friction", "error", "bending")),
-        ("--movie-of", ("sweep", "growth")),
-    ],
-)
-def test_choices_of_the_command_are_those_of_the_library(option, choices):
-    assert choices == {"--view": VIEWS, "--color": COLORS, "--movie-of": MOVIES}[option]
-    for choice in choices:
-        assert choice in vars(parser().parse_args(["show", "x", option, choice])).values()
-    with pytest.raises(SystemExit):
-        main(["show", "x", option, "dance"])

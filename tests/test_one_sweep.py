@@ -298,7 +298,7 @@ def test_options_of_one_sweep_are_refused_for_a_recording(tmp_path, capsys):
     path.write_text("sweep,x_m\n")
     for options, sentence in (
         (["--rod", ROD, "--out", "out"], "--rod can be used only with one sweep in one plane, which log.csv is not"),
-        ([], "the following arguments are required: --out"),
+        ([], "--out is missing"),
     ):
         assert main(["reconstruct", str(path), *options]) == 2
         assert sentence in capsys.readouterr().err

@@ -428,9 +428,7 @@ def test_what_has_no_surface_to_compare_with(folder, tmp_path, capsys):
     ],
 )
 def test_wrong_options_are_one_sentence(folder, tmp_path, capsys, options, sentence):
-    with pytest.raises(SystemExit) as leaving:
-        main(["show", str(folder), "--screenshot", str(tmp_path / "a.png"), *options])
-    assert leaving.value.code == 2
+    assert main(["show", str(folder), "--screenshot", str(tmp_path / "a.png"), *options]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert re.fullmatch(rf"scan3d: {sentence}.*; see 'scan3d show --help'\n", err)
@@ -445,14 +443,12 @@ def test_charts_have_no_camera(folder, tmp_path, capsys, view):
 
 @pytest.mark.parametrize("option", ["--size=85mm", "--dpi=300", "--camera=top"])
 def test_options_of_a_picture_need_one(folder, tmp_path, capsys, option):
-    with pytest.raises(SystemExit):
-        main(["show", str(folder), "--html", str(tmp_path / "a.html"), option])
+    assert main(["show", str(folder), "--html", str(tmp_path / "a.html"), option]) == 2
     assert f"{option.partition('=')[0]} is that of a picture: give --screenshot FILE as well" in capsys.readouterr().err
 
 
 def test_movies_are_not_of_differences(folder, tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main(["show", str(folder), "--movie", str(tmp_path / "a.gif"), "--against", str(folder)])
+    assert main(["show", str(folder), "--movie", str(tmp_path / "a.gif"), "--against", str(folder)]) == 2
     assert "--against is for a picture, a page or the window: leave out --movie" in capsys.readouterr().err
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from scan3d.cli.verbs import VERBS
+from scan3d.cli.commands import COMMANDS
 from tests.robustness import corpus, fuzz, runner
 
 # Every so many cases run in the fast lane, and in all tests; `make trust` runs every case.
@@ -80,38 +80,37 @@ def test_random_changes_are_made_for_every_command(tmp_path):
         folder = tmp_path / "attempt"
         tried.add(fuzz.attempt(random.Random(f"command:{number}"), source, folder)[0])
         shutil.rmtree(folder)
-    assert tried == {*VERBS} - {"doctor", "completion", "demo"}  # which read no files
+    assert tried == {*COMMANDS} - {"doctor", "completion", "demo"}  # which read no files
 
 
 @pytest.mark.slow
 def test_the_runner_notices_faults(tmp_path, monkeypatch):
     """The checks of the checks: what a command may do wrong is seen."""
-    import scan3d.cli.verbs as verbs
 
     def outcome(action, seconds=20):
         monkeypatch.setattr(runner, "SECONDS", seconds)
-        monkeypatch.setitem(verbs.VERBS, "doctor", action)
+        monkeypatch.setitem(COMMANDS, "doctor", action)
         return runner.run(["doctor"], tmp_path).fault
 
-    def fill(_):
+    def fill():
         import numpy as np
 
         return int(np.ones(5 << 26).sum()) * 0
 
-    def hang(_):
+    def hang():
         while True:
             pass
 
-    def warn(_):
+    def warn():
         import sys
 
         sys.stderr.write("RuntimeWarning: divided\n")
         return 0
 
-    assert outcome(lambda _: 0) == ""
-    assert outcome(lambda _: 1 // 0) == "traceback"
-    assert outcome(lambda _: 5) == "exit code 5"
-    assert outcome(lambda _: 1) == "no sentence"
+    assert outcome(lambda: 0) == ""
+    assert outcome(lambda: 1 // 0) == "traceback"
+    assert outcome(lambda: 5) == "exit code 5"
+    assert outcome(lambda: 1) == "no sentence"
     assert outcome(warn) == "warning on stderr"
     assert outcome(fill) == "memory"
     assert outcome(hang, seconds=1) == "hang"

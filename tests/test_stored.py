@@ -10,7 +10,7 @@ import trimesh
 from small_scans import CUBE, EGG, scanned_folder, scanned_in_space
 
 import scan3d
-from scan3d.cli import main, showing
+from scan3d.cli import main, show
 from scan3d.files.ply import ply
 from scan3d.pictures import rendering, stored
 from scan3d.pictures.parts import contact_paths, shown_sweep
@@ -69,7 +69,7 @@ def test_a_report_names_no_place_outside_its_folder(folder):
 
 
 def test_a_folder_is_shown_as_it_was_scanned(folder):
-    scene = showing.read_scene(folder, None, False, "mm")
+    scene = show.read_scene(folder, None, False, "mm")
     assert (scene.name, scene.unit) == ("egg", "mm")
     assert scene.truth.extents == pytest.approx(scan3d.load_mesh(EGG).extents)
     log = scan3d.read_recording(folder / "recording.csv")
@@ -78,7 +78,7 @@ def test_a_folder_is_shown_as_it_was_scanned(folder):
     assert len(scene.bound) == len(scene.surface.vertices)
     assert dict(scene.key_figures)["contacts"] == str(len(scene.points))
     # a recording alone gives the same, but for the truth
-    alone = showing.read_scene(folder / "recording.csv", None, False, "mm")
+    alone = show.read_scene(folder / "recording.csv", None, False, "mm")
     assert np.array_equal(alone.points, scene.points)
     assert np.asarray(alone.surface.vertices) == pytest.approx(np.asarray(scene.surface.vertices))
     assert alone.bound == pytest.approx(scene.bound, rel=1e-6)
@@ -86,7 +86,7 @@ def test_a_folder_is_shown_as_it_was_scanned(folder):
 
 
 def test_plys_and_meshes(folder, tmp_path):
-    cloud, surface = (showing.read_scene(folder / f"{name}.ply", None, False, "in") for name in ("cloud", "surface"))
+    cloud, surface = (show.read_scene(folder / f"{name}.ply", None, False, "in") for name in ("cloud", "surface"))
     assert cloud.unit == surface.unit == "mm"  # as the files say
     assert cloud.surface is None
     assert surface.contacts is None
@@ -94,12 +94,12 @@ def test_plys_and_meshes(folder, tmp_path):
 
     points = np.random.default_rng(0).normal(size=(50, 3))
     trimesh.PointCloud(points).export(tmp_path / "foreign.ply")
-    foreign = showing.read_scene(tmp_path / "foreign.ply", None, False, "in")
+    foreign = show.read_scene(tmp_path / "foreign.ply", None, False, "in")
     assert foreign.unit == "in"
     assert foreign.points == pytest.approx(points, rel=1e-6)
     scan3d.load_mesh(CUBE).export(tmp_path / "mesh.ply", encoding="ascii")
     for path in (CUBE, tmp_path / "mesh.ply"):
-        mesh = showing.read_scene(path, str(EGG), False, "mm")
+        mesh = show.read_scene(path, EGG, False, "mm")
         assert mesh.surface.extents == pytest.approx([40.0, 40.0, 40.0])
         assert mesh.truth is not None
 
@@ -109,7 +109,7 @@ def test_contacts_in_one_plane_are_still_shown(folder, tmp_path):
     rows = log.sweep == np.unique(log.sweep)[5]
     columns = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
     scan3d.write_recording(replace(log, **{name: getattr(log, name)[rows] for name in columns}), tmp_path / "one.csv")
-    scene = showing.read_scene(tmp_path / "one.csv", None, False, "mm")
+    scene = show.read_scene(tmp_path / "one.csv", None, False, "mm")
     assert scene.surface is None
     assert len(scene.points) > 3
 

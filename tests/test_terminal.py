@@ -1,159 +1,131 @@
-"""What a terminal sees: tables and colour where they are supported, examples under the help, and how soon."""
+"""What a terminal sees: bold key figures where they are supported, and the progress of a run; and what a pipe sees."""
 
 import io
-import os
+import json
 import re
-import shlex
-import subprocess
 import sys
-from importlib.metadata import version
-from pathlib import Path
 
 import pytest
+from small_scans import CUBE
 
 from scan3d.cli import main, terminal
-from scan3d.cli.parser import _EXAMPLES, parser
+from scan3d.cli.terminal import Progress, duration, one_line, printable, printable_json
 
-CUBE = Path(__file__).parents[1] / "meshes" / "cube.stl"
-COMMAND = Path(sys.executable).with_name("scan3d")
+SIZE = ["--slices", "3", "--sweeps", "4", "--samples", "8"]
 HEADING = "248222 contacts of 259840 samples"
-ROWS = [
-    ("contact error", "1.3e-13 mm at most (3.0e-15 rod lengths)"),
-    ("surface", "support, 81920 faces, watertight"),
-    ("written to", "out"),
-]
-TEXT = """\
-248222 contacts of 259840 samples
+ROWS = [("contact error", "1.3e-13 mm at most (3.0e-15 rod lengths)"), ("written to", "out")]
+TEXT = f"""\
+{HEADING}
 contact error      1.3e-13 mm at most (3.0e-15 rod lengths)
-surface            support, 81920 faces, watertight
 written to         out"""
 
 
 class Stream(io.StringIO):
-    """A stream with an encoding, which is a terminal or not."""
-
-    def __init__(self, terminal=True, encoding="utf-8"):
+    def __init__(self, is_terminal=True):
         super().__init__()
-        self.terminal, self.name = terminal, encoding
+        self.is_terminal = is_terminal
 
     def isatty(self):
-        return self.terminal
-
-    @property
-    def encoding(self):
-        return self.name
-
-
-def bare(text):
-    return re.sub("\x1b\\[[0-9]*m", "", text)
-
-
-def test_a_pipe_and_a_teletype_get_plain_text():
-    assert terminal.table(HEADING, ROWS, Stream(terminal=False), {"TERM": "xterm"}) == TEXT
-    assert terminal.table(HEADING, ROWS, Stream(), {"TERM": "dumb"}) == TEXT
-    assert terminal.table(HEADING, ROWS, None, {"TERM": "xterm"}) == TEXT
-
-
-def test_a_terminal_gets_a_table_with_its_key_figures_bold(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "linux")
-    table = terminal.table(HEADING, ROWS, Stream(), {"TERM": "xterm"})
-    assert bare(table).splitlines() == [
-        "248222 contacts of 259840 samples",
-        "─" * 61,
-        "contact error      │ 1.3e-13 mm at most (3.0e-15 rod lengths)",
-        "surface            │ support, 81920 faces, watertight",
-        "written to         │ out",
-    ]
-    bold = re.findall("\x1b\\[1m(.*?)\x1b\\[0m", table)
-    assert bold == ["248222 contacts of 259840 samples", "1.3e-13 mm at most", "support", "out"]
-    assert table.endswith("\x1b[0m")
+        return self.is_terminal
 
 
 @pytest.mark.parametrize(
-    ("environment", "platform", "colour"),
+    ("is_terminal", "environment", "platform", "bold"),
     [
-        ({"TERM": "xterm"}, "linux", True),
-        ({"TERM": "xterm", "NO_COLOR": ""}, "linux", True),  # no-color.org: only if present and not empty
-        ({"TERM": "xterm", "NO_COLOR": "1"}, "linux", False),
-        ({}, "win32", False),
-        ({"WT_SESSION": "1"}, "win32", True),
+        (True, {"TERM": "xterm"}, "linux", True),
+        (True, {"TERM": "xterm", "NO_COLOR": ""}, "linux", True),  # no-color.org: only if present and not empty
+        (True, {"TERM": "xterm", "NO_COLOR": "1"}, "linux", False),
+        (True, {"TERM": "dumb"}, "linux", False),
+        (False, {"TERM": "xterm"}, "linux", False),
+        (True, {}, "win32", False),
+        (True, {"WT_SESSION": "1"}, "win32", True),
     ],
 )
-def test_colour_only_where_it_is_supported_and_wanted(monkeypatch, environment, platform, colour):
+def test_key_figures_are_bold_only_where_that_is_supported_and_wanted(
+    monkeypatch, is_terminal, environment, platform, bold
+):
+    monkeypatch.setattr(terminal.os, "environ", environment)
     monkeypatch.setattr(sys, "platform", platform)
-    table = terminal.table(HEADING, ROWS, Stream(), environment)
-    assert ("\x1b" in table) == colour
-    assert "surface            │ support" in bare(table)
+    monkeypatch.setattr(sys, "stdout", Stream(is_terminal))
+    table = terminal.table(HEADING, ROWS)
+    assert re.sub("\x1b\\[[0-9]*m", "", table) == TEXT
+    found = re.findall("\x1b\\[1m(.*?)\x1b\\[0m", table)
+    assert found == ([HEADING, "1.3e-13 mm at most", "out"] if bold else [])
 
 
-@pytest.mark.parametrize("encoding", ["ascii", None, "no such encoding"])
-def test_a_terminal_without_line_characters_gets_ascii(encoding):
-    table = bare(terminal.table(HEADING, ROWS, Stream(encoding=encoding), {"TERM": "xterm"}))
-    assert "surface            | support" in table
-    assert table.splitlines()[1] == "-" * 61
+def test_what_a_terminal_obeys_is_escaped():
+    assert printable("a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ") == r"a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ"
+    assert printable_json('{\n "a": "\x9b\u202e"\n}') == '{\n "a": "\\u009b\\u202e"\n}'
+    assert one_line("a\nb\r\nc\td") == r"a b c\x09d"
+    assert len(one_line("1" * 10_000)) < 1100
 
 
-def test_the_command_draws_a_table_on_a_terminal_only(tmp_path, monkeypatch):
+# --- progress ---
+
+
+def shown(monkeypatch, *arguments, stream=None):
+    """What a command writes to stderr, without control sequences."""
+    stream = Stream() if stream is None else stream
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    output = {}
-    for terminal_ in (True, False):
-        stream = Stream(terminal_)
-        monkeypatch.setattr(sys, "stdout", stream)
-        assert main(["compare", str(CUBE), str(CUBE)]) == 0
-        output[terminal_] = stream.getvalue()
-    assert "Hausdorff distance │ 0 mm" in bare(output[True])
-    assert output[False].startswith("Hausdorff distance 0 mm")
-    assert "\x1b" not in output[False]
-
-
-def test_no_progress_on_a_teletype(tmp_path, monkeypatch):
-    monkeypatch.setenv("TERM", "dumb")
-    stream = Stream()
     monkeypatch.setattr(sys, "stderr", stream)
-    few = ("--slices", "3", "--sweeps", "4", "--samples", "8")
-    assert main(["simulate", str(CUBE), "--out", str(tmp_path / "log.csv"), *few]) == 0
+    code = main([str(argument) for argument in arguments])
+    return code, re.sub("\x1b\\[[0-9?]*[a-zA-Z]", "", stream.getvalue())
+
+
+def test_a_terminal_sees_what_is_done(monkeypatch, tmp_path, no_pictures):
+    seen = []
+    tell = Progress.tell
+    monkeypatch.setattr(Progress, "tell", lambda *a, **k: (seen.append(a[1:]), tell(*a, **k))[1])
+    code, written = shown(monkeypatch, "scan", CUBE, "--out", tmp_path / "out", *SIZE)
+    assert code == 0
+    # each step of the report, with its parts where they are counted
+    words = [told[0] for told in seen]
+    steps = json.loads((tmp_path / "out" / "report.json").read_text())["timings_s"]
+    assert set(steps) == set(terminal._STEPS)
+    assert [word for word in terminal._STEPS.values() if word not in words] == []
+    assert ("simulating 3/3 slices", 3, 3) in seen
+    assert written.startswith("\rscan: starting") or "scan: starting" in written
+
+
+def test_nothing_is_shown_on_a_teletype_in_a_pipe_or_with_quiet(monkeypatch, tmp_path):
+    simulate = ["simulate", CUBE, "--out", tmp_path / "log.csv", *SIZE]
+    assert shown(monkeypatch, *simulate, stream=Stream(False)) == (0, "")
+    assert shown(monkeypatch, *simulate, "--quiet") == (0, "")
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setattr(sys, "stderr", stream := Stream())
+    assert main([str(word) for word in simulate]) == 0
     assert stream.getvalue() == ""
 
 
-# --- help ---
+def test_long_runs_leave_few_lines_in_a_pipe(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    monkeypatch.setattr(sys, "stderr", stream := Stream(False))
+    with Progress("scan", quiet=False) as progress:
+        count = progress.counter("slices")
+        progress.step("load")
+        for second in range(3600):
+            now += 1
+            count(second + 1, 3600)
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 9  # after 10, 20, 40, ... 2560 seconds
+    assert lines[0] == "scan3d: simulating 10/3600 slices, 10 s so far"
+    assert lines[-1] == "scan3d: simulating 2560/3600 slices, 42 min 40 s so far"
 
 
-def test_every_command_has_examples_that_run(capsys):
-    choices = next(action for action in parser()._actions if action.choices).choices
-    assert set(_EXAMPLES) <= set(choices)
-    for name, text in _EXAMPLES.items():
-        with pytest.raises(SystemExit, match="0"):
-            main([name, "--help"])
-        stdout = capsys.readouterr().out
-        assert stdout.endswith(f"examples:\n{text}\n")
-        for line in text.splitlines():
-            # without what the shell removes: the redirection, and $(…) around the command
-            line = line.partition(" > ")[0].strip().removeprefix('eval "$(').removesuffix(')"')
-            words = shlex.split(line)
-            assert words[:2] == ["scan3d", name]
-            assert parser().parse_args(words[1:]).command == name
+def test_a_message_stays_and_a_closed_stream_does_no_harm(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", stream := Stream())
+    with Progress("scan", quiet=False) as progress:
+        progress.say("no [pictures]")
+        assert "scan3d: no [pictures]\n" in re.sub("\x1b\\[[0-9?]*[a-zA-Z]", "", stream.getvalue())
+        monkeypatch.setattr(sys, "stderr", io.StringIO())
+        stream.close()
+        progress.tell("on")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["export", "--help"], ["--version"], ["completion", "bash"]])
-def test_help_is_quick(arguments):
-    def seconds(command):
-        """Of the processor, because tests run side by side and wait for each other; the best of three."""
-        taken = []
-        for _ in range(3):
-            before = os.times()
-            subprocess.run(command, capture_output=True, check=True)
-            after = os.times()
-            taken.append(sum(after[2:4]) - sum(before[2:4]))  # of child processes, in user and in system mode
-        return min(taken)
-
-    # a command that computes imports these and as much again
-    assert 0 < seconds([COMMAND, *arguments]) < seconds([sys.executable, "-c", "import numpy, scipy.spatial"])
-
-
-def test_the_package_runs_as_a_module():
-    done = subprocess.run([sys.executable, "-m", "scan3d", "--version"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, version("scan3d") + "\n", "")
-    done = subprocess.run([sys.executable, "-m", "scan3d", "peel"], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("scan3d: argument COMMAND: invalid choice: 'peel'")
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(12.3, "12 s"), (59.7, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")]
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text

@@ -41,7 +41,7 @@ def test_commands_use_one_thread_for_linear_algebra_unless_told_otherwise(stated
     """The threads of OpenBLAS are chosen when numpy is imported."""
     environment = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
     code = (
-        "import io, os, sys; from contextlib import redirect_stdout; from scan3d.cli.command import run\n"
+        "import io, os, sys; from contextlib import redirect_stdout; from scan3d.cli.commands import run\n"
         "with redirect_stdout(io.StringIO()):\n"
         "    code = run([])\n"
         "print(code, 'numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])"

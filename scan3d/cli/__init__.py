@@ -15,7 +15,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         with Interruptions(ends_process=argv is None) as interruptions:
             # imported here, so that Ctrl-C during the import is handled as well
-            from scan3d.cli.command import run
+            from scan3d.cli.commands import run
 
             interruptions.code = run(argv)
         return interruptions.code

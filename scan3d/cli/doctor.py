@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import platform
 import re
 import shlex
-import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
+from scan3d.cli.options import Output
+from scan3d.cli.terminal import printable_json, table
 from scan3d.processes import python
 
 # Packages that every scan needs, and what the others are used for.
-NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow")
+NEEDED = ("numpy", "scipy", "trimesh", "pyvista", "matplotlib", "pillow", "cyclopts", "rich")
 OPTIONAL = {
     "open3d": "the surfaces poisson and ball-pivoting, and to_open3d",
     "imageio-ffmpeg": "movies as .mp4",
@@ -37,11 +35,33 @@ scan3d.compare(scan3d.surface(scan3d.reconstruct(recording)), body)
 """
 
 
+def doctor(*, output: Output = Output()) -> int:
+    """What works on this machine, what is missing, and how to install it.
+
+    For example:
+      scan3d doctor
+      scan3d doctor --json
+    """
+    import json
+
+    output.progress.tell("trying what the commands need")
+    state = examine()
+    output.progress.end()
+    # `files.text` is not used here, because it needs numpy, which may be missing
+    if output.json:
+        print(printable_json(json.dumps(state, indent=2)))
+    elif not output.quiet:
+        print(table("", summary(state)))
+    return 0 if state["ok"] else 1
+
+
 def examine() -> dict[str, Any]:
     """Try what the commands need.
 
     Returns plain values: `ok` states whether a scan works, `missing` lists what is missing and the command that installs it.
     """
+    import platform
+
     packages = {name: _version(name) for name in (*NEEDED, "vtk", *OPTIONAL)}
     scan_error = _error_of(_SCAN)
     open3d_error = _error_of("import open3d")
@@ -110,6 +130,8 @@ def _missing(what: str, use: str, why: str, command: str | None) -> dict[str, st
 
 
 def _version(name: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version
+
     # open3d is distributed under two names
     for distribution in (name, f"{name}-cpu"):
         try:
@@ -121,6 +143,8 @@ def _version(name: str) -> str | None:
 
 def _pip(name: str) -> str:
     """The command that installs a package in the version that scan3d requires."""
+    from importlib.metadata import requires
+
     if name == "open3d":
         requirement = "scan3d[open3d]"  # which of its two distributions suits the machine
     else:
@@ -135,6 +159,8 @@ def _apt(packages: str) -> str | None:
 
 def _error_of(code: str) -> str | None:
     """The last line of the error message of a child process that runs the code; None if it succeeds."""
+    import subprocess  # it is not imported for the help of other commands
+
     try:
         completed = subprocess.run(python(code), capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -157,6 +183,8 @@ def _can_render() -> bool:
 
 def _recordings() -> dict[str, str | None]:
     """The error message for recordings of each ending that this version knows; None if writing and reading succeed."""
+    from tempfile import TemporaryDirectory
+
     try:
         import numpy as np
 

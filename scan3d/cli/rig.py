@@ -1,174 +1,291 @@
-"""The commands for a rig: poses for an unknown body, and the log of a rig that is computed."""
+"""The commands of a rig: poses for an unknown body, the log of a rig that is computed, import and calibration."""
 
 from __future__ import annotations
 
 import dataclasses
-from argparse import Namespace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from scan3d.cli.terminal import printable
-from scan3d.errors import InputError
+from cyclopts import Group, Parameter
+
+from scan3d.choices import Model, Tare
+from scan3d.cli.options import Body, File, Flag, Mesh, Number, Options, Output, Overwrite, Rig
+from scan3d.cli.terminal import print_result, printable, printable_json, say, table
+from scan3d.errors import InputError, UsageError
 from scan3d.rods import parse_rod
-from scan3d.settings import Settings, UsageError
+from scan3d.units import UNITS_M, Unit
 
 if TYPE_CHECKING:
+    from scan3d.laboratory.importing import Imported
+    from scan3d.laboratory.tables import RawTable
     from scan3d.simulation.rig import RawLog
 
-Outcome = tuple[dict[str, Any], str, tuple[str, ...]]
-"""What a command did: the data for --json, the text that is printed otherwise, and warnings."""
-
-# Settings of a simulated scan that do not concern a rig with given poses, with what to do instead.
+RIG_OPTIONS = Parameter(
+    group=Group("Rig", help="A rig that goes through a list of poses, in the place of a scan."), show_default=False
+)
+# Settings of a simulated scan that do not concern a rig with given poses.
 _SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "noise", "method")
+# Rows that a trial run of an import prints, and stretches in the air that are listed.
+_FIRST, _LISTED = 6, 3
 
 
-def plan(arguments: Namespace) -> Outcome:
-    """Write poses for an unknown body."""
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Limits:
+    """Where the clamp may go, and how.
+
+    Parameters
+    ----------
+    samples
+        poses per sweep
+    clearance
+        distance of the clamp from the bounding body, in rod lengths
+    max_force
+        largest contact force in N, by which the clamp keeps farther away
+    floor
+        height above which clamp and straight rod stay (default: 2 % of the bounding body's height)
+    workspace
+        where the clamp may go, written as the bounding body
+    speed
+        of the clamp, per second
+    """
+
+    samples: Number = 128
+    clearance: float = 0.3
+    max_force: float | None = None
+    floor: float | None = None
+    workspace: Body | None = None
+    speed: float = 20.0
+
+    def of_plan(self) -> dict[str, Any]:
+        """As `RigPlan` takes them."""
+        from scan3d.planning.rig import parse_envelope
+
+        return {
+            "samples": self.samples,
+            "clearance": self.clearance,
+            "max_force_N": self.max_force,
+            "floor": self.floor,
+            "workspace": parse_envelope(self.workspace) if self.workspace else None,
+            "speed": self.speed,
+        }
+
+
+def plan(
+    *,
+    around: Body,
+    out: File,
+    model: Model = "planar",
+    slices: Number = 32,
+    sweeps: Number | None = None,
+    rod: str = "auto",
+    limits: Limits = Limits(),
+    unit: Unit = "mm",
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Poses for an unknown body, from a body around it.
+
+    For example:
+      scan3d plan --around cylinder:80x120 --out poses.csv
+      scan3d plan --around box:60x40x30 --out poses.yaml --model spatial --rod steel:0.3x70 --max-force 0.5
+      scan3d plan --around sphere:50 --out poses.csv --workspace box:400x400x300 --speed 10
+
+    Parameters
+    ----------
+    around
+        bounding body, standing on z = 0 about the z axis: cylinder:DxH, sphere:D or box:AxBxC
+    out
+        the poses, .csv, or .yaml for ROS; a .toml is written as well
+    model
+        model of contact
+    slices
+        number of slices
+    sweeps
+        sweeps per slice (default 4), or in the spatial model per direction (default 0.6 times the slices)
+    rod
+        MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, or auto: a length that fits
+    unit
+        unit of the bounding body, of floor, workspace and speed
+    """
     from scan3d.files.poses import check_poses, write_poses
     from scan3d.files.whole import folder
     from scan3d.planning.rig import FORCE_FACTOR, RigPlan, parse_envelope, plan_poses
 
-    check_poses(arguments.out, arguments.overwrite)
+    check_poses(out, overwrite)
     try:
         chosen = RigPlan(
-            around=parse_envelope(arguments.around),
-            model=arguments.model,
-            slices=arguments.slices,
-            sweeps=arguments.sweeps,
-            rod=parse_rod(arguments.rod),
-            unit=arguments.unit,
-            **_limits(arguments),
+            around=parse_envelope(around),
+            model=model,
+            slices=slices,
+            sweeps=sweeps,
+            rod=parse_rod(rod),
+            unit=unit,
+            **limits.of_plan(),
         )
     except InputError as error:
         raise UsageError(str(error)) from None
     poses = plan_poses(chosen)
-    with folder(Path(arguments.out).parent):
-        write_poses(poses, arguments.out)
-    rod, clearance = chosen.resolved_rod(), chosen.resolved_clearance()
-    seconds, largest = float(poses.times()[-1]), FORCE_FACTOR * rod.force_unit_N / clearance**2
+    with folder(out.parent):
+        write_poses(poses, out)
+    used, clearance = chosen.resolved_rod(), chosen.resolved_clearance()
+    seconds, largest = float(poses.times()[-1]), FORCE_FACTOR * used.force_unit_N / clearance**2
     data = {
-        "poses": str(arguments.out),
+        "poses": str(out),
         "sweeps": len(poses.sweeps()),
         "rows": len(poses),
         "seconds": seconds,
         "clearance": clearance,
         "largest_force_N": largest,
         "rod": {
-            "length_m": rod.length_m,
-            "bending_stiffness_Nm2": rod.bending_stiffness_Nm2,
-            "diameter_m": rod.diameter_m,
+            "length_m": used.length_m,
+            "bending_stiffness_Nm2": used.bending_stiffness_Nm2,
+            "diameter_m": used.diameter_m,
         },
     }
     text = (
         f"{data['sweeps']} sweeps with {data['rows']} poses, {seconds / 60:.0f} minutes, for a rod of "
-        f"{1000 * rod.length_m:.4g} mm with {1000 * rod.diameter_m:.3g} mm diameter; forces stay below "
+        f"{1000 * used.length_m:.4g} mm with {1000 * used.diameter_m:.3g} mm diameter; forces stay below "
         f"{largest:.3g} N; written to {data['poses']}"
     )
-    return data, printable(text), ()
+    return print_result(output, data, printable(text))
 
 
-def _limits(arguments: Namespace) -> dict[str, Any]:
-    """The settings of `RigPlan` that `plan` and `next` have in common."""
-    from scan3d.planning.rig import parse_envelope
+def further(
+    folder: Path,
+    /,
+    *,
+    out: File,
+    tolerance: float = 0.0,
+    recording: File | None = None,
+    around: Body | None = None,
+    sweeps: Number = 24,
+    seed: Number = 0,
+    limits: Limits = Limits(),
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Poses of further sweeps, where what was measured leaves most room.
 
-    return {
-        "samples": arguments.samples,
-        "clearance": arguments.clearance,
-        "max_force_N": arguments.max_force,
-        "floor": arguments.floor,
-        "workspace": parse_envelope(arguments.workspace) if arguments.workspace else None,
-        "speed": arguments.speed,
-    }
+    For example:
+      scan3d next out --out further.csv --around cylinder:80x120
+      scan3d next out --recording log.csv --out further.csv --tolerance 0.01
 
-
-def further(arguments: Namespace) -> Outcome:
-    """Write poses where a folder's contacts leave most room."""
+    Parameters
+    ----------
+    folder
+        folder of a scan or a reconstruction
+    out
+        the poses, as of plan; a header only where the tolerance is met
+    tolerance
+        certified bound, relative to the diagonal, at which no more sweeps are needed
+    recording
+        the recording of a reconstruction (default: recording.csv in the folder)
+    around
+        bounding body, as of plan (default: that of the plan, or of the contacts)
+    sweeps
+        about how many sweeps
+    seed
+        of the directions of sweeps in space
+    """
+    from scan3d.files import whole
     from scan3d.files.poses import check_poses, write_header, write_poses
     from scan3d.files.recordings import read_recording, sidecar
-    from scan3d.files.whole import RECORDING, folder, read_report
+    from scan3d.files.whole import RECORDING, read_report
     from scan3d.planning.rig import parse_envelope
     from scan3d.session import Session, around_contacts
 
-    path = Path(arguments.recording or Path(arguments.folder) / RECORDING[0])
-    if arguments.recording is None and not path.exists():
+    path = recording or folder / RECORDING[0]
+    if recording is None and not path.exists():
         raise InputError(
-            f"there is no {RECORDING[0]} in {arguments.folder}; give the recording that was reconstructed with --recording"
+            f"there is no {RECORDING[0]} in {folder}; give the recording that was reconstructed with --recording"
         )
-    check_poses(arguments.out, arguments.overwrite, {"recording": path, "TOML file of the recording": sidecar(path)})
-    if arguments.sweeps < 1:
-        raise UsageError(f"sweeps must be a whole number of at least 1, got {arguments.sweeps}")
-    report = read_report(Path(arguments.folder))
-    recording = read_recording(path)
-    model: Any = report.get("model") or ("spatial" if recording.six_axis else "planar")
-    stated = arguments.around or recording.source.get("around") or around_contacts(recording, model)
+    check_poses(out, overwrite, {"recording": path, "TOML file of the recording": sidecar(path)})
+    if sweeps < 1:
+        raise UsageError(f"sweeps must be a whole number of at least 1, got {sweeps}")
+    report, measured = read_report(folder), read_recording(path)
+    model: Any = report.get("model") or ("spatial" if measured.six_axis else "planar")
+    stated = around or measured.source.get("around") or around_contacts(measured, model)
     try:
-        body, limits = parse_envelope(str(stated)), _limits(arguments)
+        body, limit = parse_envelope(str(stated)), limits.of_plan()
     except InputError as error:
         raise UsageError(str(error)) from None
-    session = Session(
-        body,
-        recording.rod,
-        model,
-        tolerance=arguments.tolerance,
-        seed=arguments.seed,
-        unit=recording.unit,
-        **limits,
-    )
-    session.tell(recording)
-    poses = session.ask(arguments.sweeps)
-    with folder(Path(arguments.out).parent):
+    session = Session(body, measured.rod, model, tolerance=tolerance, seed=seed, unit=measured.unit, **limit)
+    session.tell(measured)
+    poses = session.ask(sweeps)
+    with whole.folder(out.parent):
         if poses is None:
-            write_header(session.planned(), arguments.out)
+            write_header(session.planned(), out)
         else:
-            write_poses(poses, arguments.out)
+            write_poses(poses, out)
     bound = session.certificate.bound
     data = {
-        "poses": str(arguments.out),
+        "poses": str(out),
         "sweeps": 0 if poses is None else len(poses.sweeps()),
         "bound": bound,
         "relative_bound": session.relative_bound,
-        "tolerance": arguments.tolerance,
+        "tolerance": tolerance,
         "around": str(body),
     }
     known = "nothing bounds the body yet"
     if bound < float("inf"):
-        known = f"the body is known within {bound:.4g} {recording.unit} ({session.relative_bound:.2g} of the diagonal)"
+        known = f"the body is known within {bound:.4g} {measured.unit} ({session.relative_bound:.2g} of the diagonal)"
+    for warning in session.warnings:
+        output.progress.say(f"warning: {warning.message}")
     text = f"{known}; {data['sweeps']} further sweeps, written to {data['poses']}"
-    return data, printable(text), tuple(warning.message for warning in session.warnings)
+    return print_result(output, data, printable(text))
 
 
-def check_rig_options(arguments: Namespace) -> None:
-    """Raise UsageError for options that would have no effect."""
-    if arguments.poses is None:
-        for name in ("faults", "placed", "as_is"):
-            if getattr(arguments, name):
-                raise UsageError(f"--{name.replace('_', '-')} is for a rig: give --poses FILE as well")
-        return
-    given = [name for name in _SCAN_ONLY if name in vars(arguments)]
-    if given:
-        instead = "noise belongs into --faults" if given == ["noise"] else "give it to scan3d plan, or leave it out"
-        raise UsageError(f"--{given[0]} is a setting of a scan, and --poses says where the clamp goes; {instead}")
+def refuse_settings_of_scans(given: dict[str, Any]) -> None:
+    """Raises UsageError for settings that have no effect where a list of poses says where the clamp goes."""
+    wrong = [name for name in _SCAN_ONLY if name in given]
+    if wrong:
+        instead = "noise belongs into --faults" if wrong == ["noise"] else "give it to scan3d plan, or leave it out"
+        raise UsageError(f"--{wrong[0]} is a setting of a scan, and --poses says where the clamp goes; {instead}")
 
 
-def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
+def simulate_rig(
+    mesh: Path,
+    out: Path,
+    options: Options,
+    poses_file: Path,
+    faults_file: Path | None,
+    as_is: bool,
+    placed: Path | None,
+    overwrite: bool,
+    output: Output,
+) -> int:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
     from scan3d.files.poses import read_poses
-    from scan3d.files.raw_logs import map_path
+    from scan3d.files.raw_logs import check_log, map_path
     from scan3d.files.reading import read_toml
-    from scan3d.files.whole import folder
+    from scan3d.files.recordings import check_path, sidecar
+    from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
     from scan3d.simulation.faults import read_faults
 
+    chosen = options.chosen()
     plan = chosen.plan()
-    given = {*vars(arguments), *(read_toml(arguments.config) if arguments.config else ())}
-    _check_files(arguments)
-    poses = read_poses(arguments.poses)
-    faults = read_faults(arguments.faults) if arguments.faults else None
-    if faults is not None and "seed" in vars(arguments):
+    given = {*options.given(), *(read_toml(options.config) if options.config else ())}
+    check_path(out)
+    inputs = {"mesh": mesh, "list of poses": poses_file, "file of faults": faults_file}
+    inputs |= {"TOML file of the poses": sidecar(poses_file), "file of settings": options.config}
+    if faults_file:
+        check_log(out, inputs, overwrite)
+    else:
+        check_pair(out, sidecar(out), inputs, overwrite)
+    if placed:
+        if placed.suffix != ".ply":
+            raise InputError(f"the placed mesh is written as .ply, got {placed.name!r}")
+        check_file(placed, inputs, overwrite, "--placed")
+    poses = read_poses(poses_file)
+    faults = read_faults(faults_file) if faults_file else None
+    if faults is not None and "seed" in options.given():
         faults = dataclasses.replace(faults, seed=plan.seed)
-    body = load_mesh(arguments.mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
-    body = body if arguments.as_is else rig.standing(body)
+    body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+    body = body if as_is else rig.standing(body)
     log = rig.simulate_rig(
         body,
         poses,
@@ -181,12 +298,12 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
     )
     origin = {"mesh": body.metadata["file"], "mesh_sha256": body.metadata["sha256"]}
     log = dataclasses.replace(log, source=log.source | origin)
-    with folder(Path(arguments.out).parent):
-        _write(log, arguments.out)
-        if arguments.placed:
-            _write_placed(body, plan.unit, arguments.placed)
+    with folder(out.parent):
+        _write_log(log, out)
+        if placed:
+            _write_placed(body, plan.unit, placed)
     data: dict[str, Any] = {
-        "log": str(arguments.out),
+        "log": str(out),
         "rows": len(log),
         "sweeps": len(poses.sweeps()),
         "seconds": float(log.time_s[-1]),
@@ -195,32 +312,15 @@ def simulate_rig(arguments: Namespace, chosen: Settings) -> Outcome:
     }
     beside = ""
     if faults is not None:
-        data["map"] = str(map_path(arguments.out))
+        data["map"] = str(map_path(out))
         beside = f", with the map {data['map']}"
+    for warning in log.warnings:
+        output.progress.say(f"warning: {warning}")
     text = f"{data['rows']} rows of {data['sweeps']} sweeps, written to {data['log']}{beside}"
-    return data, printable(text), log.warnings
+    return print_result(output, data, printable(text))
 
 
-def _check_files(arguments: Namespace) -> None:
-    """Raise InputError for files that must not be written."""
-    from scan3d.files.raw_logs import check_log
-    from scan3d.files.recordings import check_path, sidecar
-    from scan3d.files.whole import check_file, check_pair
-
-    check_path(arguments.out)
-    inputs = {"mesh": arguments.mesh, "list of poses": arguments.poses, "file of faults": arguments.faults}
-    inputs |= {"TOML file of the poses": sidecar(arguments.poses), "file of settings": arguments.config}
-    if arguments.faults:
-        check_log(arguments.out, inputs, arguments.overwrite)
-    else:
-        check_pair(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
-    if arguments.placed:
-        if Path(arguments.placed).suffix != ".ply":
-            raise InputError(f"the placed mesh is written as .ply, got {Path(arguments.placed).name!r}")
-        check_file(arguments.placed, inputs, arguments.overwrite, "--placed")
-
-
-def _write(log: RawLog, path: str) -> None:
+def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
     from scan3d.files.raw_logs import RAW_COLUMNS, write_exact_log, write_log
@@ -239,7 +339,7 @@ def _write(log: RawLog, path: str) -> None:
     write_log(columns, dataclasses.asdict(log.rod), sensor, path, log.table_m)
 
 
-def _write_placed(body: Any, unit: str, path: str) -> None:
+def _write_placed(body: Any, unit: str, path: Path) -> None:
     """Write a mesh with coordinates of double precision."""
     import numpy as np
 
@@ -247,5 +347,305 @@ def _write_placed(body: Any, unit: str, path: str) -> None:
     from scan3d.files.whole import write_atomic
 
     vertices = np.asarray(body.vertices, dtype=float)
-    table = np.array(list(map(tuple, vertices)), dtype=[(name, "f8") for name in "xyz"])
-    write_atomic(path, ply(table, np.asarray(body.faces), comments=("scan3d surface", f"unit {unit}")), "--placed")
+    rows = np.array(list(map(tuple, vertices)), dtype=[(name, "f8") for name in "xyz"])
+    write_atomic(path, ply(rows, np.asarray(body.faces), comments=("scan3d surface", f"unit {unit}")), "--placed")
+
+
+def calibrate(
+    recording: Path,
+    /,
+    *,
+    out: File,
+    sphere: Annotated[float | None, Parameter(metavar="D")] = None,
+    plane: Flag = False,
+    mesh: Mesh | None = None,
+    unit: Unit = "mm",
+    tare: Tare = "auto",
+    pose_noise: float | None = None,
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Rod, clamp and sensor of a rig, from touches of a sphere, a plane or a known body.
+
+    The rod's stiffness and length, the clamp's offset and turn, the sensor's place and turn and its tare,
+    with uncertainties, from sweeps over a reference: a sphere of known diameter, a plane, or a convex body whose mesh
+    is known. Where the reference is need not be known.
+
+    For example:
+      scan3d calibrate touches.csv --sphere 30 --out rig.toml
+      scan3d calibrate touches.csv --plane --out rig.toml --pose-noise 0.02 --json
+      scan3d calibrate touches.csv --mesh gauge_block.stl --out rig.toml
+
+    Parameters
+    ----------
+    recording
+        the .csv of a recording; its .toml is in the same folder
+    out
+        the rig, a .toml
+    sphere
+        the reference is a sphere of this diameter, in mm or in --unit
+    plane
+        the reference is flat, such as a surface plate
+    mesh
+        the reference is the convex body of this mesh file, with coordinates in --unit
+    unit
+        unit of --sphere, --mesh and --pose-noise
+    tare
+        what the sensor shows in the air
+    pose_noise
+        standard deviation of the clamp's coordinates (default: estimated)
+    """
+    from scan3d.files.meshes import load_mesh
+    from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.files.text import to_json
+    from scan3d.laboratory.calibration import calibrate as calibrate_rig
+    from scan3d.laboratory.calibration_file import check_path, sections, write_rig
+    from scan3d.laboratory.rigged import not_rigged
+
+    if (sphere is not None) + plane + (mesh is not None) != 1:
+        raise UsageError("the reference is one of --sphere D, --plane and --mesh MESH")
+    inputs = {"recording": recording, "TOML file of the recording": sidecar(recording)}
+    if mesh is not None:
+        inputs["mesh"] = mesh
+    check_path(out, inputs, overwrite)
+    scale = UNITS_M[unit]
+    touches = read_recording(recording)
+    not_rigged(touches.source, "the recording")
+    reference: Any = "plane" if plane else load_mesh(mesh) if mesh is not None else scale * (sphere or 0.0)
+    noise = None if pose_noise is None else scale * pose_noise
+    found = calibrate_rig(touches, reference, unit=unit, tare=tare, pose_noise_m=noise)
+    write_rig(found, out, overwrite=True)  # checked above
+    output.progress.end()
+    if output.json:
+        print(printable_json(to_json(sections(found)).decode()), end="")
+    elif not output.quiet:
+        print("\n".join([*_quantities(found), printable(f"written to {out}")]))
+    if not output.quiet:
+        for sentence in found.sentences:
+            say(sentence)
+    return 0
+
+
+def rigged(recording: Any, rig: Path | None) -> Any:
+    """The recording, corrected by a rig if one is named."""
+    if rig is None:
+        return recording
+    from scan3d.laboratory.calibration_file import read_rig
+    from scan3d.laboratory.rigged import not_rigged
+
+    not_rigged(recording.source, "the recording")
+    return read_rig(rig).applied(recording)
+
+
+def _quantities(found: Any) -> list[str]:
+    """The quantities, their uncertainties, and what the fit says of its premises, as lines."""
+    lines = [f"{'quantity':24} {'value':>12} {'standard u':>11} {'expanded U':>11}  determined"]
+    for name, value, deviation, well in zip(
+        found.names, found.values, found.standard_deviations, found.well, strict=True
+    ):
+        if deviation == float("inf"):
+            lines.append(f"{name:24} {value:12.6g} {'-':>11} {'-':>11}  no, nominal")
+        else:
+            lines.append(
+                f"{name:24} {value:12.6g} {deviation:11.2g} {2 * deviation:11.2g}  {'well' if well else 'poorly'}"
+            )
+    details = found.details
+    lines.append(
+        f"chi2 per degree of freedom {found.chi2:.3f}, of the wrench alone {found.consistency:.3f}; pose noise "
+        f"{1e6 * found.pose_noise_m:.2g} um ({details['pose_noise']}); {details['contacts']} contacts, "
+        f"{details['tip_contacts']} of the tip, {details['air']} rows in the air, tare {details['tare']}"
+    )
+    return lines
+
+
+def import_(
+    raw: Path,
+    /,
+    *,
+    map: File | None = None,
+    rig: Rig = None,
+    after: File | None = None,
+    out: File | None = None,
+    guess: Flag = False,
+    dry_run: Flag = False,
+    html: File | None = None,
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """A recording from a laboratory's table, which a map describes.
+
+    For example:
+      scan3d import log.csv --map rig.toml --guess
+      scan3d import log.csv --map rig.toml --dry-run
+      scan3d import log.csv --map rig.toml --out specimen.csv
+      scan3d import log.csv --map rig.toml --rig calibrated.toml --out specimen.csv
+      scan3d import further.csv --map rig.toml --after specimen.csv --out both.csv
+      scan3d import run.bag --map rig.toml --out specimen.parquet
+
+    Parameters
+    ----------
+    raw
+        a text table with any delimiter, a Parquet file, or a ROS bag (.bag, or its folder)
+    map
+        TOML file that says what the columns mean
+    rig
+        the .toml of a calibrated rig, whose frames and rod replace those of the map
+    after
+        an earlier recording, whose sweeps come before those of the table in the new one
+    out
+        the recording, .csv or .parquet; a .toml of the same name is written as well
+    guess
+        write a first map by the names of the columns, to --map or beside RAW, and stop
+    dry_run
+        print what becomes of the first rows, and write a page with the curves only
+    html
+        a page with raw and converted curves (default with --dry-run: RAW with the ending .html)
+    """
+    if guess:
+        return _guess(raw, map, overwrite, output)
+    if map is None:
+        raise UsageError("--map says what the columns mean; --guess writes a first one")
+    if not (out or dry_run):
+        raise UsageError("--out names the recording; --dry-run only shows what would become of the table")
+    from scan3d.files.recordings import check_path, read_recording, sidecar, write_recording
+    from scan3d.files.whole import check_file, check_pair, folder, write_atomic
+    from scan3d.laboratory.importing import KIND, convert, load
+    from scan3d.laboratory.maps import read_map
+    from scan3d.laboratory.rigged import with_rig
+    from scan3d.recording import joined
+
+    inputs = {"table": raw, "map": map, "rig": rig}
+    if after:
+        inputs |= {"recording before": after, "TOML file of the recording before": sidecar(after)}
+    if out:
+        check_path(out)
+    written = None if dry_run else out
+    if written:
+        check_pair(written, sidecar(written), inputs, overwrite, kind=KIND)
+    page = html or (raw.with_suffix(".html") if dry_run else None)
+    if page:
+        check_file(page, inputs, overwrite, "--html")
+    chosen = read_map(map)
+    if rig:
+        chosen = with_rig(chosen, str(rig))
+    source = load(raw, chosen)
+    imported = convert(source, chosen)
+    if written:
+        with folder(written.parent):
+            before = [read_recording(after)] if after else []
+            write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
+    header, rows = _first_rows(source, imported)
+    facts = _facts(imported)
+    if page:
+        write_atomic(page, _page(imported, facts, header, rows), "--html")
+    paths = {"recording": str(written) if written else None, "page": str(page) if page else None}
+    places = [("written to", path) for path in paths.values() if path]
+    text = table(f"{imported.summary.table}, imported", [*facts, *places])
+    if dry_run:
+        text += "\n\n" + _aligned(header, rows)
+    print_result(output, dataclasses.asdict(imported.summary) | paths, text)
+    for note in imported.summary.notes:
+        say(f"note: {note}")
+    return 0
+
+
+def _guess(raw: Path, map_file: Path | None, overwrite: bool, output: Output) -> int:
+    from scan3d.files.whole import folder, write_atomic
+    from scan3d.laboratory.guessing import guess_map
+
+    path = map_file or raw.with_suffix(".map.toml")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path} exists already; give --overwrite to replace it, or choose another place with --map")
+    guess = guess_map(raw)
+    with folder(path.parent, "--map"):
+        write_atomic(path, guess.text.encode(), "--map")
+    text = printable(f"a first map, written to {path}; check every line, and complete: {', '.join(guess.open)}")
+    return print_result(output, {"map": str(path), "open": list(guess.open)}, text)
+
+
+def _aligned(header: list[str], rows: list[list[str]]) -> str:
+    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
+    return "\n".join(
+        printable("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
+        for row in [header, *rows]
+    )
+
+
+def _first_rows(raw: RawTable, imported: Imported) -> tuple[list[str], list[list[str]]]:
+    """The first rows of the recording, with the rows of the table that they come from."""
+    recording, log = imported.recording, imported.log
+    header = ["row", "fx", "fy", "fz", "mx", "my", "mz", "", "sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
+    header += ["fx_N", "fy_N", "mz_Nm"]
+    rows = []
+    for k in range(min(_FIRST, len(recording))):
+        source = int(imported.kept[k])
+        shown = [f"{value:.4g}" for value in log.wrench[source]]
+        pose = [*recording.position_m[k], *recording.quaternion[k]]
+        made = [*recording.force_N[k], recording.moment_Nm[k]]
+        line = str(int(log.row[source]) + (raw.first or 1))
+        rows.append(
+            [
+                line,
+                *shown,
+                "→",
+                str(recording.sweep[k]),
+                *(f"{value:.4f}" for value in pose),
+                *(f"{value:.4g}" for value in made),
+            ]
+        )
+    return header, rows
+
+
+def _facts(imported: Imported) -> list[tuple[str, str]]:
+    """What was done, as rows (label, value)."""
+    done = imported.summary
+    rate = "" if done.rate_hz is None else f" in {done.seconds:.4g} s, {done.rate_hz:.4g} Hz"
+    left_out = ", ".join(f"{count} {reason}" for reason, count in done.left_out.items() if count) or "none"
+    rows = [
+        ("table", f"{done.rows} rows{rate}"),
+        (
+            "recording",
+            f"{done.samples} samples in {done.sweeps} sweeps, {done.sweeps_with_contact} of them with contact",
+        ),
+        ("left out", left_out),
+        ("axes", "six, for the model in space" if done.six_axis else "three, for the planar model"),
+    ]
+    if done.air:
+        unit = "s" if done.rate_hz is not None else "rows"
+        some = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in done.air[:_LISTED]) + (
+            ", ..." if len(done.air) > _LISTED else ""
+        )
+        force, moment = (max(abs(x) for x in part) for part in (done.zero[:3], done.zero[3:]))
+        change = tuple(max(part) for part in (done.drift[:3], done.drift[3:]))
+        rows += [
+            ("in the air", f"{len(done.air)} stretches, {100 * done.air_fraction:.3g} % of the rows: {some} {unit}"),
+            ("zero taken off", f"up to {1e3 * force:.3g} mN and {1e6 * moment:.3g} mN mm"),
+            ("drift", f"up to {1e3 * change[0]:.3g} mN and {1e6 * change[1]:.3g} mN mm"),
+        ]
+    else:
+        rows.append(("in the air", "not tared"))
+    noise = f"{1e3 * done.noise_force_N:.3g} mN and {1e6 * done.noise_moment_Nm:.3g} mN mm, standard deviations"
+    filtered = "" if done.noise_factor == 1 else f"; the filter leaves {done.noise_factor:.2g} of white noise"
+    return [*rows, ("noise", noise + filtered)]
+
+
+def _page(imported: Imported, facts: list[tuple[str, str]], header: list[str], rows: list[list[str]]) -> bytes:
+    from scan3d.pictures.import_page import ImportView, import_page
+
+    return import_page(
+        ImportView(
+            name=imported.summary.table,
+            clock=imported.clock - imported.clock[0],
+            clock_label="row" if imported.log.time_s is None else "time in s",
+            raw=imported.log.wrench,
+            zero=imported.zero,
+            air=imported.air,
+            converted=imported.wrench,
+            sweep=imported.sweep,
+            position_mm=imported.position_m * 1e3,
+            facts=facts,
+            notes=imported.summary.notes,
+            header=header,
+            rows=rows,
+        )
+    )

@@ -1,26 +1,42 @@
-"""Summaries: a table on a terminal, coloured where the terminal supports it, and plain text in a pipe or a file."""
+"""What is printed: results on stdout, and on stderr what a command is doing and how long it will take."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
-from argparse import Namespace
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any
+
+from scan3d.cli.options import Output
 
 # Characters of a label: the longest label, "Hausdorff distance", fits exactly.
 _LABEL = 18
 # The key figure of a value: the text before the first comma or parenthesis.
 _KEY = re.compile(r"[^,(]*[^,( ]")
-# Control sequences of ANSI terminals (ECMA-48): bold, dim, and back to normal.
-_BOLD, _DIM, _OFF = "\x1b[1m", "\x1b[2m", "\x1b[0m"
-
 # Characters that a terminal obeys instead of showing them: the control characters (C0, DEL, C1), the line and paragraph
 # separators, the marks that turn the direction of writing (Unicode's "Trojan source"), and surrogates, which are no characters.
 _OBEYED = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 # Characters of a message; a longer one, such as one that repeats a number of 400 digits, loses its middle.
 _LONGEST = 1000
+# Seconds after which a run that has no terminal writes its first line; each further one comes after twice the time of the one
+# before, so that short runs leave no lines in logs.
+_FIRST_LINE_S = 10.0
+# The steps of a scan, by their names in `timings_s` of a report.
+_STEPS = {
+    "load": "reading",
+    "simulate": "simulating",
+    "reconstruct": "contacts and normals",
+    "check": "agreement with the model",
+    "bounds": "bounds",
+    "surface": "surface",
+    "certificate": "certificate",
+    "compare": "comparison with the mesh",
+    "pictures": "pictures and page",
+    "write": "writing",
+}
 
 
 def printable(text: str) -> str:
@@ -47,69 +63,120 @@ def one_line(message: str) -> str:
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
 
 
-def is_terminal(stream: Any, environment: Mapping[str, str] = os.environ) -> bool:
+def say(sentence: str) -> None:
+    """Write a message to stderr."""
+    print(f"scan3d: {one_line(sentence)}", file=sys.stderr)
+
+
+def is_terminal(stream: Any) -> bool:
     """Whether the stream is a terminal that can move its cursor."""
-    return stream is not None and stream.isatty() and environment.get("TERM") != "dumb"
+    return stream is not None and stream.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def is_colourful(stream: Any, environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether the stream is a terminal that supports colour.
+def table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
+    """Rows (label, value) under a heading, which may be empty, as text for stdout.
 
-    Colour is switched off by NO_COLOR (no-color.org), and is not supported by the old console of Windows.
+    On a terminal heading and key figures are bold, unless NO_COLOR (no-color.org) is set or it is the old console of Windows.
     """
-    old_console = sys.platform == "win32" and "WT_SESSION" not in environment
-    return is_terminal(stream, environment) and not environment.get("NO_COLOR") and not old_console
-
-
-def table(
-    heading: str, rows: Iterable[tuple[str, str]], stream: Any, environment: Mapping[str, str] = os.environ
-) -> str:
-    """Rows (label, value) under a heading, which may be empty, as text for the stream.
-
-    On a terminal the key figures are bold, and there is a rule under the heading and between label and value.
-    """
-    heading = printable(heading)
-    rows = [(label, printable(value)) for label, value in rows]
-    plain = [f"{label:{_LABEL}} {value}" for label, value in rows]
-    if not is_terminal(stream, environment):
-        return "\n".join([*([heading] if heading else []), *plain])
-    bold, dim, off = (_BOLD, _DIM, _OFF) if is_colourful(stream, environment) else ("", "", "")
-    bar, rule = ("│", "─") if _encodes("│─", stream) else ("|", "-")
-    lines = []
-    if heading:
-        width = max(map(len, [heading, *plain])) + 2
-        lines = [f"{bold}{heading}{off}", dim + rule * width + off]
+    old_console = sys.platform == "win32" and "WT_SESSION" not in os.environ
+    is_bold = is_terminal(sys.stdout) and not os.environ.get("NO_COLOR") and not old_console
+    bold, off = ("\x1b[1m", "\x1b[0m") if is_bold else ("", "")
+    lines = [f"{bold}{printable(heading)}{off}"] if heading else []
     for label, value in rows:
-        key = _KEY.match(value)
+        shown = printable(value)
+        key = _KEY.match(shown)
         end = key.end() if key else 0
-        lines.append(f"{label:{_LABEL}} {dim}{bar}{off} {bold}{value[:end]}{off}{value[end:]}")
+        lines.append(f"{label:{_LABEL}} {bold}{shown[:end]}{off}{shown[end:]}")
     return "\n".join(lines)
 
 
-def _encodes(characters: str, stream: Any) -> bool:
-    try:
-        characters.encode(getattr(stream, "encoding", None) or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True
-
-
-def print_result(arguments: Namespace, data: Any, text: str) -> int:
+def print_result(output: Output, data: Any, text: str) -> int:
     """Print a result as JSON or as text, as the options say; the exit code."""
     from scan3d.files.text import to_json
 
-    arguments.progress.end()
-    if arguments.json:
+    output.progress.end()
+    if output.json:
         print(printable_json(to_json(data).decode()), end="")
-    elif not arguments.quiet:
+    elif not output.quiet:
         print(text)
     return 0
 
 
-def print_settings(arguments: Namespace, values: Mapping[str, Any]) -> int:
+def print_settings(values: Mapping[str, Any]) -> int:
     """Print settings as a TOML file; the exit code."""
     from scan3d.files.text import to_toml
 
-    arguments.progress.end()
     print(printable_json(to_toml(values)), end="")
     return 0
+
+
+class Progress:
+    """A context in which stderr shows what a command is doing: a line that changes on a terminal, a few lines elsewhere."""
+
+    def __init__(self, command: str, quiet: bool) -> None:
+        self._command, self._quiet = command, quiet
+        self._begun, self._due = time.monotonic(), _FIRST_LINE_S
+        self._bar: Any = None
+
+    def __enter__(self) -> Progress:
+        if not self._quiet and is_terminal(sys.stderr):
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+            columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+            self._bar = Progress(
+                *columns,
+                console=Console(file=sys.stderr),
+                transient=True,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
+            self._task = self._bar.add_task(f"{self._command}: starting", total=None)
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Nothing more is shown: before a result is printed."""
+        self._quiet = True
+        if self._bar is not None:
+            with suppress(OSError, ValueError):  # the stream may be closed before the run ends
+                self._bar.stop()
+            self._bar = None
+
+    def tell(self, words: str, done: int = 0, total: int | None = None) -> None:
+        """Show what is being done, and how many parts of it are done, of how many."""
+        seconds = time.monotonic() - self._begun
+        if self._bar is not None:
+            self._bar.update(self._task, description=f"{self._command}: {words}", completed=done, total=total)
+        elif not self._quiet and seconds >= self._due:
+            self._due = 2 * seconds
+            say(f"{words}, {duration(seconds)} so far")
+
+    def step(self, name: str) -> None:
+        """Show that a step of a scan begins, by its name in `timings_s` of a report."""
+        self.tell(_STEPS[name])
+
+    def counter(self, parts: str) -> Callable[[int, int], None]:
+        """A function that shows how many parts are simulated, of how many."""
+        return lambda done, total: self.tell(f"simulating {done}/{total} {parts}", done, total)
+
+    def say(self, sentence: str) -> None:
+        """Write a message, which stays."""
+        if self._bar is None:
+            say(sentence)
+        else:
+            self._bar.console.print(f"scan3d: {one_line(sentence)}", markup=False, highlight=False, soft_wrap=True)
+
+
+def duration(seconds: float) -> str:
+    """A duration in words: ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"

@@ -1,4 +1,4 @@
-"""The commands: each function takes parsed arguments and returns an exit code.
+"""The commands of a scan: each function's parameters are its arguments and options, and it returns an exit code.
 
 Numerical libraries are imported inside the functions, so that ``scan3d --help`` is quick and ``scan3d doctor`` runs where they
 are missing.
@@ -7,62 +7,113 @@ are missing.
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
-from argparse import Namespace
-from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from scan3d.cli import guide, one_sweep, rig
-from scan3d.cli.batch import batch
-from scan3d.cli.calibration import calibrate, rigged
-from scan3d.cli.exporting import export
-from scan3d.cli.laboratory import import_
-from scan3d.cli.showing import show
-from scan3d.cli.terminal import print_result, print_settings, printable, printable_json, table
-from scan3d.settings import Settings, settings
-from scan3d.units import UNITS_M
+from cyclopts import Parameter
 
+from scan3d.choices import Export, Method, Model, ScalarNames
+from scan3d.cli import one_sweep
+from scan3d.cli.options import ClipDent, File, Flag, Folder, Mesh, Number, Options, Output, Overwrite, Rig, Strict
+from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
+from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
+from scan3d.errors import UsageError
+from scan3d.settings import Settings, settings, varied_settings
+from scan3d.units import UNITS_M, Unit
 
-def scan(arguments: Namespace) -> int:
-    """All steps, with the results written into a folder."""
-    from scan3d import scans
-
-    chosen = _settings(arguments)
-    if arguments.print_config:
-        return print_settings(arguments, dataclasses.asdict(chosen))
-    _, data = scans.perform(
-        arguments.mesh,
-        chosen,
-        arguments.out,
-        inputs={"file of settings": arguments.config},
-        overwrite=arguments.overwrite,
-        **_shown(arguments, chosen),
-    )
-    return _print_report(arguments, data)
+DEMO = Path(__file__).with_name("demo.glb")
+"""The body of the demonstration, that of ``meshes/gem.glb``."""
+# Settings of the demonstration: half the slices of the default take half the time.
+DEMO_SETTINGS = {"slices": 32, "friction": "0.1:0.4"}
+# Failures of a batch that are printed; the summary has all of them.
+_MOST_PRINTED = 20
 
 
-def demo(arguments: Namespace) -> int:
-    """Scan the body that comes with the program, and say what to open."""
-    from scan3d import scans
+def scan(
+    mesh: Mesh,
+    /,
+    *,
+    out: Folder,
+    options: Options = Options(),
+    overwrite: Overwrite = False,
+    strict: Strict = False,
+    output: Output = Output(),
+) -> int:
+    """All steps: simulate, reconstruct, build the surface, compare.
 
-    chosen = settings(guide.DEMO_SETTINGS)
-    _, data = scans.perform(
-        guide.DEMO,
-        chosen,
-        arguments.out,
-        overwrite=arguments.overwrite,
-        **_shown(arguments, chosen),
-    )
-    code = _print_report(arguments, data)
-    if not (arguments.json or arguments.quiet):
-        print(guide.what_to_open(arguments.out))
+    For example:
+      scan3d scan meshes/egg.stl --out out
+      scan3d scan part.stl --out out --unit in --slices 128 --axis xyz
+      scan3d scan part.stl --out out --friction 0.0:0.4 --noise 1e-4 --seed 7
+      scan3d scan part.stl --out out --config settings.toml --json
+
+    Parameters
+    ----------
+    mesh
+        a convex body: STL, PLY, OBJ, OFF or GLB
+    out
+        folder for the results
+    """
+    chosen = options.chosen()
+    if options.print_config:
+        return print_settings(dataclasses.asdict(chosen))
+    inputs = {"file of settings": options.config}
+    return _report(_scanned(mesh, chosen, out, overwrite, output, inputs), out, strict, output)
+
+
+def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, output: Output = Output()) -> int:
+    """Scan a body that comes with the program, and say what to open.
+
+    Parameters
+    ----------
+    out
+        folder for the results
+    """
+    code = _report(_scanned(DEMO, settings(DEMO_SETTINGS), out, overwrite, output), out, False, output)
+    if not (output.json or output.quiet):
+        page, place = printable(str(out / "view.html")), printable(str(out))
+        print(f"\nOpen {page} in a browser; surface.png and cloud.png beside it are pictures.")
+        print(f"{f'scan3d show {place}':35} an interactive window")
+        print(f"{'scan3d scan part.stl --out out':35} a scan of your own mesh")
     return code
 
 
-def simulate(arguments: Namespace) -> int:
-    """Step 1 only: write the recording of a simulated scan."""
+def simulate(
+    mesh: Mesh,
+    /,
+    *,
+    out: File,
+    options: Options = Options(),
+    poses: Annotated[File | None, RIG_OPTIONS] = None,
+    faults: Annotated[File | None, RIG_OPTIONS] = None,
+    as_is: Annotated[Flag, RIG_OPTIONS] = False,
+    placed: Annotated[File | None, RIG_OPTIONS] = None,
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Step 1 only: a recording of a simulated scan.
+
+    For example:
+      scan3d simulate part.stl --out log.csv
+      scan3d simulate part.stl --out log.csv --rod steel:0.3x50 --sweeps 24
+      scan3d simulate part.stl --poses poses.csv --out raw.csv --faults faults.toml
+
+    Parameters
+    ----------
+    mesh
+        a convex body: STL, PLY, OBJ, OFF or GLB
+    out
+        the recording, a .csv; a .toml of the same name is written as well
+    poses
+        the poses, a .csv as scan3d plan writes it
+    faults
+        what the rig does to the log: a .toml; a map for import is written
+    as_is
+        leave the body where its mesh has it (default: it stands on z = 0)
+    placed
+        write the mesh where it stands in the world, a .ply
+    """
     import numpy as np
 
     from scan3d.files.meshes import load_mesh
@@ -71,60 +122,126 @@ def simulate(arguments: Namespace) -> int:
     from scan3d.scans import with_origin
     from scan3d.simulation.scan import simulate as simulate_scan
 
-    rig.check_rig_options(arguments)
-    chosen = _settings(arguments)
-    if arguments.print_config:
-        return print_settings(arguments, dataclasses.asdict(chosen))
-    if arguments.poses:
-        return _printed(arguments, *rig.simulate_rig(arguments, chosen))
-    check_path(arguments.out)
-    inputs = {"mesh": arguments.mesh, "file of settings": arguments.config}
-    check_pair(arguments.out, sidecar(arguments.out), inputs, arguments.overwrite)
+    if poses is None:
+        for name, given in (("faults", faults), ("placed", placed), ("as-is", as_is)):
+            if given:
+                raise UsageError(f"--{name} is for a rig: give --poses FILE as well")
+    else:
+        refuse_settings_of_scans(options.given())
+    chosen = options.chosen()
+    if options.print_config:
+        return print_settings(dataclasses.asdict(chosen))
+    if poses is not None:
+        return simulate_rig(mesh, out, options, poses, faults, as_is, placed, overwrite, output)
+    check_path(out)
+    check_pair(out, sidecar(out), {"mesh": mesh, "file of settings": options.config}, overwrite)
     plan = chosen.plan()
-    arguments.progress.tell("reading")
-    body = load_mesh(arguments.mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
-    with folder(Path(arguments.out).parent):
-        recording = simulate_scan(body, plan, arguments.progress.counter(_parts(chosen)))
-        write_recording(with_origin(recording, body), arguments.out, overwrite=True)  # checked above
-    data = {
-        "recording": str(arguments.out),
-        "samples": len(recording),
-        "sweeps": len(np.unique(recording.sweep)),
-    }
+    output.progress.tell("reading")
+    body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+    with folder(out.parent):
+        recording = simulate_scan(body, plan, output.progress.counter(_parts(chosen)))
+        write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
+    data = {"recording": str(out), "samples": len(recording), "sweeps": len(np.unique(recording.sweep))}
     text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
-    return print_result(arguments, data, text)
+    return print_result(output, data, text)
 
 
-def reconstruct(arguments: Namespace) -> int:
-    """Step 2 only: write the results of a recording, compared with the true body if it is given."""
-    if one_sweep.is_one_sweep(arguments):
-        return one_sweep.reconstruct(arguments)
+def reconstruct(
+    recording: Path,
+    /,
+    *,
+    out: Folder | None = None,
+    truth: Mesh | None = None,
+    hull: Flag = False,
+    clip_dent: ClipDent = "0",
+    method: Method = "auto",
+    model: Model | None = None,
+    rig: Rig = None,
+    table: float | None = None,
+    rod: Annotated[str | None, one_sweep.OPTIONS] = None,
+    noise_force: Annotated[float | None, one_sweep.OPTIONS] = None,
+    noise_moment: Annotated[float | None, one_sweep.OPTIONS] = None,
+    overwrite: Overwrite = False,
+    strict: Strict = False,
+    output: Output = Output(),
+) -> int:
+    """Step 2 only, from a simulated or measured recording.
+
+    For example:
+      scan3d reconstruct log.csv --out out
+      scan3d reconstruct log.csv --out out --truth part.stl --method hull
+      scan3d reconstruct sweep.csv
+      scan3d reconstruct sweep.csv --rod steel:0.3x50 --noise-force 1e-4 --noise-moment 2e-6 --out sweep
+
+    Parameters
+    ----------
+    recording
+        the .csv or .parquet of a recording; its .toml is in the same folder
+    out
+        folder for the results; of one sweep also its picture (default: beside the table)
+    truth
+        mesh of the true body, to compare the surface with
+    hull
+        take the convex hull of the true body
+    method
+        surface from the contacts; bracket estimates it between the certified bounds, auto chooses
+    model
+        model of contact (default: spatial for a recording with six axes, else planar)
+    rig
+        the .toml of a calibrated rig, with which the recording is corrected
+    table
+        height of the table on which the body stands, in the recording's unit (default: that of its .toml, or none)
+    rod
+        MATERIAL:DIAMETERxLENGTH in mm, such as steel:0.3x50, for columns in SI units
+    noise_force
+        standard deviation of each force component, in the unit of its column (default: that of the .toml, or unknown)
+    noise_moment
+        standard deviation of the moment, in the unit of its column (default: that of the .toml, or unknown)
+    """
     from scan3d import workflow
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.files.sweeps import is_sweep
     from scan3d.files.whole import replacing
 
-    chosen = settings({name: getattr(arguments, name) for name in ("hull", "clip_dent", "method")})
-    start, progress = time.perf_counter(), arguments.progress
-    progress.expect("planar", without=("simulate", *(() if arguments.truth else ("compare",))))
-    progress.step("load")
-    recording = rigged(read_recording(arguments.recording), arguments.rig)
-    if arguments.table is not None:
-        recording = dataclasses.replace(recording, table_m=UNITS_M[recording.unit] * arguments.table)
+    of_recording = {
+        "truth": truth is not None,
+        "hull": hull,
+        "method": method != "auto",
+        "model": model is not None,
+        "rig": rig is not None,
+        "table": table is not None,
+        "strict": strict,
+    }
+    of_sweep = {"rod": rod, "noise-force": noise_force, "noise-moment": noise_moment}
+    if is_sweep(recording):
+        needed = f"a recording with poses, and {recording.name} is one sweep in one plane"
+        _refuse([name for name, given in of_recording.items() if given], needed)
+        return one_sweep.reconstruct(recording, rod, noise_force, noise_moment, out, overwrite, output)
+    if out is None:
+        raise UsageError("--out is missing: it names the folder for the results")
+    _refuse(
+        [name for name, given in of_sweep.items() if given is not None],
+        f"one sweep in one plane, which {recording.name} is not",
+    )
     # the remaining settings concern the simulation
-    used = {name: getattr(chosen, name) for name in ("method", "hull", "clip_dent")}
-    body = None
-    if arguments.truth:
-        body = load_mesh(arguments.truth, hull=chosen.hull, clip_dent=chosen.clip_dent)
+    used = {"method": method, "hull": hull, "clip_dent": clip_dent}
+    settings(used)
+    start, progress = time.perf_counter(), output.progress
+    progress.step("load")
+    measured = rigged(read_recording(recording), rig)
+    if table is not None:
+        measured = dataclasses.replace(measured, table_m=UNITS_M[measured.unit] * table)
+    body = load_mesh(truth, hull=hull, clip_dent=clip_dent) if truth else None
     seconds = {"load": time.perf_counter() - start}
     inputs = {
-        "recording": arguments.recording,
-        "TOML file of the recording": sidecar(arguments.recording),
-        "true body": arguments.truth,
-        "rig": arguments.rig,
+        "recording": recording,
+        "TOML file of the recording": sidecar(recording),
+        "true body": truth,
+        "rig": rig,
     }
-    with replacing(arguments.out, with_recording=False, inputs=inputs, overwrite=arguments.overwrite) as result:
-        analysis = workflow.analyse(recording, body, chosen.method, arguments.model, progress.step)
+    with replacing(out, with_recording=False, inputs=inputs, overwrite=overwrite) as result:
+        analysis = workflow.analyse(measured, body, method, model, progress.step)
         data = workflow.write(
             analysis,
             result,
@@ -134,100 +251,226 @@ def reconstruct(arguments: Namespace) -> int:
             notify=progress.say,
             step=progress.step,
         )
-    return _print_report(arguments, data)
+    return _report(data, out, strict, output)
 
 
-def compare(arguments: Namespace) -> int:
-    """Print the Hausdorff distance and other measures of two mesh files, convex or not."""
+def _refuse(given: list[str], needed: str) -> None:
+    if given:
+        raise UsageError(f"{', '.join(f'--{name}' for name in given)} can be used only with {needed}")
+
+
+def compare(first: Mesh, second: Mesh, /, *, unit: Unit = "mm", output: Output = Output()) -> int:
+    """Hausdorff distance and other measures of two meshes, convex or not.
+
+    For example:
+      scan3d compare out/surface.ply part.stl
+      scan3d compare a.stl b.stl --unit in --json
+
+    Parameters
+    ----------
+    first
+        a mesh, such as a reconstructed surface
+    second
+        the mesh to compare with, such as the truth
+    unit
+        unit to print
+    """
     from scan3d.comparison import compare as compare_meshes
     from scan3d.files.meshes import read_mesh
     from scan3d.summaries import comparison_summary
 
-    comparison = compare_meshes(read_mesh(arguments.first), read_mesh(arguments.second))
-    text = _table(*comparison_summary(comparison, arguments.unit))
-    return print_result(arguments, dataclasses.asdict(comparison), text)
+    comparison = compare_meshes(read_mesh(first), read_mesh(second))
+    return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, unit)))
 
 
-def doctor(arguments: Namespace) -> int:
-    """Print what works on this machine, and what is missing."""
-    import json
+def export(
+    source: Path,
+    /,
+    *,
+    to: File,
+    what: Export | None = None,
+    unit: Unit | None = None,
+    color: Annotated[str | None, Parameter(metavar="SCALAR")] = None,
+    scalar_names: ScalarNames | None = None,
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Write the cloud or the surface in another format.
 
-    from scan3d.cli.doctor import examine, summary
+    Clouds go to .ply, .pcd, .vtp, .xyz, .xyzn, .csv, .glb and .mcap (a bag of ROS 2), surfaces to .stl, .ply, .obj, .vtp
+    and .glb. Unit, frame, normals and scalars are kept where the format can contain them.
+    .glb and .mcap are in metres, and .glb has y up.
 
-    arguments.progress.tell("trying what the commands need")
-    state = examine()
-    arguments.progress.end()
-    # `files.text` is not used here, because it needs numpy, which may be missing
-    if arguments.json:
-        print(printable_json(json.dumps(state, indent=2)))
-    elif not arguments.quiet:
-        print(_table("", summary(state)))
-    return 0 if state["ok"] else 1
+    For example:
+      scan3d export out --to egg.glb
+      scan3d export out --to egg.vtp --what cloud
+      scan3d export out/cloud.ply --to egg.pcd --unit m
+      scan3d export out --to egg.ply --color bound --scalar-names meshlab
 
+    Parameters
+    ----------
+    source
+        folder of a scan, or one of its PLY files
+    to
+        the file to write; its ending determines the format
+    what
+        which, for .ply, .vtp and .glb (default: surface, unless DIR is a file with a cloud)
+    unit
+        unit of the lengths in the file, such as m for ROS (default: the recording's)
+    color
+        red, green and blue by a scalar, such as force or bound, which is written too
+    scalar_names
+        names of the scalars of a .ply that this program shows by itself
+    """
+    from scan3d.files.exports import export as export_shape
 
-def completion(arguments: Namespace) -> int:
-    """Print a completion script for a shell."""
-    from scan3d.cli.completion import script
-    from scan3d.cli.parser import VALUES, parser
-
-    print(script(parser(), arguments.shell, VALUES), end="")
-    return 0
-
-
-VERBS: dict[str, Callable[[Namespace], int]] = {
-    "scan": scan,
-    "batch": batch,
-    "simulate": simulate,
-    "plan": lambda arguments: _printed(arguments, *rig.plan(arguments)),
-    "next": lambda arguments: _printed(arguments, *rig.further(arguments)),
-    "reconstruct": reconstruct,
-    "calibrate": calibrate,
-    "import": import_,
-    "compare": compare,
-    "show": show,
-    "export": export,
-    "demo": demo,
-    "doctor": doctor,
-    "completion": completion,
-}
+    written = export_shape(source, to, what, unit=unit, color=color, scalar_names=scalar_names, overwrite=overwrite)
+    shape = f"{written['points']} contacts"
+    if written["what"] == "surface":
+        shape = f"a surface of {written['points']} vertices and {written['faces']} faces"
+    if written["left_out"]:
+        shape += f" ({written['left_out']} without a normal are left out)"
+    return print_result(output, written, printable(f"{shape} in {written['unit']}, written to {written['file']}"))
 
 
-def _settings(arguments: Namespace) -> Settings:
-    names = {field.name for field in dataclasses.fields(Settings)}
-    given = {name: value for name, value in vars(arguments).items() if name in names}
-    return settings(given, arguments.config)
+def batch(
+    mesh: Annotated[list[str], Parameter(metavar="MESH...")],
+    /,
+    *,
+    out: Folder,
+    jobs: Number | None = None,
+    scheduler: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
+    grid: File | None = None,
+    options: Options = Options(),
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Many scans: meshes, and combinations of settings, with one summary.
+
+    Scans every mesh, with every combination of the settings in --grid. What an earlier call has finished
+    with the same mesh, settings and version is not repeated, and failures do not stop the other runs.
+
+    For example:
+      scan3d batch meshes --out study --jobs 2
+      scan3d batch 'parts/**/*.stl' @more.txt --out study --friction 0.0:0.4 --slices 32
+      scan3d batch egg.stl cube.stl --out study --grid grid.toml
+      scan3d batch meshes --out study --scheduler tcp://node1:8786
+
+    Parameters
+    ----------
+    mesh
+        mesh files, folders of them, patterns such as 'parts/*.stl', or @FILE with one of these in each line
+    out
+        folder for the summary and for the results of each run
+    jobs
+        runs side by side on this machine (default 1)
+    scheduler
+        address of the scheduler of a Dask cluster, such as tcp://node1:8786 (needs scan3d[cluster])
+    grid
+        TOML file with lists of values by setting; every combination is a run
+    """
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"--jobs must be a whole number of at least 1, got {jobs}")
+    if jobs is not None and scheduler is not None:
+        raise UsageError("--jobs and --scheduler are two places for the runs; leave one of them out")
+    if options.print_config:
+        if grid:
+            raise UsageError("--print-config prints one setting; leave out --grid")
+        return print_settings(dataclasses.asdict(options.chosen()))
+    from scan3d.batches import scheduled
+    from scan3d.batches.grid import read_grid
+    from scan3d.batches.study import perform_batch
+    from scan3d.workers import Workers
+
+    varied = [{}] if grid is None else read_grid(grid)
+    chosen = varied_settings(options.given(), varied, options.config, grid_source=str(grid))
+    start = time.monotonic()
+    with scheduled(scheduler) if scheduler else Workers(jobs or 1) as executor:
+        done = perform_batch(
+            mesh,
+            out,
+            list(zip(varied, chosen, strict=True)),
+            executor,
+            inputs={"grid": grid, "file of settings": options.config},
+            overwrite=overwrite,
+            progress=_show_batch(output),
+            notify=output.progress.say,
+        )
+    return _batch_report(done, out, time.monotonic() - start, output)
 
 
-def _print_report(arguments: Namespace, data: dict[str, Any]) -> int:
+def _show_batch(output: Output) -> Any:
+    """Shows how many runs are finished."""
+    from scan3d.cli import interruptions
+
+    def show(now: Any) -> None:
+        interruptions.check()
+        failed = f", {now.failed} failed" if now.failed else ""
+        output.progress.tell(f"{now.done}/{now.total} runs{failed}", now.done, now.total)
+
+    return show
+
+
+def _batch_report(done: Any, out: Path, seconds: float, output: Output) -> int:
+    failed, total = done.failures, len(done.rows)
+    before = f", {total - done.computed} of them by an earlier call" if done.computed < total else ""
+    heading = f"{total} runs{before}: {total - len(failed)} done, {len(failed)} failed, in {duration(seconds)}"
+    ranks = done.ranks._asdict()
+    rows = [(name, _figures(row)) for name, row in ranks.items() if row is not None]
+    rows += [("failed", f"{row['run']}: {row['error']}") for row in failed[:_MOST_PRINTED]]
+    if len(failed) > _MOST_PRINTED:
+        rows.append(("failed", f"and {len(failed) - _MOST_PRINTED} more, which summary.csv names"))
+    data = {
+        "out": str(out),
+        "counts": {"runs": total, "done": total - len(failed), "failed": len(failed)},
+        "computed": done.computed,
+        "seconds": round(seconds, 3),
+        **{name: None if row is None else row["run"] for name, row in ranks.items()},
+        "runs": list(done.rows),
+    }
+    print_result(output, data, table(heading, [*rows, ("written to", str(out))]))
+    if failed:
+        say(f"{len(failed)} of {total} runs failed; summary.csv in {out} says why")
+    return 1 if failed else 0
+
+
+def _figures(row: dict[str, Any]) -> str:
+    certified = row["certificate_relative"]
+    bound = "" if certified is None else f", certified {certified:.1e}"
+    return f"{row['hausdorff_relative']:.1e} of the diagonal{bound} ({row['run']})"
+
+
+def _scanned(
+    mesh: Path, chosen: Settings, out: Path, overwrite: bool, output: Output, inputs: Any = None
+) -> dict[str, Any]:
+    """The report of a scan, whose progress is shown."""
+    from scan3d import scans
+
+    progress = output.progress
+    _, data = scans.perform(
+        mesh,
+        chosen,
+        out,
+        inputs=inputs,
+        overwrite=overwrite,
+        progress=progress.counter(_parts(chosen)),
+        step=progress.step,
+        notify=progress.say,
+    )
+    return data
+
+
+def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> int:
+    """Print a report and its warnings; the exit code."""
     from scan3d.summaries import summary
 
     heading, rows = summary(data)
-    print_result(arguments, data, _table(heading, [*rows, ("written to", str(arguments.out))]))
+    print_result(output, data, table(heading, [*rows, ("written to", str(out))]))
     for warning in data["warnings"]:
-        arguments.progress.say(f"warning: {warning['message']}")
-    return 1 if arguments.strict and data["warnings"] else 0
-
-
-def _printed(arguments: Namespace, data: Any, text: str, warnings: Iterable[str]) -> int:
-    """Print the result of a command of another module, and its warnings."""
-    for warning in warnings:
-        arguments.progress.say(f"warning: {warning}")
-    return print_result(arguments, data, text)
-
-
-def _table(heading: str, rows: Iterable[tuple[str, str]]) -> str:
-    return table(heading, list(rows), sys.stdout)
+        say(f"warning: {warning['message']}")
+    return 1 if strict and data["warnings"] else 0
 
 
 def _parts(chosen: Settings) -> str:
     """What a simulation counts."""
     return "rounds" if chosen.model == "spatial" else "slices"
-
-
-def _shown(arguments: Namespace, chosen: Settings) -> dict[str, Any]:
-    """Keywords of `scans.perform` by which the progress is shown."""
-    progress = arguments.progress
-    progress.expect(chosen.model)
-    # with a tolerance the scan may end before all slices are swept
-    count = progress.counter(_parts(chosen), estimated=not chosen.tolerance)
-    return {"progress": count, "step": progress.step, "notify": progress.say}

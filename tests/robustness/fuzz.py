@@ -215,7 +215,7 @@ def warm():
     import matplotlib.colors
     import pyvista
 
-    import scan3d.cli.verbs
+    import scan3d.cli.commands
     import scan3d.files.exports
     import scan3d.pictures.page
     import scan3d.simulation.scan

@@ -1,0 +1,214 @@
+"""The command show: a scan in a window, a picture, a page or a movie."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from scan3d.choices import Color, Movie, View, one_of
+from scan3d.cli.options import File, Flag, Mesh, Output, Overwrite
+from scan3d.cli.terminal import print_result, printable
+from scan3d.errors import InputError, UsageError
+from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
+from scan3d.units import Unit
+
+
+def show(
+    path: Path,
+    /,
+    *,
+    screenshot: File | None = None,
+    html: File | None = None,
+    movie: File | None = None,
+    view: View | None = None,
+    color: Color | None = None,
+    size: Annotated[str | None, Parameter(metavar="SIZE")] = None,
+    dpi: Annotated[str | None, Parameter(metavar="N")] = None,
+    camera: Annotated[str | None, Parameter(metavar="CAMERA", allow_leading_hyphen=True)] = None,
+    movie_of: Movie | None = None,
+    truth: Mesh | None = None,
+    hull: Flag = False,
+    against: File | None = None,
+    unit: Unit = "mm",
+    overwrite: Overwrite = False,
+    output: Output = Output(),
+) -> int:
+    """Show a scan in a window, a picture, a page or a movie.
+
+    For example:
+      scan3d show out
+      scan3d show out --screenshot egg.png --view compare
+      scan3d show out --screenshot egg.pdf --size 85x60mm --dpi 600 --camera 300,25
+      scan3d show out --screenshot forces.svg --view forces
+      scan3d show out --against other --screenshot difference.png
+      scan3d show out/cloud.ply --screenshot friction.pdf --color friction
+      scan3d show log.csv --html log.html --truth part.stl
+      scan3d show out --movie sweep.gif
+
+    Parameters
+    ----------
+    path
+        a scan's folder, a recording (.csv), a cloud or surface (.ply), a mesh
+    screenshot
+        a picture, .png, .pdf or .svg, instead of a window
+    html
+        an interactive page for any browser; it does not need the network
+    movie
+        a .gif, or an .mp4 (needs imageio-ffmpeg)
+    view
+        what the picture shows (default: surface, with --color cloud)
+    color
+        colour of the contacts in a picture or the window (default: force)
+    size
+        size of the picture: WIDTH or WIDTHxHEIGHT in mm, cm, in, pt or px, such as 85mm or 85x60mm (default: 7in)
+    dpi
+        pixels of the picture to the inch (default: 150)
+    camera
+        front, back, left, right, top, bottom or iso, or AZIMUTH,ELEVATION in degrees such as 300,25; a further ,1.5 zooms
+        (default: the view's)
+    movie_of
+        what the movie shows (default: sweep)
+    truth
+        mesh of the true body; by default the mesh that the report names, if it is found
+    hull
+        take the convex hull of the true body
+    against
+        another scan's folder, a surface or a mesh: the colour is the signed distance of the surface from it
+    unit
+        unit of a mesh
+    """
+    _check_picture(screenshot, html or movie, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
+    if movie_of and not movie:
+        raise UsageError("--movie-of says what a movie shows: give --movie FILE as well")
+    if against:
+        _check_against(truth or hull, movie, color, view)
+    try:
+        chosen = sheet(size, dpi, camera)
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    from scan3d.files.whole import check_file
+    from scan3d.pictures import movie as movies
+    from scan3d.pictures import views, window
+
+    if not (screenshot or html or movie) and not window.can_open():
+        raise InputError(window.NO_DISPLAY)
+    # file names are checked before the work
+    if screenshot:
+        views.check_path(screenshot)
+    if movie:
+        movies.check_path(movie)
+    inputs = {"file": path, "true body": truth, "other surface": against}
+    for option, file in (("--html", html), ("--movie", movie), ("--screenshot", screenshot)):
+        if file:
+            check_file(file, inputs, overwrite, option)
+    output.progress.tell("reading")
+    scene = read_scene(path, truth, hull, unit)
+    if against:
+        from scan3d.scans.others import other_surface
+
+        scene = scene.against(other_surface(against, scene.unit, unit))
+    output.progress.tell("drawing")
+    if not (screenshot or html or movie):
+        output.progress.end()
+        window.open_window(scene, print, color or "force")
+        return 0
+    if html:
+        _write_page(scene, html)
+    if movie:
+        _write_movie(scene, movie, movie_of)
+    if screenshot:
+        _write_picture(scene, screenshot, view, color, chosen)
+    files = [str(file) for file in (html, movie, screenshot) if file]
+    text = "\n".join(printable(f"written to {file}") for file in files)
+    return print_result(output, {"shown": scene.name, "files": files}, text)
+
+
+def _check_picture(
+    screenshot: Path | None, other: Path | None, given: dict[str, str | None], color: Color | None
+) -> None:
+    """Raises UsageError for options that would have no effect."""
+    for name, value in given.items():
+        if value is not None and not screenshot:
+            what = "says what a picture shows" if name == "view" else "is that of a picture"
+            raise UsageError(f"--{name} {what}: give --screenshot FILE as well")
+    if color and not screenshot and other:
+        raise UsageError("--color is for a picture or the window: give --screenshot FILE as well")
+    if color and given["view"] not in (None, "cloud"):
+        raise UsageError(f"--color is that of the contacts in the view cloud: leave it out with --view {given['view']}")
+
+
+def _check_against(truth: Any, movie: Path | None, color: Color | None, view: View | None) -> None:
+    if truth:
+        raise UsageError("--against takes another surface in the place of the true body: leave out --truth and --hull")
+    if movie:
+        raise UsageError("--against is for a picture, a page or the window: leave out --movie")
+    if color or view not in (None, *WITH_OTHER):
+        raise UsageError(f"--against compares surfaces: give the view {one_of(WITH_OTHER)}, and no --color")
+
+
+def _write_page(scene: Any, path: Path) -> None:
+    from scan3d.files.whole import write_atomic
+    from scan3d.pictures import page
+
+    write_atomic(path, page.page(scene), "--html")
+
+
+def _write_movie(scene: Any, path: Path, subject: Movie | None) -> None:
+    from scan3d.files.whole import atomic, write_atomic
+    from scan3d.pictures import drawing, movie
+
+    if subject == "growth":
+        write_atomic(path, drawing.draw(scene, [(path.suffix.lower(), {"subject": "growth"})])[0], "--movie")
+    else:  # nothing is rendered
+        with atomic(path, "--movie") as file:
+            movie.movie(scene, file)
+
+
+def _write_picture(scene: Any, path: Path, view: View | None, color: Color | None, chosen: Sheet) -> None:
+    from scan3d.files.whole import write_atomic
+    from scan3d.pictures import drawing
+
+    default = "cloud" if color or scene.surface is None else "surface"
+    data = drawing.picture(scene, path, view or default, color or "force", chosen)
+    write_atomic(path, data, "--screenshot")
+
+
+def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
+    """The scene of a path, with the true body if it is named or found."""
+    from scan3d.files.meshes import load_mesh, read_mesh
+    from scan3d.pictures import stored
+    from scan3d.pictures.scene import Scene
+
+    if not path.exists():
+        raise InputError(
+            f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
+        )
+    if path.is_dir():
+        scene, report = stored.read_folder(path, unit)
+        found = None if truth else stored.find_truth(path, report)
+        truth = Path(found) if found else truth
+        hull = hull or bool((report.get("mesh") or {}).get("hull"))
+    elif path.suffix.lower() in (".csv", ".parquet"):
+        scene = _recording_scene(path)
+    else:
+        stored_scene = stored.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
+        scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path))
+    return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull)) if truth else scene
+
+
+def _recording_scene(path: Path) -> Any:
+    """The scene of a recording: its contacts, and their surface where they span a body."""
+    from scan3d import workflow
+    from scan3d.files.recordings import read_recording
+    from scan3d.pictures.scene import of_cloud
+    from scan3d.reconstruction import reconstruct as reconstruct_recording
+
+    recording = read_recording(path)
+    try:
+        scene = workflow.to_scene(workflow.analyse(recording))
+    except InputError:  # contacts in one plane do not span a body, but can be shown
+        return of_cloud(reconstruct_recording(recording), name=path.stem, recording=recording)
+    return dataclasses.replace(scene, name=path.stem)
