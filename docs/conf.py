@@ -26,9 +26,9 @@ myst_heading_anchors = 3
 
 # In docstrings single backticks mark both names and formulas; documented names become links.
 default_role = "py:obj"
-# Names of planar and scan3d must be documented; names of other projects would need the network.
+# Public names must be documented; names inside of packages need not be, and those of other projects would need the network.
 nitpicky = True
-nitpick_ignore_regex = [("py:.*", r"(?!planar\.|scan3d\.).*")]
+nitpick_ignore_regex = [("py:.*", r"(?!(planar|scan3d)\.\w+$).*")]
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "undoc-members": True}
 autodoc_typehints_format = "short"
