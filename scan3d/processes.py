@@ -1,15 +1,29 @@
-"""This process and its children: how many threads they compute with, and that they import nothing from the current folder."""
+"""This process and its children: how they compute, what they import, and how they end."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NoReturn
 
 # The folder from which this program is imported.  It may be the current one, as in a checkout.
 _HOME = Path(__file__).resolve().parents[1]
 ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """The numbers of threads that OpenBLAS, MKL and Accelerate read when they start."""
+_UNDONE: list[Callable[[], object]] = []
+_SIGNALS = {
+    getattr(signal, name): words
+    for name, words in {
+        "SIGINT": "interrupted",
+        "SIGTERM": "terminated",
+        "SIGHUP": "terminated: its terminal was closed",
+    }.items()
+    if hasattr(signal, name)
+}
 
 
 def python(code: str, *arguments: str) -> list[str]:
@@ -44,3 +58,41 @@ def compute_algebra_in_one_thread() -> None:
     """
     for name in ALGEBRA:
         os.environ.setdefault(name, "1")
+
+
+@contextmanager
+def undone_if_ended(undo: Callable[[], object]) -> Iterator[None]:
+    """Within it `undo` is called if a signal ends the process: what is written half is removed, and children are ended."""
+    _UNDONE.append(undo)
+    try:
+        yield
+    finally:
+        _UNDONE.remove(undo)
+
+
+def end(code: int) -> NoReturn:
+    """End the process at once, when all that it was about is undone."""
+    while _UNDONE:
+        with suppress(Exception):
+            _UNDONE.pop()()
+    os._exit(code)
+
+
+def end_on_signals() -> None:
+    """Let Ctrl-C, and the signals that ask a process to end, end this one in a sentence, with the exit code 128 + signal.
+
+    No exception is raised for that: libraries would catch it and go on, and the import of VTK would end in a crash.
+    """
+
+    def receive(number: int, _: object) -> None:
+        for other in _SIGNALS:
+            signal.signal(other, signal.SIG_IGN)
+        # on a terminal the cursor is behind the progress or behind ^C
+        newline = "\n" if sys.stderr is not None and sys.stderr.isatty() else ""
+        with suppress(OSError):
+            os.write(2, f"{newline}scan3d: {_SIGNALS[number]}\n".encode())
+        end(128 + number)
+
+    for number in _SIGNALS:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # not under nohup
+            signal.signal(number, receive)

@@ -30,7 +30,7 @@ def gone(pid):
     return not is_alive(pid)
 
 
-@pytest.mark.parametrize("jobs", [0, -1, True, 1.0, "2", None])
+@pytest.mark.parametrize("jobs", [0, True, 1.0, "2", None])
 def test_the_number_of_workers_is_at_least_one(jobs):
     with pytest.raises(InputError, match=r"jobs must be a whole number of at least 1, got"):
         Workers(jobs)
@@ -52,34 +52,23 @@ def test_commands_use_one_thread_for_linear_algebra_unless_told_otherwise(stated
     assert done.stdout.split() == ["0", "False", used]
 
 
-@pytest.mark.slow
-def test_a_worker_computes_with_one_thread_and_ignores_ctrl_c(monkeypatch):
+def test_workers_have_one_thread_each_and_die_alone(monkeypatch):
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
-    with Workers(1) as workers:
+    with Workers(2) as workers:
         assert workers.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
         assert workers.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
         assert workers.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
-        assert workers.submit(os.getpid).result() != os.getpid()
         with pytest.raises(ZeroDivisionError):
             workers.submit(divmod, 1, 0).result()
-
-
-@pytest.mark.slow
-def test_the_death_of_a_worker_concerns_its_call_only():
-    with Workers(2) as workers:
-        first = workers.submit(os.getpid).result()
         other = workers.submit(time.sleep, 1.0)
-        dies = workers.submit(os._exit, 1)
         with pytest.raises(BrokenExecutor):
-            dies.result()
+            workers.submit(os._exit, 1).result()
         assert other.result() is None
-        # the next calls find both workers
-        assert len({workers.submit(os.getpid).result() for _ in range(8)} - {os.getpid()}) >= 1
-        assert isinstance(first, int)
+        # the next calls find living workers
+        assert {workers.submit(os.getppid).result() for _ in range(4)} == {os.getpid()}
 
 
-@pytest.mark.slow
 def test_an_exception_ends_the_workers_at_once():
     start, workers = time.monotonic(), Workers(1)
     pid = workers.submit(os.getpid).result()
@@ -92,17 +81,6 @@ def test_an_exception_ends_the_workers_at_once():
         assert future.cancelled() or isinstance(future.exception(), BrokenExecutor)
 
 
-@pytest.mark.slow
-def test_workers_that_are_just_starting_compute_nothing(tmp_path):
-    workers = Workers(1)
-    future = workers.submit((tmp_path / "computed").touch)
-    workers.kill()
-    workers.shutdown()
-    assert isinstance(future.exception(), BrokenExecutor)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_workers_end_with_a_process_that_is_killed():
     code = (
@@ -120,24 +98,3 @@ def test_workers_end_with_a_process_that_is_killed():
         assert is_alive(pid)
         parent.kill()
     assert gone(pid)
-
-
-@pytest.mark.slow
-def test_no_module_in_the_current_folder_is_executed(tmp_path):
-    """By a worker, or by what starts one; the environment of this process stays as it was."""
-    names = ("multiprocessing", "pickle", "random", "numpy")
-    here = tmp_path / "here"
-    here.mkdir()
-    for name in names:
-        (here / f"{name}.py").write_text(f"open({str(tmp_path / name)!r}, 'w').close()\n")
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import os\nfrom scan3d.workers import Workers\n"
-        "if __name__ == '__main__':\n"
-        "    before = dict(os.environ)\n"
-        "    with Workers(2) as workers:\n"
-        "        print(workers.submit(pow, 2, 3).result(), dict(os.environ) == before)\n"
-    )
-    done = subprocess.run([sys.executable, str(script)], cwd=here, capture_output=True, text=True, timeout=60)
-    assert done.stdout == "8 True\n", done.stderr
-    assert not [name for name in names if (tmp_path / name).exists()]

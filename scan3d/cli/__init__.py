@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
 
 __all__ = ["main"]
@@ -11,14 +12,15 @@ __all__ = ["main"]
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's) and return its exit code."""
     try:
-        from scan3d.cli.interruptions import Interruptions
+        if argv is None:
+            from scan3d.processes import end_on_signals
 
-        with Interruptions(ends_process=argv is None) as interruptions:
-            # imported here, so that Ctrl-C during the import is handled as well
-            from scan3d.cli.commands import run
+            end_on_signals()
+            os.environ.setdefault("PYTHONSAFEPATH", "1")  # child processes execute no file of the current folder
+        # imported here, so that Ctrl-C during the import is handled as well
+        from scan3d.cli.commands import run
 
-            interruptions.code = run(argv)
-        return interruptions.code
-    except KeyboardInterrupt:  # before the context handled the signals; afterwards it lets none out
-        os.write(2, b"scan3d: interrupted\n")
+        return run(argv)
+    except KeyboardInterrupt:  # before the signals are handled, or in a process whose handlers are its own
+        print("scan3d: interrupted", file=sys.stderr)
         return 130

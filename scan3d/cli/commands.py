@@ -1,7 +1,7 @@
 """The command line: all commands, and how a call becomes an exit code.
 
 Results are printed to stdout, progress and messages to stderr.  The exit code is 0 for success, 1 for a failure, 2 for wrong
-usage; `interruptions` adds 130 for an interrupted run and 143 for a terminated one.
+usage; `scan3d.processes` adds 130 for an interrupted run and 143 for a terminated one.
 """
 
 from __future__ import annotations

@@ -7,10 +7,11 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from scan3d.cli.options import Output
+from scan3d.processes import undone_if_ended
 
 # Characters of a label: the longest label, "Hausdorff distance", fits exactly.
 _LABEL = 18
@@ -117,6 +118,7 @@ class Progress:
         self._command, self._quiet = command, quiet
         self._begun, self._due = time.monotonic(), _FIRST_LINE_S
         self._bar: Any = None
+        self._undone = ExitStack()
 
     def __enter__(self) -> Progress:
         if not self._quiet and is_terminal(sys.stderr):
@@ -133,9 +135,11 @@ class Progress:
             )
             self._task = self._bar.add_task(f"{self._command}: starting", total=None)
             self._bar.start()
+        self._undone.enter_context(undone_if_ended(self.end))
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._undone.close()
         self.end()
 
     def end(self) -> None:

@@ -377,9 +377,7 @@ def batch(
         if grid:
             raise UsageError("--print-config prints one setting; leave out --grid")
         return print_settings(dataclasses.asdict(options.chosen()))
-    from scan3d.batches import scheduled
-    from scan3d.batches.grid import read_grid
-    from scan3d.batches.study import perform_batch
+    from scan3d.batches import perform_batch, read_grid, scheduled
     from scan3d.workers import Workers
 
     varied = [{}] if grid is None else read_grid(grid)
@@ -401,10 +399,8 @@ def batch(
 
 def _show_batch(output: Output) -> Any:
     """Shows how many runs are finished."""
-    from scan3d.cli import interruptions
 
     def show(now: Any) -> None:
-        interruptions.check()
         failed = f", {now.failed} failed" if now.failed else ""
         output.progress.tell(f"{now.done}/{now.total} runs{failed}", now.done, now.total)
 

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 from scan3d.errors import InputError
 from scan3d.files.reading import read_small
 from scan3d.files.text import to_json
+from scan3d.processes import undone_if_ended
 
 REPORT = "report.json"
 RECORDING = ("recording.csv", "recording.toml")
@@ -45,7 +46,7 @@ class Kind(NamedTuple):
 
 
 SCAN = Kind(REPORT, RESULTS, RECORDING)
-BATCH = Kind("batch.json", ("summary.csv", "summary.parquet", "index.html", "batch.json"))
+BATCH = Kind("batch.json", ("summary.csv", "index.html", "batch.json"))
 Inputs = Mapping[str, str | os.PathLike[str] | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""
 
@@ -191,9 +192,15 @@ def folder(path: str | Path, option: str = "--out") -> Iterator[Path]:
     """
     path = Path(path)
     created: list[Path] = []
+
+    def undo() -> None:
+        for parent in created:
+            with suppress(OSError):  # the folder is not empty, or was never created
+                parent.rmdir()
+
     try:
         try:
-            created = [parent for parent in (path, *path.parents) if not parent.exists()]
+            created += [parent for parent in (path, *path.parents) if not parent.exists()]
             path.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=path):
                 pass
@@ -201,11 +208,10 @@ def folder(path: str | Path, option: str = "--out") -> Iterator[Path]:
             raise InputError(
                 f"can't write into the folder {path}: {error.strerror}; choose another one with {option}"
             ) from None
-        yield path
+        with undone_if_ended(undo):
+            yield path
     except BaseException:
-        for parent in created:
-            with suppress(OSError):  # the folder is not empty, or was never created
-                parent.rmdir()
+        undo()
         raise
 
 
@@ -214,10 +220,16 @@ def _working(place: Path, suffix: str = "") -> Iterator[Path]:
     """A path in a folder for what is being written there, which is removed at the end if it is still there."""
     clean(place)
     work = place / f"{_WORK}-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
-    try:
-        yield work
-    finally:
+
+    def undo() -> None:
+        finish(place)
         _remove(work)
+
+    with undone_if_ended(undo):
+        try:
+            yield work
+        finally:
+            _remove(work)
 
 
 def clean(place: Path) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 from scan3d.errors import InputError
 from scan3d.files.whole import REPORT
 from scan3d.pictures import stored
 from scan3d.scans.performing import perform
 from scan3d.scans.results import Scan, StoredScan
+from scan3d.settings import Given, shows_settings
 from scan3d.settings import settings as chosen_settings
 from scan3d.simulation.scan import Progress
 
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
     import trimesh
 
 
+@shows_settings
 def scan(
     mesh: str | os.PathLike[str] | trimesh.Trimesh,
     out: str | os.PathLike[str] | None = None,
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
-    **settings: Any,
+    **settings: Unpack[Given],
 ) -> Scan:
     """Scan a convex body: simulate its recording, reconstruct contacts and surface, certify and compare them.
 
@@ -36,11 +38,6 @@ def scan(
         whether files in the folder that the program did not write may be replaced.
     progress
         called with the numbers of slices that are done and of all slices.
-    settings
-        those of the command, by name: ``model``, ``slices``, ``spacing``, ``axis``, ``sweeps``, ``samples``, ``friction``,
-        ``rod``, ``clearance``, ``tolerance``, ``noise``, ``seed``, ``unit``, ``method``,
-        ``hull`` and ``clip_dent``.  A range of friction is text or a pair, ``"0.0:0.4"`` or ``(0.0, 0.4)``, a vector for
-        ``axis`` likewise ``(1, 1, 0)``, and a rod is named as ``"steel:0.3x50"``.
 
     The same mesh and settings give the same results as the command, byte for byte apart from times.
 

@@ -1,0 +1,627 @@
+"""Many scans: meshes and settings, computed in this process, in others, or by a cluster, with one summary."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import glob
+import hashlib
+import html
+import io
+import itertools
+import logging
+import math
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, Unpack
+from urllib.parse import quote
+
+from scan3d import scans
+from scan3d.errors import InputError
+from scan3d.files.meshes import FORMATS
+from scan3d.files.reading import read_small, read_toml
+from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, unchanged
+from scan3d.processes import undone_if_ended
+from scan3d.scans import StoredScan
+from scan3d.settings import Given, Settings, shows_settings, varied_settings
+from scan3d.units import unit_symbol
+from scan3d.workers import Workers
+
+SCHEMA = 1
+"""Number of the format of ``batch.json``."""
+Row = dict[str, Any]
+"""A row of the summary, by column; what is not known is None."""
+Grid = list[dict[str, Any]]
+"""The settings that vary in each combination, by name."""
+DONE, FAILED = "done", "failed"
+COLUMNS = (
+    *("run", "mesh", "mesh_sha256", *(field.name for field in dataclasses.fields(Settings)), "status", "error"),
+    *("scanned", "hausdorff", "hausdorff_relative", "hausdorff_mesh", "certificate", "certificate_relative"),
+    *("contacts", "contact_error", "friction_estimated", "surface_method", "volume_error", "normals_median_deg"),
+    *("coverage", "warnings", "seconds"),
+)
+"""The columns of the summary."""
+# Largest number of combinations of a grid: more would take weeks, and come of a mistake.
+_MOST_COMBINATIONS = 100_000
+# Characters of the name of a run; what is longer ends with a hash, because Windows allows paths of 260 characters.
+_LONGEST_NAME = 100
+# Seconds for which a scheduler is looked for, and for which results of other machines are awaited in a shared folder: network
+# file systems show new files after seconds.
+_PATIENCE_S = 30
+# Scans of one process take turns: a scheduler may give it several threads, for which libraries that read meshes are not made.
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True, repr=False)
+class Batch:
+    """The summary of a batch."""
+
+    folder: Path
+    """With ``summary.csv``, ``index.html``, ``batch.json``, and a folder for each run."""
+    rows: tuple[Row, ...]
+    """The rows of the summary, by column, in the order of the runs."""
+    computed: int
+    """Number of runs that this call has made; the others were done before."""
+
+    @property
+    def ranks(self) -> Ranks:
+        """The rows of the best, the median and the worst run by the Hausdorff distance relative to the diagonal."""
+        return _ranks(self.rows)
+
+    @property
+    def failures(self) -> list[Row]:
+        """The rows of the runs that have failed."""
+        return [row for row in self.rows if row["status"] == FAILED]
+
+    def open(self, run: str) -> StoredScan:
+        """The results of a run, by its name.  Raises InputError as `scan3d.open`, and for a run that has failed."""
+        for row in self.failures:
+            if row["run"] == run:
+                raise InputError(f"the run {run} has failed: {row['error']}")
+        return scans.open(self.folder / run)
+
+    def __repr__(self) -> str:
+        return f"Batch of {len(self.rows)} runs, {len(self.failures)} failed, in {self.folder}"
+
+
+class Ranks(NamedTuple):
+    """Rows of the best, the median and the worst of the runs that are done; None if none is.
+
+    Of an even number of runs the better one of the two in the middle counts as the median.
+    """
+
+    best: Row | None
+    median: Row | None
+    worst: Row | None
+
+
+class BatchProgress(NamedTuple):
+    """How far a batch is."""
+
+    done: int
+    """Runs that are finished, those of earlier calls and failures included."""
+    total: int
+    failed: int
+
+
+@shows_settings
+def batch(
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    executor: Executor | None = None,
+    *,
+    grid: str | os.PathLike[str] | Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    progress: Callable[[BatchProgress], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
+    **settings: Unpack[Given],
+) -> Batch:
+    """Scan many meshes, each with one setting or with every combination of a grid, and summarise the results in a folder.
+
+    paths
+        mesh files, folders for the mesh files in them, patterns such as ``parts/**/*.stl``, and lists ``@FILE`` with one of
+        these in each line.
+    out
+        folder for the summary, and for a folder of results for each run, as ``scan3d scan`` writes them.
+    executor
+        any `concurrent.futures.Executor`, such as `scan3d.workers.Workers` for processes that compute with one thread each, or
+        the executor of a Dask client; None: the runs are made in this process, one after the other.
+    grid
+        lists of values by setting, or the path of a TOML file with them, as `combinations` describes.
+    overwrite
+        whether files in the folder that the program did not write may be replaced.
+    progress
+        called with a `BatchProgress` as runs are finished.
+    notify
+        called with a sentence on what is missing in results, such as pictures, once for each sentence.
+
+    A run that fails, or whose worker dies, is a row of the summary, and the others are made.  What an earlier call has finished
+    with the same mesh, settings and version of the program is not repeated.  The results do not depend on the executor, apart
+    from times.
+
+    Raises InputError for meshes, settings and grids that can't be used, if a setting is given twice, and if the folder can't be
+    written into or holds files that must not be replaced.
+    """
+    is_file = isinstance(grid, (str, os.PathLike))
+    varied = [{}] if grid is None else read_grid(grid) if isinstance(grid, (str, os.PathLike)) else combinations(grid)
+    named = str(grid) if is_file else "the grid"
+    chosen = varied_settings(settings, varied, source="scan3d.batch", grid_source=named)
+    return perform_batch(
+        [paths] if isinstance(paths, (str, os.PathLike)) else list(paths),
+        out,
+        list(zip(varied, chosen, strict=True)),
+        executor,
+        inputs={"grid": Path(str(grid))} if is_file else {},
+        overwrite=overwrite,
+        progress=progress,
+        notify=notify,
+    )
+
+
+def perform_batch(
+    given: Iterable[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    choices: Sequence[tuple[Mapping[str, Any], Settings]],
+    executor: Executor | None,
+    *,
+    inputs: Inputs,
+    overwrite: bool,
+    progress: Callable[[BatchProgress], None],
+    notify: Callable[[str], None],
+) -> Batch:
+    """The work of `batch` and of the command.
+
+    choices
+        for each combination of the grid what it varies, by name, and all settings.
+    inputs
+        files that the batch reads besides the meshes, which are not overwritten.
+    """
+    folder = Path(out)
+    runs = _runs(mesh_files(given), choices, folder, overwrite)
+    with replacing(folder, with_recording=False, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
+        missing = [run for run in runs if not run.is_done()]
+        failures: dict[str, Outcome] = {}
+        notices: set[str] = set()
+        before = len(runs) - len(missing)
+        progress(BatchProgress(before, len(runs), 0))
+        for done, (run, outcome) in enumerate(_outcomes(missing, executor), start=before + 1):
+            if outcome.error:
+                failures[run.name] = outcome
+            for notice in {*outcome.notices} - notices:
+                notify(notice)
+            notices.update(outcome.notices)
+            progress(BatchProgress(done, len(runs), len(failures)))
+        rows = tuple(_row(run, failures.get(run.name)) for run in runs)
+        ranks = {name: None if row is None else row["run"] for name, row in _ranks(rows)._asdict().items()}
+        result.put("summary.csv", _csv(rows))
+        result.put("index.html", _page(folder, rows, ranks))
+        counts = {"runs": len(rows), "done": len(rows) - len(failures), "failed": len(failures)}
+        versions = {"scan3d": version("scan3d")}
+        result.commit({"schema": SCHEMA, "versions": versions, "counts": counts, **ranks, "runs": list(rows)})
+    return Batch(folder, rows, len(missing))
+
+
+# --- runs ---
+
+
+@dataclass(frozen=True)
+class Run:
+    """A mesh to be scanned with some settings."""
+
+    name: str
+    """Of its folder."""
+    mesh: str
+    """Path of the mesh as it was given, for the summary."""
+    path: str
+    """Absolute path of the mesh."""
+    sha256: str | None
+    """Of the mesh file; None if it can't be read."""
+    settings: Settings
+    folder: str
+    """Absolute path of the folder for the results."""
+    overwrite: bool = False
+
+    def is_done(self) -> bool:
+        """Whether the folder holds the whole result of this mesh, these settings and this version of the program."""
+        folder = Path(self.folder)
+        try:
+            report = read_report(folder)
+            mesh = report["mesh"]
+            is_same = (
+                mesh["sha256"] == self.sha256
+                and mesh["file"] == Path(self.path).name
+                and report["settings"] == dataclasses.asdict(self.settings)
+                and report["versions"]["scan3d"] == version("scan3d")
+            )
+            return is_same and set(report["files"]) == unchanged(folder)
+        except (InputError, KeyError, TypeError):
+            return False
+
+
+class Outcome(NamedTuple):
+    """What a worker says of a run."""
+
+    error: str
+    """A sentence if the run has failed, or an empty string."""
+    seconds: float = 0.0
+    notices: tuple[str, ...] = ()
+    """Sentences about what is missing in the result, such as pictures."""
+
+
+def _runs(
+    paths: Sequence[Path], choices: Iterable[tuple[Mapping[str, Any], Settings]], out: Path, overwrite: bool
+) -> list[Run]:
+    """Every mesh with every choice, which is what a grid varies and all settings; none of them twice."""
+    combined: dict[Settings, Mapping[str, Any]] = {}
+    for varied, settings in choices:
+        combined.setdefault(settings, varied)
+    bodies, hashes = body_names(paths), [_sha256(path) for path in paths]
+    pairs = [(k, settings) for k in range(len(paths)) for settings in combined]
+    names = _distinct([run_name(bodies[k], combined[settings]) for k, settings in pairs])
+    return [
+        Run(name, str(paths[k]), str(paths[k].absolute()), hashes[k], settings, str(out.absolute() / name), overwrite)
+        for name, (k, settings) in zip(names, pairs, strict=True)
+    ]
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() if path.is_file() else None
+    except (OSError, ValueError):
+        return None
+
+
+def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[Run, Outcome]]:
+    """What becomes of each run, as they are finished; without an executor they are made here, one after the other."""
+    if executor is None:
+        yield from ((run, perform(run)) for run in runs)
+        return
+    kill = executor.kill if isinstance(executor, Workers) else bool
+    futures = {executor.submit(perform, run): run for run in runs}
+    with undone_if_ended(kill):
+        for future in as_completed(futures):
+            run = futures[future]
+            try:
+                outcome = future.result()
+            # a run tells its own failures: what is raised here concerns the worker, in the words of its executor
+            except Exception as error:
+                outcome = Outcome(f"its worker was lost ({_why_lost(error)}); start the batch again to repeat the run")
+            if not outcome.error and not _appears(Path(run.folder) / REPORT):
+                outcome = Outcome(
+                    f"the worker has not written into {run.folder}; workers on other machines need a folder that all of "
+                    "them share"
+                )
+            yield run, outcome
+
+
+def _why_lost(error: Exception) -> str:
+    if isinstance(error, BrokenExecutor):
+        return "the operating system may have ended it for lack of memory"
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _appears(path: Path) -> bool:
+    """Whether a file is there, or appears soon."""
+    end = time.monotonic() + _PATIENCE_S
+    while not path.exists():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.1)
+    return True
+
+
+def perform(run: Run) -> Outcome:
+    """Make a run and write its results; whatever goes wrong is told in a sentence."""
+    notices: list[str] = []
+    with _ONE_AT_A_TIME:
+        start = time.perf_counter()
+        error = ""
+        try:
+            if not run.is_done():  # by a worker that was lost after it
+                scans.perform(run.path, run.settings, run.folder, overwrite=run.overwrite, notify=notices.append)
+        except InputError as refusal:
+            error = str(refusal)
+        except MemoryError:
+            error = "there is not enough memory for this scan; take fewer slices or samples, or fewer jobs"
+        except OSError as failure:
+            error = f"{failure.strerror or failure}{f' ({failure.filename})' if failure.filename else ''}"
+        # an error of the program or of a library concerns this run; the others are made
+        except Exception as failure:
+            logging.getLogger("scan3d").debug("run %s", run.name, exc_info=True)
+            error = f"the program has failed: {type(failure).__name__}: {failure}"
+        return Outcome(" ".join(error.split()), round(time.perf_counter() - start, 3), tuple(notices))
+
+
+@contextmanager
+def scheduled(address: str) -> Iterator[Executor]:
+    """The executor of a Dask cluster, given the address of its scheduler, such as ``tcp://node1:8786``.
+
+    Its workers need this program in the same version, and the folders of meshes and results under the same paths.  Leaving the
+    block cancels what is not finished.
+
+    Raises InputError if dask.distributed is not installed, or if no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("a scheduler needs dask.distributed: pip install 'scan3d[cluster]'") from None
+    try:
+        client = Client(address, timeout=_PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers at {address} ({error}); start one with 'dask scheduler', and give the address it prints"
+        ) from None
+    with client:
+        executor = client.get_executor(pure=False)
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)
+
+
+# --- meshes, grids and names ---
+
+
+def mesh_files(given: Iterable[str | os.PathLike[str]]) -> list[Path]:
+    """The mesh files that are meant, in the order in which they are given, each once.
+
+    given
+        files, which need not exist; folders, for the mesh files in them; patterns such as ``parts/**/*.stl``; and lists
+        ``@FILE``, text files with one of the former in each line, relative to the folder of the list.  In a list, empty lines
+        and those that begin with ``#`` are left out.  Files that a scan has written are left out of folders and patterns.
+
+    Raises InputError for lists that can't be read, for folders and patterns without a mesh, and if nothing is given.
+    """
+    found: dict[str, Path] = {}
+    for entry in given:
+        name = os.fspath(entry)
+        is_list = isinstance(entry, str) and name.startswith("@") and not Path(name).exists()
+        for line in _lines(Path(name[1:])) if is_list else [name]:
+            for path in _meant(line):
+                found.setdefault(os.path.abspath(path), path)
+    if not found:
+        raise InputError("there is no mesh to scan; name mesh files, folders, patterns such as 'parts/*.stl', or @LIST")
+    return list(found.values())
+
+
+def _lines(path: Path) -> list[str]:
+    """The entries of a list, relative to the current folder."""
+    try:
+        lines = [line.strip() for line in read_small(path).splitlines()]
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
+        raise InputError(
+            f"can't read the list {path}: {reason}; expected a text file with a mesh in each line"
+        ) from None
+    entries = [str(path.parent / line) for line in lines if line and not line.startswith("#")]
+    if not entries:
+        raise InputError(f"the list {path} is empty; expected a mesh in each line")
+    return entries
+
+
+def _meant(name: str) -> list[Path]:
+    """The files that an entry means."""
+    path = Path(name)
+    is_pattern = glob.has_magic(name) and not path.exists()
+    if not path.is_dir() and not is_pattern:
+        return [path]
+    files = [Path(match) for match in glob.glob(name, recursive=True)] if is_pattern else path.iterdir()
+    meshes = [file for file in sorted(files) if file.suffix[1:].lower() in FORMATS and file.is_file()]
+    written = {folder: earlier_files(folder) for folder in {file.parent for file in meshes}}
+    meshes = [file for file in meshes if file.name not in written[file.parent]]
+    if not meshes:
+        what = "the pattern" if is_pattern else "the folder"
+        raise InputError(f"{what} {name} has no mesh file; expected files that end with .{', .'.join(FORMATS)}")
+    return meshes
+
+
+def read_grid(path: str | os.PathLike[str]) -> Grid:
+    """The combinations of a TOML file; see `combinations`.  Raises InputError for a file that can't be read, and as there."""
+    try:
+        data = read_toml(Path(path))
+    except OSError as error:
+        raise InputError(f"can't read the grid {path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path} is not a TOML file of a grid: {error}") from None
+    return combinations(data, str(path))
+
+
+def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:
+    """The combinations of lists of values by setting.
+
+    Of ``{"friction": [0.0, 0.3], "noise": [0.0, 1e-4]}`` they are four; a value that is no list is that of all combinations.  A
+    value that is a table is a grid of its own, which also has the values outside the tables: several tables make one
+    combination after the other.  A vector for ``axis`` or a pair for ``friction`` is a list in the list of values.
+
+    `source` is the name of the grid in messages.  Raises InputError for empty lists, tables in tables, a setting that is both
+    in a table and outside, a grid without settings, and more than 100 000 combinations.
+    """
+    common = {name: value for name, value in data.items() if not isinstance(value, Mapping)}
+    tables = {name: value for name, value in data.items() if isinstance(value, Mapping)}
+    found: Grid = []
+    for name, table in (tables or {"": {}}).items():
+        nested = [key for key, value in table.items() if isinstance(value, Mapping)]
+        if nested:
+            raise InputError(f"{source}: [{name}.{nested[0]}] is a table in a table; expected lists of values")
+        twice = sorted(common.keys() & table.keys())
+        if twice:
+            raise InputError(f"{source}: {twice[0]} stands in [{name}] and outside; leave one of them out")
+        values = {key: _values(source, key, value) for key, value in {**common, **table}.items()}
+        if not values:
+            raise InputError(f"{source} has no settings; expected lists of values, such as friction = [0.0, 0.3]")
+        number = len(found) + math.prod(map(len, values.values()))
+        if number > _MOST_COMBINATIONS:
+            raise InputError(
+                f"{source} has {number} combinations, where {_MOST_COMBINATIONS} are allowed; leave values out"
+            )
+        found += [dict(zip(values, choice, strict=True)) for choice in itertools.product(*values.values())]
+    return found
+
+
+def _values(source: str, name: str, value: Any) -> list[Any]:
+    values = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+    if not values:
+        raise InputError(f"{source}: the list of values for {name} is empty; leave {name} out, or give a value")
+    return values
+
+
+def body_names(paths: Sequence[Path]) -> list[str]:
+    """A name for each mesh file: its stem, with its ending or its folders where that tells it from others of that stem."""
+    names = []
+    for path in paths:
+        alike = [other for other in paths if other.stem.casefold() == path.stem.casefold()]
+        folders = {str(other.absolute().parent) for other in alike}
+        parts = [path.stem]
+        if len(folders) > 1:
+            try:
+                top = os.path.commonpath(folders)
+            except ValueError:  # on two drives of Windows
+                top = ""
+            parts = [*Path(str(path.absolute().parent)[len(top) :]).parts, path.stem]
+        if sum(other.parent == path.parent for other in alike) > 1:
+            parts.append(path.suffix[1:])
+        names.append(_allowed("-".join(parts)))
+    return _distinct(names)
+
+
+def run_name(body: str, varied: Mapping[str, Any]) -> str:
+    """The name of a run: that of the body, and the settings that the grid varies."""
+    return _allowed("_".join([body, *(f"{name}={_text(value)}" for name, value in varied.items())]))
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(_text, value)) if isinstance(value, (list, tuple)) else str(value).replace(":", "-")
+
+
+def _allowed(text: str) -> str:
+    """The text with a hyphen for characters that a file system or a shell may not take, shortened if it is long."""
+    name = re.sub(r"[^\w.,=+-]+", "-", text).strip(".-") or "body"
+    if len(name) <= _LONGEST_NAME:
+        return name
+    return f"{name[: _LONGEST_NAME - 9]}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:8]}"
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The names, with a number behind those that others have too; file systems may not distinguish capitals."""
+    taken = {name.casefold() for name in BATCH.results}
+    chosen = []
+    for name in names:
+        numbered = (f"{name}-{number}" for number in itertools.count(2))
+        candidate = next(one for one in itertools.chain([name], numbered) if one.casefold() not in taken)
+        taken.add(candidate.casefold())
+        chosen.append(candidate)
+    return chosen
+
+
+# --- the summary ---
+
+
+def _row(run: Run, failure: Outcome | None) -> Row:
+    """The row of a run, of what its folder holds, or of its failure."""
+    row: Row = dict.fromkeys(COLUMNS)
+    row |= {"run": run.name, "mesh": run.mesh, "mesh_sha256": run.sha256 or "", **dataclasses.asdict(run.settings)}
+    if failure is None:
+        try:
+            return {**row, "status": DONE, "error": "", **_figures(read_report(Path(run.folder)))}
+        except (InputError, KeyError) as error:
+            failure = Outcome(f"its results can't be read: {error}")
+    return {**row, "status": FAILED, "error": failure.error, "surface_method": "", "seconds": failure.seconds}
+
+
+def _figures(report: Mapping[str, Any]) -> Row:
+    """The columns that a report fills."""
+
+    def value(section: str, name: str) -> Any:
+        return (report.get(section) or {}).get(name)
+
+    return {
+        "scanned": value("mesh", "scanned"),
+        "hausdorff": value("hausdorff", "two_sided"),
+        "hausdorff_relative": value("hausdorff", "relative"),
+        "hausdorff_mesh": (value("hausdorff", "mesh_itself") or report.get("hausdorff") or {}).get("two_sided"),
+        "certificate": value("certificate", "bound"),
+        "certificate_relative": value("certificate", "relative"),
+        "contacts": value("counts", "contacts"),
+        "contact_error": value("contact_error", "max"),
+        "friction_estimated": value("friction", "estimated_median"),
+        "surface_method": value("surface", "method"),
+        "volume_error": value("surface", "volume_error"),
+        "normals_median_deg": value("normals", "median_deg"),
+        "coverage": value("coverage", "surface"),
+        "warnings": len(report["warnings"]),
+        "seconds": round(sum(report["timings_s"].values()), 3),
+    }
+
+
+def _ranks(rows: Sequence[Row]) -> Ranks:
+    known = [row for row in rows if row["status"] == DONE and row["hausdorff_relative"] is not None]
+    known.sort(key=lambda row: float(row["hausdorff_relative"]))
+    return Ranks(known[0], known[(len(known) - 1) // 2], known[-1]) if known else Ranks(None, None, None)
+
+
+def _csv(rows: Sequence[Row]) -> bytes:
+    """The rows as CSV in UTF-8, with a header; what is not known is empty, and numbers have all digits."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    words = {True: "true", False: "false"}
+    writer.writerows({k: words[v] if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
+    return stream.getvalue().encode(errors="replace")  # file names may hold bytes that are no characters
+
+
+_PAGE = """\
+<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{name} – scan3d</title>
+<style>
+body {{ font: 15px/1.4 sans-serif; margin: 2em; }}
+main {{ display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 1em; }}
+article {{ border: 1px solid #bbb; border-radius: 6px; padding: 0.7em; overflow-wrap: anywhere; }}
+article.failed {{ border-color: #b00; }}
+h2 {{ font-size: 1.1em; margin: 0 0 0.4em; }}
+img {{ width: 100%; }}
+</style></head>
+<body><h1>{name}</h1><p>{counts}</p>
+<main>
+{cards}
+</main></body></html>
+"""
+
+
+def _page(folder: Path, rows: Sequence[Row], ranks: Mapping[str, str | None]) -> bytes:
+    """The page (HTML, UTF-8) of all runs with their pictures, which lie in the folders of the runs."""
+    failed = sum(row["status"] == FAILED for row in rows)
+    varied = [field.name for field in dataclasses.fields(Settings) if len({row[field.name] for row in rows}) > 1]
+    marks = {run: mark for mark, run in reversed([*ranks.items()]) if run is not None}
+    return _PAGE.format(
+        name=html.escape(f"Batch {folder.resolve().name}"),
+        counts=f"{len(rows)} runs: {len(rows) - failed} done, {failed} failed",
+        cards="\n".join(_card(folder, row, marks.get(row["run"], ""), varied) for row in rows),
+    ).encode(errors="replace")
+
+
+def _card(folder: Path, row: Row, mark: str, varied: Sequence[str]) -> str:
+    name, place = html.escape(row["run"]), html.escape(quote(row["run"], safe=""))
+    settings = html.escape(", ".join(f"{setting} {row[setting]}" for setting in varied))
+    if row["status"] == FAILED:
+        return f'<article class="failed"><h2>{name}</h2><p>failed: {html.escape(row["error"])}</p>{settings}</article>'
+    figures = [
+        f"{what} {row[column]:.3g} {unit_symbol(row['unit'])} ({100 * row[f'{column}_relative']:.2g} % of the diagonal)"
+        for what, column in (("Hausdorff distance", "hausdorff"), ("certified within", "certificate"))
+        if row[column] is not None and row[f"{column}_relative"] is not None
+    ]
+    figures += [f"{row['contacts']} contacts", f"{row['seconds']:.3g} s"]
+    is_drawn = (folder / row["run"] / "surface.png").exists()
+    picture = f'<img src="{place}/surface.png" alt="" loading="lazy">' if is_drawn else "<p>no picture</p>"
+    return (
+        f'<article><h2><a href="{place}/view.html">{name}</a> {mark}</h2>{picture}'
+        f"<p>{'<br>'.join(figures)}</p>{settings}</article>"
+    )
