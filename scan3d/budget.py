@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.bounds import Allowed, Enclosure, allowed
 from scan3d.cloud import Cloud
 from scan3d.recording import Recording
-from scan3d.surfaces import Allowed, Enclosure, allowed
 
 
 def _allowed(cloud: Cloud, bounds: Enclosure) -> Allowed | None:

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
+from scan3d.bounds import Certificate, Enclosure, certificate
 from scan3d.cloud import Cloud
 from scan3d.spatial.bodies import sphere_directions
-from scan3d.surfaces import Certificate, Enclosure, SpatialEnclosure, certificate
 
 # Directions, spread evenly over the sphere, by which the coverage of normals is measured.  More take longer; fewer give a
 # coarser fraction.
@@ -29,7 +29,7 @@ _COARSE, _SUBDIVIDED = 2000, 50
 
 def _local_bounds(bounds: Enclosure, surface: Any, certified: Certificate) -> tuple[Any, Array]:
     """The surface and the local bounds at its vertices; with more vertices where contacts lie anywhere and facets are large."""
-    if isinstance(bounds, SpatialEnclosure) and bounds.confidence and len(surface.faces) < _COARSE:
+    if bounds.slabs is None and bounds.confidence and len(surface.faces) < _COARSE:
         fine = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / _SUBDIVIDED, max_iter=100)
         return fine, certificate(bounds, fine).at_vertices
     return surface, certified.at_vertices

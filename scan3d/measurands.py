@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.bounds import Certificate, Enclosure, allowed
 from scan3d.cloud import Cloud
-from scan3d.surfaces import Certificate, Enclosure, allowed
 
 _AXES = "xyz"
 

@@ -12,6 +12,7 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
+from scan3d.bounds import Certificate, Enclosure
 from scan3d.budget import calibration_numbers, calibration_off, noise_off
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
@@ -20,7 +21,6 @@ from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.measurands import measurands
 from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
-from scan3d.surfaces import Certificate, Enclosure
 
 if TYPE_CHECKING:
     import trimesh

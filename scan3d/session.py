@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scan3d.bounds import Certificate, Enclosure, Gap, certificate, enclosure, withdrawn
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -36,7 +37,7 @@ from scan3d.reconstruction.planes import LEVEL
 from scan3d.recording import Recording, joined
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
-from scan3d.surfaces import Certificate, Enclosure, Gap, SliceEnclosure, certificate, enclosure, surface, withdrawn
+from scan3d.surfaces import surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -249,16 +250,16 @@ class Session(Described):
     def _open_directions(self, sweeps: int) -> list[tuple[float, float]]:
         """At most `sweeps` directions and heights that close what the contacts of slices leave open, if that is much."""
         bounds = self._known.bounds
-        if not isinstance(bounds, SliceEnclosure):
+        if bounds.slabs is None:
             return []
-        wide = (bounds.kind == Gap.CONTACTS) & (bounds.gap > _WIDE * bounds.gap.max())
-        levels = bounds.stack.heights
+        wide = (bounds.slabs.kind == Gap.CONTACTS) & (bounds.gap > _WIDE * bounds.gap.max())
+        levels = bounds.slabs.stack.heights
         if not wide.any():
             return []
         numbers = np.unique(np.abs(bounds.corners[wide, 2:] - levels).argmin(axis=1))
         directions: list[tuple[float, float]] = []
         for number in numbers:
-            part = bounds.stack.slices[number]
+            part = bounds.slabs.stack.slices[number]
             points = part.points[part.tangential]
             width = float(np.ptp(part.points, axis=0).max())
             # from the slices' frame, whose axes are those of the world for horizontal slices

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.bounds import certificate, enclosure, withdrawn
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
@@ -26,7 +27,7 @@ from scan3d.pictures.words import key_figures
 from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked, reconstruct
 from scan3d.recording import Recording
 from scan3d.report import Analysis, report
-from scan3d.surfaces import certificate, enclosure, surface, withdrawn
+from scan3d.surfaces import surface
 
 PICTURES = ("cloud", "surface")
 """The views of the pictures that `write` puts into a folder."""

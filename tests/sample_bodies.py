@@ -61,3 +61,8 @@ def one_stack(mesh, **plan):
 def convex_hausdorff(first, second):
     """Hausdorff distance of two convex surfaces: the largest distance of a vertex of either from the other one."""
     return max(np.abs(signed_distances(a.vertices, b)).max() for a, b in ((first, second), (second, first)))
+
+
+def outside(points, body):
+    """Distances (n,) of points (n, 3) from a convex body, 0 inside."""
+    return np.maximum(signed_distances(points, body), 0.0)

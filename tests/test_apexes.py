@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from spatial_bodies import unit
 
-from scan3d.geometry.apexes import SupportingPlanes, cover, cut_depths, support_bounds, thinned
+from scan3d.bounds.apexes import cover, cut_depths, thinned
+from scan3d.geometry.arcs import Arcs
 
 
 def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(len(normals), True)):
@@ -15,9 +16,7 @@ def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(le
     across = unit(np.cross(normals, rng.normal(size=normals.shape)))
     off = rng.uniform(-1, 1, size=(len(normals), 1)) * half_width
     middle = np.cos(off) * normals + np.sin(off) * across
-    return SupportingPlanes(
-        normals, middle, np.cos(off) * across - np.sin(off) * normals, np.full(len(normals), half_width)
-    )
+    return Arcs(normals, middle, np.cos(off) * across - np.sin(off) * normals, np.full(len(normals), half_width))
 
 
 @pytest.mark.parametrize("half_width", [0.0, 1e-3, 0.02])
@@ -43,7 +42,7 @@ def test_the_support_function_is_bounded_from_above():
 
 def test_apexes_lie_on_the_planes_of_a_cube():
     axes = np.concatenate([np.eye(3), -np.eye(3)])
-    planes = SupportingPlanes(axes, axes, np.roll(axes, 1, axis=1), np.zeros(6))
+    planes = Arcs(axes, axes, np.roll(axes, 1, axis=1), np.zeros(6))
     found = cover(planes, np.arange(6))
     assert len(found.planes) == 8
     assert np.abs(found.apexes) == pytest.approx(np.ones((8, 8, 3)))
@@ -83,7 +82,7 @@ def test_only_planes_far_away_bound_nothing():
 
 
 def test_a_cut_counts_by_the_end_at_which_it_is_least():
-    planes = SupportingPlanes(np.eye(3)[:1], np.eye(3)[:1], np.eye(3)[1:2], np.array([0.1]))
+    planes = Arcs(np.eye(3)[:1], np.eye(3)[:1], np.eye(3)[1:2], np.array([0.1]))
     depth = cut_depths(planes, np.array([0]), np.array([[2.0, 0, 0], [1.0, 0.5, 0]]))
     assert depth[:, 0] == pytest.approx([np.cos(0.1), -0.5 * np.sin(0.1)])
 

@@ -10,15 +10,16 @@ from slices_by_hand import stack_of_rectangles
 
 import planar
 import scan3d
+from scan3d.bounds import certificates
+from scan3d.bounds.enclosures import _bounded_by_others
+from scan3d.bounds.slabs import Slab, slabs
 from scan3d.geometry.distance import distances, nearest, signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces import Gap, certificate, certificates, enclosure, surface
-from scan3d.surfaces.bounds import _bounded_by_others
-from scan3d.surfaces.certificates import outside
-from scan3d.surfaces.slabs import Slab, slabs
+from scan3d.surfaces import Gap, certificate, enclosure, surface
+from tests.sample_bodies import outside
 
 
 @pytest.mark.parametrize(
@@ -205,9 +206,9 @@ def box_cloud():
 def test_other_axes_bound_the_ends_of_a_box_exactly():
     """The walls that slices along one axis touch are the ends along another axis."""
     bounds = enclosure(contacts(scan3d.simulate(BOX, scan3d.Plan(slices=6, axis="xyz", samples=32))))
-    end = HALF @ np.abs(bounds.stack.frame[2])
-    assert (bounds.stack.floor, bounds.stack.ceiling) == pytest.approx((-end, end))
-    assert bounds.stack.bounded_by_others == (True, True)
+    end = HALF @ np.abs(bounds.slabs.stack.frame[2])
+    assert (bounds.slabs.stack.floor, bounds.slabs.stack.ceiling) == pytest.approx((-end, end))
+    assert bounds.slabs.stack.bounded_by_others == (True, True)
     assert np.abs(bounds.corners).max(axis=0) == pytest.approx(HALF)
     assert bounds.volume[1] == pytest.approx(BOX.volume)
 
@@ -306,8 +307,8 @@ def test_of_several_stacks_the_one_with_the_smallest_bound_is_used(margin, axes)
     assert len({round(bound, 9) for bound, _ in candidates}) == len(axes)
     bounds = enclosure(cloud, margin)
     assert bounds.bound == pytest.approx(smallest, rel=1e-12)
-    assert (bounds.stack.frame == stack.frame).all()
-    assert (bounds.stack.floor, bounds.stack.ceiling) == (stack.floor, stack.ceiling)
+    assert (bounds.slabs.stack.frame == stack.frame).all()
+    assert (bounds.slabs.stack.floor, bounds.slabs.stack.ceiling) == (stack.floor, stack.ceiling)
 
 
 @pytest.mark.parametrize("margin", [0.01, 0.3])
@@ -316,9 +317,9 @@ def test_a_margin_moves_the_ends_that_other_stacks_bound(margin):
     """A box that is larger than the contacts show by the margin is still inside."""
     plan = scan3d.Plan(slices=6, axis="xyz", spacing="cosine", samples=32)
     bounds = enclosure(contacts(scan3d.simulate(BOX, plan)), margin)
-    end = HALF @ np.abs(bounds.stack.frame[2])
-    assert bounds.stack.floor <= -end - margin * (1 - 1e-9)
-    assert bounds.stack.ceiling >= end + margin * (1 - 1e-9)
+    end = HALF @ np.abs(bounds.slabs.stack.frame[2])
+    assert bounds.slabs.stack.floor <= -end - margin * (1 - 1e-9)
+    assert bounds.slabs.stack.ceiling >= end + margin * (1 - 1e-9)
     assert (np.abs(bounds.corners).max(axis=0) >= HALF + margin * (1 - 1e-9)).all()
     # once for the contacts, twice for the inclination over half a spacing, and once more for that of the other stacks
     assert (np.abs(bounds.corners).max(axis=0) <= HALF + 4.01 * margin).all()
@@ -383,8 +384,8 @@ def test_corners_that_are_not_measured_are_no_farther(axis, scale, at_once, monk
     moved = hull(scale * bounds.inner.vertices.view(np.ndarray) + [0.0, 0.3, 0.1])
     outwards = outside(np.asarray(moved.vertices), bounds.inner).max()
     by_slabs = max(outwards, outside(bounds.corners, moved).max())
-    by_others = np.inf if bounds.tangents is None else max(outwards, outside(bounds.tangents.corners, moved).max())
-    assert (bounds.tangents is None) == (axis == "z")
+    by_others = np.inf if bounds.tighter is None else max(outwards, outside(bounds.tighter.corners, moved).max())
+    assert (bounds.tighter is None) == (axis == "z")
     assert certificate(bounds, moved).bound == pytest.approx(min(by_slabs, by_others), rel=1e-10)
 
 

@@ -9,19 +9,18 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import scan3d
+from scan3d.bounds import cells, certificate, enclosure, withdrawn
+from scan3d.bounds.cells import cells_of_cloud, tighter_cells
+from scan3d.bounds.constraints import exact_error
+from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces import cells, certificate, enclosure, withdrawn
-from scan3d.surfaces.bounds import slice_enclosure
 from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells, has_cells
-from scan3d.surfaces.cells import cells_of_cloud, tighter_cells
-from scan3d.surfaces.certificates import outside
 from scan3d.surfaces.cross_validation import hold_out_slices
-from scan3d.surfaces.enclosures import CellEnclosure
-from scan3d.surfaces.inclined import exact_error
+from tests.sample_bodies import outside
 
 # Directions in which bodies are compared.
 DIRECTIONS = np.random.default_rng(5).normal(size=(400, 3))
@@ -158,8 +157,8 @@ def test_a_box_is_found_exactly(frame):
 def test_the_bound_by_cells_is_withdrawn_with_the_others():
     _, cloud = scanned(2)
     bounds = enclosure(cloud)
-    assert isinstance(bounds.tangents, CellEnclosure)
-    assert bounds.tangents.parts() == {"cells": bounds.tangents.bound}
+    assert bounds.tighter.slabs is None
+    assert bounds.tighter.parts() == {"contacts": bounds.tighter.bound, "rod": 0.0}
     nothing, certified = withdrawn(bounds, bounds.inner)
     assert np.isinf(nothing.bound)
     assert np.isinf(certified.bound)
@@ -191,7 +190,7 @@ def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monk
     """Cross-validation must not choose an estimate that all slices together do not have."""
     _, cloud = scanned(1)
     bounds = enclosure(cloud)
-    assert bounds.tangents is not None
+    assert bounds.tighter is not None
     crossings = cells.crossings(len(stack.slices) for stack in stacks(cloud))
     monkeypatch.setattr(cells, "MOST_CROSSINGS", crossings - 1)
     assert not has_cells(cloud)

@@ -8,16 +8,14 @@ import pytest
 import trimesh
 
 import scan3d
+from scan3d.bounds.constraints import allowed, sigmas
+from scan3d.bounds.noise import AVERAGED, averages_of, beyond, confident, polygon_of_lines
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.polygons import beyond, polygon_of_lines
 from scan3d.geometry.sections import slice_polygons
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import certificate, enclosure, surface
-from scan3d.surfaces.allowances import allowed, sigmas
-from scan3d.surfaces.averages import AVERAGED, averages_of
-from scan3d.surfaces.confidence import confident
 from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[1] / "meshes"

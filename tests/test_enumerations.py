@@ -3,8 +3,8 @@
 import pytest
 
 import planar
+from scan3d.bounds.slabs import Gap
 from scan3d.cloud import NormalSource
-from scan3d.surfaces.slabs import Gap
 
 MEMBERS = {
     planar.Phase: ["NONE", "TIP", "TANGENTIAL"],

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 import scan3d
+from scan3d.bounds.constraints import sigmas
 from scan3d.measurands import measurands
 from scan3d.report import report
 from scan3d.summaries import summary
 from scan3d.surfaces import enclosure
-from scan3d.surfaces.allowances import sigmas
 from scan3d.workflow import analyse
 
 

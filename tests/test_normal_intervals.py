@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud
 
 from planar import Phase
-from scan3d.geometry.normal_intervals import edges_of, normal_intervals
+from scan3d.geometry.arcs import edges_of, normal_intervals
 
 EXACT = 1e-9
 BODIES = {

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 
-from scan3d.geometry.qhull import half_space_intersection
+from scan3d.geometry.polytopes import half_space_intersection
 
 # Dual points of half-spaces of a slab of the Stanford bunny's hull, of which two would replace each other without end.
 DUAL = np.array([
@@ -24,7 +24,7 @@ DUAL = np.array([
 # In a process of its own, which can be ended; the largest value by which a corner lies outside of a half-space.
 CODE = """
 import numpy as np
-from scan3d.geometry.qhull import half_space_intersection
+from scan3d.geometry.polytopes import half_space_intersection
 dual = np.array({})
 corners = half_space_intersection(np.column_stack([dual, -np.ones(len(dual))]), np.zeros(3)).intersections
 print((corners @ dual.T - 1).max())

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
+from scan3d.bounds import certificate, enclosure, sigmas
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
 from scan3d.simulation import axis_scans
 from scan3d.simulation import scan as simulation
-from scan3d.surfaces import certificate, enclosure, sigmas
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})

@@ -8,13 +8,12 @@ from scipy.spatial import QhullError
 
 import scan3d
 from scan3d import Plan
+from scan3d.bounds import slabs as slab_gaps
+from scan3d.bounds.slabs import SlabGaps, slabs
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces import slab_gaps
-from scan3d.surfaces.certificates import outside
-from scan3d.surfaces.slab_gaps import SlabGaps
-from scan3d.surfaces.slabs import slabs
+from tests.sample_bodies import outside
 
 MESHES = Path(__file__).parents[1] / "meshes"
 

@@ -9,13 +9,13 @@ from sample_bodies import convex_hausdorff
 from slices_by_hand import rectangle, slice_of, stack_of_rectangles
 
 import scan3d
+from scan3d.bounds.slabs import _corners_are_straight, _goes_on_straight, _half_spaces, slab_keys, slabs
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces import Gap, enclosure
-from scan3d.surfaces.slabs import _corners_are_straight, _goes_on_straight, _half_spaces, slab_keys, slabs
 
 
 def test_nothing_bounds_a_body_past_its_end_slices_unless_an_empty_slice_does():
@@ -63,9 +63,9 @@ def test_contacts_moved_by_less_than_the_margin_leave_the_body_inside(margin):
     inwards[:, 2] = 0.0
     noisy = dataclasses.replace(cloud, points=cloud.points + rng.uniform(size=(len(cloud), 1)) * inwards)
     bounds = enclosure(noisy, margin)
-    slab_height = np.searchsorted(bounds.stack.heights, mesh.vertices[:, 2])
+    slab_height = np.searchsorted(bounds.slabs.stack.heights, mesh.vertices[:, 2])
     for i in np.unique(slab_height):
-        outer = hull(bounds.corners[bounds.slab == i])
+        outer = hull(bounds.corners[bounds.slabs.number == i])
         assert signed_distances(mesh.vertices[slab_height == i], outer).max() < 1e-9
     assert bounds.bound >= convex_hausdorff(bounds.inner, mesh)
 
@@ -124,7 +124,7 @@ def test_the_bound_allows_for_the_digits_of_heights(seed):
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=14, samples=16, sweeps=6))
     cloud = scan3d.reconstruct(dataclasses.replace(recording, position_m=np.round(recording.position_m / 5e-6) * 5e-6))
     bounds = enclosure(cloud)
-    assert bounds.stack.height_error == cloud.pose_error > 4e-3
+    assert bounds.slabs.stack.height_error == cloud.pose_error > 4e-3
     assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound < 4
     assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
 
@@ -147,7 +147,7 @@ def test_heights_that_differ_within_a_slice_are_uncertain_by_their_spread():
     off = 1e-5 * np.random.default_rng(0).uniform(-1, 1, len(recording))
     measured = dataclasses.replace(recording, position_m=recording.position_m + off[:, None] * [0.0, 0.0, 1.0])
     bounds = enclosure(scan3d.reconstruct(measured))
-    assert 5e-3 < bounds.stack.height_error < 2e-2
+    assert 5e-3 < bounds.slabs.stack.height_error < 2e-2
     assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
 
 
@@ -255,28 +255,28 @@ def test_the_kind_of_a_corner_is_that_of_its_place(box_cloud, levels, margin):
     beyond = (z > levels[-1] + 1e-9) | (z < levels[0] - 1e-9)
     between = (z > levels[0] + 1e-9) & (z < levels[-1] - 1e-9) & ~in_slice
     assert in_slice.any()
-    assert (bounds.kind[in_slice] == Gap.CONTACTS).all()
-    assert (bounds.kind[beyond] == Gap.CAPS).all()
-    assert (bounds.kind[between] == Gap.SLICES).all()
+    assert (bounds.slabs.kind[in_slice] == Gap.CONTACTS).all()
+    assert (bounds.slabs.kind[beyond] == Gap.CAPS).all()
+    assert (bounds.slabs.kind[between] == Gap.SLICES).all()
     assert between.any() == (margin > 0)
 
 
 def test_corners_lie_in_their_slab(box_cloud, levels):
     bounds = enclosure(box_cloud, 0.1)
-    below = np.array([bounds.stack.floor, *levels])[bounds.slab]
-    above = np.array([*levels, bounds.stack.ceiling])[bounds.slab]
+    below = np.array([bounds.slabs.stack.floor, *levels])[bounds.slabs.number]
+    above = np.array([*levels, bounds.slabs.stack.ceiling])[bounds.slabs.number]
     assert (bounds.corners[:, 2] >= below - 1e-9).all()
     assert (bounds.corners[:, 2] <= above + 1e-9).all()
-    assert set(bounds.slab) == set(range(len(levels) + 1))
+    assert set(bounds.slabs.number) == set(range(len(levels) + 1))
 
 
 def test_upright_walls_go_on_straight_where_three_slices_agree(box_cloud, levels):
     bounds = enclosure(box_cloud, 0.3)
     # halfway between two slices half-spaces from both meet
-    inner = (bounds.kind == Gap.SLICES) & (bounds.slab > 1) & (bounds.slab < len(levels) - 1)
+    inner = (bounds.slabs.kind == Gap.SLICES) & (bounds.slabs.number > 1) & (bounds.slabs.number < len(levels) - 1)
     assert inner.any()
-    assert (bounds.straight[inner, 0] == (bounds.slab[inner] >= 3)).all()
-    assert (bounds.straight[inner, 1] == (bounds.slab[inner] <= len(levels) - 3)).all()
+    assert (bounds.slabs.straight[inner, 0] == (bounds.slabs.number[inner] >= 3)).all()
+    assert (bounds.slabs.straight[inner, 1] == (bounds.slabs.number[inner] <= len(levels) - 3)).all()
 
 
 # --- where the body goes on straight ---

@@ -11,13 +11,13 @@ from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spa
 
 import scan3d
 from scan3d import InputError
+from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cli import main
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction import checked, contradictions
 from scan3d.session import Session
 from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.surfaces import certificate, enclosure, surface
-from scan3d.surfaces.bounds import slice_enclosure
 
 ROD = scan3d.Rod(0.06, 1.9e-4, 0.0003)
 

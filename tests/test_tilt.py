@@ -56,7 +56,7 @@ def check(mesh, cloud):
     assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
     made = surface(cloud, bounds=bounds)
     assert convex_hausdorff(made, mesh) <= certificate(bounds, made).bound
-    outer = [hull(bounds.corners[bounds.slab == number]) for number in np.unique(bounds.slab)]
+    outer = [hull(bounds.corners[bounds.slabs.number == number]) for number in np.unique(bounds.slabs.number)]
     missing = np.min([signed_distances(mesh.vertices, part) for part in outer], axis=0)
     assert missing.max() <= bounds.margin + 1e-9
     return bounds
@@ -72,7 +72,7 @@ def test_the_certificate_holds_for_tilted_clamps(block):
         assert cloud.tilt.slope == pytest.approx(np.hypot(*np.radians(turn[:2])), rel=0.05)
         assert contradictions(recording, cloud) == []
         bounds = check(mesh, cloud)
-        assert bounds.stack.height_error >= cloud.tilt.spread
+        assert bounds.slabs.stack.height_error >= cloud.tilt.spread
         assert np.isfinite(bounds.bound)
 
 

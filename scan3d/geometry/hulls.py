@@ -1,17 +1,19 @@
-"""Convex hulls as meshes."""
+"""Convex hulls: as meshes, made smaller, their edges, and their support functions."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.geometry.distance import nearest
 from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
+from scan3d.geometry.vectors import highest
 
 # Points whose root mean square distance from a plane is less than this fraction of their extent span no body.  Larger, thin
 # bodies would be refused; smaller, the hull of points in one plane would be made of rounding.
@@ -22,6 +24,8 @@ _THINNEST = 1e-12
 # Points closer than this fraction of their extent are merged if their hull is not a closed surface.  Larger, the hull loses
 # accuracy; smaller, it may stay open.
 _COINCIDENT = 1e-11
+# Products of points and directions up to which all are computed, in less time than the hull.
+_FEW = 10_000_000
 
 
 def hull(points: Array) -> Any:
@@ -92,3 +96,71 @@ def _mesh(points: Array, faces: Index) -> Any:
 
     used, renumbered = without_unused(faces)
     return trimesh.Trimesh(points[used], renumbered, process=False)
+
+
+def shrunk(body: Any, distance: float) -> Any:
+    """A convex body scaled about a point of it, so that it lies in the body deeper than `distance`; None if it is too thin."""
+    centre, factor = shrunk_by(body, distance)
+    return hull(centre + factor * (body.vertices.view(np.ndarray) - centre)) if factor > 0 else None
+
+
+def shrunk_by(body: Any, distance: float) -> tuple[Array, float]:
+    """The mean (3,) of a convex body's vertices, and the factor of `shrunk` by which the body is scaled about it.
+
+    The support function about that point is at least its depth, and falls by the depth's part of itself.
+    """
+    centre = body.vertices.view(np.ndarray).mean(axis=0)
+    depth = -float(nearest(centre[None], body)[0][0])
+    return centre, 1 - distance / depth if depth > 0 else -np.inf
+
+
+def edges_of(hull: ConvexHull) -> tuple[Index, Index]:
+    """The numbers (h,) of a hull's vertices among its points, and its edges (m, 2) by numbers of the vertices."""
+    vertices = np.unique(hull.simplices)
+    number = np.zeros(len(hull.points), dtype=np.intp)
+    number[vertices] = np.arange(len(vertices))
+    faces = number[hull.simplices]
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    codes = np.unique(sides[:, 0] * len(vertices) + sides[:, 1])
+    return vertices, np.stack([codes // len(vertices), codes % len(vertices)], axis=1)
+
+
+def support_values(points: Array, directions: Array) -> Array:
+    """(d,) the largest products of points (n, 3) with each of the directions (d, 3), unit vectors.
+
+    From a vertex of the points' hull a linear function is followed along the hull's edges to ever larger values: where no
+    neighbour has a larger one, none of the vertices has.  The search begins at the facet whose normal is the nearest.  Points
+    that Qhull leaves out of the hull may lie outside by rounding, a few thousand units in the last place of their size.
+    """
+    if len(points) * len(directions) <= _FEW:
+        return highest(points, directions)
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return highest(points, directions)
+    vertices, edges = edges_of(hull)
+    corners, start, neighbours = points[vertices], *_lists(edges, len(vertices))
+    number = np.zeros(len(points), dtype=np.intp)
+    number[vertices] = np.arange(len(vertices))
+    here = number[hull.simplices[cKDTree(hull.equations[:, :3]).query(directions)[1], 0]]
+    value: Array = (corners[here] * directions).sum(axis=1)
+    active = np.arange(len(directions))
+    while len(active):
+        count = start[here[active] + 1] - start[here[active]]
+        first = np.cumsum(count) - count
+        entry = np.arange(int(count.sum())) - np.repeat(first - start[here[active]], count)
+        trial = (corners[neighbours[entry]] * directions[np.repeat(active, count)]).sum(axis=1)
+        best = np.maximum.reduceat(trial, first)
+        is_best = np.where(trial == np.repeat(best, count), neighbours[entry], -1)
+        better = best > value[active]
+        here[active[better]] = np.maximum.reduceat(is_best, first)[better]
+        active = active[better]
+        value[active] = best[better]
+    return value
+
+
+def _lists(edges: Index, count: int) -> tuple[Index, Index]:
+    """Where the neighbours of each vertex begin (count + 1,) in the list of all vertices' neighbours."""
+    one, other = np.concatenate([edges, edges[:, ::-1]]).T
+    order = np.argsort(one, kind="stable")
+    return np.searchsorted(one[order], np.arange(count + 1)), other[order]

@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from scan3d.arrays import Array, Index
 from scan3d.geometry.triangles import dot
@@ -140,3 +140,18 @@ def volume_about(vertices: Array, normals: Array, planes_through: list[list[int]
     following = np.arange(1, len(plane) + 1)
     following[ends[number > 0] - 1] = (ends - number)[number > 0]
     return float(dot(middle[plane], np.cross(corner, corner[following])).sum()) / 6
+
+
+def half_space_intersection(planes: Array, inside: Array) -> HalfspaceIntersection:
+    """The intersection of half-spaces (k, 4), a and b of ``a·x + b <= 0``, about a point (3,) inside.
+
+    Qhull intersects half-spaces by the convex hull of their dual points.  It merges facets that are coplanar up to rounding, by
+    which a vertex may get lost, and be added again without end where half-spaces through one corner are nearly equal.  With its
+    option Qx it merges facets while it adds points only where the hull would not be convex, and coplanar facets at the end.
+    Where it fails nevertheless, the half-spaces are moved by rounding (its option QJ).  Raises QhullError if that fails as
+    well, or if the point does not lie inside.
+    """
+    try:
+        return HalfspaceIntersection(planes, inside, qhull_options="Qx")
+    except QhullError:
+        return HalfspaceIntersection(planes, inside, qhull_options="QJ")

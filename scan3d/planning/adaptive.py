@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import QhullError
 
 from scan3d.arrays import Array, Mask
+from scan3d.bounds.slabs import Gap, Slab, SlabGaps, SlabKey, slab_keys, slabs
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest_on
@@ -28,8 +29,6 @@ from scan3d.planning.heights import (
 from scan3d.planning.plan import Plan
 from scan3d.planning.sharing import evened, least_parts, parts_within
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.surfaces.slab_gaps import SlabGaps
-from scan3d.surfaces.slabs import Gap, Slab, SlabKey, slab_keys, slabs
 
 # Fraction of the number of slices so far that is added in one round, and the smallest number of slices left for each height
 # that it adds: of bodies that are bent nearly everywhere, and of others.  Larger rounds need fewer evaluations, but choose more

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.enclosures import slice_enclosure
+from scan3d.bounds.slabs import Gap
 from scan3d.cloud import Cloud
 from scan3d.planning.plan import Plan
 from scan3d.planning.sharing import AT_ONCE, TIED_DECIMALS, cuts_at, evened, least_parts, parts_within
-from scan3d.surfaces.bounds import slice_enclosure
-from scan3d.surfaces.slabs import Gap
 
 # Slices inside the body with which adaptive spacing starts.  More are placed without knowing the body; with fewer, the first
 # heights are chosen by loose bounds.
@@ -238,9 +238,10 @@ def open_contours(cloud: Cloud, tolerance: float) -> tuple[Array, float]:
     The gap is in the cloud's unit.  Raises InputError if the contacts span no body.
     """
     bounds = slice_enclosure(cloud)
+    assert bounds.slabs is not None
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    in_plane = (bounds.kind == Gap.CONTACTS) & np.isfinite(bounds.gap)
+    in_plane = (bounds.slabs.kind == Gap.CONTACTS) & np.isfinite(bounds.gap)
     wide = in_plane & (bounds.gap > tolerance * diagonal)
-    heights, at = bounds.stack.heights, bounds.corners[wide] @ bounds.stack.frame[2]
+    heights, at = bounds.slabs.stack.heights, bounds.corners[wide] @ bounds.slabs.stack.frame[2]
     nearest = np.abs(at[:, None] - heights).argmin(axis=1)
     return heights[np.unique(nearest)], float(bounds.gap[in_plane].max(initial=0.0))

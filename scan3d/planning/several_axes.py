@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.cells import MOST_CROSSINGS, cells_of_cloud, crossings
 from scan3d.cloud import Cloud
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.support import inertia
@@ -25,7 +26,6 @@ from scan3d.planning.heights import AT_VERTEX, CLOSEST, LEAST_OVERSHOOT, heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.sharing import AT_ONCE
 from scan3d.reconstruction.slices import SliceStack, stacks
-from scan3d.surfaces.cells import MOST_CROSSINGS, cells_of_cloud, crossings
 
 # Slices inside the body along each axis with which a scan along several axes starts.  More are placed without knowing the body;
 # with fewer, the first heights are chosen by loose bounds.

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from scan3d.bounds.cells import applicable, cells_of_cloud
 from scan3d.cloud import Cloud
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces.cells import applicable, cells_of_cloud
 
 FRACTIONS = (0.25, 0.4, 0.7, 1.0)
 """Fractions of the way from the hull of the contacts to the corners.  More take longer; fewer fit fewer bodies."""

@@ -11,6 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
+from scan3d.bounds.certificates import certificate
+from scan3d.bounds.enclosures import Enclosure, enclosure, slice_enclosure
 from scan3d.choices import METHODS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -25,14 +27,10 @@ from scan3d.geometry.merging import (
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
-from scan3d.surfaces.bounds import enclosure, slice_enclosure
 from scan3d.surfaces.cell_estimates import between_cells, has_cells
-from scan3d.surfaces.certificates import certificate
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
-from scan3d.surfaces.enclosures import Enclosure, SliceEnclosure
 from scan3d.surfaces.interpolation import Edges, contours_between, fractions
 from scan3d.surfaces.regression import regression
-from scan3d.surfaces.spatial_bounds import SpatialEnclosure
 from scan3d.surfaces.spatial_estimates import REGRESSION, best_estimate
 from scan3d.surfaces.tuning import Tuning
 
@@ -99,9 +97,9 @@ def surface(
     if method == "support":
         assert cloud.fit is not None
         return _labelled(fitted_body(cloud.fit), method, f"{_degree(cloud.fit)}, as requested")
-    if isinstance(bounds, SpatialEnclosure):
+    assert bounds is not None
+    if bounds.slabs is None:
         return _best_in_space(cloud, bounds, tuning or Tuning(), with_fit=method == "auto")
-    assert isinstance(bounds, SliceEnclosure)
     return _best(cloud, bounds, tuning or Tuning(), with_fit=method == "auto")
 
 
@@ -116,7 +114,7 @@ class _CrossValidation:
     regression: HeldOutError | None = None
 
 
-def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: bool) -> Any:
+def _best(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) -> Any:
     """The estimate between the bounds that predicts held-out slices best.
 
     With `with_fit`, the hull is taken if its bound proves it close enough, and the fitted body if it predicts them better.
@@ -128,7 +126,7 @@ def _best(cloud: Cloud, bounds: SliceEnclosure, tuning: Tuning, *, with_fit: boo
     if bounds.confidence < 1:
         # the estimate is made between the contacts' hull and their half-spaces as they are, not as noise allows them to be
         bounds = slice_enclosure(cloud, margin=0.0)
-    by_cells = proven.tangents is not None
+    by_cells = proven.tighter is not None
     close = tuning.fit_close * proven.bound if np.isfinite(proven.bound) else 0.0
     errors = _cross_validate(cloud, tuning, close, with_fit=with_fit, by_cells=by_cells)
     if errors is None:
@@ -207,7 +205,7 @@ def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
     return _labelled(bounds.inner.copy(), "hull", reason)
 
 
-def _best_in_space(cloud: Cloud, bounds: SpatialEnclosure, tuning: Tuning, *, with_fit: bool) -> Any:
+def _best_in_space(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit: bool) -> Any:
     """The estimate from contacts anywhere that predicts those of held-out sweeps best; the arguments are those of `_best`."""
     diagonal = float(np.linalg.norm(np.ptp(bounds.inner.vertices, axis=0)))
     if with_fit and bounds.bound <= tuning.proven * diagonal:
@@ -281,14 +279,14 @@ def _error_without_slices(cloud: Cloud, kept: Cloud, held_out: Cloud) -> HeldOut
     return error_of_fit(fit_support(points, normals, cloud.fit.degree, sd, cloud.table), held_out, normals[near])
 
 
-def _between(cloud: Cloud, bounds: SliceEnclosure, edges: Edges, tuning: Tuning) -> Any:
+def _between(cloud: Cloud, bounds: Enclosure, edges: Edges, tuning: Tuning) -> Any:
     """Hull of the contacts, of points between it and the outer body's corners, and of contours between the slices."""
     points = next(_points_between(cloud, bounds, (edges,), tuning))
     # the hull of what its readers would merge would have to be computed again
     return hull(points[kept_apart(points, 2 * distance_of_readers(points))])
 
 
-def _points_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Sequence[Edges], tuning: Tuning) -> Iterator[Array]:
+def _points_between(cloud: Cloud, bounds: Enclosure, assumed: Sequence[Edges], tuning: Tuning) -> Iterator[Array]:
     """The points (n, 3) of which `_between` is the hull, with several assumptions on the edges, one after another."""
     bounded = np.isfinite(bounds.corners).all(axis=1) & (bounds.gap > 0)
     inner: Array = bounds.inner.vertices.view(np.ndarray)
@@ -296,15 +294,17 @@ def _points_between(cloud: Cloud, bounds: SliceEnclosure, assumed: Sequence[Edge
         yield from (inner for _ in assumed)
         return
     # the inner body is the hull of the contacts unless it is smaller to allow for errors
+    corners = bounds.slabs
+    assert corners is not None
     touched = inner if bounds.margin == 0 and bounds.confidence == 1 else cloud.points
-    foot = bounds.foot[bounded]
+    foot = corners.foot[bounded]
     away = bounds.corners[bounded] - foot
     contours: Array | None = None
-    by_edges = fractions(bounds.stack, away, bounds.slab[bounded], bounds.straight[bounded], assumed, tuning)
+    by_edges = fractions(corners.stack, away, corners.number[bounded], corners.straight[bounded], assumed, tuning)
     for edges, fraction in zip(assumed, by_edges, strict=True):
         points = [touched, foot + fraction[:, None] * away]
         if edges is not Edges.NONE:
-            contours = contours_between(bounds.stack, tuning) if contours is None else contours
+            contours = contours_between(corners.stack, tuning) if contours is None else contours
             points.append(contours)
         yield np.concatenate(points)
 

@@ -24,44 +24,42 @@ one near the end of a body, does not widen the outer body.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import QhullError
+from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import Array, Mask
-from scan3d.geometry.polytopes import volume_about
-from scan3d.geometry.qhull import half_space_intersection
+from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.distance import locator
+from scan3d.geometry.polytopes import half_space_intersection, volume_about
+from scan3d.geometry.triangles import distance_to, dot, longest_first
 from scan3d.reconstruction.slices import Slice, SliceStack
 
-# Corners this close to a slice's plane, relative to the slab's thickness, lie in it.  Far above the rounding of Qhull's
-# intersections; larger, corners between the slices would be taken for gaps between contacts.
+# Corners this close to a slice's plane, relative to the slab's thickness, lie in it: far above the rounding of Qhull.
 _IN_PLANE = 1e-9
-# Errors of heights that two slices lie apart at least for a secant between them.  At 2 its slope is infinite; larger, slices
-# near the ends of a body are not used.
+# Errors of heights that two slices lie apart at least for a secant between them; at 2 its slope is infinite.
 _APART = 4.0
-# Slices on each side of a slab that bound it where they are uncertain: the nearest may have few contacts, or light ones.  More
-# take longer; with one the bound of a noisy body grows without limit when slices are added near its ends.
+# Slices on each side of a slab that bound it where they are uncertain: the nearest may have few contacts, or light ones.
 _ANCHORS = 4
-# Corners farther than this many widths of the slices belong to half-spaces that do not close.  Smaller, very oblique but
-# closed slabs would count as unbounded; larger, corners that rounding has brought back from infinity would be believed.
-_FAR = 1e6
-# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's.  Larger, gentle
-# curvature would count as straight and be extended to a crease; smaller, the secants of a facet would not pass for equal.
-_STRAIGHT = 0.03
-# Rounding of a support function, relative to it: some thousand units in the last place, for several sums of products.
-# Larger, nearly straight sides of a body count as straight; smaller, rounding makes straight sides count as curved.
-_ROUNDING = 1e-12
-# Offset of a dual facet that counts as zero, so that its corner lies at infinity.  Larger, closed but very elongated slabs
-# count as unbounded; smaller, rounding makes open slabs count as bounded.
-_ZERO_OFFSET = 1e-12
+# Corners farther than this many widths of the slices, and offsets of dual facets that count as zero, belong to half-spaces that
+# do not close but for rounding.
+_FAR, _ZERO_OFFSET = 1e6, 1e-12
+# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's, and by the
+# rounding of a support function, relative to it.
+_STRAIGHT, _ROUNDING = 0.03, 1e-12
 # Where between its two planes a point inside a slab past an end slice is sought, as fractions of the thickness from the
 # slice: the middle is best conditioned, and a pointed cap leaves room near the slice only.
-# More fractions take longer where there is no such point; fewer leave very pointed caps unbounded.
 _INNER_FRACTIONS = (0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-8)
+# A point is nearest to a face if its distance from the face is that from the face's plane, but for rounding.
+_SAME, _ROUNDING_OF_DISTANCE = 1e-9, 1e-14
+# A hull whose volume is less than this fraction of its area times its size is left to the search that knows how to handle it.
+_THINNEST = 1e-9
+# Corners times faces up to which the corners are held against the planes of all faces, whose time grows with their product.
+_FEW = 1_000_000
 
 
 class Gap(IntEnum):
@@ -219,25 +217,31 @@ def _half_spaces(
         the slices on the slab's side that secants are taken from; without any the slice counts as an end slice.
     """
     normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
-    secant = _tightest(slice_, behind, normals, margin, height_error)
+    secant = secants(slice_.value, slice_.height, behind, normals, margin, height_error)
     value = slice_.value + margin
     if height_error:
         steepest = np.abs(secant)
         if ahead:
-            steepest = np.maximum(steepest, np.abs(_tightest(slice_, ahead, normals, margin, height_error)))
+            from_ahead = secants(slice_.value, slice_.height, ahead, normals, margin, height_error)
+            steepest = np.maximum(steepest, np.abs(from_ahead))
         value = value + height_error * steepest
     return np.column_stack([normals, -secant, secant * slice_.height - value])
 
 
-def _tightest(slice_: Slice, others: tuple[Slice, ...], normals: Array, margin: float, height_error: float) -> Array:
-    """The tightest secants (k,) from a slice's support lines to other slices on one side of it."""
-    value = slice_.value + margin
-    rise = np.array([value - (b.support_of_contacts(normals) - margin) for b in others])
-    run = np.array([[slice_.height - b.height] for b in others])
-    # behind means below for slices above, where the secant's slope bounds the slope from above
-    outwards = 1.0 if slice_.height > others[0].height else -1.0
-    secants = rise / (run - 2 * outwards * height_error * np.sign(rise))
-    tightest: Array = outwards * (outwards * secants).min(axis=0)
+def secants(
+    value: Array, height: float, others: tuple[Slice, ...], normals: Array, margin: float, height_error: float
+) -> Array:
+    """The tightest slopes (k,) of secants from support lines at a height to other slices on one side of it.
+
+    The lines have the unit normals (k, 2) and the values (k,).  Those to slices below bound the slope from above, those to
+    slices above from below; they are infinite where the errors of heights and places leave the slope unknown.
+    """
+    rise = np.array([value + margin - (b.support_of_contacts(normals) - margin) for b in others])
+    outwards = 1.0 if height > others[0].height else -1.0
+    run = np.array([[height - b.height] for b in others]) - 2 * outwards * height_error * np.sign(rise)
+    with np.errstate(divide="ignore"):
+        slopes = np.where(outwards * run > 0, rise / run, outwards * np.inf)
+    tightest: Array = outwards * (outwards * slopes).min(axis=0)
     return tightest
 
 
@@ -321,3 +325,85 @@ def _inner_point(below: Slice | None, above: Slice | None, low: float, high: flo
         if (planes[:, :3] @ point + planes[:, 3] < 0).all():
             return point
     return None
+
+
+class SlabGaps:
+    """The hull of a stack's contacts, and the distances of points in its slabs from it.
+
+    Nearly every corner of a slab lies straight above a face of the hull that crosses the slab or ends at one of its slices, or
+    on the hull.  So these faces are tried first, and the nearest of all faces is searched for the few other corners only.
+
+    Raises QhullError if the contacts span no body, or hardly one.
+    """
+
+    def __init__(self, stack: SliceStack) -> None:
+        levels = [_level(slice_) for slice_ in stack.slices]
+        points = np.concatenate(levels)
+        self._frame, self._middle = stack.frame, points.mean(axis=0)
+        self._size = float(np.ptp(points, axis=0).max())
+        points = (points - self._middle) / self._size
+        qhull = ConvexHull(points)
+        if not qhull.volume > _THINNEST * qhull.area:
+            raise QhullError
+        number = np.repeat(np.arange(len(levels)), [len(level) for level in levels])[qhull.simplices]
+        lowest, highest = number.min(axis=1), number.max(axis=1)
+        triangles = points[qhull.simplices]
+        self._triangles = np.take_along_axis(triangles, longest_first(triangles)[:, :, None], axis=1)
+        self._planes = qhull.equations
+        # a face that crosses several slabs, as on flat parts of the body, counts to each
+        slabs = highest - lowest
+        face = np.repeat(np.arange(len(slabs)), slabs)
+        above = lowest[face] + np.arange(len(face)) - np.repeat(np.cumsum(slabs) - slabs, slabs)
+        order = np.argsort(above, kind="stable")
+        self._crossing = face[order]
+        """Faces that cross each slab, from below."""
+        self._first = np.searchsorted(above[order], np.arange(len(levels) + 1))
+        """The first of them above each slice."""
+        self._locate: Callable[[Array], tuple[Index, Array]] | None = None
+
+    def at(self, i: int, corners: Array) -> Array:
+        """Distances (w,) of corners (w, 3) of the slab below slice i from the hull; 0 inside."""
+        corners = (corners @ self._frame.T - self._middle) / self._size
+        distance, left = np.zeros(len(corners)), np.arange(len(corners))
+        halfway = (corners[:, 2].min(initial=np.inf) + corners[:, 2].max(initial=-np.inf)) / 2
+        for low, side in ((i - 1, 0), (i - 2, -1), (i, 1)):
+            tried = left[side * (corners[left, 2] - halfway) >= 0]
+            above, found = self._above(corners[tried], self._faces(low), within=side == 0)
+            distance[tried[found]] = above[found]
+            left = np.setdiff1d(left, tried[found], assume_unique=True)
+        if len(left):
+            self._locate = self._locate or locator(self._triangles)
+            face, foot = self._locate(corners[left])
+            outside = dot(corners[left] - foot, foot) > 0  # the hull's middle is at 0
+            distance[left] = np.where(outside, distance_to(corners[left], self._triangles[face]), 0.0)
+        return distance * self._size
+
+    def _faces(self, low: int) -> Index:
+        """The faces that cross the slab above slice `low`; none below the first slice and above the last."""
+        return (
+            self._crossing[self._first[low] : self._first[low + 1]]
+            if 0 <= low < len(self._first) - 1
+            else self._crossing[:0]
+        )
+
+    def _above(self, points: Array, faces: Index, *, within: bool) -> tuple[Array, Mask]:
+        """Distances (w,) of points (w, 3) from those of some faces (m,) whose planes they are farthest from.
+
+        The second result says where no other face of the hull is nearer: the point lies straight above the face, or, if it is
+        `within` the slab that the faces cross, on the hull or inside, where the distance is 0.
+        """
+        if not 0 < len(faces) * len(points) <= _FEW:
+            return np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+        heights = points @ self._planes[faces, :3].T + self._planes[faces, 3]
+        best = heights.argmax(axis=1)
+        height = np.take_along_axis(heights, best[:, None], axis=1)[:, 0]
+        distance = distance_to(points, self._triangles[faces[best]])
+        on_hull = height <= (_ROUNDING_OF_DISTANCE if within else -np.inf)
+        above = (height > 0) & (distance <= (1 + _SAME) * height + _ROUNDING_OF_DISTANCE)
+        return np.where(on_hull, 0.0, distance), above | on_hull
+
+
+def _level(slice_: Slice) -> Array:
+    """The corners (v, 3) of a slice's hull, in the slices' frame."""
+    points = slice_.outline if len(slice_.outline) else slice_.points
+    return np.column_stack([points, np.full(len(points), slice_.height)])

@@ -33,38 +33,35 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
+from scipy.special import chdtrc, chdtri
 
 from scan3d.arrays import Array, Index
+from scan3d.bounds.constraints import AVERAGED, Allowed
 from scan3d.cloud import Cloud
-from scan3d.geometry.polygons import beyond, polygon_of_lines
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces.allowances import Allowed
-from scan3d.surfaces.averages import Averages, averages_of
 
-# Directions, beside the contacts' normals, in which the contacts are searched that bound the inner polygon.  More take longer;
-# fewer make it smaller.
+# Directions, beside the contacts' normals, in which the contacts are searched that bound the inner polygon, and beside its
+# sides those of the outer polygon's support function; none of these where the slice's contacts differ in height, because the
+# lines that meet in a corner then hold at different heights.
 _DIRECTIONS = 90
 # The rectangle about a slice's contacts is larger than they are by this fraction of their size, on each side; the second is
 # tried where the first is too small.
 _WIDENED = np.array([0.1, 2.0])
-# Times that the support lines are moved by the polygon of the lines before.  More gain little; fewer leave lines of curved
-# bodies farther out.
+# Times that the support lines are moved by the polygon of the lines before.
 _PASSES = 4
-# Largest standard deviation of a normal's angle, times κ, in radians, of a contact whose support line is used.  Larger, errors
-# of the second order are no longer small; smaller, more lines are left out under strong noise.
+# Largest standard deviation of a normal's angle, times κ, in radians, of a contact whose support line is used: errors of the
+# second order must be small.
 _LARGEST_TILT = 0.3
-# Support lines and directions of single contacts in a slice, beside those of averages, at most.  More take more time and
-# memory; fewer leave out contacts of dense slices.
+# Support lines and directions of single contacts in a slice, and about as many averages of one size, at most: the time grows
+# with their number.
 _SINGLE = 1000
-# Directions of the outer polygon's support function, beside those of its sides; none where the slice's contacts differ in
-# height, because the lines that meet in a corner then hold at different heights.  More take longer; fewer lose a little where
-# the body narrows towards the next slice.
-_OUTER_DIRECTIONS = 90
+# Runs of one other sweep that may lie nearest to a run, whatever the errors.
+_CANDIDATES = 3.0
 
 
 def confident(stack: SliceStack, cloud: Cloud, allow: Allowed) -> SliceStack:
@@ -113,7 +110,7 @@ def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allo
         cloud.rod_length,
         *(np.broadcast_to(column, len(cloud))[rows][lines] for column in (allow.across, allow.tilt)),
     )
-    between = 0 if stack.height_error else _OUTER_DIRECTIONS
+    between = 0 if stack.height_error else _DIRECTIONS
     angle, value = _outer_lines(support_lines, None if sweep is None else sweep[lines], inner, kappa, between)
     return replace(
         slice_,
@@ -322,3 +319,133 @@ class _Averaged:
         rig = self.rig_across + self.rig_tilt * (extent + height)
         moved: Array = self.offset + (self.kappa * spread + self.products + rig) / self.length
         return moved
+
+
+class Averages(NamedTuple):
+    """Weighted means over several rows, as a list of terms: mean k has the terms with ``group == k``."""
+
+    row: Index
+    """(t,)"""
+    group: Index
+    """(t,) increasing"""
+    weight: Array
+    """(t,) of sum 1 in each group"""
+    kappa: Array
+    """(g,) standard deviations within which all these means stay"""
+
+    def mean(self, values: Array) -> Array:
+        """(g, ...) means of values (n, ...)."""
+        return self._sums(values[self.row] * self._shaped(self.weight, values))
+
+    def variance(self, values: Array) -> Array:
+        """(g, ...) variances of the means of independent quantities with variances (n, ...)."""
+        return self._sums(values[self.row] * self._shaped(self.weight**2, values))
+
+    def _sums(self, terms: Array) -> Array:
+        if not len(self.kappa):
+            return terms
+        sums: Array = np.add.reduceat(terms, np.searchsorted(self.group, np.arange(len(self.kappa))))
+        return sums
+
+    @staticmethod
+    def _shaped(weight: Array, values: Array) -> Array:
+        return weight.reshape(-1, *[1] * (values.ndim - 1))
+
+
+def averages_of(points: Array, sweep: NDArray[np.int32] | None, variance: Array, kappa: float) -> Averages:
+    """Means over successive rows of each sweep, and over such runs of several sweeps that lie beside each other.
+
+    Runs are fixed by the order of the rows, so that the errors do not choose what is averaged.  Which runs of other sweeps lie
+    beside one is judged by the noisy points; each has at most `_CANDIDATES` for that, which κ allows for.  The weights are
+    inverse to the variances (n,).  There are no means where `sweep` is None, because the errors are not independent.
+    """
+    if sweep is None:
+        return Averages(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0), np.empty(0))
+    largest = float(variance.max(initial=0.0))
+    # noise far below rounding may underflow to variances of 0
+    scaled = np.maximum(variance / largest, np.finfo(float).tiny) if largest > 0 else np.ones(len(variance))
+    rows, groups, weights, kappas, count = [], [], [], [], 0
+    start = np.flatnonzero(np.diff(sweep, prepend=sweep[:1] - 1))
+    within = np.arange(len(sweep)) - np.repeat(start, np.diff(start, append=len(sweep)))
+    for size in AVERAGED:
+        if len(points) > size * _SINGLE and size != AVERAGED[-1]:
+            continue
+        run = np.cumsum(within % size == 0) - 1
+        number = np.bincount(run)
+        middle = np.stack([np.bincount(run, column) for column in points.T], axis=1) / number[:, None]
+        half = np.sqrt(np.bincount(run, ((points - middle[run]) ** 2).sum(axis=1)) / number)
+        first = np.searchsorted(run, np.arange(len(number)))
+        beside = _beside(middle, 2 * half, sweep[first])
+        members = [np.arange(len(number))[:, None], np.column_stack([np.arange(len(number)), beside])]
+        for runs in members:
+            own, other = np.nonzero(runs >= 0)
+            other = runs[own, other]
+            repeated = number[other]
+            offset = np.arange(repeated.sum()) - np.repeat(np.cumsum(repeated) - repeated, repeated)
+            row = np.repeat(first[other], repeated) + offset
+            group = np.repeat(own, repeated)
+            weight = 1 / scaled[row]
+            rows.append(row)
+            groups.append(group + count)
+            weights.append(weight / np.bincount(group, weight)[group])
+            choices = _CANDIDATES ** np.maximum((runs >= 0).sum(axis=1) - 1.0, 0)
+            kappas.append(_widened(kappa, choices))
+            count += len(number)
+    return Averages(np.concatenate(rows), np.concatenate(groups), np.concatenate(weights), np.concatenate(kappas))
+
+
+def _beside(middle: Array, reach: Array, sweep: NDArray[np.int32]) -> Index:
+    """(r, s) the nearest run of each other sweep, -1 where it is farther than `reach` (r,) or of the same sweep."""
+    beside = []
+    for number in np.unique(sweep):
+        runs = np.flatnonzero(sweep == number)
+        distance = np.linalg.norm(middle[:, None] - middle[runs], axis=2)
+        nearest = distance.argmin(axis=1)
+        close = (distance[np.arange(len(middle)), nearest] <= reach) & (sweep != number)
+        beside.append(np.where(close, runs[nearest], -1))
+    return np.stack(beside, axis=1)
+
+
+def _widened(kappa: float, choices: Array) -> Array:
+    """κ for events of which there are `choices` (k,) as many."""
+    widened: Array = np.sqrt(chdtri(3, chdtrc(3, kappa**2) / choices))
+    return widened
+
+
+def beyond(corners: Array, points: Array, normals: Array, tangents: Array, offset: Array) -> tuple[Array, Array]:
+    """Extents of the part of a convex polygon that lies beyond lines (k,): along each line from its point, and across.
+
+    Both (k,); 0 where the polygon does not reach beyond the line.
+    """
+    across = normals @ corners.T - offset[:, None]
+    along = tangents @ corners.T - (tangents * points).sum(axis=1)[:, None]
+    height = np.maximum(across.max(axis=1), 0.0)
+    extent = np.where(across >= 0, np.abs(along), 0.0).max(axis=1)
+    # where a side of the polygon crosses the line
+    next_across, next_along = np.roll(across, -1, axis=1), np.roll(along, -1, axis=1)
+    line, side = np.nonzero((across >= 0) != (next_across >= 0))
+    a, b = across[line, side], next_across[line, side]
+    crossing = along[line, side] + (next_along[line, side] - along[line, side]) * a / (a - b)
+    np.maximum.at(extent, line, np.abs(crossing))
+    return extent, height
+
+
+def polygon_of_lines(normals: Array, value: Array, inside: Array) -> tuple[Array, Index] | None:
+    """Corners (v, 2), in order, of the polygon ``<normals, x> <= value``, and the lines (s,) that bound it.
+
+    None if `inside` (2,) does not lie in its interior, or if it is not bounded.
+    """
+    distance = value - normals @ inside
+    if not (distance > 0).all():
+        return None
+    dual = normals / distance[:, None]
+    try:
+        dual_hull = ConvexHull(dual / np.abs(dual).max())
+    except QhullError:
+        return None
+    equations = dual_hull.equations
+    if not (equations[:, 2] < 0).all():
+        return None
+    corners = -equations[:, :2] / equations[:, 2:] / np.abs(dual).max()
+    corners = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]))]
+    return inside + corners, np.asarray(dual_hull.vertices, dtype=np.intp)

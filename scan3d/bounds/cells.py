@@ -1,18 +1,23 @@
 """The outer body by slices along several axes: what all contacts together leave of the cells between their planes.
 
-The planes of all slices cut space into cells.  Each cell lies on one side of every slice, so that what the half-spaces of
-`scan3d.surfaces.inclined` leave of it is a convex polyhedron, and the distance from the hull H of the contacts is largest at
-one of its corners.  No bound by contacts and tangents can be smaller: the hull of H and a point that is left is a convex body
-with the same contacts and tangents.
+A body K lies behind some plane that contains the rod's tangent at a contact p.  With the outward normal w of the tangent in
+the slice, and the axis a, that plane is ``<w, x - p> = g <a, x - p>``.  The hull H of all contacts, of whatever slices, lies
+behind it as well, which confines the slope g to an interval (S27).  Above its slice a contact therefore leaves of K what
+lies behind the plane with the largest g, and below it what lies behind that with the smallest.
 
-Only cells are evaluated in which the body K can lie outside H.  The surface of K is connected and nowhere strictly inside H.
-So from the cells that contain contacts it reaches others only across those faces of which something is left that is not
-strictly inside H.
+The planes of all slices cut space into cells.  Each cell lies on one side of every slice, so that what these half-spaces leave
+of it is a convex polyhedron, and the distance from H is largest at one of its corners.  No bound by contacts and tangents can
+be smaller: the hull of H and a point that is left is a convex body with the same contacts and tangents.
+
+Only cells are evaluated in which K can lie outside H.  The surface of K is connected and nowhere strictly inside H.  So from
+the cells that contain contacts it reaches others only across those faces of which something is left that is not strictly
+inside H.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -21,33 +26,31 @@ from scipy.optimize import linprog
 from scipy.spatial import QhullError
 
 from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.constraints import exact_error, tangent_planes
+from scan3d.bounds.slabs import secants
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.qhull import half_space_intersection
+from scan3d.geometry.polytopes import half_space_intersection
 from scan3d.reconstruction.slices import SliceStack
-from scan3d.surfaces.inclined import exact_error, half_spaces
 
 MOST_CROSSINGS = 6_000
-"""Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each.
-Larger, scans of very many slices along several axes take minutes; smaller, their bounds are those of one axis."""
-# Axes up to which they are.  Larger, the codes of cells do not fit into 64 bits; smaller, more scans have bounds of one axis.
+"""Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each."""
+# Axes up to which the codes of cells fit into 64 bits.
 _MOST_AXES = 6
-# Rounds in which the half-spaces are added that cut off most of a cell's corners.  More take longer; with fewer, some corners
-# lie farther out than the contacts allow.
-_ROUNDS = 20
-# Half-spaces by contacts in a cell with which it is begun.  More make each intersection slower; fewer take more rounds.
-_FIRST = 30
-# Depth, over the body's size, of cuts that count, and of what counts as strictly inside.  Larger, cells are left larger or are
-# passed over; smaller, rounding adds half-spaces and cells.
+# Rounds in which the half-spaces are added that cut off most of a cell's corners, and those of contacts in the cell with which
+# it is begun.
+_ROUNDS, _FIRST = 20, 30
+# Depth, over the body's size, of cuts that count, and of what counts as strictly inside.
 _DEPTH = 1e-9
-# Depth of a point inside a cell, over the cell's half thickness, that serves Qhull without a search for a better one.
-_INSIDE = 1e-6
-# Steps from the contacts of a cell towards the middle of the body at which such a point is sought.
-_STEPS = np.array([0.5, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4])
+# Depth of a point inside a cell, over the cell's half thickness, that serves Qhull without a search for a better one, and steps
+# from the contacts of a cell towards the middle of the body at which such a point is sought.
+_INSIDE, _STEPS = 1e-6, np.array([0.5, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4])
 # Coordinates of corners, in half thicknesses of the cell, that count as infinite, and the offset of a dual facet that does.
 _FAR, _ZERO_OFFSET = 1e6, 1e-12
-# Determinant of three axes that span space.  Smaller, the coordinates in which cells are evaluated lose digits.
+# Determinant of three axes that span space.
 _SPANNING = 0.02
+# Cosine of the angle between a slice's normal in its plane and a supporting plane's below which the slope is rounding.
+_PARALLEL = 1e-9
 _SIGNS = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij")).reshape(3, 8).T
 
 
@@ -322,3 +325,84 @@ def _frame(axes: Array) -> tuple[Array, list[int]]:
         return np.array([axes[0], axes[1], cross / length]), [0, 1]
     first = np.linalg.svd(axes[:1])[2]
     return np.array([axes[0], first[1], first[2]]), [0]
+
+
+class HalfSpaces(NamedTuple):
+    """Half-spaces ``a·x + b <= 0`` by contacts (n,), below and above their slices."""
+
+    planes: Array
+    """(2, n, 4) a, unit vectors, and b; not finite where the slope is not bounded."""
+    axis: Index
+    """(n,) numbers of the slices' axes."""
+    slice: Index
+    """(n,) numbers of the slices along their axes, from below."""
+    points: Array
+    """(n, 3) the contacts."""
+    off: float
+    """Largest distance of a contact from the plane of its slice."""
+
+
+def half_spaces(cloud: Cloud, by_axis: Sequence[SliceStack]) -> HalfSpaces:
+    """The half-spaces of a cloud of exact contacts in slices along several axes."""
+    error = exact_error(cloud)
+    across = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
+    anywhere = replace(cloud, centre_points=cloud.points, tangents=across, rod_radius=0.0, table=None)
+    tangent = tangent_planes(anywhere, np.full(len(cloud), error), np.zeros(len(cloud)))
+    of_slice = np.full((len(cloud.slice_height), 2), -1)
+    for k, stack in enumerate(by_axis):
+        for i, slice_ in enumerate(stack.slices):
+            of_slice[cloud.slice[slice_.rows[0]]] = k, i
+    rows = tangent.rows
+    ends = tangent.arcs.ends() @ np.linalg.inv(tangent.shape)
+    axis, number = of_slice[cloud.slice[rows]].T
+    along = np.array([stack.frame[2] for stack in by_axis])[axis]
+    outward, points = cloud.in_plane_normals[rows], cloud.points[rows]
+    first = np.cumsum([0, *(len(stack.slices) for stack in by_axis)])
+    height = np.concatenate([stack.heights for stack in by_axis])[first[axis] + number]
+    off = error + float(np.abs(height - (along * points).sum(axis=1)).max(initial=0.0))
+    slopes, value = _slopes(ends, outward, along), (outward * points).sum(axis=1)
+    for k, stack in enumerate(by_axis):
+        for i in range(len(stack.slices)):
+            member = np.flatnonzero((axis == k) & (number == i))
+            normals = outward[member] @ stack.frame[:2].T
+            slopes[member] = _narrowed(slopes[member], stack, i, normals, value[member], off)
+    finite: Mask = np.asarray(np.isfinite(slopes))
+    # past an end slice one slope is enough, since the cells on its other side reach beyond its plane
+    last = first[axis + 1] - first[axis] - 1
+    at_bottom, at_top = (number == 0) & (last > 0), (number == last) & (last > 0)
+    usable = finite.all(axis=1) | (finite[:, 0] & at_bottom) | (finite[:, 1] & at_top)
+    with np.errstate(invalid="ignore"):
+        # a contact that lies off the plane of its slice has the other slope between the two
+        out = error + 2 * off * np.where(finite, np.abs(slopes), 0.0).sum(axis=1)
+        normals = outward - slopes.T[:, :, None] * along
+        at = value + out - slopes.T * height
+        planes = np.concatenate([normals, -at[:, :, None]], axis=2) / np.linalg.norm(normals, axis=2)[:, :, None]
+    planes[:, ~usable] = np.nan
+    return HalfSpaces(planes, axis, number, points, off)
+
+
+def _slopes(ends: Array, outward: Array, along: Array) -> Array:
+    """Least and largest slopes (n, 2) of planes whose normals are those at the ends (n, 2, 3) of their arcs."""
+    ends = ends / np.linalg.norm(ends, axis=2)[:, :, None]
+    level, rise = np.einsum("nej,nj->ne", ends, outward), np.einsum("nej,nj->ne", ends, along)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = np.sort(np.where(level > _PARALLEL, -rise / level, -np.copysign(np.inf, rise)), axis=1)
+    # contacts whose arcs are not known are confined by the slices next to theirs only
+    unknown: Mask = np.asarray(np.isnan(ends).any(axis=(1, 2)))
+    return np.where(unknown[:, None], [-np.inf, np.inf], slopes)
+
+
+def _narrowed(slopes: Array, stack: SliceStack, i: int, normals: Array, value: Array, off: float) -> Array:
+    """Least and largest slopes (n, 2) of the contacts of slice i, confined by the slices next to it as well.
+
+    The arcs come from a search among the contacts, which may miss the one that confines a slope most.  The errors of places and
+    heights are at most `off`; normals (n, 2) and values (n,) are those of the contacts' support lines.
+    """
+    found = slopes.copy()
+    if i > 0:
+        below = secants(value, stack.heights[i], stack.slices[i - 1 : i], normals, off, off)
+        found[:, 1] = np.minimum(found[:, 1], below)
+    if i + 1 < len(stack.slices):
+        above = secants(value, stack.heights[i], stack.slices[i + 1 : i + 2], normals, off, off)
+        found[:, 0] = np.maximum(found[:, 0], above)
+    return np.where((found[:, 0] <= found[:, 1])[:, None], found, slopes)

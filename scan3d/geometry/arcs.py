@@ -1,13 +1,13 @@
-"""Intervals of the normals of a convex body at points of its surface where a line touches it (S27).
+"""Supporting planes of a convex body at points of its surface where a line touches it (S27).
 
 The line ``p + s t`` through a point p of the surface is free of the body's interior.  Some supporting plane at p contains the
 line, so that its normal n is perpendicular to t, and ``<n, q - p> <= 0`` for every point q of the body.  Seen along t, every
-point q leaves a half turn of directions to n::
+point q leaves a half turn of directions to n, and all of them together leave an arc::
 
     n = cos θ ν + sin θ τ,   |θ| <= δ,   ν, τ perpendicular to t.
 
 Neither a measured normal nor a law of friction enters.  Any points of the body may be chosen for q, since fewer points make
-wider intervals only.  Where places have errors of at most e and t one of at most ε, the normal that is turned until it is
+wider arcs only.  Where places have errors of at most e and t one of at most ε, the normal that is turned until it is
 perpendicular to the measured t satisfies ``<n, q - p> <= e_p + e_q + ε |q - p|``.
 """
 
@@ -17,25 +17,23 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.triangles import dot
 
-# Neighbours of a point that are tried on every level of the search, and by how many times the points of one level exceed
-# those of the next.  More neighbours, or more levels, take longer; fewer start the search far from its end.
-_NEIGHBOURS, _THINNED = 12, 6
-# Neighbours of a vertex of the hull that the search moves to.  More take longer; fewer may stop the search early.
-_DEGREE = 12
-# Moves of the search.  More take longer; fewer leave intervals wider than they need be.
-_MOVES = 40
-# Points that are searched at once.  More need more memory; fewer take more calls.
+# Neighbours of a point that are tried on every level of the search, by how many times the points of one level exceed those of
+# the next, and neighbours of a vertex of the hull that the search moves to: it starts near its end, which few moves reach.
+_NEIGHBOURS, _THINNED, _DEGREE, _MOVES = 12, 6, 12, 40
+# Points that are searched at once, which limits the memory.
 _BLOCK = 8192
 
 
-class NormalIntervals(NamedTuple):
-    """Arcs (n,) that contain the normals."""
+class Arcs(NamedTuple):
+    """Planes (n,) through points, with normals ``cos θ middle + sin θ across``, |θ| <= half_width."""
 
+    points: Array
+    """(n, 3)"""
     middle: Array
     """(n, 3) unit vectors ν, the arcs' middles."""
     across: Array
@@ -43,11 +41,28 @@ class NormalIntervals(NamedTuple):
     half_width: Array
     """(n,) δ in radians; NaN where the points contradict the premises, and where they lie on the line with the centre."""
 
+    def select(self, rows: Index) -> Arcs:
+        return Arcs(*(column[rows] for column in self))
 
-def normal_intervals(
+    def ends(self) -> Array:
+        """Normals (n, 2, 3) at the ends of the arcs."""
+        cos, sin = np.cos(self.half_width)[:, None], np.sin(self.half_width)[:, None]
+        return np.stack([cos * self.middle - sin * self.across, cos * self.middle + sin * self.across], axis=1)
+
+    def moved(self, move: Array) -> Arcs:
+        """The planes moved outwards by at least `move` (n,), whichever normals of their arcs they have."""
+        with np.errstate(invalid="ignore"):
+            outwards = (move / np.cos(self.half_width))[:, None] * self.middle
+        return self._replace(points=self.points + outwards)
+
+    def joined(self, other: Arcs) -> Arcs:
+        return Arcs(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+def arcs_at(
     points: Array, tangents: Array, errors: Array, turns: Array, body: Array, body_errors: Array, edges: Index
-) -> NormalIntervals:
-    """The intervals of the normals at points (n, 3) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
+) -> Arcs:
+    """The arcs of the normals at points (n, 3) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
 
     errors, body_errors
         (n,) and (h,) largest errors of the points' places and of those of `body`.
@@ -58,10 +73,8 @@ def normal_intervals(
     edges
         (m, 2) the polyhedron's edges, by numbers of its vertices.
     """
-    adjacent = _adjacency(edges, len(body))
-    levels = _levels(body)
-    centre = body.mean(axis=0)
-    parts = []
+    adjacent, levels, centre = _adjacency(edges, len(body)), _levels(body), body.mean(axis=0)
+    parts = [Arcs(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))]
     for first in range(0, len(points), _BLOCK):
         rows = slice(first, first + _BLOCK)
         sight = _Sight(points[rows], tangents[rows], errors[rows], turns[rows], centre, body, body_errors)
@@ -72,10 +85,8 @@ def normal_intervals(
         starts = np.concatenate(near, axis=1)
         low = _climb(sight.lowest, starts, adjacent) - np.pi / 2
         high = np.pi / 2 - _climb(sight.highest, starts, adjacent)
-        parts.append(sight.interval(low, high))
-    if not parts:
-        return NormalIntervals(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-    return NormalIntervals(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        parts.append(sight.arcs(low, high))
+    return Arcs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 class _Sight:
@@ -125,30 +136,31 @@ class _Sight:
         highest: Array = -angle - error
         return highest
 
-    def interval(self, low: Array, high: Array) -> NormalIntervals:
-        """The intervals between angles (b,)."""
+    def arcs(self, low: Array, high: Array) -> Arcs:
+        """The arcs between angles (b,)."""
         low, high = np.maximum(low, -np.pi), np.minimum(high, np.pi)
         middle, half = (low + high) / 2, (high - low) / 2
         half[~((half >= 0) & (half < np.pi / 2))] = np.nan
         cos, sin = np.cos(middle)[:, None], np.sin(middle)[:, None]
-        return NormalIntervals(cos * self._outward + sin * self._across, cos * self._across - sin * self._outward, half)
+        normal, across = cos * self._outward + sin * self._across, cos * self._across - sin * self._outward
+        return Arcs(self._points, normal, across, half)
 
 
 def _climb(value: Callable[[Index], Array], starts: Index, adjacent: Index) -> Array:
     """The largest values (b,) that a search from vertices (b, k) finds by moving to better neighbours."""
-    trial = value(starts)
-    column = trial.argmax(axis=1)[:, None]
-    best, here = np.take_along_axis(trial, column, 1)[:, 0], np.take_along_axis(starts, column, 1)[:, 0]
-    for _ in range(_MOVES):
-        neighbours = adjacent[here]
-        trial = value(neighbours)
+
+    def best_of(numbers: Index) -> tuple[Array, Index]:
+        trial = value(numbers)
         column = trial.argmax(axis=1)[:, None]
-        reached = np.take_along_axis(trial, column, 1)[:, 0]
+        return np.take_along_axis(trial, column, 1)[:, 0], np.take_along_axis(numbers, column, 1)[:, 0]
+
+    best, here = best_of(starts)
+    for _ in range(_MOVES):
+        reached, there = best_of(adjacent[here])
         better: Mask = reached > best
         if not better.any():
             break
-        here = np.where(better, np.take_along_axis(neighbours, column, 1)[:, 0], here)
-        best = np.where(better, reached, best)
+        here, best = np.where(better, there, here), np.where(better, reached, best)
     return np.asarray(best)
 
 
@@ -176,14 +188,3 @@ def _levels(body: Array) -> list[tuple[cKDTree, Index]]:
         if count <= _NEIGHBOURS * _THINNED:
             return levels
         count //= _THINNED
-
-
-def edges_of(hull: ConvexHull) -> tuple[Index, Index]:
-    """The numbers (h,) of a hull's vertices among its points, and its edges (m, 2) by numbers of the vertices."""
-    vertices = np.unique(hull.simplices)
-    number = np.zeros(len(hull.points), dtype=np.intp)
-    number[vertices] = np.arange(len(vertices))
-    faces = number[hull.simplices]
-    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    codes = np.unique(sides[:, 0] * len(vertices) + sides[:, 1])
-    return vertices, np.stack([codes // len(vertices), codes % len(vertices)], axis=1)

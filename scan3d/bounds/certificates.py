@@ -1,0 +1,158 @@
+"""The certificate of a surface: how far it can be from the body that an enclosure bounds (`scan3d.bounds.enclosures`).
+
+The distance to a convex surface is a convex function, and so it is largest over the outer body at one of its corners.  By the
+triangle inequality a corner is no farther from the surface than from the inner body, and from there to the surface.
+
+Local bounds.  A point x of the body lies no farther from its surface than ``h(u) - <u, x>`` for every direction u, where h is
+at most the support function of the outer body.  Within a slab the same holds with the slab's own corners, and with directions u
+in the slices' planes: the way from x along u leaves the body inside the slab.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scan3d.arrays import Array, Index
+from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners
+from scan3d.comparison import compare
+from scan3d.geometry.distance import nearest, nearest_on
+from scan3d.geometry.hull_distance import distance_to_hull
+from scan3d.geometry.hulls import support_values
+from scan3d.geometry.vectors import highest
+
+# A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
+# distance between the two is added to the bound.
+_CONVEX = 1e-9
+# Corners of the outer body that are measured at once.
+_CORNERS_AT_ONCE = 2048
+# Products of directions and apexes that are computed at once.
+_PRODUCTS = 4_000_000
+# Rounding of heights, relative to them.
+_ROUNDING = 1e-12
+
+
+class Certificate(NamedTuple):
+    """How far a surface can be from the true body, from touch alone, in the cloud's unit."""
+
+    bound: float
+    """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
+    at_vertices: Array
+    """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""
+
+    def __repr__(self) -> str:
+        known = self.at_vertices[np.isfinite(self.at_vertices)]
+        local = f"{known.min():.4g} to {known.max():.4g}" if len(known) else "unknown"
+        return f"Certificate(bound={self.bound:.6g}, at_vertices: {local} at {len(known)} of {len(self.at_vertices)})"
+
+
+def certificate(bounds: Enclosure, surface: Any) -> Certificate:
+    """The certificate of a surface, a `trimesh.Trimesh` in the cloud's unit, by an enclosure of the body.
+
+    Whether the surface is convex is judged by its shape.  A convex surface is certified by the distances of the outer
+    body's corners from it, and of its vertices from the inner body.  A surface that is open or not convex is compared
+    with the inner body, and the bound of the inner body is added to the distance.
+    """
+    vertices = np.asarray(surface.vertices)
+    deviation = distance_to_hull(surface)
+    if deviation > _CONVEX * np.linalg.norm(np.ptp(vertices, axis=0)):
+        local = np.abs(nearest(vertices, bounds.inner)[0])
+        return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
+    bound, local = _of_convex(bounds, surface)
+    return Certificate(bound + deviation, local + deviation)
+
+
+def _of_convex(bounds: Enclosure, surface: Any) -> tuple[float, Array]:
+    """The bound of a convex surface, and the local bound (v,) at its vertices."""
+    vertices = surface.vertices.view(np.ndarray)
+    outwards = np.maximum(bounds.sticking_out(vertices), 0.0)
+    bound = _largest_distance(bounds, surface, float(outwards.max())) if bounds.closed else np.inf
+    local = np.minimum(np.maximum(outwards, _depths(bounds, surface)), bound)
+    if bounds.tighter is not None:
+        other, other_local = _of_convex(bounds.tighter, surface)
+        bound, local = min(bound, other), np.minimum(local, other_local)
+    return bound, local
+
+
+def _largest_distance(bounds: Enclosure, surface: Any, known: float) -> float:
+    """How far the body can lie from a convex surface by the corners, or `known` where that is larger.
+
+    Corners are measured in the order of the distances that they may have at most, until none of the others can be farther.
+    """
+    if not np.isfinite(bounds.gap).all():
+        return np.inf
+    distance = nearest_on(surface)
+    between = max(float(distance(bounds.inner.vertices)[0].max()), 0.0) + max(bounds.reach, 0.0)
+    order, largest = np.argsort(-bounds.gap), known
+    for start in range(0, len(order), _CORNERS_AT_ONCE):
+        rows = order[start : start + _CORNERS_AT_ONCE]
+        if bounds.gap[rows[0]] + between <= largest:
+            break
+        largest = max(largest, float(distance(bounds.corners[rows])[0].max()) + bounds.reach)
+    return largest
+
+
+def _depths(bounds: Enclosure, surface: Any) -> Array:
+    """Upper bounds (v,) of the distances of a convex surface's vertices in the body from the body's surface.
+
+    Of the directions of the faces' normals at a vertex that with the largest bound counts, so that the bound is wide where the
+    body may reach far beyond one of the faces.  Where a slab is unbounded, they are the vertices' normals, projected into the
+    slices' planes, and the bound of the slab's vertices is infinite.
+    """
+    vertices: Array = surface.vertices.view(np.ndarray)
+    faces: Index = surface.faces
+    corner = vertices[faces]
+    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])  # twice the areas long
+    if bounds.slabs is not None and not bounds.closed:
+        of_vertices = np.zeros_like(vertices)
+        np.add.at(of_vertices, faces.ravel(), np.repeat(normals, 3, axis=0))
+        depths = _within_slabs(bounds.corners, bounds.slabs, vertices, of_vertices)
+    elif len(bounds.corners):
+        size = np.linalg.norm(normals, axis=1)
+        known = np.flatnonzero(size > 0)
+        outward = normals[known] / size[known, None]
+        depth = support_values(bounds.corners, outward) - (outward * corner[known, 0]).sum(axis=1)
+        depths = np.full(len(vertices), -np.inf)
+        np.maximum.at(depths, faces[known].ravel(), np.repeat(np.maximum(depth, 0.0), 3))
+        depths[np.isneginf(depths)] = np.inf
+    else:
+        depths = np.full(len(vertices), np.inf)
+    if bounds.directions is not None and bounds.directions.open.any():
+        depths[faces[_are_open(bounds.directions, normals)]] = np.inf
+    return np.maximum(depths + bounds.reach, 0.0)
+
+
+def _are_open(directions: Directions, normals: Array) -> Index:
+    """Numbers of the normals (n, 3) in whose directions nothing bounds the body."""
+    apexes, is_open = directions
+    blocks = np.array_split(normals, 1 + len(normals) * len(apexes) // _PRODUCTS)
+    return np.flatnonzero(is_open[np.concatenate([(block @ apexes.T).argmax(axis=1) for block in blocks])])
+
+
+def _within_slabs(corners: Array, slabs: SlabCorners, vertices: Array, normals: Array) -> Array:
+    """The bounds (v,) by each vertex' own slab and the direction of its normal (v, 3) in the slices' planes."""
+    frame, levels = slabs.stack.frame, np.array([-np.inf, *slabs.stack.heights, np.inf])
+    heights = vertices @ frame[2]
+    rounding = _ROUNDING * float(np.abs(heights).max())
+    level = normals - (normals @ frame[2])[:, None] * frame[2]
+    size = np.linalg.norm(level, axis=1)
+    level = np.where(size[:, None] > 0, level / np.where(size > 0, size, 1.0)[:, None], frame[0])
+    found, is_open = np.full(len(vertices), np.inf), np.zeros(len(vertices), dtype=bool)
+    for number in np.unique(slabs.number):
+        of_slab = corners[slabs.number == number]
+        rows = (heights >= levels[number] - rounding) & (heights <= levels[number + 1] + rounding)
+        if np.isfinite(of_slab).all():
+            depth = highest(of_slab, level[rows]) - (level[rows] * vertices[rows]).sum(axis=1)
+            found[rows] = np.minimum(found[rows], np.maximum(depth, 0.0))
+        else:
+            is_open |= rows
+    return np.where(is_open, np.inf, found)
+
+
+def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
+    """The enclosure and the certificate of a surface where the recording contradicts the premises: nothing is bounded."""
+    gap = np.full(len(bounds.gap), np.inf)
+    nothing = replace(bounds, tighter=None, gap=gap, bound=np.inf, volume=(0.0, np.inf), confidence=0.0)
+    return nothing, Certificate(np.inf, np.full(len(surface.vertices), np.inf))

@@ -1,0 +1,526 @@
+"""An inner and an outer body from touch alone, between which the surface of the true body lies.
+
+The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
+leave slabs (`scan3d.bounds.slabs`), between slices along several axes cells (`scan3d.bounds.cells`), and those of contacts
+anywhere meet in apexes (`scan3d.bounds.apexes`).  Whatever is left is known by its corners: the distance to a convex set is a
+convex function, and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the
+hull is therefore an upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.
+Where contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a
+stated confidence (`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
+
+Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
+``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
+K.  H, the hull of the points r, lies in K, and ``h_K(u) <= <u, v>`` for one of the apexes v.  The Hausdorff distance of two
+convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
+``sd(x, S) = max_u (<u, x> - h_S(u))``, the distance of a point x from S, negative inside, any convex surface S satisfies
+
+    h_B - h_S = h_K - a - h_S <= max over apexes v of sd(v, S) - a,
+    h_S - h_B = h_S + a - h_K <= h_S + a - h_H <= max over vertices x of S of sd(x, H) + a.
+
+No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
+wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
+its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.  Where contacts
+have errors of at most e, the arcs are widened, the planes are moved outwards by e, and H may stick out of K by e.  The rod's
+tangent then has an error as well, and its plane is moved by what that makes of it within a ball around the contacts; if all
+apexes lie inside the ball, so does K, since K is connected.  A table below the body, if it is known, is one more supporting
+plane of K, moved outwards by the rod's radius.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.apexes import Apexes, best_apexes
+from scan3d.bounds.cells import applicable, cells_of_cloud, tighter_cells
+from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
+from scan3d.bounds.noise import confident
+from scan3d.bounds.slabs import Gap, Slab, slabs
+from scan3d.cloud import Cloud, Tilt
+from scan3d.errors import InputError
+from scan3d.geometry.distance import nearest, nearest_on
+from scan3d.geometry.hulls import hull, shrunk, shrunk_by
+from scan3d.geometry.vectors import highest
+from scan3d.reconstruction.planes import SAME_HEIGHT
+from scan3d.reconstruction.slices import SliceStack, stacks
+from scan3d.shown import Described, Rows
+
+if TYPE_CHECKING:
+    import trimesh
+
+# Facets of a hull of contacts that is taken for a polyhedron, whose tangents are tried; slabs bound curved bodies more tightly.
+_FEW_FACETS = 500
+# Radius of the cylinder in which the body is sought whose slices are tilted, larger than the contacts by this fraction of their
+# radius; the second is tried where the outer body leaves the first.
+_WIDENED = (0.25, 2.0)
+# The enclosure by cells is used if its bound is below this fraction of that by slabs, since it takes several times as long.
+_TIGHTER = 0.95
+# Rounding of volumes, relative to them.
+_ROUNDING = 1e-12
+# Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
+# A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
+_TURN = 6.0
+# Quantiles of the contacts' errors; contacts anywhere with a larger one are left out, and the best bound is taken.
+_QUANTILES = (1.0, 0.7, 0.4)
+# Largest angles, in radians, of the normals from the middles of their arcs, of the contacts in each inner body by arcs.
+_WIDEST = (1e-4, 1e-3, 1e-2)
+# A hull of centre points that is thinner than the rod is made this much smaller.
+_LEAST = 1e-3
+
+
+class SlabCorners(NamedTuple):
+    """The corners (w,) of an outer body that consists of the slabs between slices."""
+
+    foot: Array
+    """(w, 3) points of the inner body nearest to the corners; infinite where the outer body is unbounded."""
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    straight: Mask
+    """(w, 2) whether the body goes on straight, at the corner's half-spaces, below and above the slab."""
+    number: Index
+    """(w,) of the corner's slab: slab i lies below slice i of `stack`."""
+    stack: SliceStack
+
+
+class Directions(NamedTuple):
+    """Directions in which a body may be unbounded: those of a triangle are the ones in which its apex lies farthest."""
+
+    apexes: Array
+    """(m, 3)"""
+    open: Mask
+    """(m,) whether nothing bounds the body in the directions of the triangle."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Enclosure(Described):
+    """Inner and outer body, between which the surface of the true body lies; lengths in the cloud's unit."""
+
+    inner: trimesh.Trimesh
+    """The inner body: the hull of exact contacts, or of the points that noisy contacts prove."""
+    corners: Array
+    """(w, 3) corners of the outer body."""
+    gap: Array
+    """(w,) their distance from the inner body, infinite where nothing bounds the true one."""
+    bound: float
+    """Upper bound of the Hausdorff distance between the inner body and the true one; infinite if nothing bounds it."""
+    margin: float
+    """Largest error of a contact that the bounds allow for, contained in `bound`."""
+    volume: tuple[float, float]
+    """Lower and upper bound of the true volume."""
+    confidence: float = 1.0
+    """Probability with which bound and volume hold: 1 for exact contacts, and for a given margin."""
+    excess: float = 0.0
+    """How far the inner body may stick out of the true one, contained in `bound`."""
+    reach: float = 0.0
+    """How far the true body may reach beyond the hull of the corners: negative where they enclose the body and the rod."""
+    inner_bodies: tuple[tuple[Any, float], ...] = ()
+    """Further convex bodies, and how far each may stick out of the true one."""
+    slabs: SlabCorners | None = None
+    """More about the corners, if the outer body consists of slabs."""
+    directions: Directions | None = None
+    """Where the body is bounded, if the corners are apexes over contacts anywhere."""
+    tighter: Enclosure | None = None
+    """Another enclosure by the same contacts, along whatever axes their slices lie, with a smaller bound."""
+
+    def part(self, kind: Gap) -> float:
+        """The largest gap of one kind in slabs, 0 if no corner is of that kind."""
+        gap = self.gap[:0] if self.slabs is None else self.gap[self.slabs.kind == kind]
+        return min(float(gap.max()), self.bound) if len(gap) else 0.0
+
+    def parts(self) -> dict[str, float]:
+        """The largest gap by each cause."""
+        if self.slabs is None:
+            return {"contacts": float(self.gap.max(initial=0.0)), "rod": self.excess}
+        return {kind.name.lower(): self.part(kind) for kind in Gap}
+
+    @property
+    def closed(self) -> bool:
+        """Whether the outer body is bounded in all directions."""
+        everywhere = self.directions is None or not self.directions.open.any()
+        return everywhere and len(self.corners) > 0 and bool(np.isfinite(self.corners).all())
+
+    def sticking_out(self, points: Array) -> Array:
+        """Upper bounds (n,) of the distances of points (n, 3) from the true body, negative inside."""
+        return sticking_out(points, self.inner_bodies or ((self.inner, self.excess),))
+
+    def support(self, directions: Array) -> tuple[Array, Array]:
+        """Lower and upper bounds (d,) of the true body's support function in directions (d, 3), unit vectors.
+
+        They hold with the enclosure's `confidence`, and are infinite where nothing bounds the body.
+        """
+        nothing = np.full(len(directions), np.inf)
+        if not self.confidence:
+            return -nothing, nothing
+        lower = highest(self.inner.vertices.view(np.ndarray), directions) - self.excess
+        upper = highest(self.corners, directions) + self.reach if self.closed else nothing
+        return lower, upper if self.tighter is None else np.minimum(upper, self.tighter.support(directions)[1])
+
+    def outer_planes(self) -> Array:
+        """Planes (k, 4), n and c with <n, x> <= c, of a convex body that contains the true one with the enclosure's confidence.
+
+        There are none where the body is unbounded.
+        """
+        if not (self.confidence and np.isfinite(self.bound) and np.isfinite(self.corners).all()):
+            return np.empty((0, 4))
+        normals = ConvexHull(self.corners).equations[:, :3]
+        return np.column_stack([normals, self.support(normals)[1]])
+
+    def summary(self) -> Rows:
+        """The bound with its parts, and the volume."""
+        parts = ", ".join(f"{name} {gap:.4g}" for name, gap in self.parts().items())
+        low, high = self.volume
+        return [
+            ("inner body", f"{len(self.inner.vertices)} vertices, {len(self.inner.faces)} faces"),
+            ("outer body", f"{len(self.corners)} corners"),
+            ("bound", f"{self.bound:.4g} with {100 * self.confidence:g} % confidence; parts: {parts}"),
+            ("margin", f"{self.margin:.4g}"),
+            ("volume", f"{low:.6g} to {high:.6g}"),
+        ]
+
+
+def sticking_out(points: Array, bodies: tuple[tuple[Any, float], ...]) -> Array:
+    """Upper bounds (n,) of the distances of points (n, 3) from a body, by inner bodies and how far they may stick out."""
+    distances: Array = np.min([nearest(points, body)[0] + offset for body, offset in bodies], axis=0)
+    return distances
+
+
+def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = CONFIDENCE) -> Enclosure:
+    """The enclosure of a cloud's body.
+
+    margin
+        the largest error of a contact's place, in the cloud's unit, if it is known.  By default the contacts' own uncertainty
+        counts: of exact contacts the enclosure is certain, of noisy ones it holds with `confidence`, and it allows for the
+        digits of the poses and for tilted slices.  With a given margin slices count as parallel.
+    confidence
+        probability with which the enclosure of noisy contacts holds.
+
+    Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts bound
+    the body by the cells between the slices of all axes as well, if that is tighter, and those of a polyhedron by their
+    tangents.  Contacts of the spatial model lie in no slices.  Raises InputError for contacts that do not span a body.
+    """
+    if cloud.model == "spatial":
+        return _spatial_enclosure(cloud, margin, confidence)
+    bounds = slice_enclosure(cloud, margin, confidence)
+    exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
+    bounds = _with_cells(bounds, cloud) if exact else bounds
+    return _with_tangents(bounds, cloud) if exact and len(bounds.inner.faces) <= _FEW_FACETS else bounds
+
+
+def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
+    """The enclosure with that by the cells between the slices of all axes, if it is tighter by more than a few percent."""
+    by_axis = stacks(cloud)
+    if not applicable(cloud, by_axis):
+        return bounds
+    worst = bounds.corners[bounds.gap.argmax()]
+    found = (
+        tighter_cells(cloud, by_axis, bounds.inner, worst, _TIGHTER * bounds.bound)
+        if np.isfinite(worst).all()
+        else cells_of_cloud(cloud, by_axis, bounds.inner)
+    )
+    if found is None:
+        return bounds
+    bound = max(float(found.gap.max()) if len(found.gap) else np.inf, exact_error(cloud))
+    if bound >= _TIGHTER * bounds.bound:
+        return bounds
+    volume = bounds.volume[0], max(min(bounds.volume[1], _volume_within(bounds.inner, bound)), bounds.volume[0])
+    cells = Enclosure(inner=bounds.inner, corners=found.corners, gap=found.gap, bound=bound, margin=0.0, volume=volume)
+    return replace(bounds, tighter=cells, bound=bound, volume=volume)
+
+
+def _volume_within(body: Any, distance: float) -> float:
+    """Volume of all that is nearer to a convex body than `distance`, by Steiner's formula."""
+    edges = np.linalg.norm(np.diff(body.vertices.view(np.ndarray)[body.face_adjacency_edges], axis=1)[:, 0], axis=1)
+    curvature = float((edges * body.face_adjacency_angles).sum()) / 2
+    volume = body.volume + distance * (body.area + distance * (curvature + 4 / 3 * np.pi * distance))
+    return float(volume) * (1 + _ROUNDING)
+
+
+def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
+    """The enclosure with that by the tangents of all contacts, if it is tighter."""
+    tangents = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
+    anywhere = replace(cloud, centre_points=cloud.points, tangents=tangents, rod_radius=0.0)
+    found = _spatial_enclosure(anywhere, None, bounds.confidence)
+    if found.bound >= bounds.bound:
+        return bounds
+    volume = max(bounds.volume[0], found.volume[0]), min(bounds.volume[1], found.volume[1])
+    return replace(bounds, tighter=found, bound=found.bound, volume=volume)
+
+
+def slice_enclosure(cloud: Cloud, margin: float | None = None, confidence: float = CONFIDENCE) -> Enclosure:
+    """The enclosure by the slabs between slices, as `enclosure`.
+
+    Let a row's plane be tilted against its slice by the angle τ, and let the body lie within a distance R of an axis
+    through the contacts, which lie within r of it.  A body's supporting plane through a contact p contains the rod's
+    tangent there.  With the tangent's direction t and the normal n across it, both seen along the axis,
+    ``<n, x - p> <= g (z - z')`` holds for all x of the body and some slope g, with the height z' of the row's plane at
+    the point of the tangent that is nearest to x as seen along the axis.  That point lies within √(R² + r²) of the axis, and z'
+    differs from the height of the slice by at most ``spread + √(R² + r²) tan τ`` (`scan3d.cloud.Tilt`).  So the
+    half-spaces are those of heights that are uncertain by this.  They hold within the cylinder; if the outer body
+    between two slices lies in its interior, then so does the body there, since it is connected.
+    """
+    if cloud.tilt is None or margin is not None:
+        return _by_slices(cloud, margin, confidence)
+    for widened in _WIDENED:
+        bounds = _by_slices(cloud, None, confidence, 1 + widened)
+        assert bounds.slabs is not None
+        stack = bounds.slabs.stack
+        corners = bounds.corners[np.isfinite(bounds.corners).all(axis=1)]
+        reach = _distances(corners, stack, cloud.tilt).max(initial=0.0)
+        if reach < (1 + widened) * _distances(cloud.points, stack, cloud.tilt).max():
+            return bounds
+    return _unbounded(hull(cloud.points), stack, bounds.confidence)
+
+
+def _distances(points: Array, stack: SliceStack, tilt: Tilt) -> Array:
+    """Distances (n,) of points (n, 3) from the stack's axis through the centre of the tilted planes."""
+    across: Array = np.linalg.norm((points - tilt.centre) @ stack.frame[:2].T, axis=1)
+    return across
+
+
+def _by_slices(cloud: Cloud, margin: float | None, confidence: float, widened: float = 1.0) -> Enclosure:
+    """The enclosure by contacts in slices, of a body that lies in a cylinder `widened` times as wide as the contacts."""
+    by_axis = stacks(cloud)
+    inner = hull(cloud.points)
+    excess = 0.0
+    if margin is None:
+        off = [_height_error(stack, cloud) for stack in by_axis]
+        allow = allowed(cloud, confidence)
+        confidence = allow.confidence
+        by_axis = [
+            replace(stack, height_error=max(error, _tilt_error(stack, cloud, widened)) + allow.height)
+            for stack, error in zip(by_axis, off, strict=True)
+        ]
+        if cloud.covariance is not None or allow.factor:
+            confident_stacks = [confident(stack, cloud, allow) for stack in by_axis]
+            proven = _proven_hull(confident_stacks)
+            if proven is None:
+                return _unbounded(inner, by_axis[0], confidence)
+            by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
+            excess = _excess(cloud, allow, by_axis)
+        margin = max(off)
+        smaller = shrunk(inner, margin) if margin else inner
+        if smaller is None:
+            return _unbounded(inner, by_axis[0], confidence)
+        inner = smaller
+    else:
+        confidence = 1.0
+    outer = [slabs(stack, margin) for stack in by_axis]
+    if len(by_axis) > 1 and cloud.tilt is None:
+        # another stack may bound the height of a stack more tightly than its empty slices do
+        by_axis = [_bounded_by_others(k, by_axis, outer) for k in range(len(by_axis))]
+        outer = [slabs(stack, margin) for stack in by_axis]
+    candidates = [
+        _of_stack(inner, stack, parts, (margin, excess), confidence)
+        for stack, parts in zip(by_axis, outer, strict=True)
+    ]
+    return min(candidates, key=lambda candidate: candidate.bound)
+
+
+def _excess(cloud: Cloud, allow: Allowed, by_axis: list[SliceStack]) -> float:
+    """How far the proven points may stick out of the body, because the heights of contacts depend on the calibration."""
+    if cloud.calibration is None:
+        return 0.0
+    along = [np.einsum("i,nij,j->n", stack.frame[2], cloud.calibration.covariance, stack.frame[2]) for stack in by_axis]
+    return allow.factor * float(np.sqrt(max(np.max(variance, initial=0.0) for variance in along)))
+
+
+def _proven_hull(by_axis: list[SliceStack]) -> Any:
+    """The hull of all points that lie in the body with the stacks' confidence; None if they span no body."""
+    points = [
+        np.column_stack([slice_.points, np.full(len(slice_.points), slice_.height)]) @ stack.frame
+        for stack in by_axis
+        for slice_ in stack.slices
+    ]
+    with suppress(InputError):
+        return hull(np.concatenate(points)) if points else None
+    return None
+
+
+def _height_error(stack: SliceStack, cloud: Cloud) -> float:
+    """Largest error of the height that a contact has by its slice: the poses' digits and their spread in the slice."""
+    spread = max(
+        float(np.abs(cloud.points[slice_.rows] @ stack.frame[2] - slice_.height).max()) for slice_ in stack.slices
+    )
+    return cloud.pose_error + (spread if spread > SAME_HEIGHT * cloud.rod_length else 0.0)
+
+
+def _tilt_error(stack: SliceStack, cloud: Cloud, widened: float) -> float:
+    """Largest difference between the height of a slice and that at which a contact's half-space begins."""
+    if cloud.tilt is None:
+        return 0.0
+    radius = float(_distances(cloud.points, stack, cloud.tilt).max())
+    return cloud.pose_error + cloud.tilt.spread + cloud.tilt.slope * radius * float(np.hypot(widened, 1.0))
+
+
+def _unbounded(inner: Any, stack: SliceStack, confidence: float) -> Enclosure:
+    """The enclosure by contacts that prove nothing, because their errors are too large."""
+    nothing, nowhere = np.full(1, np.inf), np.full((1, 3), np.inf)
+    kind, straight = np.full(1, Gap.SLICES, dtype=np.int8), np.zeros((1, 2), dtype=bool)
+    return Enclosure(
+        inner=inner,
+        corners=nowhere,
+        gap=nothing,
+        bound=np.inf,
+        margin=np.inf,
+        volume=(0.0, np.inf),
+        confidence=confidence,
+        excess=np.inf,
+        reach=np.inf,
+        slabs=SlabCorners(nowhere, kind, straight, np.zeros(1, dtype=np.intp), stack),
+    )
+
+
+def _of_stack(
+    inner: Any, stack: SliceStack, parts: list[Slab], errors: tuple[float, float], confidence: float
+) -> Enclosure:
+    """The enclosure by the slabs of one stack; `errors` are the margin, and how far the inner body may stick out besides."""
+    corners = np.concatenate([part.corners for part in parts])
+    gap, foot = np.full(len(corners), np.inf), np.full((len(corners), 3), np.inf)
+    bounded = np.isfinite(corners).all(axis=1)
+    distance, _, foot[bounded] = nearest(corners[bounded], inner)
+    gap[bounded] = np.maximum(distance, 0.0)
+    margin, excess = errors
+    within = shrunk(inner, excess) if excess else inner
+    least = 0.0 if within is None else within.volume * (1 - _ROUNDING)
+    number = np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts])
+    kind, straight = np.concatenate([part.kind for part in parts]), np.concatenate([part.straight for part in parts])
+    return Enclosure(
+        inner=inner,
+        corners=corners,
+        gap=gap,
+        bound=max(float(gap.max()), excess) + margin,
+        margin=margin,
+        volume=(least, max(sum(part.volume for part in parts), least) * (1 + _ROUNDING)),
+        confidence=confidence,
+        excess=excess + margin,
+        reach=margin,
+        slabs=SlabCorners(foot, kind, straight, number, stack),
+    )
+
+
+def _bounded_by_others(k: int, by_axis: list[SliceStack], outer: list[list[Slab]]) -> SliceStack:
+    """Stack k with its floor and ceiling also bounded by the other stacks' outer bodies."""
+    stack = by_axis[k]
+    low, high = stack.floor, stack.ceiling
+    floor_bounded = ceiling_bounded = False
+    for j, parts in enumerate(outer):
+        corners = np.concatenate([slab.corners for slab in parts])
+        if j != k and np.isfinite(corners).all():
+            heights = corners @ stack.frame[2]
+            floor_bounded |= bool(heights.min() > low)
+            ceiling_bounded |= bool(heights.max() < high)
+            low, high = max(low, float(heights.min())), min(high, float(heights.max()))
+    low, high = min(low, stack.slices[0].height), max(high, stack.slices[-1].height)
+    return replace(stack, floor=low, ceiling=high, bounded_by_others=(floor_bounded, ceiling_bounded))
+
+
+def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) -> Enclosure:
+    """The enclosure by contacts anywhere; the arguments are those of `enclosure`."""
+    if not len(cloud):
+        raise InputError("0 contacts span no body: a surface needs contacts all around it")
+    errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
+    if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
+        turns = np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
+        return _by_contacts(cloud, errors, turns, 1.0)
+    allow = allowed(cloud, confidence)
+    turns = np.zeros(len(cloud))
+    if cloud.place_sd is not None:
+        assert allow.kappa is not None
+        errors += allow.kappa * (cloud.place_sd if cloud.centre_sd is None else cloud.centre_sd)
+        turns = _TURN * errors / cloud.rod_length
+        if cloud.tangent_sd is not None:
+            turns = EXACT + allow.kappa * cloud.tangent_sd
+    errors, turns = errors + allow.place, turns + allow.turn
+    candidates = []
+    for quantile in _QUANTILES:
+        kept = (errors <= np.quantile(errors, quantile)) & (turns <= np.quantile(turns, quantile))
+        if kept.any():
+            candidates.append(_by_contacts(cloud.select(kept), errors[kept], turns[kept], allow.confidence))
+    return min(candidates, key=lambda candidate: candidate.bound)
+
+
+def _by_contacts(cloud: Cloud, errors: Array, turns: Array, confidence: float) -> Enclosure:
+    """The enclosure by all contacts of a cloud, with errors (n,) of their places, and of their tangents in radians."""
+    assert cloud.centre_points is not None
+    centre_hull = hull(cloud.centre_points)
+    margin, radius = float(errors.max()), cloud.rod_radius
+    inner = _inner_body(cloud, centre_hull)
+    tangent = tangent_planes(cloud, errors, turns)
+    apexes = _apexes_around(tangent, centre_hull)
+    if apexes is None:
+        corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
+    else:
+        corners = np.unique(tangent.to_world(apexes.cover.apexes[~apexes.open].reshape(-1, 3)), axis=0)
+        directions = Directions(tangent.to_world(apexes.cover.nominal), apexes.open)
+    bodies = ((centre_hull, radius + margin), *_bodies_by_arcs(cloud, tangent, errors, turns))
+    gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
+    excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), margin)
+    unbounded = bool(directions.open.any())
+    return Enclosure(
+        inner=inner,
+        corners=corners,
+        gap=np.append(gap, np.inf) if unbounded else gap,
+        bound=np.inf if unbounded else max(float(gap.max()), excess),
+        margin=margin,
+        volume=_volumes(inner, excess, corners, radius, unbounded=unbounded),
+        confidence=confidence,
+        excess=excess,
+        reach=-radius,
+        inner_bodies=bodies,
+        directions=directions,
+    )
+
+
+def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
+    """The hull of the contacts on the surface; without normals, that of the centre points, made smaller by the radius."""
+    known = np.isfinite(cloud.points).all(axis=1)
+    if known.any():
+        return hull(cloud.points[known])
+    centre, factor = shrunk_by(centre_hull, cloud.rod_radius)
+    return hull(centre + max(factor, _LEAST) * (centre_hull.vertices.view(np.ndarray) - centre))
+
+
+def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unbounded: bool) -> tuple[float, float]:
+    """Bounds of the volume: that of the inner body, made smaller until it does not stick out, and that of the outer one.
+
+    By Steiner's formula the fattened body is larger than the body by more than the radius times the area of the inner body.
+    """
+    factor = max(shrunk_by(inner, excess)[1], 0.0)
+    lower = float(inner.volume) * factor**3
+    if unbounded:
+        return lower, np.inf
+    shell = radius * float(inner.area) * factor**2 + 4 / 3 * np.pi * radius**3
+    return lower, max(float(ConvexHull(corners).volume) - shell, lower)
+
+
+def _apexes_around(tangent: Tangents, centre_hull: Any) -> Apexes | None:
+    """The best apexes of the planes; None if nothing is bounded."""
+    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
+    apexes = best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
+    if apexes is not None and np.isfinite(tangent.ball):
+        reach = np.linalg.norm(apexes.cover.apexes, axis=2).max()
+        return apexes if reach < tangent.ball else None
+    return apexes
+
+
+def _bodies_by_arcs(cloud: Cloud, tangent: Tangents, errors: Array, turns: Array) -> Iterator[tuple[Any, float]]:
+    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out."""
+    radius = cloud.rod_radius
+    if not radius:
+        return
+    assert cloud.centre_points is not None
+    normals, angle = tangent.normals()
+    turn, margin = float(turns.max()), float(errors.max())
+    points = cloud.centre_points[tangent.rows] - radius * normals
+    for widest in _WIDEST:
+        narrow = angle <= widest
+        with suppress(InputError):
+            if narrow.sum() > 3:
+                yield hull(points[narrow]), radius * (widest + turn) + margin
