@@ -9,7 +9,7 @@ import scan3d
 from scan3d.planning.heights import open_contours
 from scan3d.simulation import scan as simulated
 from scan3d.simulation.axis_scans import AxisScan
-from scan3d.surfaces import enclosure
+from scan3d.surfaces import Gap, enclosure
 
 MESHES = Path(__file__).parents[1] / "meshes"
 FEW_SAMPLES = {"slices": 60, "samples": 10, "friction": (0.0, 0.4)}

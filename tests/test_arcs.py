@@ -1,0 +1,162 @@
+"""Arcs of supporting planes contain the true normals, and their apexes the body, for all normals of the arcs."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud, unit
+
+from planar import Phase
+from scan3d.bounds.apexes import best_apexes, cover, cut_depths, thinned
+from scan3d.geometry.arcs import Arcs, arcs_at
+from scan3d.geometry.hulls import edges_of
+
+BODIES = {
+    "sphere": Ellipsoid(np.ones(3)),
+    "ellipsoid": Ellipsoid(np.array([1.0, 0.5, 0.3])),
+    "box": box([1, 0.7, 0.5]),
+    "round edges": box([1, 0.7, 0.5], 0.1, corners=0.1),
+    "cylinder": Cylinder(0.4, 1.0),
+    "polyhedron": random_polyhedron(2),
+}
+
+
+def arcs_of(cloud, errors=1e-9, turns=0.0):
+    rows = np.flatnonzero(cloud.phase == Phase.TANGENTIAL)
+    vertices, edges = edges_of(ConvexHull(cloud.centre_points))
+    error = np.full(len(cloud), errors)
+    body = cloud.centre_points[vertices], error[vertices], edges
+    turn = np.full(len(rows), turns)
+    return rows, arcs_at(cloud.centre_points[rows], cloud.tangents[rows], error[rows], turn, *body)
+
+
+def angle_beyond(normals, found):
+    """How far the normals lie outside of their arcs, in radians."""
+    angle = np.arctan2((normals * found.across).sum(axis=1), (normals * found.middle).sum(axis=1))
+    return np.abs(angle) - found.half_width
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.01])
+@pytest.mark.parametrize("name", BODIES)
+def test_an_arc_contains_the_true_normal(name, radius):
+    for count in (30, 1000):
+        cloud = spatial_cloud(BODIES[name], count, count, radius)
+        rows, found = arcs_of(cloud)
+        assert np.isfinite(found.half_width).all()
+        assert angle_beyond(cloud.normals[rows], found).max() <= 0
+        assert np.abs((found.middle * cloud.tangents[rows]).sum(axis=1)).max() < 1e-12
+
+
+def test_arcs_narrow_with_the_spacing_and_are_exact_inside_edges():
+    medians = [np.median(arcs_of(spatial_cloud(BODIES["ellipsoid"], n, 1))[1].half_width) for n in (500, 2000, 8000)]
+    assert medians[0] > 1.8 * medians[1] > 3.2 * medians[2]
+    edges = spatial_cloud(Polyhedron(random_polyhedron(2).vertices, faces=0.0, corners=0.0), 2000, 1)
+    assert np.quantile(arcs_of(edges)[1].half_width, 0.9) < 1e-6
+
+
+def test_no_search_is_better_than_all_points():
+    """The search among the hull's vertices finds what all points say, against brute force."""
+    cloud = spatial_cloud(BODIES["ellipsoid"], 400, 3)
+    rows, found = arcs_of(cloud)
+    for i, half in zip(rows[:50], found.half_width[:50], strict=True):
+        inward = -cloud.normals[i]
+        offset = np.delete(cloud.centre_points, i, axis=0) - cloud.centre_points[i]
+        angle = np.arctan2(offset @ np.cross(cloud.tangents[i], inward), offset @ inward)
+        assert half == pytest.approx((np.pi - np.ptp(angle)) / 2, abs=1e-6)
+
+
+def test_errors_of_places_and_tangents_widen_an_arc():
+    cloud = spatial_cloud(BODIES["ellipsoid"], 1000, 4)
+    _, exact = arcs_of(cloud)
+    rng = np.random.default_rng(0)
+    off = 1e-3 * unit(rng.normal(size=cloud.points.shape))
+    turn = rng.normal(size=cloud.points.shape)
+    turn -= (turn * cloud.tangents).sum(axis=1)[:, None] * cloud.tangents
+    tangents = unit(cloud.tangents + 0.01 * unit(turn))
+    noisy = dataclasses.replace(cloud, centre_points=cloud.centre_points + off, tangents=tangents)
+    rows, found = arcs_of(noisy, 1e-3, 0.0101)
+    assert np.isfinite(found.half_width).mean() > 0.9
+    assert np.nanmedian(found.half_width) > np.median(exact.half_width)
+    # the true normal, turned until it is perpendicular to the measured tangent
+    turned = cloud.normals - (cloud.normals * tangents).sum(axis=1)[:, None] * tangents
+    assert np.nanmax(angle_beyond(turned[rows], found)) <= 0
+
+
+def test_contradictions_large_errors_and_no_contacts_have_no_arc():
+    cloud = spatial_cloud(BODIES["sphere"], 200, 5)
+    through = dataclasses.replace(cloud, tangents=cloud.normals)
+    assert np.isnan(arcs_of(through)[1].half_width).all()
+    assert np.isnan(arcs_of(cloud, 10.0)[1].half_width).all()
+    tips = dataclasses.replace(cloud, phase=np.full(len(cloud), Phase.TIP))
+    assert all(len(column) == 0 for column in arcs_of(tips)[1])
+
+
+# --- apexes ---
+
+
+def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(len(normals), True)):
+    """Planes that touch the unit ball, whose normals lie anywhere in arcs of a half-width."""
+    rng = np.random.default_rng(seed)
+    normals = unit(rng.normal(size=(count, 3)))
+    normals = normals[seen(normals)]
+    across = unit(np.cross(normals, rng.normal(size=normals.shape)))
+    off = rng.uniform(-1, 1, size=(len(normals), 1)) * half_width
+    middle = np.cos(off) * normals + np.sin(off) * across
+    return Arcs(normals, middle, np.cos(off) * across - np.sin(off) * normals, np.full(len(normals), half_width))
+
+
+@pytest.mark.parametrize("half_width", [0.0, 1e-3, 0.02])
+def test_the_apexes_enclose_the_body(half_width):
+    planes = planes_of_ball(300, half_width)
+    found = cover(planes, thinned(planes, 3.0, 0.1))
+    u = unit(np.random.default_rng(1).normal(size=(2000, 3)))
+    refined = best_apexes(planes, lambda points: np.maximum(np.linalg.norm(points, axis=1) - 1, 0.0)).cover
+    for covering in (found, refined):
+        assert np.isfinite(covering.apexes).all()
+        assert (u @ covering.apexes.reshape(-1, 3).T).max(axis=1).min() >= 1
+        assert np.linalg.norm(covering.apexes, axis=2).min() >= 1 - 1e-9
+    assert np.linalg.norm(refined.apexes, axis=2).max() <= np.linalg.norm(found.apexes, axis=2).max()
+
+
+def test_apexes_lie_on_the_planes_of_a_cube():
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    found = cover(Arcs(axes, axes, np.roll(axes, 1, axis=1), np.zeros(6)), np.arange(6))
+    assert len(found.planes) == 8
+    assert np.abs(found.apexes) == pytest.approx(np.ones((8, 8, 3)))
+    assert np.abs(found.nominal) == pytest.approx(np.ones((8, 3)))
+
+
+def test_directions_without_planes_are_open():
+    planes = planes_of_ball(300, 1e-3, seen=lambda normals: normals[:, 2] > 0)
+    found = cover(planes, thinned(planes, 3.0, 0.1))
+    is_open = np.isinf(found.apexes[:, 0, 0])
+    assert is_open.any()
+    assert not is_open.all()
+    assert ((found.planes < 0).any(axis=1) == is_open).all()
+    assert np.isinf(cover(planes, np.empty(0, dtype=np.intp)).apexes).all()
+
+
+def test_planes_that_turn_over_or_pass_through_the_middle_are_left_out():
+    found = cover(planes_of_ball(100, 0.15), np.arange(100))
+    assert len(found.removed)
+    assert not np.isin(found.removed, found.planes).any()
+    planes = planes_of_ball(50, 0.0)
+    points = planes.points.copy()
+    points[0] = 0
+    assert 0 in cover(planes._replace(points=points), np.arange(50)).removed
+
+
+def test_a_cut_counts_by_the_end_at_which_it_is_least():
+    planes = Arcs(np.eye(3)[:1], np.eye(3)[:1], np.eye(3)[1:2], np.array([0.1]))
+    depth = cut_depths(planes, np.array([0]), np.array([[2.0, 0, 0], [1.0, 0.5, 0]]))
+    assert depth[:, 0] == pytest.approx([np.cos(0.1), -0.5 * np.sin(0.1)])
+
+
+def test_thinned_planes_are_apart():
+    planes = planes_of_ball(1500, 0.02)
+    chosen = thinned(planes, 3.0, 0.2)
+    cosines = planes.middle[chosen] @ planes.middle[chosen].T - 2 * np.eye(len(chosen))
+    assert cosines.max() < np.cos(0.2) + 1e-12
+    assert (planes.middle @ planes.middle[chosen].T).max(axis=1).min() >= np.cos(0.2) - 1e-12
+    assert len(thinned(planes._replace(half_width=np.full(1500, np.nan)), 3.0, 0.2)) == 0
