@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
     from scan3d.recording import Recording
+    from scan3d.results import Result, open, scan
     from scan3d.rods import Rod
     from scan3d.saving import StoredCloud, load, save
-    from scan3d.scans import Scan, StoredScan, open, scan
     from scan3d.session import Session
     from scan3d.steps import calibrate, compare, reconstruct, simulate, surface
 
@@ -47,24 +47,23 @@ _HOME = {
     "InputError": "errors",
     "Plan": "planning.plan",
     "Recording": "recording",
+    "Result": "results",
     "Rod": "rods",
-    "Scan": "scans",
     "Session": "session",
     "StoredCloud": "saving",
-    "StoredScan": "scans",
     "batch": "batches",
     "calibrate": "steps",
     "compare": "steps",
     "import_table": "laboratory.importing",
     "load": "saving",
     "load_mesh": "files.meshes",
-    "open": "scans",
+    "open": "results",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
     "read_rig": "laboratory.calibration_file",
     "reconstruct": "steps",
     "save": "saving",
-    "scan": "scans",
+    "scan": "results",
     "simulate": "steps",
     "surface": "steps",
     "write_recording": "files.recordings",
@@ -79,11 +78,10 @@ __all__ = [
     "InputError",
     "Plan",
     "Recording",
+    "Result",
     "Rod",
-    "Scan",
     "Session",
     "StoredCloud",
-    "StoredScan",
     "batch",
     "calibrate",
     "compare",

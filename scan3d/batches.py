@@ -24,13 +24,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 from urllib.parse import quote
 
-from scan3d import scans
+from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
 from scan3d.files.reading import read_small, read_toml
 from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, unchanged
 from scan3d.processes import undone_if_ended
-from scan3d.scans import StoredScan
+from scan3d.results import Result
+from scan3d.results import open as open_scan
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
 from scan3d.units import unit_symbol
 from scan3d.workers import Workers
@@ -81,12 +82,12 @@ class Batch:
         """The rows of the runs that have failed."""
         return [row for row in self.rows if row["status"] == FAILED]
 
-    def open(self, run: str) -> StoredScan:
+    def open(self, run: str) -> Result:
         """The results of a run, by its name.  Raises InputError as `scan3d.open`, and for a run that has failed."""
         for row in self.failures:
             if row["run"] == run:
                 raise InputError(f"the run {run} has failed: {row['error']}")
-        return scans.open(self.folder / run)
+        return open_scan(self.folder / run)
 
     def __repr__(self) -> str:
         return f"Batch of {len(self.rows)} runs, {len(self.failures)} failed, in {self.folder}"
@@ -327,7 +328,7 @@ def perform(run: Run) -> Outcome:
         error = ""
         try:
             if not run.is_done():  # by a worker that was lost after it
-                scans.perform(run.path, run.settings, run.folder, overwrite=run.overwrite, notify=notices.append)
+                pipeline.scan(run.path, run.settings, run.folder, overwrite=run.overwrite, notify=notices.append)
         except InputError as refusal:
             error = str(refusal)
         except MemoryError:

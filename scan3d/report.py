@@ -1,31 +1,36 @@
-"""The results of a run: the report's numbers, and the most important of them for the terminal."""
+"""The report of a result: its numbers, and the most important of them in words, for the terminal and for pages.
+
+What was measured of the body is stated as in a certificate of measurement.  Source: JCGM 100:2008, *Guide to the expression of
+uncertainty in measurement* (GUM), and JCGM 101:2008 for intervals that are not symmetric about the value.
+"""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array
-from scan3d.bounds import Certificate, Enclosure
-from scan3d.budget import calibration_numbers, calibration_off, noise_off
+from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
-from scan3d.coverage import coverage
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.measurands import measurands
 from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
 from scan3d.recording import Recording
+from scan3d.shown import Rows
+from scan3d.spatial.bodies import sphere_directions
 
 if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = 1
+"""Number of the format of ``report.json``."""
 # What the parts of an enclosure's bound are called in the error budget.
 _CAUSES = {
     "slices": "between_slices",
@@ -73,7 +78,6 @@ def report(
     settings: Mapping[str, Any],
     friction_set: str | None = None,
     timings_s: Mapping[str, float] | None = None,
-    files: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The numbers of an analysis as they are written to JSON; those that need the true mesh are None without it.
 
@@ -83,8 +87,6 @@ def report(
         the coefficient of friction or its range, if it is known because the recording was simulated.
     timings_s
         time spent on each step, in seconds.
-    files
-        names of the files written.
     """
     recording, cloud, surface, comparison = analysis.recording, analysis.cloud, analysis.surface, analysis.comparison
     unit = cloud.unit
@@ -111,7 +113,7 @@ def report(
         "warnings": [warning._asdict() for warning in analysis.warnings],
         "diagnosis": None if analysis.diagnosis is None else analysis.diagnosis._asdict(),
         "noise": _noise(analysis),
-        **calibration_numbers(recording, cloud),
+        **_calibration(recording, cloud),
         "error_budget": _budget(analysis),
         "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate),
         "surface": {
@@ -124,7 +126,7 @@ def report(
         },
         "normals": _normals(comparison),
         "timings_s": {name: round(seconds, 3) for name, seconds in (timings_s or {}).items()},
-        "files": list(files),
+        "files": [],
     }
 
 
@@ -198,7 +200,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "hull_bound": bounds.bound,
         "confidence": bounds.confidence,
         "table": cloud.table,
-        "parts": bounds.parts() | {"noise": noise_off(cloud, bounds)} | calibration_off(cloud, bounds),
+        "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _calibration_off(cloud, bounds),
         "volume": list(bounds.volume),
     }
 
@@ -219,7 +221,7 @@ def _noise(analysis: Analysis) -> dict[str, float]:
 def _budget(analysis: Analysis) -> dict[str, Any]:
     """The error of each step: its certified upper bound, and its actual value where the truth is known."""
     bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
-    parts, calibration = bounds.parts(), calibration_off(analysis.cloud, bounds)
+    parts, calibration = bounds.parts(), _calibration_off(analysis.cloud, bounds)
     causes = [_CAUSES[name] for name in parts]
 
     def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
@@ -228,7 +230,7 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     return {
         "unit": analysis.cloud.unit,
         "contacts_off": step(
-            noise_off(analysis.cloud, bounds) + sum(calibration.values()),
+            _noise_off(analysis.cloud, bounds) + sum(calibration.values()),
             None if contact_error is None else float(contact_error.max()),
         ),
         **{name: step(size, None) for name, size in calibration.items()},
@@ -268,3 +270,282 @@ def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
     if comparison is None:
         return None
     return {"of": "surface", "median_deg": comparison.normal_median_deg, "p95_deg": comparison.normal_p95_deg}
+
+
+def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> list[dict[str, Any]]:
+    """The quantities that are measured of a body by its contacts, enclosure, surface and certificate, each with these entries.
+
+    quantity, unit
+        what was measured; the extents are those along the axes of the world.
+    value
+        that of the surface.
+    interval
+        lower and upper bound, between which the true value lies with the coverage probability; infinite where nothing
+        bounds it.
+    expanded_uncertainty
+        the largest distance of the value from the ends of the interval.
+    coverage_probability
+        1 for exact contacts; 0 where the recording contradicts the model, so that nothing is stated.
+    coverage_factor
+        the number of standard deviations of each contact that the interval allows for, which is larger than 2 because it
+        holds for all contacts at once; None for exact contacts.  Where the reactions are exact, and the rig's calibration is
+        not, the number of standard deviations of the calibration.
+
+    All intervals hold together, under the premises of the certificate.
+    """
+    unit, probability = cloud.unit, bounds.confidence
+    allow = _allowed(cloud, bounds)
+    factor = None if allow is None else allow.kappa or allow.factor
+
+    def measured(quantity: str, value: float, low: float, high: float, power: str = "") -> dict[str, Any]:
+        return {
+            "quantity": quantity,
+            "value": value,
+            "unit": unit + power,
+            "interval": [low, high],
+            "expanded_uncertainty": max(high - value, value - low),
+            "coverage_probability": probability,
+            "coverage_factor": factor,
+        }
+
+    directions = np.concatenate([np.eye(3), -np.eye(3)])
+    lower, upper = bounds.support(directions)
+    size = np.ptp(np.asarray(surface.vertices), axis=0)
+    least, largest = np.maximum(lower[:3] + lower[3:], 0.0), upper[:3] + upper[3:]
+    extents = [
+        measured(f"extent along {axis}", float(size[k]), float(least[k]), float(largest[k]))
+        for k, axis in enumerate("xyz")
+    ]
+    low, high = bounds.volume
+    return [
+        *extents,
+        measured("volume", float(surface.volume), float(low), float(high), "³"),
+        measured("distance of the surface from the body", 0.0, 0.0, float(certified.bound)),
+    ]
+
+
+def _allowed(cloud: Cloud, bounds: Enclosure) -> Allowed | None:
+    """What the bounds allow for; None if that is nothing, or if nothing is certified."""
+    return allowed(cloud, bounds.confidence) if 0 < bounds.confidence < 1 else None
+
+
+def _noise_off(cloud: Cloud, bounds: Enclosure) -> float:
+    """The largest error of a contact by noise and digits that the bounds allow for."""
+    allow = _allowed(cloud, bounds)
+    if cloud.place_sd is None or allow is None or allow.kappa is None:
+        return bounds.margin
+    return bounds.margin + allow.kappa * float(cloud.place_sd.max())
+
+
+def _calibration_off(cloud: Cloud, bounds: Enclosure) -> dict[str, float]:
+    """The largest error of a contact by the rig's calibration that the bounds allow for, as ``{"calibration": size}``.
+
+    Without a calibration the dictionary is empty.
+    """
+    if cloud.calibration is None:
+        return {}
+    allow = _allowed(cloud, bounds)
+    return {"calibration": 0.0 if allow is None else allow.largest}
+
+
+def _calibration(recording: Recording, cloud: Cloud) -> dict[str, Any]:
+    """What is not known exactly of the rig that corrected a recording, and the standard deviations of contacts that follow.
+
+    A dictionary of one entry, ``calibration``; an empty one without a calibration.
+    """
+    rig, found = recording.rig, cloud.calibration
+    if rig is None or found is None:
+        return {}
+    deviations = np.sqrt(np.diag(rig.covariance))
+    known = {
+        "standard_deviations": dict(zip(rig.names, map(float, deviations), strict=True)),
+        "taken_as_exact": list(rig.exact),
+        "independent_errors": found.count,
+        "contact_median": float(np.median(found.place_sd)),
+        "contact_max": float(found.place_sd.max()),
+    }
+    return {"calibration": known}
+
+
+def _local_bounds(bounds: Enclosure, surface: Any, certified: Certificate) -> tuple[Any, Array]:
+    """The surface and the local bounds at its vertices; with more vertices where contacts lie anywhere and facets are large."""
+    if bounds.slabs is None and bounds.confidence and len(surface.faces) < 2000:
+        fine = surface.subdivide_to_size(float(np.linalg.norm(surface.extents)) / 50, max_iter=100)
+        return fine, certificate(bounds, fine).at_vertices
+    return surface, certified.at_vertices
+
+
+def coverage(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> dict[str, Any]:
+    """How much of the body the contacts cover.
+
+    `surface` is the fraction of the surface's area where the certified bound is at most 0.1 % of the diagonal, or 0.5 % for
+    contacts of the spatial model, as `surface_within` says.  `normals` is the fraction of the sphere of directions that lies
+    within 5° of a contact's normal.
+    """
+    surface, bound = _local_bounds(bounds, surface, certified)
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    area = np.asarray(surface.area_faces)
+    within = (5e-3 if cloud.model == "spatial" else 1e-3) * diagonal
+    closed = bound[surface.faces].max(axis=1) <= within
+    covered = {"surface": float(area[closed].sum() / area.sum()), "surface_within": within}
+    known = cloud.normals[np.isfinite(cloud.normals[:, 0])]
+    if not len(known):
+        return {**covered, "normals": 0.0}
+    near = cKDTree(known).query(sphere_directions(5000).T)[0] < 2 * np.sin(np.radians(5.0 / 2))
+    return {**covered, "normals": float(np.mean(near))}
+
+
+# --- in words ---
+
+
+class Summary(NamedTuple):
+    """A table of a few rows for the terminal."""
+
+    heading: str
+    """A line above the table, or an empty string."""
+    rows: Rows
+    """Name and value of each quantity."""
+
+
+def summary(data: Mapping[str, Any]) -> Summary:
+    """The most important numbers of a report."""
+    counts, hausdorff, errors = data["counts"], data["hausdorff"], data["contact_error"]
+    where = "space" if data.get("model") == "spatial" else f"{counts['slices']} slices"
+    heading = f"{counts['contacts']} contacts of {counts['samples']} samples, {counts['sweeps']} sweeps in {where}"
+    rows = _filled(data)
+    of_hull = f" from the {HULL_OF_MESH}" if rows else ""
+    if errors:
+        error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths){of_hull}"
+        rows.append(("contact error", error))
+    unreached = data["source"].get("sweeps_out_of_reach")
+    if unreached:
+        rows.append(("out of reach", f"{unreached} sweeps that the rod can't make from its base line"))
+    median = data["friction"]["estimated_median"]
+    if median is not None:
+        given = data["friction"]["set"]
+        rows.append(("friction", f"{median:.4g} (median, estimated from touch{f'; set: {given}' if given else ''})"))
+    if counts["light"]:
+        rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
+    radius = data.get("rod", {}).get("radius", {})
+    if radius.get("moved"):
+        unit = radius["unit"]
+        left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
+        moved = f"contacts moved by {radius['moved']:.3g} {unit} from the rod's centre line"
+        rows.append(("rod's radius", f"{moved}, which leaves errors up to {left:.1g} {unit}"))
+    rows += _calibration_rows(data)
+    surface = data["surface"]
+    closed = "watertight" if surface["watertight"] else "not watertight"
+    rows.append(("surface", f"{surface['method']}, {surface['faces']} faces, {closed}"))
+    if hausdorff:
+        to_hull = f" to the {HULL_OF_MESH}" if of_hull else ""
+        rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
+        if hausdorff.get("mesh_itself"):
+            rows.append(("to the mesh itself", _distance(hausdorff["mesh_itself"], hausdorff["unit"])))
+    volume = next((known for known in data.get("measurands", ()) if known["quantity"] == "volume"), None)
+    if volume and None not in volume["interval"] and np.isfinite(volume["interval"]).all() and not data["warnings"]:
+        low, high = volume["interval"]
+        rows.append(("volume", f"{volume['value']:.4g} {volume['unit']}, certified between {low:.4g} and {high:.4g}"))
+    certified = data["certificate"]
+    if data["warnings"]:
+        rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
+    elif certified["bound"] is not None and np.isfinite(certified["bound"]):
+        bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
+        confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
+        table = certified.get("table")
+        on_table = "" if table is None else f", and the table at z = {table:.4g} {certified['unit']}"
+        rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
+    else:
+        nothing = "nothing, because no contact bounds the body on some side of it"
+        hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
+        count = data["counts"].get("unproven_slices", 0)
+        unproven = f"; {count} slices without contact prove no end, because their sweeps miss places that it may reach"
+        rows.append(("certified", nothing + (unproven if count else "") + hint))
+    return Summary(heading, rows)
+
+
+def _distance(part: Mapping[str, Any], unit: str) -> str:
+    return f"{part['two_sided']:.4g} {unit} ({part['relative']:.1e} of the diagonal)"
+
+
+def _filled(data: Mapping[str, Any]) -> Rows:
+    """The row on what was scanned in the place of a mesh that is not convex, and what that fills; none for a convex mesh."""
+    mesh = data.get("mesh") or {}
+    filled = mesh.get("filled")
+    if not filled:
+        return []
+    volume = filled["volume_relative"]
+    dents = f", which fills dents up to {filled['depth']:.3g} {mesh['unit']} deep" if filled["depth"] else ""
+    part = "" if volume is None else f", {100 * volume:.2g} % of its volume"
+    closes = "; the mesh is open" if filled["open"] else ""
+    return [("scanned", f"the {HULL_OF_MESH}{dents}{part}{closes}")]
+
+
+def comparison_summary(comparison: Comparison, unit: str) -> Summary:
+    """The comparison of two meshes, whose lengths are in `unit`."""
+    exact = (
+        "exact" if comparison.exact else f"certified between {comparison.lower:.6g} and {comparison.upper:.6g} {unit}"
+    )
+    where = ", ".join(f"{x:.6g}" for x in comparison.worst_point)
+    averages = f"{comparison.mean:.4g}, {comparison.rms:.4g}, {comparison.p95:.4g} {unit}"
+    normals = f"{comparison.normal_median_deg:.3g}° median, {comparison.normal_p95_deg:.3g}° at 95 %"
+    return Summary(
+        "",
+        [
+            (
+                "Hausdorff distance",
+                f"{comparison.hausdorff:.6g} {unit} ({comparison.relative:.3e} of B's diagonal; {exact})",
+            ),
+            ("A to B", f"{comparison.surface_to_mesh:.6g} {unit}"),
+            ("B to A", f"{comparison.mesh_to_surface:.6g} {unit}"),
+            ("worst at", f"({where}), on {'A' if comparison.worst_on == 'surface' else 'B'}"),
+            ("mean, RMS, 95 %", averages),
+            ("Chamfer, F-score", f"{comparison.chamfer:.4g} {unit}, {comparison.f_score:.4f} at 1 % of B's diagonal"),
+            ("normals", normals),
+            ("volume error", f"{comparison.volume_error:+.3e}"),
+        ],
+    )
+
+
+def _calibration_rows(data: Mapping[str, Any]) -> Rows:
+    """The row of a report's summary on what the certificate allows for by the calibration, and what it takes as exact."""
+    rig = data.get("calibration")
+    if not rig:
+        return []
+    size, unit = data["certificate"]["parts"]["calibration"], data["certificate"]["unit"]
+    exact = rig["taken_as_exact"]
+    unknown = f"; not determined by it, and taken as exact: {', '.join(exact)}" if exact else ""
+    return [("calibration", f"allowed for with up to {size:.3g} {unit} at a contact{unknown}")]
+
+
+def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """The key figures of a report for pages and pictures, as pairs of name and value; distances also in % of the diagonal."""
+    mesh, counts, unit = data["mesh"] or {}, data["counts"], data["certificate"]["unit"]
+    is_hull = mesh.get("scanned", "mesh") != "mesh"
+    from_hull = f" from the {HULL_OF_MESH}" if is_hull else ""
+    rows = [("scanned", f"the {HULL_OF_MESH}")] if is_hull else []
+    if mesh:
+        rows.append(("size", " × ".join(f"{extent:.4g}" for extent in mesh["extents"]) + f" {unit}"))
+    rows += [("contacts", str(counts["contacts"]))]
+    rows += [("slices", str(counts["slices"]))] if counts["slices"] else []
+    rows += [("sweeps", str(counts["sweeps"]))]
+    if data["contact_error"]:
+        rows.append(("contact error", f"{data['contact_error']['max']:.2g} {unit} at most{from_hull}"))
+    if data["friction"]["estimated_median"] is not None:
+        rows.append(("friction", f"{data['friction']['estimated_median']:.4g} (median)"))
+    rows.append(("surface", f"{data['surface']['method']}, {data['surface']['faces']} faces"))
+    if data["warnings"]:
+        rows.append(("not certified", ", ".join(warning["code"] for warning in data["warnings"])))
+    if data.get("diagnosis"):
+        rows.append(("diagnosis", data["diagnosis"]["message"]))
+
+    def within(distance: float, relative: float) -> str:
+        return f"{distance:.3g} {unit} ({100 * relative:.2g} %)"
+
+    hausdorff, certified = data["hausdorff"], data["certificate"]
+    if hausdorff:
+        rows.append(("Hausdorff distance", within(hausdorff["two_sided"], hausdorff["relative"]) + from_hull))
+        if itself := hausdorff.get("mesh_itself"):
+            rows.append(("distance from the mesh itself", within(itself["two_sided"], itself["relative"])))
+    if certified["bound"] is not None and np.isfinite(certified["bound"]):
+        rows.append(("certified within", within(certified["bound"], certified["relative"])))
+    return tuple(rows)

@@ -6,17 +6,17 @@ is given to `Session.tell`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan3d.bounds import Certificate, Enclosure, Gap, certificate, enclosure, withdrawn
+from scan3d.bounds import Certificate, Gap
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
+from scan3d.pipeline import analyse
 from scan3d.planning.adaptive import next_heights
 from scan3d.planning.aims import further_directions, open_places
 from scan3d.planning.plan import Plan
@@ -31,13 +31,13 @@ from scan3d.planning.rig import (
     slice_sweep,
 )
 from scan3d.poses import PoseList
-from scan3d.reconstruction import Contradiction, contradictions, reconstruct
+from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.consistency import BELOW_TABLE
 from scan3d.reconstruction.planes import LEVEL
 from scan3d.recording import Recording, joined
+from scan3d.report import Analysis
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
-from scan3d.surfaces import surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -60,45 +60,6 @@ _TABLE = 0.0
 _ROUNDING = 1e-6
 # Places that sweeps in space are aimed at for each sweep that is wanted: some cannot be reached from above the table.
 _SPARE = 8
-
-
-@dataclass(frozen=True)
-class _Known:
-    """What follows from all recordings so far."""
-
-    recording: Recording
-    model: str | None
-    """As in `reconstruct`."""
-
-    @cached_property
-    def cloud(self) -> Cloud:
-        return reconstruct(self.recording, model=self.model)
-
-    @cached_property
-    def warnings(self) -> tuple[Contradiction, ...]:
-        """Raises InputError for contacts below the table: poses are planned for a body that stands on it."""
-        found = tuple(contradictions(self.recording, self.cloud))
-        for warning in found:
-            if warning.code == BELOW_TABLE:
-                raise InputError(warning.message)
-        return found
-
-    @cached_property
-    def bounds(self) -> Enclosure:
-        return enclosure(self.cloud)
-
-    @cached_property
-    def surface(self) -> trimesh.Trimesh:
-        known = replace(self.bounds, bound=np.inf) if self.warnings else self.bounds
-        mesh: trimesh.Trimesh = surface(self.cloud, bounds=known)
-        mesh.units = self.cloud.unit
-        return mesh
-
-    @cached_property
-    def certificate(self) -> Certificate:
-        if self.warnings:
-            return withdrawn(self.bounds, self.surface)[1]
-        return certificate(self.bounds, self.surface)
 
 
 class Session(Described):
@@ -134,7 +95,7 @@ class Session(Described):
         self.tolerance = tolerance
         self._seed = seed
         self._recordings: list[Recording] = []
-        self._last: _Known | None = None
+        self._last: Analysis | None = None
 
     def ask(self, sweeps: int = SWEEPS) -> PoseList | None:
         """The poses of the next sweeps: first those of the plan, then about `sweeps` where most room is left for the body.
@@ -181,7 +142,9 @@ class Session(Described):
     @property
     def recording(self) -> Recording:
         """All recordings so far as one.  Raises InputError if there are none."""
-        return self._known.recording
+        if not self._recordings:
+            raise InputError("there is no recording yet: sweep the poses of ask(), and tell() their recording")
+        return joined(self._recordings)
 
     @property
     def cloud(self) -> Cloud:
@@ -222,12 +185,19 @@ class Session(Described):
         return [*rows, ("recordings", f"{len(known)} with {len(self.cloud)} contacts"), ("certified", bound)]
 
     @property
-    def _known(self) -> _Known:
-        if not self._recordings:
-            raise InputError("there is no recording yet: sweep the poses of ask(), and tell() their recording")
+    def _known(self) -> Analysis:
+        """What follows from all recordings so far.
+
+        Raises InputError for contacts below the table: poses are planned for a body that stands on it.
+        """
         if self._last is None:
-            recording = joined(self._recordings)
-            self._last = _Known(recording, "planar" if self.plan.model == "planar" and _is_level(recording) else None)
+            recording = self.recording
+            model = "planar" if self.plan.model == "planar" and _is_level(recording) else None
+            found = analyse(recording, model=model)
+            for warning in found.warnings:
+                if warning.code == BELOW_TABLE:
+                    raise InputError(warning.message)
+            self._last = found
         return self._last
 
     def _further_slices(self, sweeps: int) -> list[Sweep]:

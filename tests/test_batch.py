@@ -419,14 +419,14 @@ def test_files_of_others_are_replaced_only_if_asked_to(again, call):
     ],
 )
 def test_whatever_goes_wrong_is_a_row(tmp_path, monkeypatch, error, sentence):
-    real = batches.scans.perform
+    real = batches.pipeline.scan
 
     def fail(mesh, *rest, **more):
         if mesh == str(EGG):
             raise error
         return real(mesh, *rest, **more)
 
-    monkeypatch.setattr(batches.scans, "perform", fail)
+    monkeypatch.setattr(batches.pipeline, "scan", fail)
     first, second = scan3d.batch([EGG, CUBE], tmp_path, **SETTINGS).rows
     assert first["status"] == "failed"
     assert re.fullmatch(f"{sentence}.*", first["error"])
@@ -434,13 +434,13 @@ def test_whatever_goes_wrong_is_a_row(tmp_path, monkeypatch, error, sentence):
 
 
 def test_results_that_vanish_are_a_failure(tmp_path, monkeypatch):
-    real = batches.scans.perform
+    real = batches.pipeline.scan
 
     def vanish(mesh, chosen, out, **more):
         real(mesh, chosen, out, **more)
         (Path(out) / "report.json").unlink()
 
-    monkeypatch.setattr(batches.scans, "perform", vanish)
+    monkeypatch.setattr(batches.pipeline, "scan", vanish)
     (row,) = scan3d.batch(CUBE, tmp_path, **SETTINGS).rows
     assert (row["status"], row["error"][:26]) == ("failed", "its results can't be read:")
 

@@ -13,10 +13,10 @@ from scan3d.bounds.noise import AVERAGED, averages_of, beyond, confident, polygo
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import certificate, enclosure, surface
-from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[1] / "meshes"
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]

@@ -12,9 +12,9 @@ from wrong_recordings import FAULTS
 import scan3d
 from scan3d.cli import main
 from scan3d.errors import InputError
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.consistency import contradictions
 from scan3d.reconstruction.contacts import contacts
-from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[1] / "meshes"
 BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]

@@ -17,9 +17,9 @@ from test_spatial_consistency import changed
 
 import scan3d
 from scan3d.errors import InputError
-from scan3d.pictures.words import key_figures
+from scan3d.pipeline import analyse, report
 from scan3d.reconstruction import cause_of_no_contact, checked, diagnose
-from scan3d.workflow import analyse, report
+from scan3d.report import key_figures
 
 MESHES = Path(__file__).parents[1] / "meshes"
 BODIES = ("egg.stl", "cube.stl")

@@ -7,13 +7,12 @@ import pytest
 import trimesh
 
 import scan3d
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.empty_slices import _area, _clipped, _covered, unproven
 from scan3d.reconstruction.planes import slices_of
-from scan3d.report import report
-from scan3d.summaries import summary
+from scan3d.report import report, summary
 from scan3d.surfaces import enclosure
-from scan3d.workflow import analyse
 
 SPHERE = trimesh.creation.icosphere(4, 10.0)
 

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from other_programs import FORMATS, HERE, PROGRAMS
 
-from scan3d import InputError, workflow
+from scan3d import InputError, pipeline
 from scan3d.cli import main
 from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply, read_ply
@@ -354,7 +354,7 @@ def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
 
 @pytest.mark.slow
 def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(workflow, "_draw", lambda *_: [])
+    monkeypatch.setattr(pipeline, "_put_pictures", lambda *_: [])
     egg = str(ROOT / "meshes" / "egg.stl")
     assert main(["scan", egg, "--out", str(tmp_path), "--slices", "8", "--samples", "24", "--quiet"]) == 0
     for what, ending in FORMATS:

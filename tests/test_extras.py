@@ -38,7 +38,7 @@ def test_the_commands_work_without_open3d(call, tmp_path, no_pictures, without_o
 def test_a_method_that_needs_open3d_is_refused_before_the_scan(
     call, tmp_path, no_pictures, without_open3d, monkeypatch, method
 ):
-    monkeypatch.setattr("scan3d.scans.performing.simulate_judged", None)  # not called
+    monkeypatch.setattr("scan3d.pipeline.simulate_judged", None)  # not called
     code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", method)
     assert (code, stdout) == (1, "")
     assert re.fullmatch(

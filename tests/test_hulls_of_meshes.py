@@ -17,9 +17,8 @@ from scan3d.cli import main
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.reading import dent_size
 from scan3d.pictures import page, rendering, shading
-from scan3d.pictures.words import key_figures
-from scan3d.summaries import _filled
-from scan3d.workflow import to_scene
+from scan3d.pipeline import to_scene
+from scan3d.report import _filled, key_figures
 
 SETTINGS = dict(slices=6, sweeps=4, samples=16, method="hull")
 HULL = "convex hull of the mesh"

@@ -8,11 +8,9 @@ import trimesh
 
 import scan3d
 from scan3d.bounds.constraints import sigmas
-from scan3d.measurands import measurands
-from scan3d.report import report
-from scan3d.summaries import summary
+from scan3d.pipeline import analyse
+from scan3d.report import measurands, report, summary
 from scan3d.surfaces import enclosure
-from scan3d.workflow import analyse
 
 
 def measured(analysis):

@@ -12,7 +12,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.whole import RECORDING, check_file, earlier_files
-from scan3d.pictures.stored import read_folder
+from scan3d.scenes import read_folder
 
 FOREIGN = "can't be recognised as written by scan3d; give --overwrite"
 NEVER = "is the {} that this run reads, which is never overwritten; choose another place with {}"
@@ -44,7 +44,7 @@ def refused(capsys, monkeypatch):
         before = tree()
         capsys.readouterr()
         with monkeypatch.context() as patched:
-            for name in ("simulation.scan.simulate", "workflow.analyse", "pictures.page.page", "pictures.movie.movie"):
+            for name in ("simulation.scan.simulate", "pipeline.analyse", "pictures.page.page", "pictures.movie.movie"):
                 patched.setattr(f"scan3d.{name}", lambda *_, **__: pytest.fail("it was computed"))
             assert main([str(argument) for argument in arguments]) == 1
         stdout, stderr = capsys.readouterr()

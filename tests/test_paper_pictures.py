@@ -363,7 +363,7 @@ def test_the_difference_of_two_results(folder, tmp_path, capsys):
 
 
 def test_units_of_the_other_surface(folder, tmp_path):
-    from scan3d.scans.others import other_surface
+    from scan3d.scenes import other_surface
 
     mesh = trimesh.creation.box((1, 1, 1))
     mesh.export(tmp_path / "box.stl")

@@ -8,9 +8,9 @@ import pytest
 
 import planar
 import scan3d
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.resolution import noise_of, rounding_sd
-from scan3d.workflow import analyse
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 

@@ -10,7 +10,6 @@ import trimesh
 from small_scans import CUBE, EGG, FEW
 
 import scan3d
-from scan3d import scans
 from scan3d.cli import main
 from scan3d.files.text import to_json
 from scan3d.pictures import rendering
@@ -57,7 +56,7 @@ def test_scan_writes_what_the_command_writes(made, tmp_path):
 
 def test_the_result_has_all_that_was_computed(made):
     _, result = made
-    assert isinstance(result, scan3d.Scan)
+    assert isinstance(result, scan3d.Result)
     assert len(result.recording) == result.report["counts"]["samples"]
     assert len(result.cloud) == result.report["counts"]["contacts"]
     assert result.surface.is_watertight
@@ -68,7 +67,7 @@ def test_the_result_has_all_that_was_computed(made):
 def test_a_folder_gives_the_result_back(made):
     folder, result = made
     stored = scan3d.open(folder)
-    assert isinstance(stored, scan3d.StoredScan)
+    assert isinstance(stored, scan3d.Result)
     for name in ("points", "normals", "row", "force_N", "slice_height"):
         np.testing.assert_array_equal(getattr(stored.cloud, name), getattr(result.cloud, name), err_msg=name)
     np.testing.assert_array_equal(stored.recording.force_N, result.recording.force_N)
@@ -259,11 +258,6 @@ def test_what_is_not_certified_is_infinite(copy):
 
 
 # --- pictures ---
-
-
-def test_the_base_of_results_has_no_scene():
-    with pytest.raises(NotImplementedError):
-        scans.results._Result()._scene()
 
 
 @pytest.mark.slow

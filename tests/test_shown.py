@@ -7,8 +7,8 @@ import pytest
 from small_scans import CUBE
 
 import scan3d
+from scan3d.bounds import Certificate
 from scan3d.shown import described
-from scan3d.surfaces import Certificate
 from tests import rigs
 
 

@@ -22,8 +22,8 @@ import scan3d
 from planar import Phase
 from scan3d import report
 from scan3d.bounds import certificate, enclosure, withdrawn
-from scan3d.coverage import coverage
 from scan3d.geometry.hulls import hull
+from scan3d.report import coverage
 from scan3d.surfaces import surface
 
 

@@ -8,8 +8,7 @@ from spatial_scans import recorded
 
 import scan3d
 from scan3d.reconstruction import radius_errors
-from scan3d.report import _counts, _friction, _thickness
-from scan3d.summaries import summary
+from scan3d.report import _counts, _friction, _thickness, summary
 
 
 @pytest.fixture(scope="module")

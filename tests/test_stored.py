@@ -10,9 +10,10 @@ import trimesh
 from small_scans import CUBE, EGG, scanned_folder, scanned_in_space
 
 import scan3d
+from scan3d import scenes
 from scan3d.cli import main, show
 from scan3d.files.ply import ply
-from scan3d.pictures import rendering, stored
+from scan3d.pictures import rendering
 from scan3d.pictures.parts import contact_paths, shown_sweep
 
 
@@ -26,7 +27,7 @@ def test_a_stored_scan_in_space_has_all_that_its_pictures_need(tmp_path, monkeyp
     scan3d.write_recording(scene.recording, tmp_path / "recording.csv")
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     assert main(["reconstruct", str(tmp_path / "recording.csv"), "--out", str(tmp_path), "--quiet"]) == 0
-    read, report = stored.read_folder(tmp_path, "mm")
+    read, report = scenes.read_folder(tmp_path, "mm")
     assert report["model"] == "spatial"
     cloud = scan3d.reconstruct(read.recording)
     assert read.column("slice") is None
@@ -42,16 +43,16 @@ def test_a_stored_scan_in_space_has_all_that_its_pictures_need(tmp_path, monkeyp
 @pytest.mark.slow
 def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    report = stored.read_report(folder)
-    assert Path(stored.find_truth(folder, report)).samefile(folder.parent / "egg.stl")
+    report = scenes.read_report(folder)
+    assert Path(scenes.find_truth(folder, report)).samefile(folder.parent / "egg.stl")
     (tmp_path / "parts").mkdir()
     (tmp_path / "elsewhere").mkdir()
-    assert stored.find_truth(tmp_path / "elsewhere", report) is None
+    assert scenes.find_truth(tmp_path / "elsewhere", report) is None
     (tmp_path / "parts" / "egg.stl").write_bytes(CUBE.read_bytes())
-    assert stored.find_truth(tmp_path / "elsewhere", report) is None
+    assert scenes.find_truth(tmp_path / "elsewhere", report) is None
     (tmp_path / "parts" / "egg.stl").write_bytes(EGG.read_bytes())
-    assert stored.find_truth(tmp_path / "elsewhere", report) == "parts/egg.stl"
-    assert stored.find_truth(tmp_path / "elsewhere", {}) is None
+    assert scenes.find_truth(tmp_path / "elsewhere", report) == "parts/egg.stl"
+    assert scenes.find_truth(tmp_path / "elsewhere", {}) is None
 
 
 def strings(value):
@@ -61,7 +62,7 @@ def strings(value):
 
 
 def test_a_report_names_no_place_outside_its_folder(folder):
-    report = stored.read_report(folder)
+    report = scenes.read_report(folder)
     assert report["mesh"]["file"] == report["source"]["mesh"] == "egg.stl"
     words = strings(dict(report))
     assert len(words) > 100

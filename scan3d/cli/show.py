@@ -107,7 +107,7 @@ def show(
     output.progress.tell("reading")
     scene = read_scene(path, truth, hull, unit)
     if against:
-        from scan3d.scans.others import other_surface
+        from scan3d.scenes import other_surface
 
         scene = scene.against(other_surface(against, scene.unit, unit))
     output.progress.tell("drawing")
@@ -178,8 +178,8 @@ def _write_picture(scene: Any, path: Path, view: View | None, color: Color | Non
 
 def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
     """The scene of a path, with the true body if it is named or found."""
+    from scan3d import scenes
     from scan3d.files.meshes import load_mesh, read_mesh
-    from scan3d.pictures import stored
     from scan3d.pictures.scene import Scene
 
     if not path.exists():
@@ -187,28 +187,28 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
             f"there is no {path}; show a scan's folder, a recording (.csv), a cloud or a surface (.ply), or a mesh"
         )
     if path.is_dir():
-        scene, report = stored.read_folder(path, unit)
-        found = None if truth else stored.find_truth(path, report)
+        scene, report = scenes.read_folder(path, unit)
+        found = None if truth else scenes.find_truth(path, report)
         truth = Path(found) if found else truth
         hull = hull or bool((report.get("mesh") or {}).get("hull"))
     elif path.suffix.lower() in (".csv", ".parquet"):
         scene = _recording_scene(path)
     else:
-        stored_scene = stored.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
+        stored_scene = scenes.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
         scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path))
     return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull)) if truth else scene
 
 
 def _recording_scene(path: Path) -> Any:
     """The scene of a recording: its contacts, and their surface where they span a body."""
-    from scan3d import workflow
+    from scan3d import pipeline
     from scan3d.files.recordings import read_recording
     from scan3d.pictures.scene import of_cloud
     from scan3d.reconstruction import reconstruct as reconstruct_recording
 
     recording = read_recording(path)
     try:
-        scene = workflow.to_scene(workflow.analyse(recording))
+        scene = pipeline.to_scene(pipeline.analyse(recording))
     except InputError:  # contacts in one plane do not span a body, but can be shown
         return of_cloud(reconstruct_recording(recording), name=path.stem, recording=recording)
     return dataclasses.replace(scene, name=path.stem)

@@ -119,7 +119,7 @@ def simulate(
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import check_path, sidecar, write_recording
     from scan3d.files.whole import check_pair, folder
-    from scan3d.scans import with_origin
+    from scan3d.pipeline import with_origin
     from scan3d.simulation.scan import simulate as simulate_scan
 
     if poses is None:
@@ -198,11 +198,10 @@ def reconstruct(
     noise_moment
         standard deviation of the moment, in the unit of its column (default: that of the .toml, or unknown)
     """
-    from scan3d import workflow
+    from scan3d import pipeline
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.files.sweeps import is_sweep
-    from scan3d.files.whole import replacing
 
     of_recording = {
         "truth": truth is not None,
@@ -227,30 +226,29 @@ def reconstruct(
     # the remaining settings concern the simulation
     used = {"method": method, "hull": hull, "clip_dent": clip_dent}
     settings(used)
-    start, progress = time.perf_counter(), output.progress
-    progress.step("load")
-    measured = rigged(read_recording(recording), rig)
-    if table is not None:
-        measured = dataclasses.replace(measured, table_m=UNITS_M[measured.unit] * table)
-    body = load_mesh(truth, hull=hull, clip_dent=clip_dent) if truth else None
-    seconds = {"load": time.perf_counter() - start}
+
+    def read() -> tuple[Any, Any]:
+        measured = rigged(read_recording(recording), rig)
+        if table is not None:
+            measured = dataclasses.replace(measured, table_m=UNITS_M[measured.unit] * table)
+        return measured, load_mesh(truth, hull=hull, clip_dent=clip_dent) if truth else None
+
     inputs = {
         "recording": recording,
         "TOML file of the recording": sidecar(recording),
         "true body": truth,
         "rig": rig,
     }
-    with replacing(out, with_recording=False, inputs=inputs, overwrite=overwrite) as result:
-        analysis = workflow.analyse(measured, body, method, model, progress.step)
-        data = workflow.write(
-            analysis,
-            result,
-            settings=used,
-            with_recording=False,
-            seconds=seconds,
-            notify=progress.say,
-            step=progress.step,
-        )
+    _, data = pipeline.reconstruct(
+        read,
+        out,
+        settings=used,
+        model=model,
+        inputs=inputs,
+        overwrite=overwrite,
+        notify=output.progress.say,
+        step=output.progress.step,
+    )
     return _report(data, out, strict, output)
 
 
@@ -277,7 +275,7 @@ def compare(first: Mesh, second: Mesh, /, *, unit: Unit = "mm", output: Output =
     """
     from scan3d.comparison import compare as compare_meshes
     from scan3d.files.meshes import read_mesh
-    from scan3d.summaries import comparison_summary
+    from scan3d.report import comparison_summary
 
     comparison = compare_meshes(read_mesh(first), read_mesh(second))
     return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, unit)))
@@ -440,10 +438,10 @@ def _scanned(
     mesh: Path, chosen: Settings, out: Path, overwrite: bool, output: Output, inputs: Any = None
 ) -> dict[str, Any]:
     """The report of a scan, whose progress is shown."""
-    from scan3d import scans
+    from scan3d import pipeline
 
     progress = output.progress
-    _, data = scans.perform(
+    _, data = pipeline.scan(
         mesh,
         chosen,
         out,
@@ -458,7 +456,7 @@ def _scanned(
 
 def _report(data: dict[str, Any], out: Path, strict: bool, output: Output) -> int:
     """Print a report and its warnings; the exit code."""
-    from scan3d.summaries import summary
+    from scan3d.report import summary
 
     heading, rows = summary(data)
     print_result(output, data, table(heading, [*rows, ("written to", str(out))]))

@@ -27,8 +27,8 @@ import numpy as np
 import scan3d
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
-from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[2] / "meshes"
 BODIES = ("cube.stl", "egg.stl", "pebble.obj", "needle.ply")

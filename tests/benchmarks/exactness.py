@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d.geometry.distance import nearest
+from scan3d.pipeline import analyse
 from scan3d.settings import SLICES_FOR_TOLERANCE
-from scan3d.workflow import analyse
 
 MESHES = Path(__file__).parents[2] / "meshes"
 # A Hausdorff distance below this part of the diagonal counts as none.

@@ -93,7 +93,7 @@ def changed(body: trimesh.Trimesh, how: str) -> trimesh.Trimesh:
     return other
 
 
-def timings(mesh: Any, **settings: Any) -> tuple[scan3d.scans.Scan, Steps]:
+def timings(mesh: Any, **settings: Any) -> tuple[scan3d.Result, Steps]:
     """A scan without pictures, and seconds for each of its steps."""
     scan3d.scan(EGG, slices=8)  # imports
     with patch("time.perf_counter", time.process_time):  # the clock of the steps

@@ -37,12 +37,12 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame, slice_polygons
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.resolution import _FINE as FINE
 from scan3d.reconstruction.resolution import rounding_sd
 from scan3d.rods import Rod
 from scan3d.simulation.axis_scans import width_of
 from scan3d.units import UNITS_M
-from scan3d.workflow import analyse
 
 NOISE = (0.0, 1e-7, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2)
 KINDS = ("points", "plate", "needle", "box", "prism", "cone", "drop", "ellipsoid", "chamfered", "tetrahedron")

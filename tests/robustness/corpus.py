@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 import scan3d
-from scan3d import workflow
+from scan3d import pipeline
 from scan3d.files.ply import ply
 from scan3d.files.recordings import write_recording
 from scan3d.pictures import rendering
@@ -45,8 +45,8 @@ def make(folder):
     (folder / "scan").mkdir()
     could, rendering.can_render = rendering.can_render, lambda: False
     try:
-        analysis = workflow.analyse(recording, scan3d.load_mesh(folder / "box.stl"))
-        workflow.write(analysis, folder / "scan", settings={"friction": "0.3"}, with_recording=True)
+        analysis = pipeline.analyse(recording, scan3d.load_mesh(folder / "box.stl"))
+        pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"}, with_recording=True)
     finally:
         rendering.can_render = could
     return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder), *_scans(folder)]

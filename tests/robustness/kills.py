@@ -77,7 +77,7 @@ def kills(number: int, place: Path, *, seed: int = 0, pictures: bool = False) ->
 def _files(folder: Path) -> dict[str, str]:
     """The hashes of the files in a folder but the report, after the program has read it without complaint."""
     from scan3d.files.whole import read_report
-    from scan3d.pictures.stored import read_folder
+    from scan3d.scenes import read_folder
 
     _, report = read_folder(folder, "mm")
     names = {path.name for path in folder.iterdir() if path.is_file()}

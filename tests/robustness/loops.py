@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 
 import scan3d
+from scan3d.pipeline import analyse
 from scan3d.simulation.rig import simulate_rig, standing
-from scan3d.workflow import analyse
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))

@@ -1,7 +1,8 @@
-"""Scenes read from files: a scan's folder, a cloud, a surface, or a PLY of another program."""
+"""Scenes read from files, to be shown and compared: a scan's folder, a cloud, a surface, or a PLY of another program."""
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -9,25 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 import planar
 from scan3d.errors import InputError
-from scan3d.files.declared import shortfall
+from scan3d.files import whole
+from scan3d.files.meshes import FORMATS, read_mesh
 from scan3d.files.ply import read_ply
 from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
 from scan3d.files.whole import REPORT, check_belongs, locate, sha256
-from scan3d.files.whole import read_report as read_any_report
-from scan3d.pictures.edited import checked_report
 from scan3d.pictures.scene import Scene, columns
-from scan3d.pictures.words import key_figures
+from scan3d.report import SCHEMA, key_figures, summary
 from scan3d.units import UNITS_M
 
-# Begins the comment of a PLY that states its unit.
-_UNIT_COMMENT = "unit "
-# Largest coordinate that is drawn: libraries that draw compute in float32, and its squares must be numbers as well.
-_LARGEST = 1e15
 # Columns of a cloud that are used as numbers of something, with their smallest and their largest value.
 _INDICES = {
     "phase": (int(planar.Phase.TIP), int(planar.Phase.TANGENTIAL)),
@@ -35,6 +32,30 @@ _INDICES = {
     "sweep": (-(2**31), 2**31 - 1),
     "row": (0, 2**31 - 1),
 }
+_WANTED = f"expected a scan's folder, or a surface or mesh file (.{', .'.join(FORMATS)})"
+
+
+def read_report(folder: Path) -> Mapping[str, Any]:
+    """A scan's report.json; empty if the file does not exist, or is of another program.
+
+    Raises InputError if it can't be read, or was edited so that it can't be shown.
+    """
+    data, path = whole.read_report(folder), folder / REPORT
+    if data.get("schema", SCHEMA) != SCHEMA:
+        raise InputError(
+            f"{path}: schema {data['schema']!r} is not known, expected {SCHEMA}; was it written by a newer version?"
+        )
+    if "versions" not in data:
+        return {}
+    try:
+        key_figures(data)
+        summary(data)
+        (data["mesh"] or {}).get("sha256")
+        data["source"].get("mesh")
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{path} is not as scan3d has written it: {reason}; run the scan again") from None
+    return data
 
 
 def read_folder(folder: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
@@ -45,21 +66,21 @@ def read_folder(folder: Path, unit: str) -> tuple[Scene, Mapping[str, Any]]:
     while True:
         report = read_report(folder)
         try:
-            return of_folder(folder, report, unit), report
+            return scene_of_folder(folder, report, unit), report
         except InputError:
             if read_report(folder) == report:
                 raise
         # a run has written its results into the folder in the meantime
 
 
-def of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
+def scene_of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene:
     """The scene in a scan's folder, without the truth.  Raises InputError as `read_folder`."""
     names = ("cloud.ply", "surface.ply", "recording.csv", "recording.toml")
     check_belongs(folder, report, names)
     cloud, surface, log = (locate(folder / name) for name in names[:3])
     if not (cloud.exists() or surface.exists()):
         raise InputError(f"{folder} holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'")
-    parts: dict[str, Any] = {"key_figures": key_figures(report)}
+    parts: dict[str, Any] = {"key_figures": key_figures(report) if report else ()}
     for path in (surface, cloud):
         if path.exists():
             part = read_ply_scene(path, unit)
@@ -107,8 +128,6 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
         return Scene(path.stem, unit, contacts=rows)
     if not len(faces):
         raise InputError(f"{path.name} has no triangles, where a surface is expected; run the scan again")
-    import trimesh
-
     bound = rows["bound"] if "bound" in (rows.dtype.names or ()) else None
     is_known = bound is not None and np.isfinite(bound).any()
     mesh = trimesh.Trimesh(columns(rows, "x", "y", "z"), faces, process=False)
@@ -117,13 +136,8 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
 
 def _read_foreign(path: Path, unit: str) -> Scene | None:
     """The points of another program's PLY; None if it has faces."""
-    import trimesh
-
     try:
         check_file(path)
-        lacking = shortfall("ply", path.read_bytes())
-        if lacking:
-            raise InputError(f"{path.name} is cut off, damaged, or not PLY: {lacking}; export or download it again")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # of points that are not finite, judged below
             shape = trimesh.load(path)
@@ -149,7 +163,8 @@ def _check(path: Path, rows: NDArray[Any]) -> None:
     if not len(rows) or not np.isfinite(columns(rows, "x", "y", "z")).all():
         raise InputError(f"{path.name} has no points, or points that are not numbers; expected a cloud of contacts")
     largest = float(np.abs(columns(rows, "x", "y", "z")).max())
-    if largest > _LARGEST:
+    # libraries that draw compute in float32, and squares must be numbers as well
+    if largest > 1e15:
         raise InputError(
             f"{path.name} has a coordinate of {largest:.3g}, which can't be drawn; expected those of a body"
         )
@@ -167,10 +182,45 @@ def _check(path: Path, rows: NDArray[Any]) -> None:
 
 def unit_of(comments: tuple[str, ...], default: str) -> str:
     """The unit that a PLY's comments state, or the default."""
-    stated = [line.removeprefix(_UNIT_COMMENT) for line in comments if line.startswith(_UNIT_COMMENT)]
+    stated = [line.removeprefix("unit ") for line in comments if line.startswith("unit ")]
     return stated[0] if stated and stated[0] in UNITS_M else default
 
 
-def read_report(folder: Path) -> Mapping[str, Any]:
-    """A scan's report.json; empty if the file does not exist.  Raises InputError if it can't be read or shown."""
-    return checked_report(read_any_report(folder), folder / REPORT)
+def other_surface(given: Any, unit: str, file_unit: str = "mm") -> trimesh.Trimesh:
+    """The surface of a result of `scan3d.scan` or `scan3d.open`, of a folder or of a file, in `unit`; or a `trimesh.Trimesh`.
+
+    `file_unit` is the unit of a file that does not state its own, and of a mesh without `Trimesh.units`.
+
+    Raises InputError for what has no surface, and for files that can't be read.
+    """
+    if isinstance(given, (str, os.PathLike)):
+        mesh, own = _read(Path(given), file_unit)
+    else:
+        mesh = getattr(given, "surface", given)
+        if not isinstance(mesh, trimesh.Trimesh):
+            raise InputError(
+                f"there is no surface in a {type(given).__name__}: {_WANTED}, a result, or a trimesh.Trimesh"
+            )
+        own = mesh.units if mesh.units in UNITS_M else file_unit
+    if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
+        raise InputError(f"the other surface has no triangles, or vertices that are not numbers: {_WANTED}")
+    return trimesh.Trimesh(np.asarray(mesh.vertices) * (UNITS_M[own] / UNITS_M[unit]), mesh.faces, process=False)
+
+
+def _read(path: Path, unit: str) -> tuple[Any, str]:
+    """The surface of a folder or a file, and its unit."""
+    if not path.exists():
+        raise InputError(f"there is no {path} to compare the surface with: {_WANTED}")
+    if path.is_dir():
+        scene: Any = read_folder(path, unit)[0]
+    elif path.suffix.lower() == ".ply":
+        scene = read_ply_scene(path, unit)
+    elif path.suffix[1:].lower() in FORMATS:
+        scene = None
+    else:
+        raise InputError(f"{path} has no surface to compare with: {_WANTED}")
+    if scene is None:
+        return read_mesh(path), unit
+    if scene.surface is None:
+        raise InputError(f"{path} has no surface to compare with, but contacts only: {_WANTED}")
+    return scene.surface, scene.unit

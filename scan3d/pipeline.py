@@ -1,0 +1,323 @@
+"""The one way from a mesh or a recording to a result: data go forward, and each file is entered once.
+
+`scan` simulates the recording of a mesh, `reconstruct` takes one that was read; both are analysed by `analyse`, and written
+into a folder together with their report.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scan3d.bounds import certificate, enclosure, withdrawn
+from scan3d.cloud import Cloud
+from scan3d.comparison import compare, compare_all
+from scan3d.errors import InputError
+from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
+from scan3d.files.ply import ply
+from scan3d.files.recordings import recording_files
+from scan3d.files.tables import cloud_table, surface_table
+from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
+from scan3d.pictures import page, rendering
+from scan3d.pictures.drawing import Drawing, DrawingError
+from scan3d.pictures.scene import Scene, of_cloud
+from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked
+from scan3d.reconstruction import reconstruct as reconstruct_contacts
+from scan3d.recording import Recording
+from scan3d.report import Analysis, key_figures, report
+from scan3d.settings import Settings
+from scan3d.simulation.scan import Progress, simulate_judged
+from scan3d.surfaces import surface
+from scan3d.surfaces.open3d_methods import check_method
+
+PICTURES = ("cloud", "surface")
+"""The views of the pictures in a result's folder."""
+Step = Callable[[str], None]
+"""Is called with the name of each step when it begins; the names are those of `timings_s` in the report."""
+Notify = Callable[[str], None]
+"""Is called with a sentence if pictures cannot be rendered."""
+
+
+class Clock:
+    """Seconds spent on each step, by name; `step` is told when one begins."""
+
+    def __init__(self, seconds: Mapping[str, float] | None = None, step: Step = lambda _: None) -> None:
+        self.seconds: dict[str, float] = dict(seconds or {})
+        self._step = step
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        self._step(name)
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def scan(
+    mesh: Any,
+    chosen: Settings,
+    out: str | Path | None = None,
+    *,
+    inputs: Inputs | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    notify: Notify = lambda _: None,
+    step: Step = lambda _: None,
+) -> tuple[Analysis, dict[str, Any]]:
+    """Simulate a scan of a mesh, analyse it, and write the results into the folder `out`: the analysis and its report.
+
+    mesh
+        path of a mesh file, or a `trimesh.Trimesh`.
+    out
+        the folder; None: nothing is written.
+    inputs, overwrite
+        as in `files.whole.replacing`: what the run reads besides the mesh, and whether files that the program did not write may
+        be replaced.
+    progress
+        called with the numbers of slices that are done and of all slices.
+
+    Raises InputError as `load_mesh`, `simulate`, `analyse` and `files.whole.replacing`.
+    """
+    check_method(chosen.method)
+    plan, is_path = chosen.plan(), isinstance(mesh, (str, os.PathLike))
+
+    def record(clock: Clock) -> tuple[Recording, Any]:
+        with clock("load"):
+            body = (load_mesh if is_path else judge_mesh)(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+        with clock("simulate"):
+            return with_origin(simulate_judged(body, plan, progress), body), body
+
+    read = {**({"mesh": mesh} if is_path else {}), **(inputs or {})}
+    settings = dataclasses.asdict(chosen)
+    if out is None:
+        clock = Clock(step=step)
+        analysis = analyse(*record(clock), chosen.method, clock=clock)
+        return analysis, report(analysis, settings=settings, friction_set=chosen.friction, timings_s=clock.seconds)
+    with replacing(out, with_recording=True, inputs=read, overwrite=overwrite) as result:
+        return _performed(record, result, settings, chosen.method, None, True, notify, step)
+
+
+def reconstruct(
+    read: Callable[[], tuple[Recording, Any]],
+    out: str | Path,
+    *,
+    settings: Mapping[str, Any],
+    model: str | None = None,
+    inputs: Inputs | None = None,
+    overwrite: bool = False,
+    notify: Notify = lambda _: None,
+    step: Step = lambda _: None,
+) -> tuple[Analysis, dict[str, Any]]:
+    """Analyse a recording, and write the results into the folder `out`: the analysis and its report.
+
+    read
+        gives the recording and the true body, or None.
+    settings
+        those of the run, with the ``method`` of the surface, which the report repeats.
+
+    Raises InputError as `read`, `analyse` and `files.whole.replacing`.
+    """
+
+    def record(clock: Clock) -> tuple[Recording, Any]:
+        with clock("load"):
+            return read()
+
+    with replacing(out, with_recording=False, inputs=inputs, overwrite=overwrite) as result:
+        return _performed(record, result, settings, settings["method"], model, False, notify, step)
+
+
+def _performed(
+    record: Callable[[Clock], tuple[Recording, Any]],
+    result: Replacement,
+    settings: Mapping[str, Any],
+    method: str,
+    model: str | None,
+    is_simulated: bool,
+    notify: Notify,
+    step: Step,
+) -> tuple[Analysis, dict[str, Any]]:
+    """Record, analyse and write; contacts and surface are drawn while the surface is certified and compared."""
+    clock = Clock(step=step)
+    with Drawing() as drawing:
+        recording, truth = record(clock)
+
+        def draw(cloud: Cloud, mesh: Any) -> None:
+            drawing.begin(of_cloud(cloud, surface=mesh, truth=truth), _JOBS)
+
+        analysis = analyse(recording, truth, method, model, clock=clock, made=draw)
+        return analysis, _put(analysis, result, settings, is_simulated, clock, drawing, notify)
+
+
+def with_origin(recording: Recording, body: Any) -> Recording:
+    """The recording, with the hash of its mesh, and the name of its file if there is one, added to the source."""
+    origin = {"mesh_sha256": body.metadata["sha256"]}
+    if "file" in body.metadata:
+        origin = {"mesh": body.metadata["file"], **origin}
+    return replace(recording, source={**recording.source, **origin})
+
+
+def analyse(
+    recording: Recording,
+    truth: Any = None,
+    method: str = "auto",
+    model: str | None = None,
+    *,
+    clock: Clock | None = None,
+    made: Callable[[Cloud, Any], None] = lambda _, __: None,
+) -> Analysis:
+    """Contacts, bounds, surface and certificate of a recording, and the comparison with the truth if that is given.
+
+    truth
+        the true body, a convex `trimesh.Trimesh`; only the results that compare with it depend on it.
+    method
+        the method of the surface, as in `scan3d.surface`.
+    model
+        the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
+    made
+        is called with the contacts and the surface, as soon as both are known.
+
+    Where the recording contradicts the model, the analysis has warnings and no certificate.  Writes and prints nothing.  Raises
+    InputError as `scan3d.reconstruct`, `scan3d.surface` and `scan3d.compare`.
+    """
+    clock = clock or Clock()
+    with clock("reconstruct"):
+        try:
+            cloud = reconstruct_contacts(recording, model=model)
+        except NoContactError as error:
+            raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
+    with clock("check"):
+        warnings, diagnosis = checked(recording, cloud)
+    with clock("bounds"):
+        bounds = enclosure(cloud)
+    with clock("surface"):
+        # a hull is only taken as proven where the recording agrees with the model
+        known = replace(bounds, bound=np.inf) if warnings else bounds
+        mesh = surface(cloud, method, bounds=known)
+        mesh.units = cloud.unit
+    made(cloud, mesh)
+    with clock("certificate"):
+        if warnings:
+            bounds, certified = withdrawn(bounds, mesh)
+        else:
+            certified = certificate(bounds, mesh)
+    mesh.vertex_attributes["bound"] = certified.at_vertices
+    analysis = Analysis(recording, cloud, bounds, mesh, certified, warnings=tuple(warnings), diagnosis=diagnosis)
+    if truth is not None:
+        with clock("compare"):
+            analysis = _compared(analysis, truth)
+    return replace(analysis, seconds=dict(clock.seconds))
+
+
+def _compared(analysis: Analysis, truth: Any) -> Analysis:
+    """An analysis with all that is compared with the true body."""
+    comparison, hull_error, contact_error = compare_all(
+        analysis.surface, analysis.bounds.inner, analysis.cloud.points, truth
+    )
+    itself = mesh_itself(truth)
+    return replace(
+        analysis,
+        truth=truth,
+        mesh_comparison=None if itself is None else compare(analysis.surface, itself),
+        contact_error=contact_error,
+        comparison=comparison,
+        hull_error=hull_error,
+    )
+
+
+def write(
+    analysis: Analysis,
+    folder: str | Path,
+    *,
+    settings: Mapping[str, Any],
+    with_recording: bool,
+    notify: Notify = lambda _: None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Write an analysis into a folder: cloud, surface, pictures, page and report, which is returned.
+
+    settings
+        those of the run, which the report repeats.
+    with_recording
+        whether the recording is written as well, as for a simulated one.
+    overwrite
+        whether files that the program did not write may be replaced.
+
+    Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
+    """
+    with replacing(folder, with_recording=with_recording, overwrite=overwrite) as result, Drawing() as drawing:
+        return _put(analysis, result, settings, with_recording, Clock(analysis.seconds), drawing, notify)
+
+
+def _put(
+    analysis: Analysis,
+    result: Replacement,
+    settings: Mapping[str, Any],
+    with_recording: bool,
+    clock: Clock,
+    drawing: Drawing,
+    notify: Notify,
+) -> dict[str, Any]:
+    """Let all files of an analysis appear in a folder; its report."""
+    friction = settings.get("friction") if with_recording else None
+    with clock("write"):
+        _put_tables(analysis, result, with_recording)
+    with clock("pictures"):
+        figures = key_figures(report(analysis, settings=settings, friction_set=friction))
+        _put_pictures(to_scene(analysis, figures), result, drawing, notify)
+    return result.commit(report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds))
+
+
+def _put_tables(analysis: Analysis, result: Replacement, with_recording: bool) -> None:
+    """Add the recording, if it is wanted, the cloud and the surface to a result."""
+    cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
+    if with_recording:
+        for name, data in recording_files(analysis.recording, RECORDING[0]).items():
+            result.put(name, data)
+    result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
+    vertices = surface_table(mesh, analysis.certificate.at_vertices)
+    result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
+
+
+_JOBS = [(".png", {"view": name}) for name in PICTURES]
+
+
+def _put_pictures(scene: Scene, result: Replacement, drawing: Drawing, notify: Notify) -> None:
+    """Add the page and, where they can be rendered, the pictures to a result."""
+    if not drawing.has_begun:  # while the page is made
+        drawing.begin(scene, _JOBS)
+    result.put("view.html", page.page(scene))
+    try:
+        pictures = drawing.finish()
+    except rendering.NoRendererError as error:
+        notify(str(error))
+        return
+    except DrawingError as error:
+        notify(f"no pictures: {error}; all other files are written")
+        return
+    for name, data in zip(PICTURES, pictures, strict=True):
+        result.put(f"{name}.png", data)
+
+
+def to_scene(analysis: Analysis, figures: tuple[tuple[str, str], ...] = ()) -> Scene:
+    """The scene of an analysis, to be drawn; `figures` are its key figures, as pairs of name and value."""
+    named, truth = analysis.recording.source.get("mesh"), analysis.truth
+    named = named if truth is None else truth.metadata.get("file")
+    local = analysis.certificate.at_vertices
+    return of_cloud(
+        analysis.cloud,
+        analysis.contact_error,
+        name=Path(str(named)).stem if named else "body",
+        surface=analysis.surface,
+        bound=local.astype(np.float32) if np.isfinite(local).any() else None,
+        truth=truth,
+        recording=analysis.recording,
+        key_figures=figures,
+    )
