@@ -15,9 +15,6 @@ MODELS: tuple[str, ...] = get_args(Model)
 Spacing = Literal["adaptive", "cosine", "uniform"]
 SPACINGS: tuple[str, ...] = get_args(Spacing)
 """Rules for the heights of the slices."""
-Standoff = Literal["follow", "fixed"]
-STANDOFFS: tuple[str, ...] = get_args(Standoff)
-"""Whether the base line follows each slice, or keeps clear of the widest slice."""
 Method = Literal["auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting"]
 METHODS: tuple[str, ...] = get_args(Method)
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import planar
 import scan3d
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
-from scan3d.simulation.disturbances import pink_noise
+from scan3d.simulation.faults import pink_noise
 from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.spatial.bodies import Ellipsoid, RoundedPolyhedron
 from scan3d.spatial.sweeping import sweep

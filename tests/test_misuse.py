@@ -139,7 +139,7 @@ def test_arguments_of_other_types(recording):
         dict(friction=None), dict(friction="0.3"), dict(friction=1j), dict(friction=(0.1, None)), dict(friction=1e9),
         dict(noise=None), dict(noise="1"), dict(noise=10**400), dict(clearance="x"), dict(clearance=1e-9), dict(tolerance=[]),
         dict(axis=None), dict(axis=[["x"]]), dict(axis=(1, 2, "z")), dict(axis=(10**400, 0, 0)), dict(rod="steel:0.3x50"),
-        dict(spacing=None), dict(spacing=[]), dict(standoff={}), dict(unit=None), dict(unit=[]), dict(sweeps=1.5),
+        dict(spacing=None), dict(spacing=[]), dict(unit=None), dict(unit=[]), dict(sweeps=1.5),
         dict(slices=None), dict(seed="7"),
     ],
     ids=str,

@@ -8,7 +8,7 @@ import trimesh
 import scan3d
 from scan3d.planning.heights import open_contours
 from scan3d.simulation import scan as simulated
-from scan3d.simulation.axis_scans import AxisScan
+from scan3d.simulation.scan import AxisScan
 from scan3d.surfaces import Gap, enclosure
 
 MESHES = Path(__file__).parents[1] / "meshes"

@@ -320,7 +320,6 @@ def test_without_tangential_contacts_there_are_no_further_directions():
         (dict(clearance=0.0), "clearance must lie between 0 and 1 rod lengths, got 0.0"),
         (dict(clearance=1.0), "clearance must lie between 0 and 1 rod lengths, got 1.0"),
         (dict(clearance=math.nan), "clearance must lie between 0 and 1 rod lengths, got nan"),
-        (dict(standoff="near"), "standoff must be one of follow, fixed, got 'near'"),
         (dict(tolerance=-1e-3), "tolerance must be a number >= 0, got -0.001"),
         (dict(tolerance=math.nan), "tolerance must be a number >= 0, got nan"),
         (dict(axis="w"), "axis must be x, y, z, several .*, or a vector of three numbers that is not zero, got 'w'"),

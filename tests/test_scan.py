@@ -19,7 +19,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
-from scan3d.simulation import axis_scans
+from scan3d.simulation import scan as axis_scans
 from scan3d.simulation import scan as simulation
 
 FOLDER = Path(__file__).parents[1] / "meshes"
@@ -573,31 +573,6 @@ def test_slices_along_several_axes():
     axes = cloud.slice_axis[np.unique(cloud.slice)]
     assert np.array_equal(np.unique(np.round(axes, 9), axis=0), np.eye(3)[::-1])
     assert len(axes) == 12
-
-
-def test_a_fixed_standoff_keeps_clear_of_the_widest_slice():
-    lengths = {}
-    for standoff in ("follow", "fixed"):
-        recording, cloud = places(scan3d.load_mesh(EGG), slices=5, sweeps=4, samples=16, standoff=standoff)
-        assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
-        # along the rods of a direction, how far the base lines lie apart
-        axes = recording.axes()
-        first = np.abs(axes[:, 1] - axes[0, 1]).max(axis=1) < 1e-9
-        lengths[standoff] = np.ptp(recording.position_m[first] @ axes[0, 1]) / recording.rod.length_m
-    assert lengths["fixed"] < 1e-12
-    assert lengths["follow"] > 0.05
-
-
-def test_sweeps_out_of_reach_of_a_fixed_base_line_are_counted():
-    """The base line keeps its distance from a cone's foot; slices near the cone's tip are farther away than the rod is long."""
-    cone = trimesh.creation.cone(radius=20, height=40, sections=64)
-    plan = dict(slices=12, sweeps=4, samples=16, rod=parse_rod("steel:0.3x20"))
-    reached = scan3d.simulate(cone, scan3d.Plan(**plan))
-    recording = scan3d.simulate(cone, scan3d.Plan(**plan, standoff="fixed"))
-    assert "sweeps_out_of_reach" not in reached.source
-    missed = recording.source["sweeps_out_of_reach"]
-    assert missed > 0
-    assert len(np.unique(recording.sweep)) == len(np.unique(reached.sweep)) - missed
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-5])

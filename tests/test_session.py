@@ -17,8 +17,8 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.segments import segments_meet
 from scan3d.poses import Move
 from scan3d.session import around_contacts
+from scan3d.simulation.felt import steps_touch
 from scan3d.simulation.rig import simulate_rig, standing
-from scan3d.simulation.rig_contact import steps_touch
 from scan3d.spatial.bodies import sphere_directions
 
 

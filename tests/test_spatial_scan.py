@@ -47,7 +47,6 @@ def tiny(cube):
         ),
         (dict(axis="x"), r"axis is a setting of slices"),
         (dict(axis=[0.0, 0.0, 1.0]), r"axis is a setting of slices"),
-        (dict(standoff="fixed"), r"standoff is a setting of slices"),
         (dict(tolerance=1e-3), r"tolerance is a setting of slices"),
     ],
 )

@@ -16,7 +16,6 @@ from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
-from scan3d.geometry.vectors import across
 from scan3d.planning.plan import Plan
 
 # By which fraction a sweep's samples are denser than evenly spaced at its start, and sparser at its end.
@@ -168,7 +167,7 @@ def rasters(points: Array, count: int, clearance: float) -> Lines:
 
 def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
     """Lines across the direction `along` of the rod, as many each way as the body is wide there."""
-    first, second = np.concatenate(across(along[None]))
+    first, second = across(along)
     widths = [float(np.ptp(points @ axis)) for axis in (first, second)]
     numbers = [max(1, round(count * width / sum(widths))) for width in widths]
     origin, axes = [], []
@@ -195,7 +194,7 @@ def aimed(contacts: Array, normals: Array, count: int, generator: np.random.Gene
     """
     target, normal = open_places(contacts, normals, count)
     angle = generator.uniform(0, 2 * np.pi, len(target))[:, None]
-    first, second = across(normal)
+    first, second = (np.array(axes) for axes in zip(*map(across, normal), strict=True))
     y = np.cos(angle) * first + np.sin(angle) * second
     return Lines(target - _TOUCHED * y, np.stack([normal, y, np.cross(normal, y)], axis=1))
 
@@ -225,3 +224,10 @@ def open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Arr
             near = np.array(tree.query_ball_point(target[facet], size[facet]))
             taken[near[outward[near] @ outward[facet] >= turn[facet]]] = True
     return target[chosen], outward[chosen]
+
+
+def across(direction: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a direction (3,) and across each other."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(direction, first)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import Array
-from scan3d.choices import MODELS, SPACINGS, STANDOFFS, Model, Spacing, Standoff
+from scan3d.choices import MODELS, SPACINGS, Model, Spacing
 from scan3d.errors import InputError
 from scan3d.rods import Rod
 from scan3d.units import UNITS_M, Unit
@@ -52,8 +52,6 @@ class Plan:
         coefficient of friction, or the range ``(low, high)`` from which every sample draws its own; dimensionless.
     clearance
         distance of the base line from the slice, in rod lengths.
-    standoff
-        ``follow``: the base line keeps its distance from every slice; ``fixed``: from the outline of the whole body.
     rod
         a `scan3d.Rod`, in SI units; None: a steel wire as long as the widest slice's diameter, or in the spatial model as the
         body.
@@ -76,7 +74,6 @@ class Plan:
     samples: int = 64
     friction: float | tuple[float, float] = 0.3
     clearance: float = 0.3
-    standoff: Standoff = "follow"
     rod: Rod | None = None
     noise: float = 0.0
     seed: int = 0
@@ -87,7 +84,7 @@ class Plan:
             check_whole(name, getattr(self, name), minimum)
         if self.sweeps is not None:
             check_whole("sweeps", self.sweeps, 1)
-        for name, known in (("model", MODELS), ("spacing", SPACINGS), ("standoff", STANDOFFS), ("unit", UNITS_M)):
+        for name, known in (("model", MODELS), ("spacing", SPACINGS), ("unit", UNITS_M)):
             check_choice(name, getattr(self, name), known)
         if not (_is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
@@ -112,7 +109,7 @@ class Plan:
 
     def _check_spatial(self) -> None:
         """Raise InputError for settings of slices, which the spatial model does not have."""
-        for name in ("spacing", "axis", "standoff", "tolerance"):
+        for name in ("spacing", "axis", "tolerance"):
             value, default = getattr(self, name), getattr(type(self), name)
             if not np.array_equal(value, default):
                 raise InputError(

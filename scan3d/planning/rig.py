@@ -24,9 +24,8 @@ from scan3d.files.reading import to_float
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.geometry.segments import segments_meet
-from scan3d.geometry.vectors import across
 from scan3d.memory import check_memory
-from scan3d.planning.aims import base_line, clamp_axes, cosine_fractions, icosahedron, positions
+from scan3d.planning.aims import across, base_line, clamp_axes, cosine_fractions, icosahedron, positions
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import Plan, check_choice, check_whole
 from scan3d.poses import Move, PoseList
@@ -559,7 +558,8 @@ def lines_to(targets: Array, normals: Array, space: Space, clearance: float, ran
     points = space.envelope.points()
     distances, body = _distances(clearance, space), hull(points)
     lines = []
-    for target, normal, first, second in zip(targets, normals, *across(normals), strict=True):
+    for target, normal in zip(targets, normals, strict=True):
+        first, second = across(normal)
         for angle in random.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(_TRIED) / _TRIED:
             along = np.cos(angle) * first + np.sin(angle) * second
             if along[2] > -_LEVEL:

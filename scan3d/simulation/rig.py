@@ -22,15 +22,8 @@ from scan3d.memory import check_memory
 from scan3d.poses import Move, PoseList
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.simulation.disturbances import kept, logged_positions, measured
-from scan3d.simulation.faults import Faults
-from scan3d.simulation.rig_contact import (
-    Reactions,
-    Track,
-    planar_contact,
-    spatial_contact,
-    steps_touch,
-)
+from scan3d.simulation.faults import Faults, kept, logged_positions, measured
+from scan3d.simulation.felt import Reactions, Track, drawn_friction, felt, steps_touch
 from scan3d.units import UNITS_M
 
 # Bytes that a row of a log takes while it is computed and written.
@@ -145,7 +138,7 @@ def simulate_rig(
     friction
         lowest and highest coefficient of friction, of which every row draws its own.
     seed
-        as in `scan3d.Plan`.
+        of the random friction.
 
     Raises InputError for bodies that are not closed and convex, where no rod is known, and where the rod touches the body
     before a sweep begins.
@@ -160,9 +153,7 @@ def simulate_rig(
     length, radius = real.length_m / metres, real.diameter_m / metres / 2 if model == "spatial" else 0.0
     tracks, members = _tracks(rows, friction, seed, metres)
     _check_begins(mesh, tracks, length, radius)
-    reactions = (
-        spatial_contact(mesh, tracks, length, radius) if model == "spatial" else planar_contact(mesh, tracks, length)
-    )
+    reactions = felt(mesh, tracks, length, radius, model)
     wrench = np.zeros((len(rows.time), 6))
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])
@@ -230,14 +221,10 @@ def _tracks(
     if not members:
         raise InputError("no sweep has two rows in this log; choose a higher rate_hz or a lower speed")
     axes = Rotation.from_quat(rows.quaternion, scalar_first=True).as_matrix().swapaxes(1, 2)
-    low, high = friction
     tracks = []
     for where in members:
         number = int(rows.sweep[where[0]])
-        drawn = np.full(len(where), low)
-        if high > low:
-            # a separate random stream for each sweep, so that its draws don't depend on the others
-            drawn = np.random.default_rng([seed, 6, number]).uniform(low, high, len(where))
+        drawn = drawn_friction(friction, len(where), [seed, 6, number])
         tracks.append(Track(number, rows.position_m[where] / metres, axes[where], drawn))
     return tracks, members
 

@@ -4,19 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.meshes import check_body
-from scan3d.geometry.sections import extent_along, slice_frame
+from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.memory import check_memory
 from scan3d.planning.adaptive import SlabMemory, next_heights
-from scan3d.planning.aims import FIRST_SWEEPS
+from scan3d.planning.aims import (
+    FIRST_SWEEPS,
+    MAX_SWEEPS,
+    BaseLine,
+    base_fractions,
+    base_line,
+    clamp_axes,
+    first_directions,
+    further_directions,
+    positions,
+)
 from scan3d.planning.heights import BEYOND, first_heights, open_contours
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
@@ -24,26 +35,29 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.growing_contacts import GrowingContacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.simulation.axis_scans import AxisScan, recording_of, width_of
+from scan3d.simulation.felt import drawn_friction, recorded
 from scan3d.simulation.spatial import simulate_spatial
 from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
 
-# Slices that are swept in one call.  More make progress reports rare; fewer leave the arrays short, which takes longer.
+# Rounds of further sweeps for the parts of a contour that earlier sweeps have left open.
+_ROUNDS = 2
+# Heights at which the body's width is evaluated to choose a rod for it.
+_WIDTH_HEIGHTS = 33
+# Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.
+_BEYOND = 0.2
+# Slices that are swept in one call.
 _SLICES_AT_ONCE = 16
 # Times the samples of the plan to which those of a sweep are doubled, so that contacts show its contour within the tolerance.
-# More are for tolerances near rounding; with fewer, the gaps between contacts stay above it.
 _FINEST = 16
-# Part of the tolerance within which contours are to be known before further slices are chosen.  Larger, the gaps between
-# contacts make secants to close slices steep, and many more slices are needed; smaller, samples are needed that show nothing.
+# Part of the tolerance within which contours are to be known before further slices are chosen: the gaps between contacts make
+# secants to close slices steep.
 _OF_TOLERANCE = 0.25
-# Slices along each axis of a plan with a tolerance up to which all axes are planned together.  Larger, contours that need more
-# samples are not swept again, as they are in scans along one axis after another; smaller, more slices are swept.
+# Slices along each axis of a plan with a tolerance up to which all axes are planned together.
 _MOST_WITH_TOLERANCE = 28
 # Bytes that a scan takes while it is simulated and analysed: for each sample, slice and facet of the body, and those of the
-# program itself.  The manual's page on performance has what was measured.  Larger, scans are refused that would fit; smaller,
-# memory runs out.
+# program itself.  The manual's page on performance has what was measured.
 _MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE, _MEMORY_PER_FACET, _MEMORY_OF_PROGRAM = 1000, 300_000, 1000, 400_000_000
 
 
@@ -228,3 +242,168 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
 
 def _along(scans: list[AxisScan], axis: Array) -> AxisScan:
     return min(scans, key=lambda scan: float(np.abs(scan.frame[2] - axis).max()))
+
+
+class _Swept(NamedTuple):
+    """One sweep and what it measured."""
+
+    slice: int
+    line: BaseLine
+    result: planar.Sweep
+
+
+@dataclass
+class AxisScan:
+    """The slices and sweeps made so far along one axis."""
+
+    mesh: Any
+    plan: Plan
+    length: float
+    """Of the rod, in the mesh's unit."""
+    frame: Array
+    """(3, 3) axes of the slices' frame in the world, as rows."""
+    number: int
+    """Of the axis among those of the plan."""
+    heights: list[float] = field(default_factory=list)
+    polygons: list[Array] = field(default_factory=list)
+    swept: list[_Swept] = field(default_factory=list)
+
+    def scan(self, heights: Array) -> None:
+        """Sweep further slices."""
+        first = len(self.heights)
+        self.heights += heights.tolist()
+        self.polygons += slice_polygons(self.mesh, self.frame, heights)
+        new = range(first, len(self.heights))
+        self.swept += self._sweep_slices([i for i in new if len(self.polygons[i])])
+        for i in new:
+            if not len(self.polygons[i]):
+                self.swept += self._sweep_empty(i)
+
+    def sweep_again(self, heights: Array) -> None:
+        """Sweep slices again, with twice the samples in a sweep, as all further slices."""
+        self.plan = replace(self.plan, samples=2 * self.plan.samples)
+        chosen = self._nearest(heights)
+        self.swept = [swept for swept in self.swept if swept.slice not in chosen]
+        self.swept += self._sweep_slices(chosen)
+
+    def sweep_further(self, heights: Array, limit: float) -> bool:
+        """Sweep slices from further directions as well, towards what their contacts leave open by more than `limit`.
+
+        The limit is a length in the mesh's unit.  Says whether there are such sweeps.
+        """
+        done = {i: [swept for swept in self.swept if swept.slice == i] for i in self._nearest(heights)}
+        further = self._sweep({i: self._open_directions(done[i], i, limit) for i in done}, done)
+        self.swept += further
+        return bool(further)
+
+    def _nearest(self, heights: Array) -> list[int]:
+        """The numbers of the slices at some heights, each once."""
+        nearest = np.abs(np.array(self.heights) - heights[:, None]).argmin(axis=1)
+        return list(map(int, np.unique(nearest)))
+
+    def _sweep_slices(self, slices: list[int]) -> list[_Swept]:
+        """All sweeps of some slices, in the order of slices and directions."""
+        done: dict[int, list[_Swept]] = {i: [] for i in slices}
+        directions = {i: first_directions(self.plan) for i in slices}
+        for rounds_done in range(1 + _ROUNDS):
+            for swept in self._sweep(directions, done):
+                done[swept.slice].append(swept)
+            if self.plan.sweeps is not None or rounds_done == _ROUNDS:
+                break
+            directions = {i: self._open_directions(done[i], i) for i in directions}
+            directions = {i: angles for i, angles in directions.items() if len(angles)}
+        return [swept for i in slices for swept in done[i]]
+
+    def _sweep_empty(self, i: int) -> list[_Swept]:
+        """Sweeps without contact of an empty slice, past the nearest contour and where it would be if the body went on."""
+        filled = [j for j, polygon in enumerate(self.polygons) if len(polygon)]
+        if not filled:
+            return []
+        nearest = min(filled, key=lambda j: abs(self.heights[j] - self.heights[i]))
+        outline = np.concatenate([self.polygons[nearest], self._extrapolated(nearest, filled, self.heights[i])])
+        swept = []
+        for angle in first_directions(self.plan):
+            line = self._base_line(angle, outline)
+            across = (outline - line.origin) @ line.axes[0] / self.length
+            swept.append(_Swept(i, line, self._nothing(across)))
+        return swept
+
+    def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
+        """Slice i's contour (n, 2) at another height, moved and scaled as from the nearest of the other filled slices."""
+        contour = self.polygons[i]
+        others = [j for j in filled if j != i]
+        if not others:
+            return contour
+        behind = min(others, key=lambda j: abs(self.heights[j] - self.heights[i]))
+        (centre, size), (before, size_before) = (
+            (polygon.mean(axis=0), np.ptp(polygon, axis=0)) for polygon in (contour, self.polygons[behind])
+        )
+        ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
+        scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
+        moved: Array = centre + ahead * (centre - before) + scaled * (contour - centre)
+        return moved
+
+    def _nothing(self, across: Array) -> planar.Sweep:
+        """A sweep without contact, past positions (n,) along its base line in rod lengths."""
+        n = self.plan.samples
+        x0 = np.linspace(across.max() + _BEYOND, across.min() - _BEYOND, n)
+        unknown = np.full(n, np.nan)
+        phase = np.full(n, planar.Phase.NONE, dtype=np.int8)
+        return planar.Sweep(x0, unknown, unknown, unknown, unknown, np.full((n, 2), np.nan), unknown, phase, unknown)
+
+    def _base_line(self, angle: float, outline: Array) -> BaseLine:
+        return base_line(outline, angle, self.plan.clearance * self.length)
+
+    def _sweep(self, directions: dict[int, Array], done: dict[int, list[_Swept]]) -> list[_Swept]:
+        """Sweeps of slices from some directions each, after those that are done."""
+        aims = [
+            (i, len(done[i]) + k, self._base_line(angle, self.polygons[i]))
+            for i, angles in directions.items()
+            for k, angle in enumerate(angles)
+        ]
+        if not aims:
+            return []
+        outlines = [(self.polygons[i] - line.origin) @ line.axes.T / self.length for i, _, line in aims]
+        bounds, samples, seed = self.plan.friction_range, self.plan.samples, self.plan.seed
+        friction = [drawn_friction(bounds, samples, [seed, 0, self.number, i, number]) for i, number, _ in aims]
+        try:
+            results = planar.sweep_all([planar.Polygon(o) for o in outlines], friction, shares=base_fractions(samples))
+        except ValueError as error:
+            raise InputError(
+                f"this body can't be swept with a rod {self.length:.3g} {self.plan.unit} long and a clearance of "
+                f"{self.plan.clearance:g}: {error}"
+            ) from None
+        return [_Swept(i, line, result) for (i, _, line), result in zip(aims, results, strict=True)]
+
+    def _open_directions(self, done: list[_Swept], i: int, limit: float | None = None) -> Array:
+        """Approach directions for what the sweeps of slice i have left open of its contour, as `further_directions`."""
+        points, normals = [], []
+        for _, line, result in done:
+            tangential = result.phase == planar.Phase.TANGENTIAL
+            slope = result.slope[tangential]
+            points.append(result.point[tangential] @ line.axes * self.length + line.origin)
+            normals.append(np.stack([np.sin(slope), -np.cos(slope)], axis=1) @ line.axes)
+        width = float(np.ptp(self.polygons[i], axis=0).max())
+        further = further_directions(np.concatenate(points), np.concatenate(normals), width, limit)
+        return further[: max(MAX_SWEEPS - len(done), 0)]
+
+
+def width_of(mesh: Any, frame: Array) -> float:
+    """Largest diameter of the slices about their middles; a sweep with a rod of that length sees most of a slice."""
+    low, high = extent_along(mesh, frame[2])
+    polygons = slice_polygons(mesh, frame, np.linspace(low, high, _WIDTH_HEIGHTS + 2)[1:-1])
+    widths = [2 * np.linalg.norm(p - (p.min(axis=0) + p.max(axis=0)) / 2, axis=1).max() for p in polygons if len(p)]
+    if not widths:
+        raise InputError("the body is too thin to be sliced along this axis; choose another one")
+    return float(max(widths))
+
+
+def recording_of(scans: list[AxisScan], rod: Rod, first: int = 0) -> Recording:
+    """The recording of all sweeps so far, as a rig would log it; of each axis from sweep number `first` on."""
+    plan, length = scans[0].plan, scans[0].length
+    swept = [(scan, *swept) for scan in scans for swept in scan.swept[first:]]
+    places = [positions(line, result.x0 * length, scan.heights[i], scan.frame) for scan, i, line, result in swept]
+    axes = np.array([clamp_axes(line, scan.frame) for scan, _, line, _ in swept])
+    wrenches = [np.stack([result.f0x, result.f0y, result.m0z], axis=1) for *_, result in swept]
+    number = np.repeat(np.arange(len(swept)), [len(result) for *_, result in swept])
+    return recorded(plan, rod, axes, number, np.concatenate(places), np.concatenate(wrenches), {}, first)

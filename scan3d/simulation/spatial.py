@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
@@ -14,32 +13,27 @@ from scan3d.planning.aims import Lines, aimed, rasters
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.spatial.bodies import RoundedPolyhedron
+from scan3d.simulation.felt import drawn_friction, recorded, rounded_body
+from scan3d.spatial.polyhedra import RoundedPolyhedron
 from scan3d.spatial.sweeping import Sweeps, sweep
-from scan3d.spatial.touchdown import passages
+from scan3d.spatial.touching import passages
 from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
 
 # Sweeps from each direction in the rasters, per slice of the plan, and sweeps aimed at what is open, per sweep of the rasters.
-# With these, a scan in space has at most one and a half times as many samples as a planar one of as many slices.  More in the
-# rasters: the same samples leave more open, where bodies are small or curved; fewer: less of the surface's normals is seen.
+# With these, a scan in space has at most one and a half times as many samples as a planar one of as many slices.
 _LINES_PER_SLICE, _AIMED = 0.4, 3.5
-# Samples of an aimed sweep, as a part of those of another.  More: fewer places are aimed at with as many samples; fewer:
-# normals are less accurate.
-_AIMED_SAMPLES = 0.35
-# Rounds in which the aimed sweeps are made.  More take longer; fewer aim at places that neighbouring sweeps close as well.
+# Samples of an aimed sweep, as a part of those of another, and the exponent by which they are denser at the touch-down.
+_AIMED_SAMPLES, _DENSE_AT_FIRST = 0.35, 2
+# Rounds in which the aimed sweeps are made.
 _ROUNDS = 5
 # How far a sweep goes on after the straight rod has passed the body, as a part of the path within it: the bent rod may follow.
 _BEYOND = 0.1
 # Arc length of a contact, in rod lengths, at which a sweep ends: the clamp comes close to the body, and the force grows without
-# limit.  Larger, parts of the body are left out; smaller, a rig would be damaged.
+# limit.
 _NEAREST = 0.2
-# Exponent by which the samples of aimed sweeps are denser at the touch-down.  Larger, the first contacts are lighter; smaller,
-# they lie farther from the place.
-_DENSE_AT_FIRST = 2
-# Steps of Newton's method from one sample to the next before a sweep is given up.  More take longer, for a few sweeps that go
-# on after a snap; fewer end sweeps early.
+# Steps of Newton's method from one sample to the next before a sweep is given up.
 _EFFORT = 400
 # Path before the touch-down, in rod lengths, at which a sweep begins.
 _BEFORE = 1e-6
@@ -64,13 +58,8 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
     vertices = np.asarray(mesh.vertices, dtype=float)
     rod = plan.rod or Rod.of_length(metres * float(np.ptp(vertices, axis=0).max()))
     length = rod.length_m / metres
-    middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
-    # lengths of the rod about the body's middle, so that rounding does not depend on where the body lies
+    body, middle = rounded_body(mesh, length, rod.diameter_m / metres / 2)
     points = (vertices - middle) / length
-    try:
-        body = RoundedPolyhedron(points, mesh.faces, rod.diameter_m / rod.length_m / 2)
-    except ValueError as error:
-        raise InputError(f"this body can't be swept in space: {error}") from None
     per_direction = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
     swept = _sweep(body, rasters(points, per_direction, plan.clearance), plan, 0)
     if not swept:
@@ -117,12 +106,8 @@ def _sweep(body: RoundedPolyhedron, lines: Lines, plan: Plan, number: int) -> li
     rows, position = rows[clear], position[clear]
     if not len(rows):
         return []
-    low, high = plan.friction_range
-    friction = np.full((len(rows), samples), low)
-    if high > low:
-        # a separate random stream for each sweep, so that its draws don't depend on the order of work
-        draws = [np.random.default_rng([plan.seed, 3, number, int(row)]) for row in rows]
-        friction = np.array([draw.uniform(low, high, samples) for draw in draws]).reshape(friction.shape)
+    keys = [[plan.seed, 3, number, int(row)] for row in rows]
+    friction = np.array([drawn_friction(plan.friction_range, samples, key) for key in keys])
     axes = lines.axes[rows]
     result = sweep(body, position, axes, friction, effort=_EFFORT)
     return [_Swept(position, axes, result)]
@@ -133,8 +118,7 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
 
     A sweep ends before its contact comes so near to the clamp that the clamp would soon hit the body.
     """
-    position, axes, force, moment, sweeps = [], [], [], [], 0
-    numbers = []
+    number, position, wrench, sweeps = [], [], [], 0
     for part in swept:
         with np.errstate(invalid="ignore"):  # no arc length without contact
             too_near = np.maximum.accumulate(part.result.s1 < _NEAREST, axis=1)
@@ -142,33 +126,10 @@ def _recording(swept: list[_Swept], plan: Plan, rod: Rod, middle: Array, length:
         n = touching.shape[1]
         last = np.where(touching.any(axis=1), n - np.argmax(touching[:, ::-1], axis=1), 0)
         kept = (np.arange(n) <= last[:, None]) & ~too_near
-        sweep_number, _ = np.nonzero(kept)
-        numbers.append(sweep_number + sweeps)
+        number.append(sweeps + np.nonzero(kept)[0])
         sweeps += len(touching)
-        position.append(part.position[kept])
-        axes.append(part.axes[sweep_number])
-        force.append(np.nan_to_num(part.result.force[kept]))
-        moment.append(np.nan_to_num(part.result.moment[kept]))
-    # scipy wants the clamp's axes as columns
-    quaternion = Rotation.from_matrix(np.swapaxes(np.concatenate(axes), 1, 2)).as_quat(scalar_first=True)
-    forces, moments = np.concatenate(force), np.concatenate(moment)
-    if plan.noise > 0:
-        generator = np.random.default_rng([plan.seed, 1])
-        forces = forces + plan.noise * generator.standard_normal(forces.shape)
-        moments = moments + plan.noise * generator.standard_normal(moments.shape)
-    metres = UNITS_M[plan.unit]
-    return Recording(
-        sweep=np.concatenate(numbers),
-        position_m=(np.concatenate(position) * length + middle) * metres,
-        quaternion=quaternion,
-        force_N=forces[:, :2] * rod.force_unit_N,
-        moment_Nm=moments[:, 2] * rod.moment_unit_Nm,
-        rod=rod,
-        force_z_N=forces[:, 2] * rod.force_unit_N,
-        moment_x_Nm=moments[:, 0] * rod.moment_unit_Nm,
-        moment_y_Nm=moments[:, 1] * rod.moment_unit_Nm,
-        noise_force_N=plan.noise * rod.force_unit_N,
-        noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
-        unit=plan.unit,
-        source={"kind": "simulation", "seed": plan.seed, "model": "spatial"},
-    )
+        position.append(part.position[kept] * length + middle)
+        wrench.append(np.hstack([part.result.force[kept], part.result.moment[kept]]))
+    axes = np.concatenate([part.axes for part in swept])
+    rows = np.concatenate(number), np.concatenate(position), np.concatenate(wrench)
+    return recorded(plan, rod, axes, *rows, {"model": "spatial"})

@@ -41,7 +41,7 @@ from scan3d.pipeline import analyse
 from scan3d.reconstruction.resolution import _FINE as FINE
 from scan3d.reconstruction.resolution import rounding_sd
 from scan3d.rods import Rod
-from scan3d.simulation.axis_scans import width_of
+from scan3d.simulation.scan import width_of
 from scan3d.units import UNITS_M
 
 NOISE = (0.0, 1e-7, 1e-5, 1e-4, 1e-3, 3e-3, 1e-2)
@@ -137,7 +137,6 @@ def drawn(seed, noise=NOISE, fewest=(4, 16), most=(40, 80), model="planar"):
         axis="xyz" if several else str(draw.choice(["x", "y", "z"])),
         friction=(friction[0], friction[1]) if draw.random() < 0.4 else friction[0],
         clearance=float(draw.choice([0.3, draw.uniform(0.02, 0.6)])),
-        standoff=str(draw.choice(["follow", "follow", "fixed"])),
         noise=float(draw.choice(noise)),
         seed=seed,
         unit=str(draw.choice(["mm", "mm", "um", "m", "in"])),
@@ -150,7 +149,7 @@ def drawn(seed, noise=NOISE, fewest=(4, 16), most=(40, 80), model="planar"):
         plan = dataclasses.replace(plan, slices=min(plan.slices, 5), samples=4 * most[1], sweeps=4)
     if model == "spatial":
         default = scan3d.Plan()
-        unused = {name: getattr(default, name) for name in ("sweeps", "spacing", "axis", "standoff")}
+        unused = {name: getattr(default, name) for name in ("sweeps", "spacing", "axis")}
         plan = dataclasses.replace(plan, model=model, slices=min(slices, most[0] // 3), **unused)
         return Draw(kind, mesh, plan, "", str(draw.choice(METHODS)))
     digits = str(draw.choice(DIGITS))

@@ -1,8 +1,9 @@
-"""Contact of a rod with a body along given paths of its clamp: the reactions at every place, by either model."""
+"""What a rod feels along given paths of its clamp: the reactions at every place, by either model of contact."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,18 +14,22 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_polygons
 from scan3d.geometry.segments import segments_meet
-from scan3d.spatial.bodies import RoundedPolyhedron
-from scan3d.spatial.sweeping import End, sweep
+from scan3d.planning.plan import Plan
+from scan3d.recording import Recording
+from scan3d.rods import Rod
+from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.results import End
+from scan3d.spatial.sweeping import sweep
+from scan3d.units import UNITS_M
 
 # Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a planar sweep.
 _STRAIGHT = 1e-6
 # Decimals of axes that are the same, of sweeps whose slices are cut at once.
 _AXIS_DECIMALS = 12
-# Sweeps that are computed at once.  More keep one another company in the rounds of the solution; fewer take less memory.
+# Sweeps that are computed at once.
 _AT_ONCE_PLANAR, _AT_ONCE = 16, 128
 # Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The reactions in between are
-# interpolated; contacts from them are off by some 1e-5 rod lengths, and next to snaps by a step.  Larger, a sensor would
-# notice; smaller, a log at 1 kHz takes long.
+# interpolated; contacts from them are off by some 1e-5 rod lengths, and next to snaps by a step.
 _STEP = 0.0025
 # Distance of the places, in rod lengths, at which straight rods are looked at on their paths outside of sweeps.
 _LOOKED_AT = 0.02
@@ -55,11 +60,84 @@ class Reactions(NamedTuple):
     """Whether the computation found no equilibrium, after which there are no reactions."""
 
 
-def planar_contact(mesh: Any, tracks: list[Track], length: float) -> list[Reactions]:
-    """The reactions of rods that stay in the planes of their sweeps.
+def felt(mesh: Any, tracks: list[Track], length: float, radius: float, model: str) -> list[Reactions]:
+    """The reactions of a rod that sweeps a convex `trimesh.Trimesh`; its length, and its radius in space, in the mesh's unit.
 
-    Raises InputError for clamps that do not move along -x of their frames, and for sweeps that begin in the body.
+    Raises InputError for sweeps that begin in the body, and in the planar model for clamps that do not move along -x of their
+    frames.
     """
+    return _felt_in_space(mesh, tracks, length, radius) if model == "spatial" else _felt_in_planes(mesh, tracks, length)
+
+
+def drawn_friction(bounds: tuple[float, float], samples: int, key: Sequence[int]) -> Array:
+    """(n,) coefficients of friction between two bounds, from the stream of random numbers that has a key.
+
+    Each sweep has its own stream, so that its draws don't depend on the order of work.
+    """
+    low, high = bounds
+    return np.random.default_rng(key).uniform(low, high, samples) if high > low else np.full(samples, low)
+
+
+def rounded_body(mesh: Any, length: float, radius: float) -> tuple[RoundedPolyhedron, Array]:
+    """The body that the centre line of a round rod touches, in lengths of the rod about the middle (3,) that is returned.
+
+    So rounding does not depend on where the body lies.  Raises InputError for a body that the spatial model can't have.
+    """
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+    try:
+        return RoundedPolyhedron((vertices - middle) / length, mesh.faces, radius / length), middle
+    except ValueError as error:
+        raise InputError(f"this body can't be swept in space: {error}") from None
+
+
+def recorded(
+    plan: Plan,
+    rod: Rod,
+    axes: Array,
+    number: Index,
+    position: Array,
+    wrench: Array,
+    source: dict[str, Any],
+    first: int = 0,
+) -> Recording:
+    """The recording of sweeps (m), as a rig would log it, with the noise of a plan.
+
+    axes (m, 3, 3)
+        of the clamps, as rows.
+    number, position (n, 3), wrench (n, 3) or (n, 6)
+        at each sample: number of the sweep, the clamp's place in the plan's unit, and reactions in units of the rod, two of the
+        force and one of the moment or all, NaN without contact.
+    first
+        number of the first sweep in the recording.
+    """
+    # scipy wants the clamp's axes as columns
+    quaternion = Rotation.from_matrix(np.swapaxes(axes, 1, 2)).as_quat(scalar_first=True)
+    wrench = np.nan_to_num(wrench)
+    if plan.noise > 0:
+        random = np.random.default_rng([plan.seed, 1])
+        wrench += plan.noise * np.hstack([*random.standard_normal((wrench.shape[1] // 3, len(wrench), 3))])
+    forces = 3 if wrench.shape[1] == 6 else 2
+    force, moment = wrench[:, :forces] * rod.force_unit_N, wrench[:, forces:] * rod.moment_unit_Nm
+    six_axes: dict[str, Any] = {}
+    if forces == 3:
+        six_axes = {"force_z_N": force[:, 2], "moment_x_Nm": moment[:, 0], "moment_y_Nm": moment[:, 1]}
+    return Recording(
+        sweep=np.asarray(first + number, dtype=np.int64),
+        position_m=position * UNITS_M[plan.unit],
+        quaternion=quaternion[number],
+        force_N=force[:, :2],
+        moment_Nm=moment[:, -1],
+        rod=rod,
+        **six_axes,
+        noise_force_N=plan.noise * rod.force_unit_N,
+        noise_moment_Nm=plan.noise * rod.moment_unit_Nm,
+        unit=plan.unit,
+        source={"kind": "simulation", "seed": plan.seed, **source},
+    )
+
+
+def _felt_in_planes(mesh: Any, tracks: list[Track], length: float) -> list[Reactions]:
     for track in tracks:
         _check_planar(track, length)
     outlines = _outlines(mesh, tracks, length)
@@ -132,17 +210,8 @@ def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
     return outlines
 
 
-def spatial_contact(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Reactions]:
-    """The reactions of round rods in space; `radius` in the mesh's unit, as `length`.
-
-    Raises InputError for sweeps that begin in the body.
-    """
-    vertices = np.asarray(mesh.vertices, dtype=float)
-    middle = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
-    try:
-        body = RoundedPolyhedron((vertices - middle) / length, mesh.faces, radius / length)
-    except ValueError as error:
-        raise InputError(f"this body can't be swept in space: {error}") from None
+def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Reactions]:
+    body, middle = rounded_body(mesh, length, radius)
     paths = [_places((track.position - middle) / length, track) for track in tracks]
     reactions: dict[int, Reactions] = {}
     order = sorted(range(len(tracks)), key=lambda k: len(paths[k][1]))
