@@ -17,9 +17,8 @@ from scan3d.geometry.segments import segments_meet
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.spatial.polyhedra import RoundedPolyhedron
-from scan3d.spatial.results import End
-from scan3d.spatial.sweeping import sweep
+from scan3d.spatial.bodies import RoundedPolyhedron
+from scan3d.spatial.sweeping import End, sweep
 from scan3d.units import UNITS_M
 
 # Distance from a straight line and from one direction, in rod lengths, within which a path counts as that of a planar sweep.

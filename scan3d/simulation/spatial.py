@@ -14,9 +14,9 @@ from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded, rounded_body
-from scan3d.spatial.polyhedra import RoundedPolyhedron
+from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.sweeping import Sweeps, sweep
-from scan3d.spatial.touching import passages
+from scan3d.spatial.touchdown import passages
 from scan3d.units import UNITS_M
 
 Progress = Callable[[int, int], None]
