@@ -417,9 +417,6 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if errors:
         error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths){of_hull}"
         rows.append(("contact error", error))
-    unreached = data["source"].get("sweeps_out_of_reach")
-    if unreached:
-        rows.append(("out of reach", f"{unreached} sweeps that the rod can't make from its base line"))
     median = data["friction"]["estimated_median"]
     if median is not None:
         given = data["friction"]["set"]
