@@ -24,7 +24,7 @@ from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.sweeping import Phase, Sweep, sweep, sweep_all
-from planar.uncertainty import jacobian
+from planar.uncertainty import Errors, errors, jacobian
 
 __all__ = [
     "TOLERANCE",
@@ -34,6 +34,7 @@ __all__ = [
     "Curve",
     "ElasticLines",
     "Ellipse",
+    "Errors",
     "EventKind",
     "Events",
     "NormalSource",
@@ -42,6 +43,7 @@ __all__ = [
     "Status",
     "Sweep",
     "elastic_lines",
+    "errors",
     "events",
     "jacobian",
     "reconstruct",

@@ -8,6 +8,8 @@ Errors of the place grow as ``1/f`` near touch-down, where the place is a quotie
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -67,3 +69,40 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
         result[:, :, [0, 2]] *= -1
     result[~np.isfinite(result).all(axis=(1, 2))] = np.nan
     return result
+
+
+class Errors(NamedTuple):
+    """Standard deviations (n,) and covariances of contacts, dimensionless; infinite where no rod has the reactions."""
+
+    point: Array
+    """(n, 2, 2) covariance of the place."""
+    largest: Array
+    """(n,) standard deviation of the place in its least certain direction."""
+    s1: Array
+    """(n,)"""
+    friction_angle: Array
+    """(n,) of the angle β."""
+    slope: Array
+    """(n,) of the slope in tangential contact."""
+
+
+def errors(
+    f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, noise: tuple[float, float], direction: int = -1
+) -> Errors:
+    """Errors of the contacts that `planar.reconstruct` finds for reactions (n,), by the noise of force and moment.
+
+    `noise` are the standard deviations of each component of the force and of the moment; see `jacobian` for the rest.
+    """
+    if not max(noise):
+        zero = np.zeros(len(np.asarray(f0x)))
+        return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
+    spread = jacobian(f0x, f0y, m0z, direction=direction) * [noise[0], noise[0], noise[1]]
+    with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
+        point = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
+        mean, half = (point[:, 0, 0] + point[:, 1, 1]) / 2, (point[:, 0, 0] - point[:, 1, 1]) / 2
+        largest = np.sqrt(mean + np.hypot(half, point[:, 0, 1]))
+        # the slope is α - β, in the mirror image, where β keeps its sign, α + β
+        slope = spread[:, 3] + direction * spread[:, 4]
+        deviations = [np.linalg.norm(part, axis=1) for part in (spread[:, 2], spread[:, 4], slope)]
+    known = np.isfinite(largest)
+    return Errors(point, *(np.where(known, values, np.inf) for values in (largest, *deviations)))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,6 +146,9 @@ class Cloud(Shown, Exported):
     independent: bool = True
     """Whether the errors of successive contacts are independent, as those of noise are; those of rounding alone are not."""
 
+    kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """What was computed from the contacts and may be asked for again, by its name and with the arrays that it depends on."""
+
     def accurate(self) -> Cloud:
         """The cloud without the contacts whose place is much less certain than most, as under light touches."""
         if self.place_sd is None:
@@ -186,7 +189,7 @@ class Cloud(Shown, Exported):
         columns = {name: getattr(self, name) for name in _PER_CONTACT}
         selected = {name: column[rows] for name, column in columns.items() if column is not None}
         calibration = None if self.calibration is None else self.calibration.select(rows)
-        return replace(self, **selected, calibration=calibration)
+        return replace(self, **selected, calibration=calibration, kept={})
 
     def summary(self) -> Rows:
         """Counts, size and what was measured."""

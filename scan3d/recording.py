@@ -4,6 +4,9 @@ A recording has one row per sample, in SI units.  The pose is that of the clamp 
 rod, its x axis along the line of the sweep (the base moves in -x), and its z axis is the normal of the slice.  The wrench is
 the support reaction (8) in the clamp's frame.  Rows without contact are part of the recording, because a sweep without contact
 is evidence that nothing is there.
+
+The resolution of recorded numbers is estimated from the numbers themselves: digits of a log, single precision, steps of a
+converter.  Rounding to steps of size q has the standard deviation q/√12.
 """
 
 from __future__ import annotations
@@ -11,8 +14,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +30,35 @@ from scan3d.rods import Rod
 from scan3d.shown import Rows, Shown
 from scan3d.units import UNITS_M, unit_symbol
 
-# Largest error of a quaternion's length.  Larger, errors in a log would be taken for rounding; smaller, quaternions written
-# with three digits would be refused.
+# Largest error of a quaternion's length: that of one written with three digits.
 _QUATERNION_TOLERANCE = 1e-3
 # Distinct normals of slices that a table lists: scans along the three axes have three.
 _MOST_NORMALS = 4
-# Standard deviations in N, N·m or m that are no numbers of a measurement.  Larger, their squares are no numbers of a computer.
+# Standard deviations in N, N·m or m whose squares are no numbers of a computer.
 _LARGEST_NOISE = 1e60
+# Numbers whose digits are counted at most, evenly spread over the column.
+_COUNTED = 2000
+# Significant digits from which a column counts as not rounded, in double precision, which has 15 to 17, and in single.
+_FULL, _FULL_SINGLE = 15, 8
+# A column has steps if its numbers lie on a common grid to within this fraction of a step, which allows for few digits.
+_ON_GRID = 0.02
+# The grid's step is determined by ever larger distances, each at most this many times the one before if there is such a one:
+# digits that are missing then do not make the number of steps in the next distance uncertain.
+_GROWTH = 8.0
+# Steps in the smallest gap between two numbers of a column, at most, and different numbers, at least, that show a grid.
+_PARTS, _FEWEST = 12, 20
+# Rounding of remainders in Euclid's algorithm, relative to the largest number.
+_EUCLID = 1e-9
+# Digits of the poses count as rounding if their standard deviation is at most this many rod lengths, or radians.  Coarser poses
+# are taken for those of a plan, which are round but exact.
+_FINE = 1e-4
+# Errors of rounding are independent if the noise that is rounded has at least this many times their standard deviation, which
+# is half a step: their mean over the noise is then below 0.3 % of a step (Widrow and Kollár, Quantization Noise, 2008).
+_DITHER = 3**0.5
+# Rounding below this fraction of the noise does not count.
+_NEGLIGIBLE = 0.03
+LARGEST_OVER_SD = 3.0
+"""The largest error by rounding of three coordinates, over the standard deviation of one."""
 SIX_AXES = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
 """The columns of a recording that six-axis data have beside those of the plane."""
 
@@ -59,6 +86,26 @@ def _plain(name: str, values: Any) -> NDArray[Any]:
 def _shortened(values: Any) -> str:
     text = " ".join(str(values).split())
     return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+class Noise(NamedTuple):
+    """Errors of a recording: those that it states, and those of its digits."""
+
+    force_N: float
+    """Standard deviation of each force component, by the stated noise and by rounding."""
+    moment_Nm: float
+    """Standard deviation of the moment, likewise."""
+    pose_m: float
+    """Standard deviation of each coordinate of the clamp's position, as it is stated."""
+    place_m: float
+    """Largest error of a contact's place by the digits of the poses."""
+    independent: bool
+    """Whether the errors of successive rows are independent.  Rounding alone gives successive rows the same errors where force
+    and moment change by less than a step; noise of some size makes the errors of rounding independent as well."""
+
+    def of_reactions(self, rod: Rod) -> tuple[float, float]:
+        """Standard deviations of each component of force and moment, in EI/L² and EI/L."""
+        return self.force_N / rod.force_unit_N, self.moment_Nm / rod.moment_unit_Nm
 
 
 @dataclass(frozen=True, repr=False)
@@ -164,6 +211,38 @@ class Recording(Shown):
         force = np.column_stack([self.force_N, self.force_z_N])
         return force, np.column_stack([self.moment_x_Nm, self.moment_y_Nm, self.moment_Nm])
 
+    @cached_property
+    def noise(self) -> Noise:
+        """The errors that the recording states, and those of its digits."""
+        forces, moments = [*self.force_N.T], [self.moment_Nm]
+        if self.six_axis:
+            forces, moments = (list(columns.T) for columns in self.wrench())
+        force, moment = (max(rounding_sd(column) for column in columns) for columns in (forces, moments))
+        length = self.rod.length_m
+        position, turn = rounding_sd(self.position_m.ravel()), 2 * rounding_sd(self.quaternion.ravel())
+        size = float(np.linalg.norm(np.ptp(self.position_m, axis=0))) + length
+        place = position * (position <= _FINE * length) + turn * size * (turn <= _FINE)
+        return Noise(
+            together(self.noise_force_N, force),
+            together(self.noise_moment_Nm, moment),
+            self.noise_pose_m,
+            place * LARGEST_OVER_SD,
+            self.noise_force_N >= _DITHER * force and self.noise_moment_Nm >= _DITHER * moment,
+        )
+
+    def reactions(self, six_axis: bool) -> tuple[Array, Array]:
+        """(n, 3) support reaction and (n, 3) clamping moment, in EI/L² and EI/L; zero in channels that are not asked for.
+
+        Raises InputError if six axes are asked for and not known.
+        """
+        if six_axis:
+            force, moment = self.wrench()
+        else:
+            zero = np.zeros(len(self))
+            force = np.column_stack([self.force_N, zero])
+            moment = np.column_stack([zero, zero, self.moment_Nm])
+        return force / self.rod.force_unit_N, moment / self.rod.moment_unit_Nm
+
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
         matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
@@ -181,12 +260,12 @@ class Recording(Shown):
             ("z axes of the clamp" if self.six_axis else "normals of the slices", _directions(self.axes()[:, 2])),
             ("rod", f"{1e3 * rod.length_m:.4g} mm long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
             ("largest reactions", f"{1e3 * force.max():.4g} mN, {1e6 * moment.max():.4g} mN mm"),
-            ("noise", self._noise()),
+            ("noise", self._stated()),
             ("clamp from", _point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
             ("to", _point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
         ]
 
-    def _noise(self) -> str:
+    def _stated(self) -> str:
         if not (self.noise_force_N or self.noise_moment_Nm or self.noise_pose_m):
             return "none"
         pose = f", {1e6 * self.noise_pose_m:.2g} \N{MICRO SIGN}m of the pose" if self.noise_pose_m else ""
@@ -203,6 +282,78 @@ def _directions(normals: Array) -> str:
 
 def _point(values: Array, unit: str) -> str:
     return "({:.4g}, {:.4g}, {:.4g}) ".format(*(values + 0.0)) + unit_symbol(unit)
+
+
+def rounding_sd(values: Array) -> float:
+    """Standard deviation of the rounding of numbers (n,), by the step at the largest of them; 0 for full precision."""
+    nonzero = values[values != 0]
+    if len(nonzero) < 2:
+        return 0.0
+    largest = float(np.abs(nonzero).max())
+    with np.errstate(over="ignore", under="ignore"):
+        single = bool((values.astype(np.float32) == values).all())
+    binary = float(np.spacing(np.float32(largest))) if single else 0.0
+    step = max(_decimal_step(nonzero, largest, single), binary, _grid_step(values))
+    # numbers of full precision are multiples of their last place
+    return step / float(np.sqrt(12)) if step > largest * 10.0**-_FULL else 0.0
+
+
+def _decimal_step(values: Array, largest: float, single: bool) -> float:
+    """The place value of the last significant digit at the largest number; 0 for the digits of full precision.
+
+    `single` says that the numbers were kept in single precision, which has 7 to 9 digits.
+    """
+    some = values[np.linspace(0, len(values) - 1, min(len(values), _COUNTED)).astype(np.intp)].tolist()
+    kept, full = (np.float32, _FULL_SINGLE) if single else (float, _FULL)
+    digits = 1
+    for value in some:
+        while digits < full and kept(f"{value:.{digits - 1}e}") != value:
+            digits += 1
+        if digits == full:
+            return 0.0
+    return float(10.0 ** (np.floor(np.log10(largest)) + 1 - digits))
+
+
+def _grid_step(values: Array) -> float:
+    """The step of the grid on which all numbers lie; 0 if they do not lie on one."""
+    distinct = np.unique(values)
+    if len(distinct) < _FEWEST:
+        return 0.0
+    first = int(np.diff(distinct).argmin())
+    distances = np.sort(np.abs(distinct - distinct[first]))[1:]
+    # the smallest gap, or the common divisor of two distances, may be a few steps
+    rounding = _EUCLID * float(np.abs(distinct).max())
+    first_ones = distances[:3].tolist()
+    divisors = [first_ones[0], *(_divisor(*pair, rounding) for pair in combinations(first_ones, 2))]
+    for candidate in (divisor / part for divisor in divisors for part in range(1, _PARTS + 1)):
+        if candidate <= rounding:
+            continue
+        step = _refined(distances, candidate)
+        multiples = distances / step
+        if (np.abs(multiples - np.round(multiples)) <= _ON_GRID).all():
+            return step
+    return 0.0
+
+
+def _divisor(one: float, other: float, rounding: float) -> float:
+    """The largest number of which both are multiples, by Euclid's algorithm; 0 if it is not far above their rounding."""
+    while other > rounding:
+        one, other = other, abs(one - other * round(one / other))
+    return one if one > 20 * rounding else 0.0
+
+
+def _refined(distances: Array, step: float) -> float:
+    """The step of which all distances (n,), increasing, are multiples if there is one, from its first estimate."""
+    k = 0
+    while k < len(distances) - 1:
+        k = max(k + 1, int(np.searchsorted(distances, _GROWTH * distances[k], side="right")) - 1)
+        step = float(distances[k] / max(np.round(distances[k] / step), 1.0))
+    return step
+
+
+def together(stated: float, rounding: float) -> float:
+    """Standard deviation of the sum of noise and rounding."""
+    return stated if rounding <= _NEGLIGIBLE * stated else float(np.hypot(stated, rounding))
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

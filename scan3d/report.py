@@ -21,7 +21,7 @@ from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.reconstruction import Contradiction, Diagnosis, noise_of, radius_errors
+from scan3d.reconstruction import Contradiction, Diagnosis, radius_errors
 from scan3d.recording import Recording
 from scan3d.shown import Rows
 from scan3d.spatial.bodies import sphere_directions
@@ -207,7 +207,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
 
 def _noise(analysis: Analysis) -> dict[str, float]:
     """Standard deviations of force and moment: those that the recording states, and those that count, with its digits."""
-    recording, known = analysis.recording, noise_of(analysis.recording)
+    recording, known = analysis.recording, analysis.recording.noise
     return {
         "force_N": known.force_N,
         "moment_Nm": known.moment_Nm,

@@ -32,8 +32,8 @@ from scan3d.planning.rig import (
 )
 from scan3d.poses import PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
-from scan3d.reconstruction.consistency import BELOW_TABLE
-from scan3d.reconstruction.planes import LEVEL
+from scan3d.reconstruction.agreement import BELOW_TABLE
+from scan3d.reconstruction.slices import LEVEL
 from scan3d.recording import Recording, joined
 from scan3d.report import Analysis
 from scan3d.rods import Rod

@@ -13,7 +13,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
-from scan3d.reconstruction.consistency import contradictions
+from scan3d.reconstruction.agreement import contradictions
 from scan3d.reconstruction.contacts import contacts
 
 MESHES = Path(__file__).parents[1] / "meshes"

@@ -9,8 +9,7 @@ import trimesh
 import scan3d
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.empty_slices import _area, _clipped, _covered, unproven
-from scan3d.reconstruction.planes import slices_of
+from scan3d.reconstruction.slices import _area, _clipped, _covered, slices_of, unproven
 from scan3d.report import report, summary
 from scan3d.surfaces import enclosure
 

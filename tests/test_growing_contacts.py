@@ -10,8 +10,7 @@ import planar
 import scan3d
 from scan3d import Plan
 from scan3d.reconstruction import NoContactError
-from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.growing_contacts import GrowingContacts
+from scan3d.reconstruction.contacts import GrowingContacts, contacts
 
 GEM = Path(__file__).parents[1] / "meshes" / "gem.glb"
 

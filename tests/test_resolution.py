@@ -10,7 +10,7 @@ import planar
 import scan3d
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.resolution import noise_of, rounding_sd
+from scan3d.recording import rounding_sd
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 
@@ -114,7 +114,7 @@ def test_a_log_with_few_digits_keeps_its_contacts(recording, digits):
     tangential = cloud.phase == planar.Phase.TANGENTIAL
     assert np.abs(cloud.friction[tangential] - 0.3).max() < 1e-3
     assert cloud.noise > 0
-    noise = noise_of(log)
+    noise = log.noise
     assert noise.force_N > 0
     assert noise.moment_Nm > 0
     assert 0 < cloud.pose_error < 1e-3
@@ -122,9 +122,9 @@ def test_a_log_with_few_digits_keeps_its_contacts(recording, digits):
 
 def test_stated_noise_counts_where_it_is_larger_than_the_digits(recording):
     log = dataclasses.replace(recording, force_N=rounded(recording.force_N, 6), noise_force_N=1.0, noise_moment_Nm=0.0)
-    assert noise_of(log).force_N == 1.0
-    assert noise_of(log).moment_Nm == 0.0
-    assert noise_of(recording) == (0.0, 0.0, 0.0, 0.0, True)
+    assert log.noise.force_N == 1.0
+    assert log.noise.moment_Nm == 0.0
+    assert recording.noise == (0.0, 0.0, 0.0, 0.0, True)
 
 
 @pytest.mark.parametrize("ratio", [0.2, 1.0, 5.0])
@@ -136,17 +136,17 @@ def test_rounding_adds_to_the_stated_noise(recording, ratio):
     noisy = recording.force_N + noise * rng.standard_normal(recording.force_N.shape)
     log = dataclasses.replace(recording, force_N=step * np.round(noisy / step), noise_force_N=noise)
     error = (log.force_N - recording.force_N)[np.hypot(*recording.force_N.T) > 0]
-    assert noise_of(log).force_N == pytest.approx(error.std(), rel=0.03)
+    assert log.noise.force_N == pytest.approx(error.std(), rel=0.03)
     # errors of rounding repeat from row to row unless the noise is larger than half a step
-    assert noise_of(log).independent == (ratio > 3**0.5)
+    assert log.noise.independent == (ratio > 3**0.5)
 
 
 def test_round_positions_of_a_plan_are_exact(recording):
     """Positions in whole tenths of a millimetre are those of a plan; their digits are no errors."""
     planned = dataclasses.replace(recording, position_m=np.round(recording.position_m, 4))
-    assert noise_of(planned).place_m == 0
+    assert planned.noise.place_m == 0
     logged = dataclasses.replace(recording, position_m=np.round(recording.position_m, 8))
-    assert 1e-9 < noise_of(logged).place_m < 1e-7
+    assert 1e-9 < logged.noise.place_m < 1e-7
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from scan3d.bounds import allowed, certificate, enclosure, sigmas
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import contradictions
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.rig_effects import effects, torsion_sd, with_rig_errors
+from scan3d.reconstruction.errors import effects, torsion_sd, with_rig_errors
 from scan3d.report import summary
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from tests.rig_errors import displaced, typical

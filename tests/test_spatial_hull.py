@@ -7,7 +7,7 @@ from spatial_scans import recorded
 
 import planar
 import scan3d
-from scan3d.reconstruction.spatial_hull import hull_normals
+from scan3d.reconstruction.normals import hull_normals
 from scan3d.spatial.normals import angles
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -140,4 +141,58 @@ FAULTS: dict[str, Fault] = {
     "y and z exchanged": positions([[1, 0, 0], [0, 0, 1], [0, 1, 0]]),
     "rod 10 % too long": rod(length=1.1),
     "rod twice as stiff": rod(stiffness=2.0),
+}
+
+
+def changed(recording, change):
+    """A six-axis recording with force and moment (n, 3) changed by a function of both."""
+    force, moment = change(*recording.wrench())
+    return replace(
+        recording,
+        force_N=force[:, :2],
+        force_z_N=force[:, 2],
+        moment_x_Nm=moment[:, 0],
+        moment_y_Nm=moment[:, 1],
+        moment_Nm=moment[:, 2],
+    )
+
+
+def sensor(euler_deg=(0, 0, 0), place_mm=(0, 0, 0)):
+    """A sensor that is turned in the clamp's frame, and shows the moment about a place beside the clamp."""
+    back = Rotation.from_euler("xyz", euler_deg, degrees=True).inv()
+    return lambda f, m: (back.apply(f), back.apply(m - np.cross(np.array(place_mm) / 1000, f)))
+
+
+def second_contact(f, m):
+    """A further force of a tenth, across the rod at a third of its 50 mm."""
+    size = 0.1 * np.linalg.norm(f, axis=1)
+    extra = np.stack([size, 0 * size, size], axis=1)
+    return f + extra, m + np.cross([0, 0.05 / 3, 0], extra)
+
+
+IN_SPACE = {
+    "signs of the wrench": lambda f, m: (-f, -m),
+    "signs of the forces": lambda f, m: (-f, m),
+    "sign of fx": lambda f, m: (f * [-1, 1, 1], m),
+    "sign of fy": lambda f, m: (f * [1, -1, 1], m),
+    "sign of fz": lambda f, m: (f * [1, 1, -1], m),
+    "sign of mx": lambda f, m: (f, m * [-1, 1, 1]),
+    "sign of mz": lambda f, m: (f, m * [1, 1, -1]),
+    "left-handed": lambda f, m: (f * [1, 1, -1], m * [-1, -1, 1]),
+    "N mm": lambda f, m: (f, 1000 * m),
+    "mN": lambda f, m: (1000 * f, m),
+    "fx and fz exchanged": lambda f, m: (f[:, ::-1], m),
+    "axes y and z exchanged": lambda f, m: (f[:, [0, 2, 1]], m[:, [0, 2, 1]]),
+    "untared": lambda f, m: (f + 0.01 * np.abs(f).max(), m + 0.01 * np.abs(m).max()),
+    "gain of fz": lambda f, m: (f * [1, 1, 1.1], m),
+    "wrench doubled": lambda f, m: (2 * f, 2 * m),
+    "misaligned": sensor((1.7, 0, 1.1)),
+    "turned about x": sensor((20, 0, 0)),
+    "turned about the rod": sensor((0, 30, 0)),
+    "turned about z": sensor((0, 0, -10)),
+    "lever arm": sensor(place_mm=(2, 0, 0)),
+    "offset": sensor(place_mm=(3, -20, 4)),
+    "offset along the rod": sensor(place_mm=(0, -20, 0)),
+    "late by two samples": lambda f, m: (np.roll(f, 2, axis=0), np.roll(m, 2, axis=0)),
+    "a second contact": second_contact,
 }

@@ -48,8 +48,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, shrunk, shrunk_by
 from scan3d.geometry.vectors import highest
-from scan3d.reconstruction.planes import SAME_HEIGHT
-from scan3d.reconstruction.slices import SliceStack, stacks
+from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
 
 if TYPE_CHECKING:

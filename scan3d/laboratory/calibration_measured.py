@@ -29,7 +29,6 @@ from scan3d.laboratory.calibration_model import (
 )
 from scan3d.laboratory.calibration_reference import Reference, Spherical
 from scan3d.laboratory.calibration_rows import neighbours
-from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 
 FEWEST = 30
@@ -77,7 +76,7 @@ class Measured(NamedTuple):
 
 def measured(recording: Recording, reference: Reference, tare: str) -> Measured:
     """The rows in contact and in the air, dimensionless."""
-    rod, known = recording.rod, noise_of(recording)
+    rod, known = recording.rod, recording.noise
     channels = np.full(6, recording.six_axis)
     if not recording.six_axis and not isinstance(reference, Spherical):
         raise InputError(

@@ -20,7 +20,6 @@ from scan3d.laboratory.calibration_model import CENTRE, TURN, Kind
 from scan3d.laboratory.calibration_quantities import COVERAGE_FACTOR, limit, measured, quantities
 from scan3d.laboratory.calibration_reference import Reference, Spherical
 from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
-from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
@@ -132,7 +131,7 @@ class Calibration(Described):
             if six
             else np.column_stack([recording.force_N, zero, zero, zero, recording.moment_Nm])
         )
-        known = noise_of(recording)
+        known = recording.noise
         if tare == "calibration":
             columns = columns - self.tare
             force_noise, moment_noise = known.force_N, known.moment_Nm

@@ -13,7 +13,6 @@ from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.geometry.distance import signed_distances
 from scan3d.pictures.scene import Scene
-from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.spatial import inverse
 from scan3d.units import UNITS_M
@@ -238,7 +237,7 @@ def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Arra
     The plane contains the undeformed rod and the direction ``e`` to which it bends; in it the rod is that of the plane with the
     reactions ``f0·e``, ``f0·t0`` and ``m0·b`` about its normal ``b = e × t0``.  Raises InputError without six axes.
     """
-    rod, noise = recording.rod, noise_of(recording)
+    rod, noise = recording.rod, recording.noise
     force, moment = (columns[rows] for columns in recording.wrench())
     force, moment = force / rod.force_unit_N, moment / rod.moment_unit_Nm
     deviations = noise.force_N / rod.force_unit_N, noise.moment_Nm / rod.moment_unit_Nm

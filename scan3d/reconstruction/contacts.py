@@ -3,39 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.errors import InputError
-from scan3d.reconstruction.empty_slices import unproven
-from scan3d.reconstruction.planes import planes
-from scan3d.reconstruction.resolution import Noise, noise_of
-from scan3d.reconstruction.rig_effects import tip_tolerance
-from scan3d.recording import Recording
+from scan3d.reconstruction.errors import (
+    FORCE_SIGMAS,
+    NoContactError,
+    contact_tolerance,
+    tip_tolerance,
+    too_light,
+)
+from scan3d.reconstruction.slices import planes, unproven
+from scan3d.recording import Noise, Recording, joined
 from scan3d.units import UNITS_M
 
-# A row counts as touching if its force exceeds this many standard deviations of the noise.  Larger, weak contacts are lost;
-# smaller, rows without contact give contacts that do not exist.
-FORCE_SIGMAS = 8.0
-# A contact counts as a tip contact if it lies within this many standard deviations of the tip.  Larger, tangential contacts
-# near the tip lose their normals; smaller, noisy tip contacts get normals that belong to tangential contact.
-_TIP_SIGMAS = 5.0
-# A contact is left out if the standard deviation of its place is larger than this many times the median, and than this fraction
-# of the rod's length: the rod touched too lightly.  Larger, such contacts lie far outside the body; smaller, more of the body
-# is left without contacts.
-_LIGHT, _TOLERABLE = 4.0, 1e-3
-# The friction angles of the tangential contacts agree if 95 % of them are within this many radians of the median, plus this
-# many per standard deviation of the noise.  Larger, a coefficient that varies passes for common and tip contacts get wrong
-# normals; smaller, rounding or noise hides a common coefficient and tip contacts get no normals.
+# The friction angles of the tangential contacts agree if 95 % of them are within this many radians of the median, which is
+# rounding, plus this many per standard deviation of the noise.
 _FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
-# The largest distance from the tip, in rod lengths, at which noise can make a tip contact.  Larger, strong noise turns all
-# contacts into tip contacts; smaller, some tip contacts under strong noise pass for tangential.
-_LARGEST_TOLERANCE = 0.5
 
 
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
@@ -44,7 +33,7 @@ def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     Rows without contact, and rows whose force does not stand out from the noise, give no contact.  Raises InputError if no row
     gives one.
     """
-    found = in_slices(recording, noise_of(recording), method)
+    found = in_slices(recording, recording.noise, method)
     if not len(found.cloud):
         raise NoContactError(
             f"the recording has no contact: none of its {len(recording)} rows has reactions of a bent rod "
@@ -74,14 +63,14 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
     rod = recording.rod
     fx, fy = (recording.force_N / rod.force_unit_N).T
     moment = recording.moment_Nm / rod.moment_unit_Nm
-    noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
-    error = errors_in_plane(fx, fy, moment, *noise)
+    noise = known.of_reactions(rod)
+    error = planar.errors(fx, fy, moment, noise=noise)
     columns = np.zeros(len(moment)), fx, fy, moment
     felt = np.hypot(fx, fy) > FORCE_SIGMAS * max(noise)
-    tolerance = tip_tolerance(recording, felt, error.tolerance, "planar")
+    tolerance = tip_tolerance(recording, felt, contact_tolerance(error), "planar")
     in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance)
     touching = felt & (in_plane.phase != planar.Phase.NONE)
-    light = touching & error.light(touching)
+    light = too_light(error.largest, touching)
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise)) if tips else None
     if common is not None:
@@ -92,7 +81,7 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
     points = recording.position_m[rows] + np.einsum("ni,nij->nj", in_plane.point[rows] * rod.length_m, axes[rows, :2])
     slices = planes(recording, axes[:, 2], points.mean(axis=0) if len(rows) else np.zeros(3), known.place_m)
     pose, length = known.pose_m / scale, rod.length_m / scale
-    in_world = np.einsum("nij,nik,njl->nkl", error.place[rows], axes[rows, :2], axes[rows, :2])
+    in_world = np.einsum("nij,nik,njl->nkl", error.point[rows], axes[rows, :2], axes[rows, :2])
     place_sd = np.hypot(length * error.largest[rows], pose)
     noisy = max(*noise, pose) > 0
     tangential = in_plane.phase[rows] == planar.Phase.TANGENTIAL
@@ -140,61 +129,6 @@ def with_unresolved_slices(
     return replace(cloud, unresolved=unresolved) if unresolved.any() else cloud
 
 
-class NoContactError(InputError):
-    """No row of a recording has the reactions of a bent rod."""
-
-
-class PlaneErrors(NamedTuple):
-    """Standard deviations and covariances (n,) of what the reactions give, dimensionless; infinite without a rod."""
-
-    place: Array
-    """(n, 2, 2) covariance of the contact's place in the clamp's frame."""
-    largest: Array
-    """(n,) standard deviation of the place in its least certain direction."""
-    slope: Array
-    """(n,) standard deviation of the slope in tangential contact."""
-    tolerance: Array
-    """(n,) differences in s1 and in the friction angle that the noise can make."""
-
-    def light(self, touching: Mask) -> Mask:
-        """(n,) whether the rod touched too lightly, by comparison with all touching rows."""
-        if not touching.any():
-            return np.zeros(len(touching), dtype=bool)
-        light: Mask = self.largest > max(_LIGHT * float(np.median(self.largest[touching])), _TOLERABLE)
-        return light
-
-
-def errors_in_plane(fx: Array, fy: Array, moment: Array, noise_force: float, noise_moment: float) -> PlaneErrors:
-    """Errors of the first order from the Jacobian of the closed form."""
-    n = len(fx)
-    if not max(noise_force, noise_moment):
-        return PlaneErrors(np.zeros((n, 2, 2)), np.zeros(n), np.zeros(n), np.full(n, planar.TOLERANCE))
-    spread = planar.jacobian(fx, fy, moment) * [noise_force, noise_force, noise_moment]
-    with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
-        place = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
-        mean, half = (place[:, 0, 0] + place[:, 1, 1]) / 2, (place[:, 0, 0] - place[:, 1, 1]) / 2
-        largest = np.sqrt(mean + np.hypot(half, place[:, 0, 1]))
-        s1, beta = (np.linalg.norm(spread[:, k], axis=1) for k in (2, 4))
-        slope = np.linalg.norm(spread[:, 3] - spread[:, 4], axis=1)
-    tolerance = contact_tolerance(s1, beta)
-    known = np.isfinite(largest)
-    return PlaneErrors(
-        place,
-        np.where(known, largest, np.inf),
-        np.where(known, slope, np.inf),
-        np.where(known, tolerance, planar.TOLERANCE),
-    )
-
-
-def contact_tolerance(s1: Array, beta: Array) -> Array:
-    """(n,) differences in s1 and in the friction angle that count as noise, from their standard deviations (n,).
-
-    Where these are not known, it is that of exact data.
-    """
-    sd = np.maximum(s1, beta)
-    return np.clip(np.where(np.isnan(sd), 0.0, _TIP_SIGMAS * sd), planar.TOLERANCE, _LARGEST_TOLERANCE)
-
-
 def _common_friction(angle: Array, noise: float) -> float | None:
     """The coefficient that the friction angles (n,), NaN in tip contact, agree on; None if they do not."""
     angle = angle[np.isfinite(angle)]
@@ -203,3 +137,75 @@ def _common_friction(angle: Array, noise: float) -> float | None:
     median = float(np.median(angle))
     agree = np.percentile(np.abs(angle - median), 95) <= _FRICTION_AGREES + _FRICTION_GAIN * noise
     return max(float(np.tan(median)), 0.0) if agree else None
+
+
+# What a cloud has for every contact, as far as exact contacts in slices have it.
+_COLUMNS = (
+    "points",
+    "normals",
+    "normal_source",
+    "in_plane_normals",
+    "phase",
+    "slice",
+    "sweep",
+    "row",
+    "force_N",
+    "friction",
+    "slice_axis",
+    "slice_height",
+)
+
+
+class GrowingContacts:
+    """The contacts of exact recordings by one rod, each of whole slices that no earlier one has.
+
+    They are those of `contacts`, but for tip contacts, which have no normals: a common friction depends on all contacts.
+    """
+
+    def __init__(self) -> None:
+        self._cloud: Cloud | None = None
+        self._rows = 0
+        self._left_out: Index = np.empty(0, dtype=np.intp)
+        self._empty: list[Recording] = []
+        self._number: list[NDArray[np.int32]] = []
+        self._proven = True
+        """Whether all slices without contact prove an end: further contacts do not change that."""
+
+    def add(self, recording: Recording) -> None:
+        """Add a recording; its sweeps are numbered after those of the earlier ones."""
+        found = in_slices(recording, Noise(0.0, 0.0, 0.0, 0.0, True), tips=False)
+        before = 0 if self._cloud is None else len(self._cloud.slice_height)
+        number = (before + found.number).astype(np.int32)
+        new = replace(
+            found.cloud,
+            slice=(before + found.cloud.slice).astype(np.int32),
+            row=(self._rows + found.cloud.row).astype(np.int32),
+        )
+        both = [new] if self._cloud is None else [self._cloud, new]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in both]) for name in _COLUMNS}
+        self._cloud = replace(new, **columns, kept={} if self._cloud is None else self._cloud.kept)
+        self._rows += len(recording)
+        self._left_out = np.concatenate([self._left_out, before + found.left_out])
+        empty = ~np.isin(number, new.slice)
+        if empty.any():
+            self._empty.append(_of_rows(recording, np.flatnonzero(empty)))
+            self._number.append(number[empty])
+            self._proven = False
+
+    def cloud(self) -> Cloud:
+        """All contacts so far.  Raises InputError if there are none."""
+        if self._cloud is None or not len(self._cloud):
+            raise NoContactError("there is no contact yet")
+        if self._proven:
+            return self._cloud
+        number = np.concatenate(self._number)
+        found = with_unresolved_slices(self._cloud, joined(self._empty), number, self._left_out, 0.0)
+        self._proven = found.unresolved is None
+        return found
+
+
+def _of_rows(recording: Recording, rows: Index) -> Recording:
+    """Some rows of a recording of planar reactions."""
+    names = "sweep", "position_m", "quaternion", "force_N", "moment_Nm"
+    columns: dict[str, Any] = {name: getattr(recording, name)[rows] for name in names}
+    return replace(recording, **columns)

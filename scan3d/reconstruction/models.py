@@ -7,8 +7,9 @@ import numpy as np
 from scan3d.choices import MODELS
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.reconstruction.normals import planar_contacts
-from scan3d.reconstruction.rig_effects import with_rig_errors
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.errors import with_rig_errors
+from scan3d.reconstruction.normals import with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.spatial import spatial_contacts
 from scan3d.recording import SIX_AXES, Recording
 
@@ -42,7 +43,8 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
         if largest > _LARGEST:
             raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
     if model == "planar" or (model is None and not recording.six_axis):
-        return with_rig_errors(planar_contacts(recording, method), recording)
+        cloud = with_smooth_fit(with_slice_normals(contacts(recording, method)))
+        return with_rig_errors(cloud, recording)
     if method != "closed-form":
         raise InputError(
             f"the spatial model has the method closed-form only, got {method!r}; or choose the planar model"

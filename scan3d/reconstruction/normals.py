@@ -1,9 +1,17 @@
-"""Normals of the surface at the contacts.
+"""Normals of the surface at the contacts: from slices, from the hull of all contacts, and from a smooth body fitted to them.
 
-The surface's normal at a contact is ``(n(θ), -∂h/∂z)``, normalised, where h(θ, z) is the support function of the slices and
-the derivative is taken at the fixed normal angle θ; it is not the normal n(θ) of the slice's contour.  Since h is concave in
-z, the secants to the slices below and above are certain bounds of its slope.  If the body proves smooth, the normals are those
-of the support function fitted to all contacts.
+In slices the surface's normal at a contact is ``(n(θ), -∂h/∂z)``, normalised, where h(θ, z) is the support function of the
+slices and the derivative is taken at the fixed normal angle θ; it is not the normal n(θ) of the slice's contour.  Since h is
+concave in z, the secants to the slices below and above are certain bounds of its slope.
+
+From the hull (S27): a plane that supports the body at a contact has all contacts on one side, so that its normal lies between
+those of the hull's facets that meet in the contact.  At a tangential contact the plane contains the rod's tangent as well.
+Seen along the tangent the hull fills an angle at the contact: the normal lies between the perpendiculars to both its sides.
+
+If the body proves smooth, all normals are those of the support function fitted to all contacts.  In space the fit needs no
+normals that are known: it starts from those of the hull, lets them follow the fitted body, and repeats that until its error at
+held-out contacts falls no further.  It does not use that the normals of tangential contacts are perpendicular to the rod, so
+that deviations from it show the error of its normals.
 """
 
 from __future__ import annotations
@@ -13,86 +21,102 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index
+import planar
+from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.geometry.support import SupportFit, fit_support
-from scan3d.reconstruction.contacts import contacts
+from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.slices import SliceStack, SupportFunctions, stacks
-from scan3d.recording import Recording
+from scan3d.spatial.normals import angles
 
-# Degrees of the harmonic series, tried in this order until the error at the held-out contacts falls no further.  A higher
-# degree follows more detail, but takes time with the fourth power of the degree and follows noise as well.
-DEGREES = (8, 16)
-# One contact in this many is held out of the fit.  Larger, fewer contacts judge the fit; smaller, fewer determine it.
-_HELD_OUT_STEP = 10
-# Approximate number of contacts held out at most.  Larger, judging the fit takes longer; smaller, its error is less certain.
-_HELD_OUT_LIMIT = 1000
-# A higher degree is kept if its error is below this many times that of the degree before.  Larger, a degree is kept that
-# hardly helps; smaller, detail is lost that the higher degree would show.
-DEGREE_GAIN = 0.8
-# Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.  Larger, smooth bodies
-# need more slices to be fitted; smaller, the coefficients are determined by too few contacts.
-CONTACTS_PER_COEFFICIENT, CONTACTS_TO_TRY = 4, 10
-# The body is smooth if 95 % of the held-out contacts are this close to the fit, in mean radii.  Larger, bodies with edges pass
-# for smooth: a cube, a cylinder or a lens stay above 3e-3.  Smaller, coarse meshes of smooth bodies fail: ellipsoids, eggs
-# and pebbles of 10,000 facets stay below 2e-4.
-SMOOTH = 5e-4
-# Slices on either side of a slice from which the slope at its height follows.  More take longer; with fewer, the normals
-# differ more from those by all slices, a spline through which forgets its ends by a factor of 2 + √3 from slice to slice:
-# over the meshes that come along, with 64 and 256 slices, by 0.4° at 4, 0.04° at 6, 0.004° at 8 and 4e-5° at 12.
+EXACT = 1e-9
+"""Standard deviation, in radians, of the normals of exact data: rounding."""
+# Slices on either side of a slice from which the slope at its height follows.  The normals differ from those by all slices, a
+# spline through which forgets its ends by a factor of 2 + √3 from slice to slice, over the meshes that come along, with 64 and
+# 256 slices, by 0.4° with 4, 0.04° with 6, 0.004° with 8 and 4e-5° with 12.
 NEIGHBOURS = 12
-# Standard deviations of a contact's place by which noise may raise that limit.  Larger, noise hides edges; smaller, noisy
-# scans of smooth bodies are not fitted.
+# Degrees of the harmonic series, tried in this order until the error at the held-out contacts falls no further.
+_DEGREES = (8, 16)
+# One contact in this many is held out of the fit, and about so many at most.
+_HELD_OUT_STEP, _HELD_OUT_LIMIT = 10, 1000
+# A higher degree is kept if its error is below this many times that of the degree before.
+_DEGREE_GAIN = 0.8
+# Contacts per coefficient of the series that a fit needs at least, and before a fit is tried at all.
+_PER_COEFFICIENT, _TO_TRY = 4, 10
+# The body is smooth if 95 % of the held-out contacts are this close to the fit, in mean radii.  A cube, a cylinder or a lens
+# stay above 3e-3; ellipsoids, eggs and pebbles of 10,000 facets stay below 2e-4.
+_SMOOTH = 5e-4
+# Standard deviations of a contact's place by which noise may raise that limit.
 _NOISE_SIGMAS = 2
+# Normals that start the fit of a smooth body in space are known to at least this, in radians.
+_START = 0.03
+# The fit is repeated from its own normals at most this many times, while its error falls to this fraction.
+_REFITS, _GAIN = 6, 0.7
+# Errors of a fit, in mean radii: that of rounding, that which no higher degree need improve, and that above which a body has
+# edges whatever the degree.
+_EXACT_FIT, _SMALL, _HOPELESS = 1e-11, 1e-6, 2e-2
+# Contacts of exact data used for a fit, at most.
+_EXACT_CONTACTS = 2000
+# Tangential contacts around a contact that show the error of fitted normals.
+_NEAREST = 12
+# A fit is that of the body from outside if the contact forces act outwards in at least this fraction of the contacts.
+_OUTWARD = 0.99
+# Distances of the hull's corners, relative to its size, below which directions between them are rounding.
+_ROUNDING = 1e-7
+# Depth below a facet, relative to the hull's size, at which a contact lies on it, and depth, in such ones, from which on a
+# contact lies inside the hull.
+_SAME_PLANE, _INSIDE = 1e-9, 1e3
+# Half an angle, in radians, from which on the facets at a contact are asked as well: its neighbours may be too close to count.
+_WIDE = 0.1
+# Contacts whose depths below all facets are computed at once, for memory.
+_BLOCK = 256
 
 
-def planar_contacts(recording: Recording, method: str) -> Cloud:
-    """Contacts of a recording by the planar model, with the normals of the surface where they can be known."""
-    cloud = with_slice_normals(contacts(recording, method))
+def with_smooth_fit(cloud: Cloud) -> Cloud:
+    """The cloud of slices with the normals of the smooth body fitted to its contacts, if the body proves smooth."""
     fit = smooth_fit(cloud)
-    return cloud if fit is None else _with_fit(cloud, *fit)
+    return cloud if fit is None else _fitted(cloud, *fit)
 
 
 def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
     """The support function of a smooth body and its error at held-out contacts, in mean radii; None for other bodies."""
     rows = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
-    if len(rows) < CONTACTS_TO_TRY * (DEGREES[0] + 1) ** 2:
+    if len(rows) < _TO_TRY * (_DEGREES[0] + 1) ** 2:
         return None
-    held_out = held_out_rows(rows)
+    held_out = _held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
     sd = cloud.select(used).sd_along(cloud.normals[used])
     best: tuple[SupportFit, float] | None = None
-    for degree in DEGREES:
-        if len(used) < CONTACTS_PER_COEFFICIENT * (degree + 1) ** 2:
+    for degree in _DEGREES:
+        if len(used) < _PER_COEFFICIENT * (degree + 1) ** 2:
             break
         fitted = fit_support(cloud.points[used], cloud.normals[used], degree, sd, cloud.table)
-        error = held_out_error(fitted, cloud.points[held_out], cloud.normals[held_out])
-        if best is not None and not error < DEGREE_GAIN * best[1]:
+        error = _held_out_error(fitted, cloud.points[held_out], cloud.normals[held_out])
+        if best is not None and not error < _DEGREE_GAIN * best[1]:
             break
         best = fitted, error
-    return best if best is not None and is_smooth(*best, cloud.noise) else None
+    return best if best is not None and _is_smooth(*best, cloud.noise) else None
 
 
-def held_out_rows(rows: Index) -> Index:
+def _held_out_rows(rows: Index) -> Index:
     """Those of the contacts that judge a fit and do not determine it."""
     return rows[:: max(_HELD_OUT_STEP, len(rows) // _HELD_OUT_LIMIT)]
 
 
-def is_smooth(fitted: SupportFit, error: float, noise: float) -> bool:
+def _is_smooth(fitted: SupportFit, error: float, noise: float) -> bool:
     """Whether the error of a fit at held-out contacts, in mean radii, is that of a smooth body; `noise` is a length."""
-    return error <= SMOOTH + _NOISE_SIGMAS * noise / mean_radius(fitted)
+    return error <= _SMOOTH + _NOISE_SIGMAS * noise / _mean_radius(fitted)
 
 
-def held_out_error(fitted: SupportFit, points: Array, start: Array) -> float:
+def _held_out_error(fitted: SupportFit, points: Array, start: Array) -> float:
     """95 % of the contacts (n, 3) with rough normals (n, 3) lie closer than this to the fitted body, in mean radii."""
     normals = fitted.normals(points, start)
     deviation = np.abs(((points - fitted.points(normals)) * normals).sum(axis=1))
-    return float(np.percentile(deviation, 95)) / mean_radius(fitted)
+    return float(np.percentile(deviation, 95)) / _mean_radius(fitted)
 
 
-def mean_radius(fitted: SupportFit) -> float:
+def _mean_radius(fitted: SupportFit) -> float:
     """Mean radius of a fitted body, in the unit of its contacts."""
     return float(float(np.linalg.det(fitted.shape)) ** (1 / 3))
 
@@ -174,7 +198,7 @@ def _spline(z: Array, values: Array) -> CubicSpline:
     return CubicSpline(z, values, bc_type="not-a-knot" if len(z) > 3 else "natural")
 
 
-def _with_fit(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
+def _fitted(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
     """The cloud with the normals of the fitted body at all contacts.
 
     The search for the normal at a tip contact starts from the known normal of the nearest contact.
@@ -183,4 +207,231 @@ def _with_fit(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
     near = known[cKDTree(cloud.points[known]).query(cloud.points)[1]]
     normals = fitted.normals(cloud.points, cloud.normals[near])
     source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
-    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * mean_radius(fitted))
+    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * _mean_radius(fitted))
+
+
+class HullNormals(NamedTuple):
+    """Normals of contacts (n,), NaN where they are unknown."""
+
+    normal: Array
+    """(n, 3) the middle of the interval."""
+    half_width: Array
+    """(n,) the largest angle to it, in radians; infinite where the normal is unknown."""
+
+
+def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormals:
+    """The normals of exact contacts (n, 3), with exact tangents (n, 3) where they are tangential (n,)."""
+    unknown = HullNormals(np.full_like(points, np.nan), np.full(len(points), np.inf))
+    middle = points.mean(axis=0)
+    try:
+        hull = ConvexHull(points - middle)
+    except (QhullError, ValueError):
+        return unknown
+    first, second = (hull.simplices[:, [a, b]].T for a, b in ((0, 1), (1, 2)))
+    third = hull.simplices[:, [2, 0]].T
+    start, end = np.concatenate([first, second, third], axis=1)
+    start, end = np.concatenate([start, end]), np.concatenate([end, start])
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    kept = tangential[start] & (np.linalg.norm(points[end] - points[start], axis=1) > _ROUNDING * size)
+    start, end = start[kept], end[kept]
+
+    # in the plane across the tangent, with the first axis towards the middle of the body
+    inward = middle - points
+    inward -= (inward * tangents).sum(axis=1, keepdims=True) * tangents
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    side = np.cross(tangents, inward)
+    step = points[end] - points[start]
+    along, across = (step * inward[start]).sum(axis=1), (step * side[start]).sum(axis=1)
+    seen = np.hypot(along, across) > _ROUNDING * size  # others lie along the tangent
+    angle = np.arctan2(across, along)
+    low, high = np.full(len(points), np.inf), np.full(len(points), -np.inf)
+    np.minimum.at(low, start[seen], angle[seen])
+    np.maximum.at(high, start[seen], angle[seen])
+    with np.errstate(invalid="ignore"):
+        half_width = (np.pi - (high - low)) / 2
+        bisector = (low + high) / 2
+    known = np.isfinite(half_width) & (half_width >= -_ROUNDING) & np.isfinite(inward[:, 0])
+    normal = -(np.cos(bisector)[:, None] * inward + np.sin(bisector)[:, None] * side)
+    normal = np.where(known[:, None], normal, np.nan)
+    half_width = np.where(known, np.maximum(half_width, 0.0), np.inf)
+    # tip contacts, and contacts inside faces and edges of the hull
+    rows = np.flatnonzero(~known | (half_width > _WIDE))
+    axis, width, edge = _cones(hull, points[rows] - middle, _SAME_PLANE * size)
+    sharp = tangential[rows] & np.isfinite(edge[:, 0])
+    # the supporting plane contains the edge and the tangent
+    exact = np.cross(tangents[rows], edge)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    cosine = (exact * axis).sum(axis=1)
+    exact *= np.sign(cosine)[:, None]
+    sharp &= np.abs(cosine) >= np.cos(np.minimum(width, np.pi)) - _ROUNDING  # it lies between the facets' normals
+    by_facets = np.where(sharp, 0.0, width)
+    better = by_facets < half_width[rows]
+    normal[rows[better]] = np.where(sharp[:, None], exact, axis)[better]
+    half_width[rows[better]] = by_facets[better]
+    return HullNormals(normal, half_width)
+
+
+def _cones(hull: ConvexHull, points: Array, near: float) -> tuple[Array, Array, Array]:
+    """The middle (n, 3) of the normals of the hull's facets that points (n, 3) lie on, and the largest angle (n,) to it.
+
+    The third is the direction (n, 3) of the edge for points inside an edge of the hull, where two planes meet, else NaN.
+    """
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    middle, width, edges = np.empty_like(points), np.empty(len(points)), np.empty_like(points)
+    for first in range(0, len(points), _BLOCK):
+        part = points[first : first + _BLOCK]
+        depth = -(part @ normals.T + offsets)
+        nearest = depth.min(axis=1)
+        # pairs of points and facets that they lie on, of which every point has one at least
+        point, facet = np.nonzero(depth <= np.maximum(near, nearest)[:, None])
+        starts = np.searchsorted(point, np.arange(len(part)))
+        normal = normals[facet]
+        total = np.add.reduceat(normal, starts)
+        with np.errstate(divide="ignore", invalid="ignore"):  # on a flat hull, whose facets are opposite
+            axis = total / np.linalg.norm(total, axis=1, keepdims=True)
+        cosine = (axis[point] * normal).sum(axis=1)
+        smallest = np.minimum.reduceat(cosine, starts)
+        # the facet of each point whose normal is farthest from the axis
+        at_most = np.flatnonzero(~(cosine > smallest[point]))
+        farthest = at_most[np.searchsorted(point[at_most], np.arange(len(part)))]
+        rows = slice(first, first + _BLOCK)
+        edge = np.cross(axis, normal[farthest])
+        size = np.linalg.norm(edge, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            edge /= size[:, None]
+        across = np.maximum.reduceat(np.abs((edge[point] * normal).sum(axis=1)), starts)
+        edge[~(size > _ROUNDING) | ~(across < _ROUNDING)] = np.nan
+        middle[rows], edges[rows] = axis, edge
+        angle = np.arccos(np.clip(smallest, -1.0, 1.0))
+        # a contact inside the hull contradicts the model
+        width[rows] = np.where(np.isfinite(angle) & (nearest <= _INSIDE * near), angle, np.inf)
+    return middle, width, edges
+
+
+def with_fit(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
+    """The cloud, whose points are the centre points, with the normals of the body fitted to them if that is smooth.
+
+    Contact forces (n, 3) are in the world; only contacts that slide (n,) have a friction that is known.
+    """
+    start = _start(cloud)
+    fit = None if start is None else _smooth_body(cloud, start)
+    if fit is None:
+        return cloud
+    fitted, error, normals = fit
+    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+    if np.mean((normals * direction).sum(axis=1) > 0) < _OUTWARD:
+        return cloud
+    sd = _fitted_sd(cloud, normals, fitted.degree * error)
+    source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
+    fit_error = error * _mean_radius(fitted)
+    if cloud.rod_radius > 0:  # the fit of the surface itself; that of the centre points is the fattened body's
+        sd_along = cloud.sd_along(normals)
+        fitted = fit_support(cloud.points - cloud.rod_radius * normals, normals, fitted.degree, sd_along, cloud.table)
+    friction = np.where(slides, np.tan(angles(normals, direction)), np.nan)
+    return replace(
+        cloud,
+        normals=normals,
+        normal_source=source,
+        normal_sd=sd,
+        friction=friction,
+        fit=fitted,
+        fit_error=fit_error,
+    )
+
+
+def _smooth_body(cloud: Cloud, normals: Array) -> tuple[SupportFit, float, Array] | None:
+    """The support function of a smooth body, its error at held-out contacts in mean radii, and the normals (n, 3)."""
+    rows = np.arange(len(cloud))
+    if len(rows) < _TO_TRY * (_DEGREES[0] + 1) ** 2:
+        return None
+    held_out = _held_out_rows(rows)
+    used = np.setdiff1d(rows, held_out)
+    used = used[:: max(1, -(-len(used) // (MAX_CONTACTS if cloud.noise else _EXACT_CONTACTS)))]
+    used_part, held_out_part = (
+        _Part(cloud.points[part], normals[part], cloud.select(part).sd_along(normals[part]))
+        for part in (used, held_out)
+    )
+    parts = used_part, held_out_part
+    best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
+    for degree in _DEGREES:
+        if len(used) < _PER_COEFFICIENT * (degree + 1) ** 2:
+            break
+        fit = _converged(*(parts if best is None else best[2]), degree)
+        if best is not None and not fit[1] < _DEGREE_GAIN * best[1]:
+            break
+        best = fit
+        # a higher degree would follow the noise
+        small = max(_SMALL, cloud.noise / _mean_radius(best[0]))
+        if not small < best[1] < _HOPELESS:
+            break
+    if best is None or not _is_smooth(best[0], best[1], cloud.noise):
+        return None
+    fitted, error, (known, _) = best
+    # elsewhere the normals start from those of the nearest contact of the fit
+    start = known.normals[cKDTree(known.points).query(cloud.points)[1]]
+    return fitted, error, fitted.normals(cloud.points, fitted.normals(cloud.points, start))
+
+
+class _Part(NamedTuple):
+    """Some contacts: their points (n, 3), normals (n, 3), and the standard deviations (n,) of noisy points along them."""
+
+    points: Array
+    normals: Array
+    sd: Array | None
+
+    def followed(self, fitted: SupportFit) -> _Part:
+        return self._replace(normals=fitted.normals(self.points, self.normals))
+
+
+def _converged(used: _Part, held_out: _Part, degree: int) -> tuple[SupportFit, float, tuple[_Part, _Part]]:
+    """The fit of some degree to contacts, repeated from its own normals, its error at others, and the normals of both."""
+    best: tuple[SupportFit, float, tuple[_Part, _Part]] | None = None
+    for _ in range(1 + _REFITS):
+        fitted = fit_support(used.points, used.normals, degree, used.sd)
+        used, held_out = used.followed(fitted), held_out.followed(fitted)
+        error = _held_out_error(fitted, held_out.points, held_out.normals)
+        falling = best is None or error < _GAIN * best[1]
+        if best is None or error < best[1]:
+            best = fitted, error, (used, held_out)
+        if not falling or not _EXACT_FIT < error < _HOPELESS:
+            break
+    assert best is not None
+    return best
+
+
+def _fitted_sd(cloud: Cloud, normals: Array, turn: float) -> Array:
+    """Standard deviation (n,) of the angle of fitted normals (n, 3).
+
+    In tangential contact the normal is perpendicular to the rod: deviations from that, at the nearest such contacts, show one
+    of the two components of the error.  `turn` is the smallest that is believed: a function of some degree turns by its degree
+    times its error.
+    """
+    sd = np.full(len(cloud), np.hypot(turn, EXACT))
+    tangential = np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL)
+    if len(tangential) < _NEAREST or cloud.tangents is None:
+        return sd
+    square = (normals[tangential] * cloud.tangents[tangential]).sum(axis=1) ** 2
+    near = cKDTree(cloud.points[tangential]).query(cloud.points, _NEAREST)[1]
+    return np.asarray(np.sqrt(sd**2 + 2 * square[near].mean(axis=1)))
+
+
+def _start(cloud: Cloud) -> Array | None:
+    """Rough normals (n, 3) of all contacts: those that are known well, else those of the hull; None if there is no hull."""
+    assert cloud.normal_sd is not None
+    try:
+        hull = ConvexHull(cloud.points - cloud.points.mean(axis=0))
+    except (QhullError, ValueError):
+        return None
+    corners = hull.points[hull.simplices]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normals = np.zeros_like(cloud.points)
+    for k in range(3):
+        np.add.at(normals, hull.simplices[:, k], area[:, None] * hull.equations[:, :3])
+    known = np.isfinite(cloud.normals[:, 0]) & (cloud.normal_sd < _START)
+    normals[known] = cloud.normals[known]
+    length = np.linalg.norm(normals, axis=1)
+    placed = np.flatnonzero(length > 0)
+    normals[placed] /= length[placed, None]
+    return np.asarray(normals[placed[cKDTree(cloud.points[placed]).query(cloud.points)[1]]])

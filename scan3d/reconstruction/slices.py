@@ -1,8 +1,16 @@
-"""The slices of a cloud: their support functions in the plane.
+"""The slices of a recording and of its cloud: which sweeps lie in one plane, and the support functions in these planes.
 
 A slice of a convex body at the height z has the support function ``h(θ, z) = max <n(θ), p>`` over its points p, with θ the
 angle of the in-plane normal ``n = (cos θ, sin θ)``.  A tangential contact at p gives its value and its derivative,
 ``h = <n, p>`` and ``∂h/∂θ = <t, p>``, with the tangent ``t = (-sin θ, cos θ)``.
+
+A clamp that is turned a little against the planned pose, as a calibration finds it, bends the rod in a plane that is tilted
+against the slice.  Contacts lie in their row's own plane, and so do the tangents there: a contact says what holds at the
+heights of that plane.  `Tilt` bounds by how much these differ from the height of the slice.
+
+At a fixed normal angle h is concave in z, so that beyond two slices the body's section lies in the polygon of the secants'
+extrapolations.  The rods of a slice without contact stay straight: a section that they would have touched is not there.  If
+the areas that they sweep cover the polygon, the body does not reach the slice.
 """
 
 from __future__ import annotations
@@ -11,29 +19,153 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from hashlib import blake2b
-from weakref import WeakValueDictionary
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 import planar
-from scan3d.arrays import Array, Index
-from scan3d.cloud import Cloud
+from scan3d.arrays import Array, Index, Mask
+from scan3d.cloud import Cloud, Tilt
 from scan3d.geometry.sections import slice_frame
+from scan3d.recording import Recording
+from scan3d.units import UNITS_M
 
-# Contacts whose normals differ by less, in radians, lie on one straight edge of the contour.  Larger, the normals of a gently
-# curved contour merge; smaller, rounding makes several normals of one edge, with support lines that hardly differ.
-_SAME_NORMAL = 1e-9
-# Directions over which a slice's Steiner point is averaged.  More take longer; fewer make the average depend on where the
-# contour's edges lie.
-_STEINER_DIRECTIONS = 360
-# Parallel axes differ by less than this in each component.  Larger, distinct axes merge; smaller, rounding separates equal
-# axes.
 SAME_AXIS = 1e-8
-# The known normals enclose a slice if every gap between them is smaller than half a turn by at least this angle, in radians.
-# Larger, slices that are enclosed count as open; smaller, support lines that are parallel to rounding count as closed.
+"""Parallel axes differ by less than this in each component, which is rounding."""
+SAME_HEIGHT = 1e-9
+"""Sweeps lie in one slice if their heights differ by less than this many rod lengths."""
+LEVEL = 0.02
+"""Slices that are tilted against the table by less, in radians, count as parallel to it: those of a clamp that is a little off
+would else lie along several axes, of which no one bounds the body."""
+# Normals of measured poses that differ by less in each component are those of parallel slices.
+_SAME_NORMAL = 1e-3
+# Sweeps lie in one slice as well if their heights differ by less than this many times the spread within the median sweep.
+_SPREADS = 2.0
+# Tilted sweeps lie in one slice if their planes meet within this many rod lengths of the middle of the contacts.
+_TILTED = 0.2
+# Contacts whose normals differ by less, in radians, lie on one straight edge of the contour.
+_SAME_ANGLE = 1e-9
+# The known normals enclose a slice if every gap between them is smaller than half a turn by at least this, in radians.
 _HALF_TURN_MARGIN = 1e-9
+# Directions over which a slice's Steiner point is averaged.
+_STEINER_DIRECTIONS = 360
+# Part of a polygon's area that counts as rounding where it is left uncovered.
+_ROUNDING = 1e-9
+# Side of a square that contains every section that slices bound, in widths of the contacts.
+_FAR = 1e3
+# Slices next to an end that are built first to bound the body there; if they do not, all are built.
+_NEXT = 3
+
+
+class Planes(NamedTuple):
+    """The slices (s,) of a recording with n rows."""
+
+    number: NDArray[np.int32]
+    """(n,) number of each row's slice, in order of appearance."""
+    axis: Array
+    """(s, 3) normals of the slices."""
+    height: Array
+    """(s,) their heights along the normals, in metres."""
+    tilt: Tilt | None
+    """How far the rows' planes are tilted against their slices, in metres; None if it is by no more than the poses' digits."""
+
+    def tilt_in(self, unit_m: float) -> Tilt | None:
+        """The tilt in another unit of length."""
+        return None if self.tilt is None else self.tilt.scaled(1 / unit_m)
+
+    def turned(self, contour_normals: Array, normals: Array, rows: Index) -> Array:
+        """Normals (k, 3) of contours in the planes of some rows, turned about the contours' tangents into the slices' planes.
+
+        The tangents, seen along the axis, are perpendicular to these normals.
+        """
+        if self.tilt is None:
+            return contour_normals
+        inside = np.cross(np.cross(normals[rows], contour_normals), self.axis[self.number[rows]])
+        turned: Array = inside / np.linalg.norm(inside, axis=1, keepdims=True)
+        return turned
+
+
+def planes(recording: Recording, normals: Array, centre: Array, digits: float) -> Planes:
+    """The slices of a recording whose rows bend the rod in planes with unit normals (n, 3).
+
+    centre
+        (3,) a place amid the contacts, in metres, over which the heights of tilted planes are compared.
+    digits
+        largest error of a contact's place by the digits of the poses, in metres.
+    """
+    number, axis, height = slices_of(recording, normals)
+    slope, length = _slope(normals, axis[number]), recording.rod.length_m
+    if slope * length <= digits + SAME_HEIGHT * length:
+        return Planes(number, axis, height, None)
+    number, axis, height = slices_of(recording, normals, centre, slope * _TILTED * length)
+    off = _heights(recording, normals, axis[number], centre) - height[number]
+    return Planes(number, axis, height, Tilt(_slope(normals, axis[number]), float(np.abs(off).max()), centre))
+
+
+def slices_of(
+    recording: Recording, normals: Array, centre: Array | None = None, apart: float = 0.0
+) -> tuple[NDArray[np.int32], Array, Array]:
+    """(n,) number of each row's slice, in order of appearance; (s, 3) normals of the slices and (s,) heights, in metres.
+
+    A sweep lies in one plane.  Sweeps are in one slice if their planes differ by no more than rounding, or by no more
+    than the poses within a typical sweep do.  Planes that are almost parallel to a known table count as parallel to
+    it.
+
+    centre
+        the place over which the heights of tilted planes are taken; by default they are those of the clamp.
+    apart
+        difference of heights, in metres, up to which sweeps lie in one slice in any case.
+    """
+    _, first, sweep = np.unique(recording.sweep, return_index=True, return_inverse=True)
+    sweep_normals = normals[first]
+    if recording.table_m is not None:
+        level = np.linalg.norm(sweep_normals[:, :2], axis=1) < LEVEL
+        sweep_normals = np.where(level[:, None], np.sign(sweep_normals[:, 2:]) * [0.0, 0.0, 1.0], sweep_normals)
+    direction = _groups(sweep_normals, _SAME_NORMAL)
+    mean = np.stack([np.bincount(direction, column) for column in sweep_normals.T], axis=1)
+    axis = (mean / np.linalg.norm(mean, axis=1, keepdims=True))[direction]
+    height = _heights(recording, normals, axis[sweep], centre)
+    plane = np.bincount(sweep, height) / np.bincount(sweep)
+    low, high = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
+    np.minimum.at(low, sweep, height)
+    np.maximum.at(high, sweep, height)
+    same = max(SAME_HEIGHT * recording.rod.length_m, apart, _SPREADS * float(np.median(high - low)))
+    _, group = np.unique(np.column_stack([direction, _groups(plane[:, None], same)]), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    # numbers in the order in which the slices appear
+    start = np.full(group.max() + 1, len(sweep))
+    np.minimum.at(start, group, first)
+    order = np.argsort(start)
+    rank = np.empty(len(start), dtype=np.int32)
+    rank[order] = np.arange(len(start))
+    first_sweep = sweep[start[order]]
+    return rank[group][sweep], axis[first_sweep], (np.bincount(group, plane) / np.bincount(group))[order]
+
+
+def _slope(normals: Array, axis: Array) -> float:
+    """Largest tangent of the angle between a normal and its axis, (n, 3) each."""
+    return float((np.linalg.norm(np.cross(normals, axis), axis=1) / np.abs((normals * axis).sum(axis=1))).max())
+
+
+def _heights(recording: Recording, normals: Array, axis: Array, centre: Array | None) -> Array:
+    """(n,) heights along the axes of the rows' clamps, or of their planes over a centre."""
+    if centre is None:
+        clamps: Array = (recording.position_m * axis).sum(axis=1)
+        return clamps
+    over = ((recording.position_m - centre) * normals).sum(axis=1) / (normals * axis).sum(axis=1)
+    heights: Array = axis @ centre + over
+    return heights
+
+
+def _groups(values: Array, same: float) -> NDArray[np.int64]:
+    """Number (n,) of each row's group: by gaps in every sorted column, so that equal values are never separated."""
+    keys = np.empty(values.shape, dtype=np.int64)
+    for key, column in zip(keys.T, values.T, strict=True):
+        order = np.argsort(column, kind="stable")
+        key[order] = np.cumsum(np.insert(np.diff(column[order]) > same, 0, False))
+    return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 @dataclass(frozen=True)
@@ -188,22 +320,36 @@ class SliceStack:
         return closed, SupportFunctions([self.slices[i] for i in closed])
 
 
-SliceKey = tuple[bytes, ...]
-"""What a slice is computed from: its frame and height, and its contacts with their normals and phases."""
-
-# The slices in use, which are not computed again: the steps of one scan ask for those of the same contacts several times.
-_in_use: WeakValueDictionary[SliceKey, Slice] = WeakValueDictionary()
-
-
 def stacks(cloud: Cloud) -> list[SliceStack]:
-    """The cloud's slices, one stack for each axis it was sliced along."""
+    """The cloud's slices, one stack for each axis it was sliced along.
+
+    They are kept with the cloud, and a cloud of further slices takes over those that it has in common with it.
+    """
+    of = (cloud.points, cloud.in_plane_normals, cloud.phase, cloud.slice, cloud.slice_axis, cloud.slice_height)
+    inputs = *of, cloud.unresolved, cloud.table
+    if "stacks" in cloud.kept:
+        known, before = cloud.kept["stacks"]
+        if all(one is other for one, other in zip(inputs, before, strict=True)):
+            return list(known)
+    else:
+        known = ()
+    found = tuple(_computed(cloud, known))
+    cloud.kept["stacks"] = found, inputs
+    return list(found)
+
+
+def _computed(cloud: Cloud, known: Sequence[SliceStack]) -> list[SliceStack]:
     by_axis = []
     rows = _rows_of_slices(cloud)
+    earlier = {(stack.frame.tobytes(), s.height): s for stack in known for s in stack.slices}
     for axis in np.unique(np.round(cloud.slice_axis, 9), axis=0):
         members = np.flatnonzero(np.abs(cloud.slice_axis - axis).max(axis=1) < SAME_AXIS)
         frame = slice_frame(cloud.slice_axis[members[0]])
         order = members[np.argsort(cloud.slice_height[members])]
-        slices = [_slice(cloud, frame, number, rows[number]) for number in order]
+        slices = [
+            _slice(cloud, frame, number, rows[number], earlier.get((frame.tobytes(), cloud.slice_height[number])))
+            for number in order
+        ]
         filled = [slice_ for slice_ in slices if len(slice_.rows)]
         if not filled:
             continue
@@ -239,30 +385,21 @@ def _rows_of_slices(cloud: Cloud) -> list[Index]:
     return [order[start:end] for start, end in itertools.pairwise(first)]
 
 
-def _key(cloud: Cloud, frame: Array, number: int, rows: Index) -> SliceKey:
-    contacts = cloud.points[rows], cloud.in_plane_normals[rows], cloud.phase[rows]
-    of_contacts = blake2b(b"".join(part.tobytes() for part in contacts)).digest()
-    return frame.tobytes(), cloud.slice_height[number].tobytes(), of_contacts
-
-
-def _slice(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
-    """A slice of the cloud, computed if none of the same contacts is in use."""
-    key = _key(cloud, frame, number, rows)
-    found = _in_use.get(key)
-    if found is None:
-        found = _in_use[key] = _computed(cloud, frame, number, rows)
-    return found if np.array_equal(found.rows, rows) else replace(found, rows=rows)
-
-
-def _computed(cloud: Cloud, frame: Array, number: int, rows: Index) -> Slice:
+def _slice(cloud: Cloud, frame: Array, number: int, rows: Index, known: Slice | None) -> Slice:
+    """A slice of the cloud, taken over from what is `known` of its plane if it has the same contacts."""
     points = cloud.points[rows] @ frame[:2].T
-    known = np.isfinite(cloud.in_plane_normals[rows, 0])
+    measured = np.isfinite(cloud.in_plane_normals[rows, 0])
     along_rod = cloud.phase[rows] == planar.Phase.TANGENTIAL
-    tangential, tip = np.flatnonzero(known & along_rod), np.flatnonzero(known & ~along_rod)
+    tangential, tip = np.flatnonzero(measured & along_rod), np.flatnonzero(measured & ~along_rod)
     normals, tip_normals = (cloud.in_plane_normals[rows[part]] @ frame[:2].T for part in (tangential, tip))
+    own = points, tangential, normals, tip, tip_normals
+    if known is not None:
+        earlier = known.points, known.tangential, known.normals, known.tip, known.tip_normals
+        if all(map(np.array_equal, own, earlier)):
+            return known if np.array_equal(known.rows, rows) else replace(known, rows=rows)
     raw = np.arctan2(normals[:, 1], normals[:, 0])
     order = np.argsort(raw, kind="stable")
-    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _SAME_NORMAL)
+    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _SAME_ANGLE)
     member = np.empty(len(raw), dtype=np.intp)
     member[order] = group
     count = int(group[-1]) + 1 if len(group) else 0
@@ -301,3 +438,119 @@ def _outline(points: Array) -> Array:
     except QhullError:
         return np.empty((0, 2))
     return np.asarray(points[vertices])
+
+
+def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: float) -> Mask:
+    """Whether slices (s,) of a cloud have no contact and yet the body may reach them.
+
+    number
+        (n,) number of the slice of each row of the recording.
+    felt
+        deflection of a rod's tip, in rod lengths, from which it is felt: the body may be as far inside the swept areas.
+    """
+    found = np.zeros(len(cloud.slice_height), dtype=bool)
+    filled = np.zeros(len(found), dtype=bool)
+    filled[cloud.slice] = True
+    everything: list[SliceStack] = []
+    for i, stack in enumerate(stacks(_ends_of(cloud))):
+        empty = np.flatnonzero(~filled & (np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS))
+        for k in empty:
+            height = float(cloud.slice_height[k])
+            polygon = _section(_from(stack, height), height)
+            if polygon is None:
+                everything = everything or stacks(cloud)
+                polygon = _section(_from(everything[i], height), height)
+            areas = _swept(recording, number == k, stack.frame, felt)
+            found[k] = polygon is None or not _covered(polygon, areas)
+    return found
+
+
+def _ends_of(cloud: Cloud) -> Cloud:
+    """The cloud with contacts in the slices next to the ends of each axis only, which nearly always bound the body there."""
+    filled = np.unique(cloud.slice)
+    kept = np.zeros(len(cloud.slice_height), dtype=bool)
+    for axis in np.unique(np.round(cloud.slice_axis[filled], 9), axis=0):
+        along = filled[np.abs(cloud.slice_axis[filled] - axis).max(axis=1) < SAME_AXIS]
+        along = along[np.argsort(cloud.slice_height[along])]
+        kept[along[:_NEXT]] = kept[along[-_NEXT:]] = True
+    return cloud.select(kept[cloud.slice])
+
+
+def _from(stack: SliceStack, height: float) -> tuple[Slice, ...]:
+    """The slices of a stack from the nearest to a height beyond them."""
+    return stack.slices if height < stack.heights[0] else stack.slices[::-1]
+
+
+def _section(slices: tuple[Slice, ...], height: float) -> Array | None:
+    """Corners (v, 2) of a polygon that contains the section of the body at a height beyond slices, the nearest one first.
+
+    None if the slices do not bound it, and no corners if the slices prove that there is none.
+    """
+    for here, behind in zip(slices[:-1], slices[1:], strict=True):
+        if not here.closed:
+            continue
+        normals = np.stack([np.cos(here.angle), np.sin(here.angle)], axis=1)
+        secant = (here.value - behind.support_of_contacts(normals)) / (here.height - behind.height)
+        middle, size = here.points.mean(axis=0), _FAR * float(np.ptp(here.points, axis=0).max())
+        polygon: Array = middle + size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        for normal, value in zip(normals, here.value + secant * (height - here.height), strict=True):
+            polygon = _clipped(polygon, normal, float(value))
+        return polygon
+    return None
+
+
+def _swept(recording: Recording, rows: Mask, frame: Array, felt: float) -> list[tuple[Array, Array]]:
+    """Rectangles that the straight rods of some rows sweep, as four normals (4, 2) and values (4,) in a slice's frame.
+
+    Their lengths are in the unit of the recording; the sides at which a rod would be bent too little to be felt are left out.
+    """
+    scale = UNITS_M[recording.unit]
+    place, axes = recording.position_m[rows] @ frame[:2].T / scale, recording.axes()[rows]
+    length = recording.rod.length_m / scale
+    areas = []
+    for sweep in np.unique(recording.sweep[rows]):
+        of_sweep = recording.sweep[rows] == sweep
+        along = axes[of_sweep, 1].mean(axis=0) @ frame[:2].T
+        along /= np.linalg.norm(along)
+        across = np.array([-along[1], along[0]])
+        base, side = place[of_sweep] @ along, place[of_sweep] @ across
+        values = base.min() + length, -base.max(), side.max() - felt * length, -(side.min() + felt * length)
+        areas.append((np.stack([along, -along, across, -across]), np.array(values)))
+    return areas
+
+
+def _covered(polygon: Array, areas: list[tuple[Array, Array]]) -> bool:
+    """Whether areas cover a convex polygon (v, 2), up to rounding."""
+    least = _ROUNDING * _area(polygon)
+    pieces = [polygon] if len(polygon) else []
+    for normals, values in areas:
+        left = []
+        for piece in pieces:
+            inside = piece
+            for normal, value in zip(normals, values, strict=True):
+                left.append(_clipped(inside, -normal, -float(value)))
+                inside = _clipped(inside, normal, float(value))
+        pieces = [piece for piece in left if len(piece) > 2 and _area(piece) > least]
+    return not pieces
+
+
+def _clipped(polygon: Array, normal: Array, value: float) -> Array:
+    """The part (w, 2) of a convex polygon (v, 2) with ``<normal, p> <= value``."""
+    depth = value - polygon @ normal
+    if not len(polygon) or (depth >= 0).all():
+        return polygon
+    following, its_depth = np.roll(polygon, -1, axis=0), np.roll(depth, -1)
+    crosses = (depth >= 0) != (its_depth >= 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = polygon + (depth / (depth - its_depth))[:, None] * (following - polygon)
+    # each corner is followed by the crossing of the side that begins there
+    candidates = np.stack([polygon, crossing], axis=1).reshape(-1, 2)
+    part: Array = candidates[np.stack([depth >= 0, crosses], axis=1).ravel()]
+    return part
+
+
+def _area(polygon: Array) -> float:
+    if len(polygon) < 3:
+        return 0.0
+    (x, y), (u, v) = polygon.T, np.roll(polygon, -1, axis=0).T
+    return abs(float((x * v - u * y).sum())) / 2

@@ -15,20 +15,13 @@ import numpy as np
 import planar
 from scan3d.arrays import Array, Mask
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.reconstruction.contacts import FORCE_SIGMAS, NoContactError
-from scan3d.reconstruction.resolution import noise_of
-from scan3d.reconstruction.rig_effects import tip_tolerance
-from scan3d.reconstruction.spatial_fit import EXACT, with_fit
-from scan3d.reconstruction.spatial_hull import hull_normals
+from scan3d.reconstruction.errors import FORCE_SIGMAS, NoContactError, tip_sigmas, tip_tolerance, too_light
+from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit
 from scan3d.recording import Recording
 from scan3d.spatial import inverse
-from scan3d.spatial.inverse import SpatialErrors, errors
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
 
-# As in the plane (`scan3d.reconstruction.contacts`): standard deviations of the distance to the tip that count as zero, the
-# largest such distance, and when a contact is left out as too light.
-_TIP_SIGMAS, _LARGEST_TOLERANCE, _LIGHT, _TOLERABLE = 5.0, 0.5, 4.0, 1e-3
 # Normals from slip and path are compared where their difference is known to this, in radians.
 _COMPARABLE = np.pi / 180
 # Standard deviations within which 95 % of the errors of a direction lie, both components of which are normally distributed.
@@ -42,7 +35,7 @@ class Readings(NamedTuple):
     """What follows from each row (n,) of a six-axis recording, dimensionless."""
 
     found: inverse.SpatialContacts
-    error: SpatialErrors | None
+    error: inverse.SpatialErrors | None
     """None for exact data."""
     felt: Mask
     """(n,) whether the force stands out from the noise."""
@@ -56,23 +49,17 @@ class Readings(NamedTuple):
 
 def readings(recording: Recording) -> Readings:
     """The closed form of each row.  Raises InputError if the recording has other axes than six."""
-    rod, known = recording.rod, noise_of(recording)
-    force, moment = recording.wrench()
-    force, moment = force / rod.force_unit_N, moment / rod.moment_unit_Nm
-    noise = known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm
-    error = errors(force, moment, noise) if max(*noise, known.pose_m) else None
+    force, moment = recording.reactions(six_axis=True)
+    noise = recording.noise.of_reactions(recording.rod)
+    error = inverse.errors(force, moment, noise) if max(*noise, recording.noise.pose_m) else None
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
-        s1 = np.where(np.isfinite(error.s1), error.s1, 0.0)
-        tolerance = np.clip(_TIP_SIGMAS * s1, planar.TOLERANCE, _LARGEST_TOLERANCE)
+        tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))
     felt: Mask = np.linalg.norm(force, axis=1) > FORCE_SIGMAS * max(noise)
     tolerance = tip_tolerance(recording, felt, tolerance, "spatial")
     found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise)
     touching = felt & (found.status == inverse.Status.OK)
-    light = np.zeros_like(touching)
-    if error is not None and touching.any():
-        limit = max(_LIGHT * float(np.median(error.largest[touching])), _TOLERABLE)
-        light = touching & (error.largest > limit)
+    light = np.zeros_like(touching) if error is None else too_light(error.largest, touching)
     return Readings(found, error, felt, touching & ~light, light, noise)
 
 
@@ -102,9 +89,8 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
     n, length = len(rows), rod.length_m / scale
     points = recording.position_m[rows] / scale + length * np.einsum("ni,nij->nj", found.point[rows], axes)
     covariance = place_sd = tangent_sd = None
-    stated = noise_of(recording)
     if error is not None:
-        pose = stated.pose_m / scale
+        pose = recording.noise.pose_m / scale
         covariance = length**2 * np.einsum("nik,nij,njl->nkl", axes, error.point[rows], axes) + pose**2 * np.eye(3)
         place_sd, tangent_sd = np.hypot(length * error.largest[rows], pose), error.tangent[rows]
     return Cloud(
@@ -127,7 +113,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         place_sd=place_sd,
         normal_sd=np.full(n, np.inf),
         light=int(known.light.sum()),
-        pose_error=stated.place_m / scale,
+        pose_error=recording.noise.place_m / scale,
         table=None if recording.table_m is None else recording.table_m / scale,
         model="spatial",
         rod_radius=rod.diameter_m / 2 / scale,
@@ -136,7 +122,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         tangent_sd=tangent_sd,
         tangents=np.einsum("ni,nij->nj", found.tangent[rows], axes),
         bending_angle=found.bending_angle[rows],
-        independent=stated.independent,
+        independent=recording.noise.independent,
     )
 
 

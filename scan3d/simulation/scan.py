@@ -31,8 +31,7 @@ from scan3d.planning.aims import (
 from scan3d.planning.heights import BEYOND, first_heights, open_contours
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
-from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.growing_contacts import GrowingContacts
+from scan3d.reconstruction.contacts import GrowingContacts, contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded

@@ -38,8 +38,8 @@ from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame, slice_polygons
 from scan3d.pipeline import analyse
-from scan3d.reconstruction.resolution import _FINE as FINE
-from scan3d.reconstruction.resolution import rounding_sd
+from scan3d.recording import _FINE as FINE
+from scan3d.recording import rounding_sd
 from scan3d.rods import Rod
 from scan3d.simulation.scan import width_of
 from scan3d.units import UNITS_M

@@ -19,7 +19,7 @@ import numpy as np
 
 import scan3d
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.rig_effects import with_rig_errors
+from scan3d.reconstruction.errors import with_rig_errors
 from scan3d.surfaces import enclosure
 from tests import rigs
 from tests.rig_errors import calibrated, displaced, logged, typical

@@ -1,4 +1,4 @@
-"""What the uncertainty of a calibrated rig does to contacts, to the first order.
+"""Which differences count as noise, and what the uncertainty of a calibrated rig does to contacts, to the first order.
 
 Each of the independent errors of the rig (`scan3d.rigs`) is applied to the poses and wrenches of the rows in contact; the
 contacts of the closed form move in proportion.  A recording in a plane has three channels: what an error of the rig adds to the
@@ -16,26 +16,58 @@ import numpy as np
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
+from scan3d.errors import InputError
 from scan3d.frames import displaced
-from scan3d.reconstruction.resolution import noise_of
 from scan3d.recording import Recording
 from scan3d.rigs import RIG_QUANTITIES, RigErrors
 from scan3d.rods import Rod
 from scan3d.spatial import inverse
 
-# Part of a standard deviation by which the rig is changed in central differences.  Larger, their error of the second order
-# grows; smaller, rounding does.
+FORCE_SIGMAS = 8.0
+"""A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
+nearly none does."""
+# A contact counts as one of the tip if it lies within this many standard deviations of the tip, by the noise or by the
+# calibration, and within this many rod lengths in any case.
+_TIP_SIGMAS, _LARGEST_TOLERANCE = 5.0, 0.5
+# A contact is left out if the standard deviation of its place is larger than this many times the median, and than this fraction
+# of the rod's length: the rod touched too lightly, and it may lie far outside the body.
+_LIGHT, _TOLERABLE = 4.0, 1e-3
+# Part of a standard deviation by which the rig is changed in central differences: between their error and rounding.
 _STEP = 1e-2
 # Contacts that an error of the rig puts past the tip by this part of the rod still have a place.
 _PAST_TIP = 0.999
-# Rows processed at once.  More need more memory; fewer take longer.
+# Rows processed at once, for memory.
 _BLOCK = 8192
-# By how much the body may be wider than its contacts.  Larger, a turn of the tangents counts more than it has to; smaller, that
-# of a few contacts far apart counts less.
+# By how much the body may be wider than its contacts.
 _WIDENED = 1.1
-# Standard deviations of the distance to the tip, by the calibration, that count as zero, and the largest such distance: as of
-# the noise (`scan3d.reconstruction.contacts`).
-_TIP_SIGMAS, _LARGEST_TOLERANCE = 5.0, 0.5
+
+
+class NoContactError(InputError):
+    """No row of a recording has the reactions of a bent rod."""
+
+
+def contact_tolerance(error: planar.Errors) -> Array:
+    """(n,) differences in s1 and in the friction angle that count as noise; those of exact data where there is no rod."""
+    return np.where(
+        np.isfinite(error.largest), tip_sigmas(np.maximum(error.s1, error.friction_angle)), planar.TOLERANCE
+    )
+
+
+def tip_sigmas(s1: Array) -> Array:
+    """(n,) distances to the tip that count as zero, by the standard deviations (n,) of the arc length."""
+    return np.clip(_TIP_SIGMAS * s1, planar.TOLERANCE, _LARGEST_TOLERANCE)
+
+
+def too_light(largest: Array, touching: Mask) -> Mask:
+    """(n,) which rows in contact touch too lightly, by the standard deviations (n,) of all places."""
+    if not touching.any():
+        return touching
+    return touching & (largest > max(_LIGHT * float(np.median(largest[touching])), _TOLERABLE))
+
+
+def spread(rows: Index, count: int) -> Index:
+    """At most `count` of the rows, evenly spread."""
+    return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
 
 
 class Effects(NamedTuple):
@@ -55,7 +87,7 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     components = recording.rig.components().T
     axes = recording.axes()[rows]
     moved: list[list[Array]] = [[], [], []]
-    wrench, noise = _wrench(recording, rows), _noise(recording, model)
+    wrench, noise = _wrench(recording, rows), _weights(recording, model)
     for component in components:
         sides = (_contacts(recording.rod, wrench, noise, sign * _STEP * component) for sign in (1.0, -1.0))
         with np.errstate(invalid="ignore"):
@@ -70,20 +102,13 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
 
 
 def _wrench(recording: Recording, rows: Index) -> tuple[Array, Array]:
-    """(n, 3) support reaction and clamping moment, dimensionless; zero in channels that were not measured."""
-    rod, zero = recording.rod, np.zeros(len(rows))
-    if recording.six_axis:
-        force, moment = (column[rows] for column in recording.wrench())
-    else:
-        force = np.column_stack([recording.force_N[rows], zero])
-        moment = np.column_stack([zero, zero, recording.moment_Nm[rows]])
-    return force / rod.force_unit_N, moment / rod.moment_unit_Nm
+    force, moment = recording.reactions(recording.six_axis)
+    return force[rows], moment[rows]
 
 
-def _noise(recording: Recording, model: str) -> tuple[float, float] | None:
+def _weights(recording: Recording, model: str) -> tuple[float, float] | None:
     """Noise of force and moment, by which the spatial model weights what it knows of the bending plane; None in a plane."""
-    known, rod = noise_of(recording), recording.rod
-    return None if model == "planar" else (known.force_N / rod.force_unit_N, known.moment_Nm / rod.moment_unit_Nm)
+    return None if model == "planar" else recording.noise.of_reactions(recording.rod)
 
 
 def _contacts(
@@ -157,7 +182,7 @@ def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, sh
     moved = effects(recording, rows, cloud.model)
     place, turned = length * moved.place, moved.tangent
     axes = recording.axes()[rows]
-    noise = _noise(recording, cloud.model)
+    noise = _weights(recording, cloud.model)
     bent = _contacts(recording.rod, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)))
     tangent = np.einsum("ni,nij->nj", bent[1], axes)
     tangential = cloud.phase[part] == planar.Phase.TANGENTIAL

@@ -1,0 +1,361 @@
+"""Whether a recording agrees with the model: a convex body, touched by a rod whose reactions are those that are recorded.
+
+The tests use the recording alone.  Each has a threshold that correct recordings do not reach, whatever the body, the friction,
+the noise that they state and the digits that they keep; errors of signs, axes, units, scales, offsets and times usually do.
+
+In the plane, contacts do not lie beyond the tangent at a contact of the same slice.  In space two residuals of the six
+reactions vanish for a single force at the rod's centre line: the moment about the rod's axis, up to friction across a rod of
+finite radius, and the moment along the force.  Contacts of a convex body lie on their hull, and the rod's tangents at
+tangential contacts pass outside it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+from scipy.special import chdtri
+
+import planar
+from scan3d.arrays import Array, Index
+from scan3d.cloud import Cloud, Tilt
+from scan3d.reconstruction.diagnosis import Diagnosis, diagnose, middle_of_lines
+from scan3d.reconstruction.errors import FORCE_SIGMAS, NoContactError, spread, torsion_sd, with_rig_errors
+from scan3d.reconstruction.slices import Slice, SliceStack, stacks
+from scan3d.reconstruction.spatial import Readings, readings, without_normals
+from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
+
+BELOW_TABLE = "below-table"
+"""Code of the contradiction between contacts and the table."""
+# Largest fraction of the rows with a force that may lack a contact or have residuals, as disturbed rows of a measurement.
+_DISTURBED = 0.02
+# A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel, which a
+# robot's path may.
+_OFF_LINE = 0.05
+# Rounding of a contact's place, in rod lengths, with the steps of fine converters that too few numbers show, and of residuals,
+# relative to force times moment.  Most faults are a hundred times larger.
+_ROUNDING = 1e-7
+# Probability that noise makes a correct recording exceed the allowed distances.
+_FALSE_ALARM = 1e-5
+# Standard deviations by which the contacts of both models may differ by noise, and that noise explains in single residuals.
+_OUT_OF_PLANE_SIGMAS, _SIGMAS = 6.0, 5.0
+# Lines and points of a slice that are compared at most; contacts and tangents in space, and contacts of the hull.
+_IN_SLICE, _IN_SPACE, _HULL = 1500, 1000, 4000
+
+
+class Contradiction(NamedTuple):
+    """A contradiction between the recording and the model."""
+
+    code: str
+    message: str
+    value: float
+    """The number that the test found, as the message says."""
+
+
+class Checked(NamedTuple):
+    """How a recording agrees with the model."""
+
+    contradictions: list[Contradiction]
+    """Empty if it agrees."""
+    diagnosis: Diagnosis | None
+    """The likeliest fault; None if it agrees."""
+
+
+def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    """The contradictions between a recording, its contacts and the model; an empty list if there is none."""
+    return checked(recording, cloud).contradictions
+
+
+def checked(recording: Recording, cloud: Cloud) -> Checked:
+    """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
+    if cloud.model == "spatial":
+        single, found = _below_table(cloud), _in_space(recording, cloud)
+        diagnosis = diagnose(recording, "spatial") if found else _of_single_test(single)
+        cause = f"; {diagnosis.message}" if found and diagnosis else ""
+        return Checked([each._replace(message=each.message + cause) for each in found] + single, diagnosis)
+    single = _off_line(recording) + _out_of_plane(recording, cloud) + _below_table(cloud)
+    found, diagnosis = _in_slices(recording, cloud), _of_single_test(single)
+    if found and diagnosis is None:
+        diagnosis = diagnose(recording, "planar")
+        found = [each._replace(message=f"{each.message}; {diagnosis.message}") for each in found]
+    return Checked(single + found, diagnosis)
+
+
+def cause_of_no_contact(recording: Recording) -> str:
+    """What is likeliest to be wrong with a recording that has no contact, as the end of a sentence; "" if nothing is found."""
+    diagnosis = diagnose(recording, "spatial" if recording.six_axis else "planar")
+    return "" if diagnosis.fault in ("unknown", "second-contact") else f"; {diagnosis.message}"
+
+
+def _of_single_test(found: list[Contradiction]) -> Diagnosis | None:
+    """The fault that a test has found which looks for this fault alone."""
+    for code, message, value in found:
+        if code == "sweep-direction":
+            return Diagnosis("poses", value, "deg", 1.0, f"most likely the poses are wrong: {message}")
+        if code == "out-of-plane":
+            return Diagnosis("planar-model", value, "", 1.0, "most likely the model is wrong: choose the spatial model")
+        if code == BELOW_TABLE:
+            return Diagnosis("table", value, "", 1.0, f"most likely the table is wrong: {message}")
+    return None
+
+
+def _kappa(count: int) -> float:
+    """Standard deviations that no place of so many contacts is off by, but for `_FALSE_ALARM`."""
+    return float(np.sqrt(chdtri(3, _FALSE_ALARM / max(count, 1))))
+
+
+def _by_calibration(cloud: Cloud) -> tuple[float, float]:
+    """By how much contacts, and angles of tangents, can be off by the uncertainty of the rig's calibration."""
+    rig = cloud.calibration
+    if rig is None or not len(cloud):
+        return 0.0, 0.0
+    factor = rig.factor(_FALSE_ALARM)
+    return factor * float(rig.place_sd.max()), factor * float(rig.tilt_sd.max())
+
+
+def _without_contact(fraction: float) -> list[Contradiction]:
+    """Whether too large a fraction of the rows with a force have no contact."""
+    if fraction <= _DISTURBED:
+        return []
+    text = (
+        f"{100 * fraction:.2g} % of the rows with a force have no contact: no bent rod has their reactions "
+        f"(at most {100 * _DISTURBED:.0f} % are expected)"
+    )
+    return [Contradiction("force-without-contact", text, fraction)]
+
+
+def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    noise, rod = recording.noise, recording.rod
+    threshold = FORCE_SIGMAS * max(noise.force_N, noise.moment_Nm / rod.moment_unit_Nm * rod.force_unit_N)
+    felt = int((np.hypot(*recording.force_N.T) > threshold).sum())
+    found = _without_contact(1 - (len(cloud) + cloud.light) / felt if felt else 0.0)
+    beyond, allowed = _beyond_tangents(cloud)
+    if beyond > allowed:
+        text = (
+            f"contacts lie up to {beyond:.3g} {cloud.unit} beyond the tangent at a contact of the same slice, where noise and "
+            f"rounding allow {allowed:.2g} {cloud.unit}: the contacts are not those of a convex body"
+        )
+        found.append(Contradiction("beyond-tangent", text, beyond))
+    return found
+
+
+def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
+    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two.
+
+    Tilted planes of contacts in one slice lie at different heights; there the body's slope up and down the axis, which lies
+    between the secants to the neighbouring slices, is allowed for, and end slices are left out.
+    """
+    off, turned = _by_calibration(cloud)
+    rounding = _ROUNDING * cloud.rod_length + 2 * (cloud.pose_error + off)
+    worst = 0.0, rounding
+    for stack in stacks(cloud):
+        for number, slice_ in enumerate(stack.slices):
+            if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
+                continue
+            lines, points = spread(slice_.tangential, _IN_SLICE), spread(np.arange(len(slice_.rows)), _IN_SLICE)
+            if not len(lines):
+                continue
+            place, normals = slice_.points[lines], slice_.normals[np.searchsorted(slice_.tangential, lines)]
+            beyond = normals @ slice_.points[points].T - (normals * place).sum(axis=1)[:, None]
+            allowed = np.full(beyond.shape, rounding)
+            if turned:
+                allowed += turned * float(np.linalg.norm(np.ptp(slice_.points, axis=0)))
+            if cloud.tilt is not None:
+                allowed += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
+            if cloud.covariance is not None and cloud.normal_sd is not None:
+                allowed += _by_noise(cloud, stack, slice_, lines, points, normals)
+            ratio = beyond / allowed
+            i = np.unravel_index(np.argmax(ratio), ratio.shape)
+            if ratio[i] > worst[0] / worst[1]:
+                worst = float(beyond[i]), float(allowed[i])
+    return worst
+
+
+def _by_noise(cloud: Cloud, stack: SliceStack, slice_: Slice, lines: Index, points: Index, normals: Array) -> Array:
+    """(k, n) how far points of a slice can lie beyond lines with normals (k, 2), by noise of both."""
+    assert cloud.covariance is not None
+    assert cloud.normal_sd is not None
+    kappa, rows = _kappa(len(cloud)), slice_.rows
+    covariance = np.einsum("ij,njk,lk->nil", stack.frame[:2], cloud.covariance[rows], stack.frame[:2])
+    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    along = tangents @ slice_.points[points].T - (tangents * slice_.points[lines]).sum(axis=1)[:, None]
+    tilt = kappa * cloud.normal_sd[rows[lines]][:, None]
+    quadratic = np.stack([normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
+    entries = np.stack([covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]], axis=1)
+    spread_of = kappa * np.sqrt(np.maximum(quadratic @ entries[points].T, 0.0))
+    own = kappa * np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
+    reach = kappa * np.sqrt(entries[:, 0] + entries[:, 2])
+    pairs = reach[lines][:, None] + reach[points]
+    # and errors of the second order
+    allowed: Array = spread_of + own + tilt * (np.abs(along) + pairs) + pairs**2 / cloud.rod_length
+    return allowed
+
+
+def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
+    """(k,) how far contacts of a slice can lie beyond tangents with normals (k, 2), because their heights differ."""
+    slice_ = stack.slices[number]
+    radius = float(np.linalg.norm((cloud.points - tilt.centre) @ stack.frame[:2].T, axis=1).max())
+    apart = 2 * (tilt.spread + np.sqrt(2) * tilt.slope * radius)
+    support = slice_.support_of_contacts(normals)
+    slopes = np.zeros(len(normals))
+    for other in (stack.slices[number - 1], stack.slices[number + 1]):
+        run = abs(slice_.height - other.height) - apart
+        rise = np.abs(support - other.support_of_contacts(normals))
+        slopes = np.maximum(slopes, rise / run if run > 0 else np.inf)
+    allowed: Array = apart * slopes
+    return allowed
+
+
+def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    known = readings(recording)
+    felt = int(known.felt.sum())
+    without = 1 - int((known.touching | known.light).sum()) / felt if felt else 0.0
+    contacts, rows = known.found, cloud.row
+    f = np.linalg.norm(contacts.force[rows], axis=1)
+    m = 2 * contacts.q[rows] * np.sqrt(f)
+    torsion, skew = np.abs(contacts.torsion[rows]), np.abs(contacts.skew[rows])
+    sigma_f, sigma_m = known.noise
+    # friction across the rod acts at the rod's radius
+    explained = _SIGMAS * sigma_m + _ROUNDING * (m + f) + cloud.rod_radius / cloud.rod_length * f
+    if (rig := cloud.calibration) is not None:
+        explained = explained + rig.factor(_FALSE_ALARM) * torsion_sd(recording, cloud.row)
+    twisted = float((torsion > explained).mean())
+    skewed = float((skew > _SIGMAS * np.hypot(f * sigma_m, m * sigma_f) + _ROUNDING * f * (m + f)).mean())
+    found = _without_contact(without)
+    if skewed > _DISTURBED:
+        angle = np.degrees(np.arcsin(np.minimum(skew / (f * np.hypot(m, torsion)), 1.0)))
+        largest = float(np.percentile(angle, 95))
+        text = (
+            f"force and moment are up to {largest:.2g}° off the perpendicular, in {100 * skewed:.2g} % of the contacts by more "
+            "than noise and rounding allow: a second contact, or a misaligned or untared sensor"
+        )
+        found.append(Contradiction("moment-along-force", text, largest))
+    if twisted > _DISTURBED:
+        largest = float(np.percentile(torsion / m, 95))
+        text = (
+            f"the moment about the rod's axis is up to {largest:.2g} of the clamping moment, in {100 * twisted:.2g} % of the "
+            "contacts more than noise, rounding and friction across the rod allow: a bent rod, or a misaligned sensor"
+        )
+        found.append(Contradiction("moment-about-rod", text, largest))
+    inside, allowed = _inside_hull(cloud, known)
+    if inside > allowed:
+        text = (
+            f"contacts, or the rod's tangents at contacts, lie up to {inside:.3g} {cloud.unit} inside the hull of the "
+            f"contacts, where noise and rounding allow {allowed:.2g} {cloud.unit}: the contacts are not those of a convex body"
+        )
+        found.append(Contradiction("inside-hull", text, inside))
+    return found
+
+
+def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
+    """The depth of a contact or a tangent in the hull of the contacts, and the allowed depth, where their ratio is largest."""
+    rounding = _ROUNDING * cloud.rod_length + 2 * cloud.pose_error
+    points, tangents = cloud.centre_points, cloud.tangents
+    assert points is not None
+    assert tangents is not None
+    of_hull = spread(np.arange(len(points)), _HULL)
+    middle = points.mean(axis=0)
+    try:
+        hull = ConvexHull(points[of_hull] - middle)
+    except (QhullError, ValueError):
+        return 0.0, rounding
+    outward, offset = hull.equations[:, :3], hull.equations[:, 3]
+    place, turn = np.zeros(len(points)), np.zeros(len(points))
+    if known.error is not None and cloud.place_sd is not None:
+        kappa = _kappa(len(points))
+        place, turn = kappa * cloud.place_sd, kappa * known.error.tangent[cloud.row]
+    if (rig := cloud.calibration) is not None:
+        factor = rig.factor(_FALSE_ALARM)
+        place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
+    of_facet = place[of_hull][hull.simplices].max(axis=1)
+
+    def worst(rows: Index, arm: Array) -> tuple[float, float]:
+        """Depth and allowed depth of places (k,) on the tangents of contacts, at an arm (k,) from them."""
+        below = -(points[rows] + arm[:, None] * tangents[rows] - middle) @ outward.T - offset
+        facet = below.argmin(axis=1)
+        depth = below[np.arange(len(rows)), facet]
+        # and errors of the second order
+        both = place[rows] + of_facet[facet]
+        allowed = rounding + both + turn[rows] * np.abs(arm) + both**2 / cloud.rod_length
+        i = int(np.argmax(depth / allowed)) if len(rows) else -1
+        return (float(depth[i]), float(allowed[i])) if i >= 0 else (0.0, rounding)
+
+    some = spread(np.arange(len(points)), _IN_SPACE)
+    lines = spread(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _IN_SPACE)
+    arm = middle_of_lines(-(points[lines] - middle) @ outward.T - offset, tangents[lines] @ outward.T)
+    pairs = worst(some, np.zeros(len(some))), worst(lines, arm)
+    return max(pairs, key=lambda pair: pair[0] / pair[1])
+
+
+def _below_table(cloud: Cloud) -> list[Contradiction]:
+    """Whether contacts lie below the table, farther than noise and rounding allow; an empty list if they do not."""
+    if cloud.table is None:
+        return []
+    allowed = np.full(len(cloud), _ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
+    if (rig := cloud.calibration) is not None:
+        allowed += rig.factor(_FALSE_ALARM) * rig.place_sd
+    if cloud.centre_points is not None:  # of a rod that touches the body from below the table
+        heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
+    else:
+        heights = cloud.points[:, 2]
+        sd = None if cloud.covariance is None else np.sqrt(np.maximum(cloud.covariance[:, 2, 2], 0.0))
+    depth = cloud.table - heights - allowed - (0.0 if sd is None else _kappa(len(cloud)) * sd)
+    worst = int(depth.argmax())
+    if depth[worst] <= 0:
+        return []
+    text = (
+        f"contacts lie down to z = {heights[worst]:.4g} {cloud.unit}, where the table is at {cloud.table:.4g}; move the frame "
+        "of the poses so that the body stands on the table, or correct the table's height"
+    )
+    return [Contradiction(BELOW_TABLE, text, float(cloud.table - heights[worst]))]
+
+
+def _off_line(recording: Recording) -> list[Contradiction]:
+    """Whether every sweep moves along -x of the clamp's frame, which the poses alone decide."""
+    _, first = np.unique(recording.sweep, return_index=True)
+    last = np.append(first[1:], len(recording)) - 1
+    travel = recording.position_m[last] - recording.position_m[first]
+    length = np.linalg.norm(travel, axis=1)
+    # the digits of two positions turn a short line by more than a fault would
+    moved = length > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / _OFF_LINE
+    if not moved.any():
+        return []
+    along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / length[moved]
+    wrong = along < np.sqrt(1 - _OFF_LINE**2)
+    if not wrong.any():
+        return []
+    angle = float(np.degrees(np.arccos(np.clip(along.min(), -1, 1))))
+    text = (
+        f"the clamp moves at up to {angle:.0f}° to the -x axis of its own frame in {wrong.sum()} of {moved.sum()} sweeps: "
+        "check the order of the quaternion (qw first), the axes and the direction of the sweeps"
+    )
+    return [Contradiction("sweep-direction", text, angle)]
+
+
+def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    """How wrong the planar model is for six-axis data, by comparison with the spatial one; an empty list if it is right."""
+    if not recording.six_axis:
+        return []
+    known = readings(recording)
+    force = recording.wrench()[0][known.felt]
+    fraction = float(np.median(np.abs(force[:, 2]) / np.linalg.norm(force, axis=1))) if len(force) else 0.0
+    try:
+        spatial = without_normals(recording, known)
+    except NoContactError:
+        return []
+    _, here, there = np.intersect1d(cloud.row, spatial.row, return_indices=True)
+    lost = 1 - len(here) / len(spatial)
+    distance = np.linalg.norm(cloud.points[here] - spatial.points[there], axis=1)
+    error = float(np.percentile(distance, 95)) if len(here) else np.inf
+    allowed = _ROUNDING * cloud.rod_length + _OUT_OF_PLANE_SIGMAS * spatial.noise
+    allowed += _by_calibration(with_rig_errors(spatial, recording))[0]
+    if lost <= _DISTURBED and error <= allowed:
+        return []
+    size = f"contacts are off by up to {error:.3g} {cloud.unit}" if len(here) else "all of its contacts are lost"
+    text = (
+        f"a recording with six axes is read by the planar model, though {100 * fraction:.2g} % of the force lies out of the "
+        f"slices' planes: {size} compared with the spatial model, and {100 * lost:.2g} % of them are missing; choose the "
+        "spatial model"
+    )
+    return [Contradiction("out-of-plane", text, fraction)]
