@@ -19,6 +19,8 @@ Method = Literal["auto", "hull", "bracket", "support", "regression", "poisson", 
 METHODS: tuple[str, ...] = get_args(Method)
 """Methods that make a surface from contacts; ``bracket`` estimates it between the certified bounds, ``regression`` fits planes
 to noisy contacts."""
+NOT_CONVEX = ("poisson", "ball-pivoting")
+"""Those of them that need open3d, and make surfaces that need not be convex."""
 View = Literal["cloud", "surface", "bound", "compare", "explain", "histogram", "forces"]
 VIEWS: tuple[str, ...] = get_args(View)
 """What a picture can show."""

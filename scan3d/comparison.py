@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from scan3d.arrays import Array, Index
+from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare, two_sided_distance
-from scan3d.geometry.hull_distance import CONVEX_DEPTH
 from scan3d.geometry.triangles import areas, dot, halve
 from scan3d.shown import Rows, Shown, described
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.bounds import certificate, enclosure, withdrawn
+from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
@@ -207,7 +208,7 @@ def analyse(
         if warnings:
             bounds, certified = withdrawn(bounds, mesh)
         else:
-            certified = certificate(bounds, mesh)
+            certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
     mesh.vertex_attributes["bound"] = certified.at_vertices
     analysis = Analysis(recording, cloud, bounds, mesh, certified, warnings=tuple(warnings), diagnosis=diagnosis)
     if truth is not None:

@@ -18,14 +18,16 @@ import numpy as np
 from scan3d.arrays import Array, Index
 from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners
 from scan3d.comparison import compare
+from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest, nearest_on
-from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.hulls import support_values
 from scan3d.geometry.vectors import highest
 
 # A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
 # distance between the two is added to the bound.
 _CONVEX = 1e-9
+# How far Qhull's facets may lie from the hull by rounding, relative to the diagonal: some thousand units in the last place.
+_OF_HULL = 1e-12
 # Corners of the outer body that are measured at once.
 _CORNERS_AT_ONCE = 2048
 # Products of directions and apexes that are computed at once.
@@ -48,16 +50,18 @@ class Certificate(NamedTuple):
         return f"Certificate(bound={self.bound:.6g}, at_vertices: {local} at {len(known)} of {len(self.at_vertices)})"
 
 
-def certificate(bounds: Enclosure, surface: Any) -> Certificate:
+def certificate(bounds: Enclosure, surface: Any, *, convex: bool = False) -> Certificate:
     """The certificate of a surface, a `trimesh.Trimesh` in the cloud's unit, by an enclosure of the body.
 
-    Whether the surface is convex is judged by its shape.  A convex surface is certified by the distances of the outer
-    body's corners from it, and of its vertices from the inner body.  A surface that is open or not convex is compared
-    with the inner body, and the bound of the inner body is added to the distance.
+    Whether the surface is convex is judged by its shape, unless it is known to be, as a hull made by Qhull is.  A convex
+    surface is certified by the distances of the outer body's corners from it, and of its vertices from the inner body.  A
+    surface that is open or not convex is compared with the inner body, and the bound of the inner body is added to the
+    distance.
     """
     vertices = np.asarray(surface.vertices)
-    deviation = distance_to_hull(surface)
-    if deviation > _CONVEX * np.linalg.norm(np.ptp(vertices, axis=0)):
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    deviation = _OF_HULL * diagonal if convex else distance_to_hull(surface)
+    if deviation > _CONVEX * diagonal:
         local = np.abs(nearest(vertices, bounds.inner)[0])
         return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
     bound, local = _of_convex(bounds, surface)

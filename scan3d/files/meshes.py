@@ -19,9 +19,8 @@ from scan3d.errors import InputError
 from scan3d.files.declared import shortfall
 from scan3d.files.gltf import is_turned, z_up
 from scan3d.files.reading import check_file, dent_size
-from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, hull_of_facets, outward_hull
+from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_faces, outward_hull
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
@@ -152,13 +151,9 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, clip_dent: flo
 def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, float]:
     """The facets (h, 3) of the hull of points (n, 3) at unit size, an upper bound of the depth of the faces (m, 3) below it and
     where they are deepest (3,), and the fraction of its area that they cover."""
-    flipped = facets_by_flips(points, faces)
-    if flipped is not None:
-        facets, replaced = flipped
-        dent, deepest = 0.0, points[0]
-        if replaced.any():
-            dent, deepest = deepest_dent(points[faces[replaced]], hull_of_facets(points, facets, replaced))
-        return facets, dent, deepest, 1.0
+    facets = outward_faces(points, faces)
+    if facets is not None:
+        return facets, 0.0, points[0], 1.0
     outer = outward_hull(points)
     dent, deepest = deepest_dent(points[faces], outer)
     covered = float(areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())

@@ -1,23 +1,45 @@
-"""How far a mesh is from convex.
+"""How far a mesh is from convex: by its edges, by the planes of its hull, and the depth of its deepest dent.
 
-Convexity is judged by depth: the *dent* of a mesh is the largest depth of its surface below the surface of its convex hull.
-The depth of a point inside a convex polyhedron is its distance from the nearest facet plane, so it is the minimum of linear
-functions, concave on each triangle and bounded from above by each of them.  The deepest dent is found by branch and bound,
-with a certain result.  The search does not use which triangles are neighbours, so triangle soups will do, and it also finds an
-edge flipped the wrong way, where every vertex lies on the hull and the surface does not.
+By edges, in linear time.
 
-Points are in float64 at unit size about the centre of the bounding box, so that the unit of length does not matter.
+Let every edge of a closed mesh belong to two faces that run through it in opposite directions, let a point c lie below the
+planes of all faces by at least r, let the surface wind once around c, and lie within R of it.  Then every ray from c meets the
+surface exactly once.  If also no edge is reflex, the body is locally convex, and therefore convex (Tietze and Nakajima).
+
+If some edges are reflex, or may be because of rounding, the surface is nevertheless near that of its hull.  Let g be the gauge
+function of the body about c: it is 1 on the surface, and on the cone over a face of unit normal n and depth d it is
+``<n, x> / d``.  Across the cone over an edge its gradient changes by k m, with the unit vector m normal to the plane through c
+and the edge, and k positive where the edge is convex, since g is continuous.  For an angle φ between the faces k is
+``h sin(φ) / (d d')``, with the depths d and d' of the faces and the distance h of the edge's line from c.  Add to g, for every
+reflex edge, ``|k| |<m, x>| / 2``, which changes its gradient by |k| m there.  The sum g' is convex, because a continuous
+function that is linear on cones is convex if its gradient changes so across all their walls.  With the sum s of all
+``|k| / 2``, g <= g' <= g + s |x|, so that the body of g' <= 1 is convex, lies in the body K, and contains K scaled about c
+by ``1 / (1 + s R)``.  So the hull of K lies in K scaled by ``1 + s R``, and along each ray from c the two surfaces are within
+``s R²``.  The plane of a face, on whose cone g' has the gradient n / d up to s, is exceeded by no point of the hull by more
+than ``2 s R d``.
+
+The *dent* of a mesh is the largest depth of its surface below the surface of its convex hull.  The depth of a point inside a
+convex polyhedron is its distance from the nearest facet plane, so it is the minimum of linear functions, concave on each
+triangle and bounded from above by each of them.  The deepest dent is found by branch and bound, with a certain result.  The
+search does not use which triangles are neighbours, so triangle soups will do, and it also finds an edge flipped the wrong way,
+where every vertex lies on the hull and the surface does not.
+
+Points are in float64 at unit size about the centre of the bounding box, and depths relative to its diagonal, so that the unit
+of length does not matter.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index
+from scan3d.geometry.distance import bounding_box, welded
 from scan3d.geometry.triangles import (
+    areas,
     distinct_rows,
     dot,
     halve,
@@ -26,30 +48,255 @@ from scan3d.geometry.triangles import (
     mirrored_faces,
     spanned,
 )
+from scan3d.geometry.vectors import unit_or_zero
 
-# All depths are relative to the diagonal of the bounding box.
+if TYPE_CHECKING:
+    import trimesh
+
+# Rounding of the sine of an edge's angle, divided by the slenderness of its faces, in units of the last place.
+_ROUNDING = 8
+# Largest error of the number of turns, and of coordinates of unit size.
+_MISSING_TURN, _COORDINATES = 1e-6, 1e-15
+# Largest product s R of the proof above: larger bounds are of no use.
+_LARGEST_EXCESS = 0.1
+CONVEX_DEPTH = 1e-9
+"""A surface less deep than this below its hull counts as convex: such depths are rounding."""
+NEAR_CONVEX_DEPTH = 1e-4
+"""A surface with more faces deeper than this than can be examined counts as not convex."""
+# Depth of a face below which it is not examined further where only the distance to the hull is wanted.
+_PRECISION = 1e-10
+# Distances between faces and planes that are computed for one surface at most, and at once, which limits time and memory.
+_MAX_DISTANCES, _DISTANCES_AT_ONCE = 200_000_000, 4_000_000
+# Largest fraction of the full solid angle that may lack a surface, and its rounding, which is added to it in an open surface.
+_MAX_HOLE, _HOLE_ROUNDING = 1e-6, 1e-14
 DENT_TOLERANCE = 1e-5
-"""Deepest dent of a body that counts as convex.  Larger, bodies would be replaced by hulls that touch can tell from them;
-smaller, float32 files of fine meshes and CAD exports, with dents of 1e-7 to 1e-6 from rounding alone, would be refused."""
+"""Deepest dent of a body that counts as convex: touch cannot tell it from its hull, and float32 files of fine meshes and CAD
+exports have dents of 1e-7 to 1e-6 from rounding alone."""
 DENT_PRECISION = 1e-3
-"""Relative error of the depth of a dent.  Larger, reports are less accurate; smaller, the search takes longer."""
+"""Relative error of the depth of a dent."""
 NEGLIGIBLE_DENT = 0.01 * DENT_TOLERANCE
-"""Depth below which a dent is not determined.  Larger, reports of convex bodies are less accurate; smaller, the search spends
-time on the dents of rounding."""
+"""Depth below which a dent is not determined, because it is rounding."""
 HULL_OF_MESH = "convex hull of the mesh"
 """What a body is called that was taken in the place of a mesh that is not convex."""
-# Distances of probes from planes in one step of the search.  More take more memory (8 bytes each) and improve the bounds less
-# often; fewer take more calls.
-_PROBES = 2_000_000
-# Smallest number of triangles that are probed in one step, where bodies have many planes.  Larger, a step takes more memory;
-# smaller, more steps are needed.
-_FEWEST_PROBED = 4
-# Triangles that are halved in one step while no dent is known, for which it takes as long as the probes.  More are halved in
-# vain; fewer take more calls.
-_SPLITS = 4_000
-# Distance, in diagonals, and angle, in radians, within which planes near a triangle are looked up.  Larger, the look-up takes
-# longer; smaller, more triangles are left to the probes.
+# Distances of probes from planes in one step of the search, the fewest triangles that are probed in one, and triangles that are
+# halved in one while no dent is known, which takes as long as the probes.
+_PROBES, _FEWEST_PROBED, _SPLITS = 2_000_000, 4, 4_000
+# Distance, in diagonals, and angle, in radians, within which planes near a triangle are looked up.
 _NEARBY = 0.02
+
+
+def opposite_edges(faces: Index) -> Index | None:
+    """For each directed edge (m, 3) of faces (m, 3), from a corner to the next, the number of the same edge in the opposite
+    direction, with ``3 f + k`` for the edge of the face f that begins at its corner k.
+
+    None unless every edge belongs to exactly two faces, which run through it in opposite directions.
+    """
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    up, down, count = np.flatnonzero(start < end), np.flatnonzero(start > end), int(faces.max(initial=-1)) + 1
+    if len(up) != len(down) or len(up) + len(down) < faces.size:
+        return None
+    edge, reverse = start[up] * count + end[up], end[down] * count + start[down]
+    order, reverse_order = np.argsort(edge), np.argsort(reverse)
+    edge, up, down = edge[order], up[order], down[reverse_order]
+    if (edge[1:] == edge[:-1]).any() or not np.array_equal(edge, reverse[reverse_order]):
+        return None
+    opposite = np.empty(faces.size, dtype=np.int64)
+    opposite[up], opposite[down] = down, up
+    return opposite.reshape(-1, 3)
+
+
+def outward_faces(points: Array, faces: Index) -> Index | None:
+    """The triangles (m, 3) of points (n, 3) at unit size, turned outwards, if their edges prove that they are the facets of a
+    strictly convex body; None otherwise."""
+    corners = points[faces]
+    normals = unit_or_zero(spanned(corners))
+    planes, bound = planes_by_edges(faces, corners, normals)
+    if bound > _COORDINATES:  # an edge is reflex, or may be
+        return None
+    return faces if dot(planes[0, :3], normals[0]) > 0 else faces[:, ::-1]
+
+
+def planes_by_edges(faces: Index, corners: Array, normals: Array, opposite: Index | None = None) -> tuple[Array, float]:
+    """Planes (m, 4) of the faces of a closed mesh, and an upper bound of the Hausdorff distance between its surface and that of
+    its convex hull.
+
+    faces (m, 3), corners (m, 3, 3)
+        vertices of the faces, and where they are, at unit size.
+    normals (m, 3)
+        unit normals, zero where a face has no area.
+    opposite (m, 3)
+        `opposite_edges` of the faces, where they are known.
+
+    A plane is n and c with ``<n, x> <= c`` for all points x of the hull, rounding included.  Where the edges do not prove the
+    mesh to be nearly convex there are no planes, and the bound is infinite.
+    """
+    unproven = np.empty((0, 4)), np.inf
+    opposite = opposite_edges(faces) if opposite is None else opposite
+    if opposite is None or not (dot(normals, normals) > 0).all():
+        return unproven
+    area = areas(corners)
+    c = np.average(corners.mean(axis=1), axis=0, weights=area)
+    rays = corners - c
+    lengths = np.sqrt(dot(rays, rays))
+    depths = dot(rays, normals[:, None])
+    outwards, big_r = 1.0 if depths.sum() > 0 else -1.0, float(lengths.max())
+    edges = np.roll(corners, -1, axis=1) - corners
+    # a normal is wrong by rounding times the longest edge divided by the height above it, length² / (2 area)
+    error = _ROUNDING * np.finfo(np.float64).eps * largest_of_three(dot(edges, edges)) / (2 * area)
+    depth = (outwards * depths).min(axis=1) - big_r * error
+    if depth.min() <= _COORDINATES or abs(outwards * turns(rays) - 1) > _MISSING_TURN:
+        return unproven
+    number, sines = _reflex_edges(opposite, edges, outwards * normals, error, outwards)
+    steepest = depth[number // 3] * depth[opposite.ravel()[number] // 3]
+    excess = float((sines * lengths.ravel()[number] / steepest).sum()) / 2 * big_r
+    if excess > _LARGEST_EXCESS:
+        return unproven
+    heights = largest_of_three(dot(corners, outwards * normals[:, None]))
+    planes = np.column_stack([outwards * normals, heights + 2 * big_r * (error + excess) + _COORDINATES])
+    return planes, excess * big_r + _COORDINATES
+
+
+def _reflex_edges(opposite: Index, edges: Array, normals: Array, error: Array, outwards: float) -> tuple[Index, Array]:
+    """The edges (e,) that are reflex, or that may be by the errors (m,) of the outward normals (m, 3), and upper bounds (e,) of
+    the sines of their angles.
+
+    An edge has the number ``3 f + k`` of one of its sides.  `outwards` is -1 where the edges (m, 3, 3) run around the outward
+    normals clockwise.
+    """
+    number = np.flatnonzero(opposite.ravel() > np.arange(opposite.size))  # each edge once
+    one, other = number // 3, opposite.ravel()[number] // 3
+    edge = edges.reshape(-1, 3)[number]
+    sine = outwards * dot(np.cross(normals[one], normals[other]), edge) / np.sqrt(dot(edge, edge))
+    reflex = error[one] + error[other] - sine
+    doubtful = reflex > 0
+    return number[doubtful], reflex[doubtful]
+
+
+def turns(rays: Array) -> float:
+    """How often triangles (m, 3, 3) wind around the origin, positive if they are wound to the outside.
+
+    The solid angle of a triangle is that of Van Oosterom and Strackee (1983).
+    """
+    length = np.sqrt(dot(rays, rays))
+    cosines = (dot(rays, np.roll(rays, -1, axis=1)) * np.roll(length, 1, axis=1)).sum(axis=1)
+    sines = dot(rays[:, 0], np.cross(rays[:, 1], rays[:, 2]))
+    return float(np.arctan2(sines, length.prod(axis=1) + cosines).sum()) / (2 * np.pi)
+
+
+class Facets(NamedTuple):
+    """A triangle mesh at the common size."""
+
+    vertices: Array
+    """(n, 3)"""
+    faces: Index
+    """(m, 3), longest edge first."""
+    corners: Array
+    """(m, 3, 3) vertices of the faces."""
+    normals: Array
+    """(m, 3), zero where a face has no area."""
+    closed: bool
+    volume: float
+    """NaN unless closed."""
+    opposite: Index | None = None
+    """(m, 3) `opposite_edges`, where every edge has one."""
+
+
+def prepare_facets(mesh: trimesh.Trimesh, centre: Array, scale: float) -> Facets:
+    """A mesh moved by ``-centre`` and divided by `scale`, each vertex once."""
+    vertices, faces = welded(mesh, centre, scale)
+    corners = vertices[faces]
+    cross = spanned(corners)
+    normals = unit_or_zero(cross)
+    # Closed: every directed edge meets its reverse, so that the boundary is zero as a chain.
+    opposite = opposite_edges(faces)
+    closed = opposite is not None
+    if not closed:
+        start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+        closed = np.array_equal(np.sort(start * len(vertices) + end), np.sort(end * len(vertices) + start))
+    volume = abs(float(dot(corners[:, 0], cross).sum())) / 6 if closed else np.nan
+    return Facets(vertices, faces, corners, normals, closed, volume, opposite)
+
+
+def distance_to_hull(mesh: trimesh.Trimesh) -> float:
+    """Upper bound of the Hausdorff distance between a mesh and the surface of its convex hull, in the mesh's unit.
+
+    It is infinite if the mesh is flat, if it does not wind once around its middle, or if more of its faces than can be examined
+    lie deeper than `NEAR_CONVEX_DEPTH`.  Raises InputError as `scan3d.compare`.
+    """
+    box = bounding_box(mesh, "surface")
+    scale = float(np.linalg.norm(box[1] - box[0]))
+    facets = prepare_facets(mesh, box.mean(axis=0), scale)
+    if not facets.closed:
+        facets = _wound_alike(facets)
+    return against_hull(facets, _PRECISION)[1] * scale
+
+
+def _wound_alike(facets: Facets) -> Facets:
+    """A closed surface with all faces wound alike; the facets unchanged if it is not closed, or in several parts.
+
+    The winding of a face without area, as Qhull makes them, is due to rounding, and would make a hull look open.
+    """
+    kept = (facets.faces != np.roll(facets.faces, 1, axis=1)).all(axis=1)
+    faces, corners = facets.faces[kept], facets.corners[kept]
+    mirrored = mirrored_faces(faces)
+    if mirrored is None:
+        return facets
+    # in this order the longest edge stays first
+    faces[mirrored], corners[mirrored] = faces[mirrored][:, [1, 0, 2]], corners[mirrored][:, [1, 0, 2]]
+    return facets._replace(faces=faces, corners=corners, normals=facets.normals[kept], closed=True, opposite=None)
+
+
+def _planes(points: Array) -> Array:
+    """Planes (k, 4) of the convex hull of points: n and c with <n, x> = c, n outward; (0, 4) if the points are flat."""
+    try:
+        return np.unique(ConvexHull(points).equations, axis=0) * [1, 1, 1, -1]
+    except (QhullError, ValueError):
+        return np.empty((0, 4))
+
+
+def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[Array, float]:
+    """A supporting plane (m, 4) for every face, and a bound of the distance between the surface and the surface of its hull.
+
+    They follow from the edges of a closed surface without its hull, where the bound is then no larger than `precision`.
+    Otherwise the surface is held against the hull's planes.  The depth below the hull's surface is concave on a face and not
+    negative, so it is nowhere more than three times that of the face's middle.  If the surface winds once around a point c
+    inside, every ray from c meets the surface, at no more than the largest depth; along the ray the hull's surface is within
+    depth * R / r, with r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than
+    `precision` are not examined further.
+    """
+    vertices, faces, corners, normals, closed, _, opposite = facets
+    if closed:
+        planes, distance = planes_by_edges(faces, corners, normals, opposite)
+        if distance <= precision:
+            return planes, distance
+    unbounded = np.empty((0, 4)), np.inf
+    planes = _planes(vertices)
+    if len(planes) == 0:
+        return unbounded
+    middles = corners.mean(axis=1)
+    c = np.average(middles, axis=0, weights=areas(corners))
+    r = float((planes[:, 3] - planes[:, :3] @ c).min())
+    big_r = float(np.linalg.norm(vertices - c, axis=1).max())
+
+    missing = abs(abs(turns(corners - c)) - 1)
+    if r <= 0 or missing > _MAX_HOLE:
+        return unbounded
+    # The part that an open surface leaves uncovered has room for a disc of this radius; a closed surface covers everything.
+    hole = 0.0 if closed else 2 * np.sqrt(missing + _HOLE_ROUNDING) * big_r
+
+    outward = normals * np.where(dot(middles - c, normals) < 0, -1, 1)[:, None]
+    chosen = cKDTree(planes[:, :3], balanced_tree=False).query(outward, workers=-1)[1]
+    depth = planes[chosen, 3] - dot(planes[chosen, :3], middles)
+    # The normal of a sliver is rounding, and may choose a plane far away.  All planes are tried on the deepest faces.
+    order = np.argsort(-depth)
+    trials = max(1, _MAX_DISTANCES // len(planes))
+    if depth[order[trials - 1 :]].max(initial=0.0) > NEAR_CONVEX_DEPTH:
+        return unbounded
+    deepest = order[:trials][depth[order[:trials]] > precision]
+    for part in np.array_split(deepest, 1 + len(deepest) * len(planes) // _DISTANCES_AT_ONCE):
+        depths = planes[:, 3] - middles[part] @ planes[:, :3].T
+        chosen[part], depth[part] = depths.argmin(axis=1), depths.min(axis=1)
+    return planes[chosen], (3 * max(float(depth.max()), 0.0) + hole) * big_r / r
 
 
 @dataclass(frozen=True)
@@ -61,11 +308,11 @@ class Hull:
     planes: Array
     """(p, 4) the distinct planes of the facets: n·x + d <= 0 inside."""
     facet_plane: Index
-    """(f,) which plane a facet lies in, for the facets that are looked up by place, which are the first f."""
+    """(h,) which plane a facet lies in."""
     by_place: cKDTree
-    """Of these facets' centres."""
+    """Of the facets' centres."""
     by_direction: cKDTree
-    """Of the normals of the first planes, as many as are looked up by direction."""
+    """Of the normals of the planes."""
 
 
 def outward_hull(points: Array) -> Hull:
@@ -81,20 +328,6 @@ def outward_hull(points: Array) -> Hull:
     first, facet_plane = distinct_rows(hull.equations)
     planes = hull.equations[first]
     return Hull(facets, planes, facet_plane, cKDTree(points[facets].mean(axis=1)), cKDTree(planes[:, :3]))
-
-
-def hull_of_facets(points: Array, facets: Index, replaced: Mask) -> Hull:
-    """The hull of points (n, 3) with known facets (m, 3), in which places are looked up among those that replaced a face (m,).
-
-    They lie above all dents, if the other facets are faces of the mesh.
-    """
-    facets = np.concatenate([facets[replaced], facets[~replaced]])
-    corners, count = points[facets], np.count_nonzero(replaced)
-    normals = spanned(corners)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    planes = np.column_stack([normals, -largest_of_three(dot(corners, normals[:, None]))])
-    middles = corners[:count].mean(axis=1)
-    return Hull(facets, planes, np.arange(count), cKDTree(middles), cKDTree(normals[:count]))
 
 
 def deepest_dent(corners: Array, hull: Hull) -> tuple[float, Array]:

@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.convexity import against_hull, prepare_facets
 from scan3d.geometry.distance import Search
-from scan3d.geometry.hull_distance import against_hull, prepare_facets
 from scan3d.geometry.triangles import distance_to, halve, row_minima
 
 if TYPE_CHECKING:

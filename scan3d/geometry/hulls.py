@@ -9,8 +9,8 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.geometry.convexity import outward_faces
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.flips import facets_by_flips
 from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
 from scan3d.geometry.vectors import highest
@@ -59,10 +59,10 @@ def hull(points: Array) -> Any:
 
 
 def hull_near(points: Array, faces: Index) -> Any:
-    """`hull` of points (n, 3) from the faces (m, 3) of a closed mesh that nearly is their hull, in a fraction of the time."""
+    """`hull` of points (n, 3) from the faces (m, 3) of a closed mesh, in a fraction of the time if it is convex."""
     middle, size = points.mean(axis=0), float(np.ptp(points, axis=0).max())
-    found = facets_by_flips((points - middle) / size, faces) if size > 0 else None
-    return hull(points) if found is None else _mesh(points, found[0])
+    found = outward_faces((points - middle) / size, faces) if size > 0 else None
+    return hull(points) if found is None else _mesh(points, found)
 
 
 def _no_body(points: Array) -> InputError:

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from scan3d.errors import InputError
-from scan3d.geometry.convexity import DENT_TOLERANCE
+from scan3d.geometry.convexity import DENT_TOLERANCE, distance_to_hull
 from scan3d.geometry.distance import check_mesh
-from scan3d.geometry.hull_distance import distance_to_hull
 from scan3d.geometry.merging import without_unused
 
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scan3d.arrays import Array
 from scan3d.bounds.certificates import certificate
 from scan3d.bounds.enclosures import Enclosure, enclosure, slice_enclosure
-from scan3d.choices import METHODS
+from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
@@ -86,7 +86,7 @@ def surface(
             method,
             "convex hull of the contacts, as requested",
         )
-    if method in ("poisson", "ball-pivoting"):
+    if method in NOT_CONVEX:
         from scan3d.surfaces import open3d_methods
 
         build = open3d_methods.poisson if method == "poisson" else open3d_methods.ball_pivoting
@@ -222,7 +222,9 @@ def _best_in_space(cloud: Cloud, bounds: Enclosure, tuning: Tuning, *, with_fit:
     if regressed:
         mesh = _inside(bounds, mesh)
     convex = hull(cloud.points)
-    if certificate(bounds, mesh).bound > _FAR * max(certificate(bounds, convex).bound, bounds.bound):
+    if certificate(bounds, mesh, convex=True).bound > _FAR * max(
+        certificate(bounds, convex, convex=True).bound, bounds.bound
+    ):
         reason = f"convex hull of the contacts, because the estimate, {description}, is bounded much less well"
         return _labelled(convex, "bracket", reason)
     if errors is None:
@@ -315,7 +317,7 @@ def _degree(fit: SupportFit) -> str:
 
 def _labelled(mesh: Any, method: str, reason: str) -> Any:
     """The surface as it is given out: no two of its vertices are merged by programs that read its file."""
-    mesh = _readable(mesh, convex=method not in ("poisson", "ball-pivoting"))
+    mesh = _readable(mesh, convex=method not in NOT_CONVEX)
     mesh.metadata.update(method=method, reason=reason)
     return mesh
 

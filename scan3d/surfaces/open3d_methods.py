@@ -25,6 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import Array, Index
+from scan3d.choices import NOT_CONVEX
 from scan3d.errors import InputError
 from scan3d.extras import import_open3d
 from scan3d.geometry.hulls import hull
@@ -315,7 +316,7 @@ def _point_cloud(o3d: Any, points: Array, normals: Array) -> Any:
 
 def check_method(method: str) -> None:
     """Raise InputError if a method of surfaces needs open3d, and that can't be imported: before a scan, not after it."""
-    if method in ("poisson", "ball-pivoting"):
+    if method in NOT_CONVEX:
         _open3d()
 
 
