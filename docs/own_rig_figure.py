@@ -1,4 +1,4 @@
-"""The drawing of docs/own_rig.md: the clamp's frame, and the signs of the support reaction.
+"""The drawing of docs/rig.md: the clamp's frame, and the signs of the support reaction.
 
 python docs/own_rig_figure.py [--out FILE]
 """
@@ -62,6 +62,6 @@ def arrow(axes: Axes, start: Sequence[float], end: Sequence[float], color: str) 
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="The drawing of docs/own_rig.md.")
+    parser = argparse.ArgumentParser(description="The drawing of docs/rig.md.")
     parser.add_argument("--out", type=Path, default=HERE)
     draw().savefig(parser.parse_args().out, dpi=150)

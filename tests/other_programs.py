@@ -1,6 +1,6 @@
 """What other programs read from exported files.
 
-`python tests/other_programs.py` prints the table of docs/formats.md.  The programs run in child processes, because some of them
+`python tests/other_programs.py` prints the table of docs/files.md.  The programs run in child processes, because some of them
 cannot be loaded into the same process.
 """
 
@@ -185,7 +185,7 @@ def cell(what, right):
 
 
 def table():
-    """The table of docs/formats.md, as lines; of the programs that are installed."""
+    """The table of docs/files.md, as lines; of the programs that are installed."""
     with tempfile.TemporaryDirectory() as folder:
         example(Path(folder))
         columns = [understood(program, Path(folder)) for program in HERE]

@@ -58,8 +58,8 @@ def with_rows(shape, path, unit="mm", **columns):
 
 @functools.cache
 def documented():
-    """{(program, what, ending): cell} of docs/formats.md."""
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    """{(program, what, ending): cell} of docs/files.md."""
+    text = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
     lines = text.partition("## Which program reads what")[2].splitlines()
     head, _, *rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
     cells_by_format = {}

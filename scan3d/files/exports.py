@@ -2,7 +2,7 @@
 
 Points keep their world coordinates in the recording's unit, or in another one that is asked for; GLB and bags of ROS are in
 metres, and GLB has y up, by their specifications.  Normals and scalars are written where the format can contain them, unit and
-frame where the format allows comments.  docs/formats.md lists which program reads which format.
+frame where the format allows comments.  docs/files.md lists which program reads which format.
 """
 
 from __future__ import annotations
