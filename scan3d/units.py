@@ -1,5 +1,7 @@
-"""Units of length of meshes, clouds and surfaces."""
+"""Units: of the lengths of meshes, clouds and surfaces, and of what a laboratory measures."""
 
+import math
+import re
 from typing import Any, Literal
 
 Unit = Literal["m", "cm", "mm", "um", "in"]
@@ -15,3 +17,52 @@ def unit_of(mesh: Any, given: str | None) -> str:
 def unit_symbol(unit: str) -> str:
     """The symbol of a unit as it is printed."""
     return unit.replace("um", "µm")
+
+
+_STANDARD_GRAVITY = 9.80665
+FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "length": UNITS_M,
+    "angle": {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3},
+    "force": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 1e-3 * _STANDARD_GRAVITY},
+    "moment": {
+        "N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "N um": 1e-6, "mN m": 1e-3, "mN mm": 1e-6, "uN m": 1e-6, "uN mm": 1e-9,
+        "kN m": 1e3,
+    },
+}  # fmt: skip
+"""Each measured quantity's units by their symbols, and what they are in s, m, rad, N and N m."""
+_SPELLINGS = {"µ": "u", "μ": "u", "°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "sec": "s"}
+# A unit at the end of a column's name: in brackets, after "in" or after an underscore.
+_AT_END = (
+    re.compile(r"[\[(]([^\])]+)[\])]\s*$"), re.compile(r"\bin ([\wµμ°·. ]+)$"), re.compile(r"_([A-Za-zµμ]+)$"),
+)  # fmt: skip
+
+
+def spelled(unit: str, quantity: str) -> str | None:
+    """A unit in the spelling of `FACTORS`; None if it is not one of the quantity's units."""
+    text = unit.strip()
+    for other, usual in _SPELLINGS.items():
+        text = text.replace(other, usual) if len(other) == 1 else (usual if text.lower() == other else text)
+    compact = re.sub(r"[\s·*.⋅]", "", text)
+    return next((name for name in FACTORS[quantity] if name == text or name.replace(" ", "") == compact), None)
+
+
+def unit_of_cell(text: str) -> tuple[str, str] | None:
+    """The quantity and the unit of a cell in a row of units, such as ``mm`` or ``[N]``; None if it is not a unit."""
+    bare = text.strip().strip("[]()").strip()
+    found = ((quantity, spelled(bare, quantity)) for quantity in FACTORS) if bare else ()
+    return next(((quantity, unit) for quantity, unit in found if unit is not None), None)
+
+
+def stated_unit(name: str) -> tuple[str, str] | None:
+    """The quantity and the unit that a column's name states at its end, such as ``x_mm``, ``Fx [N]`` or ``Tz in N mm``."""
+    matches = (pattern.search(name) for pattern in _AT_END)
+    return next((unit for match in matches if match and (unit := unit_of_cell(match[1])) is not None), None)
+
+
+def without_unit(name: str) -> str:
+    """A column's name without brackets and without the unit at its end."""
+    text = re.sub(r"[\[(].*?[\])]", "", name)
+    for pattern in _AT_END[1:]:
+        text = pattern.sub("", text) if stated_unit(text) else text
+    return text

@@ -1,8 +1,8 @@
-"""`scan3d import`: files, first maps, the page; Parquet; and how long a large table takes."""
+"""`scan3d import`: files, first maps, the page; and Parquet."""
 
 import json
+import shutil
 import sys
-import time
 import tomllib
 
 import numpy as np
@@ -15,10 +15,7 @@ from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.parquet import parquet_bytes
 from scan3d.files.text import to_toml
-from scan3d.laboratory import filtering, taring
 from scan3d.laboratory.guessing import guess_map
-from scan3d.laboratory.importing import convert, load
-from scan3d.laboratory.maps import read_map
 
 RIG = Rig(noise=0.002)
 
@@ -26,14 +23,22 @@ RIG = Rig(noise=0.002)
 @pytest.fixture(scope="module")
 def recording():
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=15.0)
-    return scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=32))
+    return scan3d.simulate(mesh, scan3d.Plan(slices=2, sweeps=3, samples=24))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory, recording):
+    """A table and its map."""
+    folder = tmp_path_factory.mktemp("files")
+    write(folder / "raw.csv", table(track(recording), RIG))
+    (folder / "rig.toml").write_text(to_toml(map_of(recording.rod, RIG)))
+    return folder
 
 
 @pytest.fixture
-def place(tmp_path, recording, monkeypatch):
-    """A folder with a table and its map, which is the current one."""
-    write(tmp_path / "raw.csv", table(track(recording), RIG))
-    (tmp_path / "rig.toml").write_text(to_toml(map_of(recording.rod, RIG)))
+def place(tmp_path, files, monkeypatch):
+    """A folder with both, which is the current one."""
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -168,59 +173,6 @@ def test_titles_and_units_are_found_by_the_guess(tmp_path):
     assert data["table"] == {"decimal": ",", "delimiter": "\t", "units_row": True, "header": 3}
 
 
-# --- filter ---
-
-
-def test_the_filter_shifts_nothing_and_leaves_the_noise_that_is_stated(recording):
-    rng = np.random.default_rng(0)
-    clock = np.arange(20_000) / 1000
-    slow = np.sin(2 * np.pi * 2 * clock)[:, None]
-    passed = filtering.low_pass(slow, clock, 50.0, 1000.0, "log")
-    assert np.abs(passed - slow)[500:-500].max() < 1e-4
-    noise = rng.standard_normal((20_000, 1))
-    left = filtering.low_pass(noise, clock, 50.0, 1000.0, "log").std()
-    assert left == pytest.approx(filtering.noise_factor(50.0, 1000.0), rel=0.05)
-    # in two parts with a pause between them, each as if it were alone
-    paused = np.where(np.arange(20_000) < 9000, clock, clock + 5)
-    both = filtering.low_pass(noise, paused, 50.0, 1000.0, "log")
-    assert np.array_equal(both[:9000], filtering.low_pass(noise[:9000], clock[:9000], 50.0, 1000.0, "log"))
-
-
-def test_filter_and_rate_state_the_noise_that_is_left(place, recording):
-    write(place / "long.csv", table(track(recording, air=400), RIG))
-    data = map_of(recording.rod, RIG)
-    full = scan3d.import_table("long.csv", data)
-    data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
-    imported = convert(load("long.csv", read_map(data)), read_map(data))
-    assert imported.recording.noise_force_N < 0.75 * full.noise_force_N
-    # the rod snaps off within some rows of this log, which the filter blurs
-    left_out = imported.summary.left_out
-    sharp = len(full) - left_out["blurred by the filter"]
-    assert 0 < sharp < len(full)
-    assert imported.summary.samples == pytest.approx(sharp / 4, rel=0.2)
-    assert left_out["thinned"] == sharp - imported.summary.samples
-    data["filter"] = {"lowpass_hz": 50.0}
-    notes = convert(load("long.csv", read_map(data)), read_map(data)).summary.notes
-    assert "rate_hz = 100 under [filter] keeps rows with independent noise" in " ".join(notes)
-    del data["columns"]["time"]
-    with pytest.raises(InputError, match=r"\[filter\] needs the time of the rows"):
-        scan3d.import_table("long.csv", data)
-
-
-# --- noise ---
-
-
-@pytest.mark.parametrize("step", [0.0, 0.5, 3.0])
-def test_the_noise_is_estimated_with_outliers_and_steps(step):
-    values = np.random.default_rng(1).standard_normal((4000, 1))
-    values = np.round(values / step) * step if step else values
-    values[::400] += 100
-    expected = (
-        float(np.hypot(1, step / np.sqrt(12))) if step < 2 else np.sqrt((values[np.abs(values) < 50] ** 2).mean())
-    )
-    assert taring.robust_sd(values)[0] == pytest.approx(expected, rel=0.1)
-
-
 # --- Parquet ---
 
 
@@ -261,68 +213,3 @@ def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
     ):
         with pytest.raises(InputError, match=r"Parquet files need pyarrow: pip install 'scan3d\[parquet\]'"):
             call()
-
-
-def test_without_pyarrow_text_is_read_to_the_same_bits(place, monkeypatch):
-    fast = scan3d.import_table("raw.csv", "rig.toml")
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    slow = scan3d.import_table("raw.csv", "rig.toml")
-    assert fast.force_N.tobytes() == slow.force_N.tobytes()
-    assert fast.position_m.tobytes() == slow.position_m.tobytes()
-
-
-# --- size ---
-
-
-@pytest.mark.slow
-def test_a_million_rows(tmp_path, recording):
-    """In 10 s, and Parquet in 1 s, on a machine that writes a million numbers as text in half a second of the processor."""
-    log, rows = track(recording), 1_000_000
-    at = np.linspace(0, log.time[-1], rows)
-    position, wrench = (
-        np.stack([np.interp(at, log.time, column) for column in values.T], axis=1)
-        for values in (log.position, log.wrench)
-    )
-    nearest = np.round(at * 1000).astype(int).clip(max=len(log.time) - 1)
-    long = log._replace(
-        time=np.arange(rows) / 1000,
-        position=position,
-        wrench=wrench,
-        quaternion=log.quaternion[nearest],
-        row=log.row[nearest],
-    )
-    columns, data = table(long, RIG), map_of(recording.rod, RIG)
-    (tmp_path / "raw.parquet").write_bytes(parquet_bytes(columns))
-    import pyarrow
-    import pyarrow.csv
-
-    pyarrow.csv.write_csv(pyarrow.table(columns), tmp_path / "raw.csv")
-
-    numbers = np.linspace(0, np.pi, rows).tolist()
-    start = time.process_time()
-    ",".join(map(repr, numbers))
-    unit = 2 * (time.process_time() - start)
-
-    start = time.process_time()
-    imported = scan3d.import_table(tmp_path / "raw.csv", data)
-    scan3d.write_recording(imported, tmp_path / "log.csv")
-    assert time.process_time() - start < 10 * unit
-    start = time.process_time()
-    load(tmp_path / "raw.parquet", read_map(data))
-    assert time.process_time() - start < unit
-    whole = scan3d.Recording(
-        sweep=np.zeros(rows, dtype=int),
-        position_m=long.position,
-        quaternion=long.quaternion,
-        force_N=long.wrench[:, :2],
-        moment_Nm=long.wrench[:, 5],
-        rod=recording.rod,
-    )
-    start = time.process_time()
-    scan3d.write_recording(whole, tmp_path / "whole.parquet")
-    again = scan3d.read_recording(tmp_path / "whole.parquet")
-    assert time.process_time() - start < unit
-    scan3d.write_recording(whole, tmp_path / "whole.csv")
-    for back in (again, scan3d.read_recording(tmp_path / "whole.csv")):
-        assert back.force_N.tobytes() == whole.force_N.tobytes()
-        assert back.position_m.tobytes() == whole.position_m.tobytes()

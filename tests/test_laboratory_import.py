@@ -1,7 +1,6 @@
 """Tables of a rig, made from simulated recordings by the inverse of the import, come back as these recordings."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,10 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d import InputError
 from scan3d.files.parquet import parquet_bytes
-from scan3d.files.text import to_toml
+from scan3d.laboratory import filtering
+from scan3d.laboratory.air import robust_sd
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import read_map
-from scan3d.laboratory.tables import read_table
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"
 EXACT = Rig()
@@ -26,17 +25,17 @@ RIG_WITH_NOISE = Rig(noise=0.002)
 
 @pytest.fixture(scope="module")
 def planar():
-    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8))
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=4, sweeps=4, samples=32))
 
 
 @pytest.fixture(scope="module")
 def spatial():
-    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8, model="spatial", sweeps=5))
+    return scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=5, model="spatial", sweeps=5, samples=32))
 
 
-@pytest.fixture(scope="module")
-def recordings(planar, spatial):
-    return {"planar": planar, "spatial": spatial}
+@pytest.fixture(params=["planar", "spatial"])
+def recording(request):
+    return request.getfixturevalue(request.param)
 
 
 def imported(path, columns, data, **keywords):
@@ -59,19 +58,15 @@ def same_rows(log, found):
     return log.row[log.row >= 0]
 
 
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recordings, model):
-    recording = recordings[model]
+def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording):
     log = track(recording)
     found = imported(tmp_path / "raw.csv", table(log, EXACT), map_of(recording.rod, EXACT))
     rows = same_rows(log, found)
     back = found.recording
     assert back.position_m == pytest.approx(recording.position_m[rows], abs=1e-15)
     assert np.abs(back.axes() - recording.axes()[rows]).max() < 1e-14
-    truth, largest = (
-        six(recording)[rows],
-        np.repeat([np.abs(part).max() for part in np.split(six(recording), 2, axis=1)], 3),
-    )
+    truth = six(recording)[rows]
+    largest = np.repeat([np.abs(part).max() for part in np.split(six(recording), 2, axis=1)], 3)
     # the bias is 5 % of the largest reaction, and the wrench is turned and moved: some thousand times its last place
     assert np.abs(six(back) - truth).max(axis=0) / largest == pytest.approx(np.zeros(6), abs=1e-12)
     assert (np.diff(back.sweep) > 0).sum() == (np.diff(recording.sweep) != 0).sum()
@@ -79,162 +74,84 @@ def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recordings
     assert not (found.air & log.wrench.any(axis=1)).any()
 
 
-@pytest.mark.parametrize("ending", ["\n", "\r\n", "\n\n"])
-def test_no_rows_are_lost_where_a_reader_returns_fewer(tmp_path, monkeypatch, ending):
-    arrow_csv = pytest.importorskip("pyarrow.csv")
-    names = ("t", "x")
-    path = tmp_path / "raw.csv"
-    path.write_text(ending.join([",".join(names), *(f"{k / 8},{-k}" for k in range(100))]) + ending, newline="")
-
-    def first_block(*arguments, read=arrow_csv.read_csv, **keywords):
-        table = read(*arguments, **keywords)
-        assert len(table) == 100
-        return table.slice(0, 60)
-
-    complete = read_table(path)
-    monkeypatch.setattr(arrow_csv, "read_csv", first_block)
-    for found in (complete, read_table(path)):
-        np.testing.assert_array_equal(found.columns, [np.arange(100) / 8, -np.arange(100)])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_without_noise_the_contacts_come_back(tmp_path, recordings, model):
-    recording = recordings[model]
-    log = track(recording)
-    found = imported(tmp_path / "raw.csv", table(log, EXACT), map_of(recording.rod, EXACT))
-    cloud, truth = (scan3d.reconstruct(one, model=model) for one in (found.recording, recording))
-    rows = same_rows(log, found)
-    _, here, there = np.intersect1d(rows[cloud.row], truth.row, return_indices=True)
-    assert len(here) > 0.999 * len(truth)
-    # in space the surface lies half a diameter beside them, along normals from a fit to all contacts
-    points, others = (one.points if model == "planar" else one.centre_points for one in (cloud, truth))
-    distance = np.linalg.norm(points[here] - others[there], axis=1)
-    # light touches have large errors for rounding of a few last places
-    assert np.percentile(distance, 95) < 1e-7 * truth.rod_length
-    assert distance.max() < 1e-3 * truth.rod_length
-
-
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_with_noise_the_contacts_come_back_within_what_is_stated(tmp_path, recordings, model):
+def test_with_noise_the_contacts_come_back_within_what_is_stated(tmp_path, recording):
     # of the largest force, which in space is that of a single steep contact
-    recording, rig = recordings[model], Rig(noise=0.002 if model == "planar" else 0.0002)
+    rig = Rig(noise=0.0002 if recording.six_axis else 0.002)
     log = track(recording)
     found = imported(tmp_path / "raw.csv", table(log, rig), map_of(recording.rod, rig))
     rows = same_rows(log, found)
     _, noise = disturbed(sensed(log.wrench, rig), rig)
-    assert found.recording.noise_force_N == pytest.approx(noise[0], rel=0.03)
+    assert found.recording.noise_force_N == pytest.approx(noise[0], rel=0.05)
     # moments have the noise of the sensor's moments, and of its forces times the arm of 20 mm
-    assert found.recording.noise_moment_Nm == pytest.approx(np.hypot(noise[3], 0.02 * noise[0]), rel=0.03)
-    error = (six(found.recording) - six(recording)[rows]) / np.repeat(
-        [noise[0], np.hypot(noise[3], 0.02 * noise[0])], 3
-    )
+    moment = np.hypot(noise[3], 0.02 * noise[0])
+    assert found.recording.noise_moment_Nm == pytest.approx(moment, rel=0.05)
+    error = (six(found.recording) - six(recording)[rows]) / np.repeat([noise[0], moment], 3)
     assert np.sqrt((error**2).mean(axis=0)).max() < 1.1
     assert np.abs(error.mean(axis=0)).max() < 0.2  # the zero
-    if model == "planar":
+    if not recording.six_axis:
         cloud, truth = (scan3d.reconstruct(one, model="planar") for one in (found.recording, recording))
         _, here, there = np.intersect1d(rows[cloud.row], truth.row, return_indices=True)
         distance = np.linalg.norm(cloud.points[here] - truth.points[there], axis=1)
         assert np.percentile(distance / cloud.place_sd[here], 95) < 2.6  # of two directions: 2.45
-
-
-@pytest.mark.slow
-def test_the_reconstruction_of_an_imported_recording_is_the_egg(tmp_path, planar):
-    from scan3d.cli import main
-
-    log = track(planar)
-    write(tmp_path / "raw.csv", table(log, EXACT))
-    (tmp_path / "rig.toml").write_text(to_toml(map_of(planar.rod, EXACT)))
-    rec = str(tmp_path / "log.csv")
-    assert (
-        main(["import", str(tmp_path / "raw.csv"), "--map", str(tmp_path / "rig.toml"), "--out", rec, "--quiet"]) == 0
-    )
-    out = tmp_path / "out"
-    assert (
-        main(["reconstruct", rec, "--model", "planar", "--out", str(out), "--truth", str(EGG), "--quiet", "--strict"])
-        == 0
-    )
-    report = json.loads((out / "report.json").read_text())
-    assert report["source"]["kind"] == "import"
-    assert report["source"]["table"] == "raw.csv"
-    direct = scan3d.compare(scan3d.surface(scan3d.reconstruct(planar)), scan3d.load_mesh(EGG))
-    assert report["hausdorff"]["two_sided"] == pytest.approx(direct.hausdorff, rel=1e-3)
+    # a recording with noise, rod and source is read back bit for bit
+    for name in ("log.csv", "log.parquet"):
+        scan3d.write_recording(found.recording, tmp_path / name)
+        again = scan3d.read_recording(tmp_path / name)
+        for field in dataclasses.fields(again):
+            one, other = getattr(found.recording, field.name), getattr(again, field.name)
+            same = one.tobytes() == other.tobytes() if isinstance(one, np.ndarray) else one == other
+            assert same, (name, field.name)
 
 
 SOME = st.floats(-1, 1, allow_nan=False)
-_RECORDING = {}
-
-
-def small(mesh):
-    if not _RECORDING:
-        _RECORDING["one"] = scan3d.simulate(scan3d.load_mesh(mesh), scan3d.Plan(slices=3, sweeps=3, samples=24))
-    return _RECORDING["one"]
+UNITS = {
+    "time": {"s": 1, "ms": 1e-3, "us": 1e-6}, "length": {"m": 1, "mm": 1e-3, "in": 0.0254},
+    "angle": {"deg": np.pi / 180, "rad": 1}, "force": {"N": 1, "mN": 1e-3},
+    "moment": {"N m": 1, "N mm": 1e-3, "mN mm": 1e-6},
+}  # fmt: skip
 
 
 @given(
     turn=st.tuples(SOME, SOME, SOME), arm=st.tuples(SOME, SOME, SOME), clamp=st.tuples(SOME, SOME, SOME),
     clamp_arm=st.tuples(SOME, SOME, SOME), shows=st.sampled_from(["clamp-on-rod", "rod-on-clamp"]),
     kind=st.sampled_from(["wxyz", "xyzw", "rotvec", "xyz", "ZYX", "zyz", "YXZ"]),
-    units=st.tuples(*(st.sampled_from(names) for names in (
-        ["s", "ms", "us"], ["m", "mm", "in"], ["deg", "rad"], ["N", "mN"], ["N m", "N mm", "mN mm"]))),
+    units=st.fixed_dictionaries({name: st.sampled_from(list(known)) for name, known in UNITS.items()}),
     sign=st.tuples(*[st.sampled_from([1, -1])] * 3), bias=SOME, delimiter=st.sampled_from([",", ";", "\t", " "]),
 )  # fmt: skip
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_map_and_its_inverse(tmp_path, turn, arm, clamp, clamp_arm, shows, kind, units, sign, bias, delimiter):
-    recording = small(EGG)
-    log = track(recording)
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_map_and_its_inverse(
+    tmp_path, planar, turn, arm, clamp, clamp_arm, shows, kind, units, sign, bias, delimiter
+):
+    log = track(planar)
     rig = Rig(tuple(180 * a for a in turn), tuple(50 * a for a in arm), shows, bias, 0.0)
     values, _ = disturbed(sensed(log.wrench, rig), rig)
-    factors = dict(zip(("s", "ms", "us"), (1, 1e-3, 1e-6), strict=True)) | {
-        "m": 1,
-        "mm": 1e-3,
-        "in": 0.0254,
-        "deg": np.pi / 180,
-        "rad": 1,
-    }
-    factors |= {"N": 1, "mN": 1e-3, "N m": 1, "N mm": 1e-3, "mN mm": 1e-6}
-    time, length, angle, force, moment = (factors[unit] for unit in units)
+    time, length, angle, force, moment = (UNITS[name][units[name]] for name in UNITS)
     # the logged frame is that in which the clamp stands as [clamp] says
     inner, shift = Rotation.from_euler("xyz", [120 * a for a in clamp], degrees=True), 0.1 * np.array(clamp_arm)
     logged = Rotation.from_quat(log.quaternion, scalar_first=True) * inner.inv()
     place = log.position - logged.apply(shift)
+    names = ["q1", "q2", "q3", "q4"] if len(kind) == 4 else ["q1", "q2", "q3"]
     if len(kind) == 4:
-        turned, names = logged.as_quat(scalar_first=kind == "wxyz"), ["q1", "q2", "q3", "q4"]
-        orientation = {"quaternion": names, "order": kind}
+        turned, orientation = logged.as_quat(scalar_first=kind == "wxyz"), {"quaternion": names, "order": kind}
     elif kind == "rotvec":
-        turned, names, orientation = logged.as_rotvec() / angle, ["r1", "r2", "r3"], {"rotvec": ["r1", "r2", "r3"]}
+        turned, orientation = logged.as_rotvec() / angle, {"rotvec": names}
     else:
-        turned, names = logged.as_euler(kind) / angle, ["e1", "e2", "e3"]
-        orientation = {"euler": names, "convention": kind}
+        turned, orientation = logged.as_euler(kind) / angle, {"euler": names, "convention": kind}
     columns = {"t": log.time / time, **dict(zip("xyz", (place / length * sign).T, strict=True))}
     columns |= dict(zip(names, turned.T, strict=True))
     columns |= dict(zip(["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"], (values / np.repeat([force, moment], 3)).T, strict=True))
-    data = map_of(recording.rod, rig)
-    data["columns"] |= {
-        "orientation": orientation,
-        "position": [("-" if s < 0 else "") + n for n, s in zip("xyz", sign, strict=True)],
-    }
-    data["units"] = dict(zip(("time", "length", "angle", "force", "moment"), units, strict=True))
+    data = map_of(planar.rod, rig)
+    data["columns"]["orientation"] = orientation
+    data["columns"]["position"] = [("-" if s < 0 else "") + n for n, s in zip("xyz", sign, strict=True)]
+    data["units"] = units
     data["clamp"] = {"position_mm": (1e3 * shift).tolist(), "euler_deg": [120 * a for a in clamp]}
     found = imported(tmp_path / "raw.csv", columns, data, delimiter=delimiter)
     rows = same_rows(log, found)
-    assert np.abs(found.recording.position_m - recording.position_m[rows]).max() < 1e-12
-    assert np.abs(found.recording.axes() - recording.axes()[rows]).max() < 1e-7  # Euler angles near their poles
-    truth = six(recording)[rows]
+    assert np.abs(found.recording.position_m - planar.position_m[rows]).max() < 1e-12
+    assert np.abs(found.recording.axes() - planar.axes()[rows]).max() < 1e-7  # Euler angles near their poles
+    truth = six(planar)[rows]
     for part in (slice(0, 3), slice(3, 6)):
         assert np.abs(six(found.recording) - truth)[:, part].max() < 1e-11 * np.abs(truth[:, part]).max()
-
-
-def test_an_imported_recording_is_read_back_bit_for_bit(tmp_path, planar):
-    rig = Rig(noise=0.002)
-    back = imported(tmp_path / "raw.csv", table(track(planar), rig), map_of(planar.rod, rig)).recording
-    for name in ("log.csv", "log.parquet"):
-        scan3d.write_recording(back, tmp_path / name)
-        again = scan3d.read_recording(tmp_path / name)
-        for field in dataclasses.fields(back):
-            one, other = getattr(back, field.name), getattr(again, field.name)
-            same = one.tobytes() == other.tobytes() if isinstance(one, np.ndarray) else one == other
-            assert same, (name, field.name)
 
 
 def test_a_table_as_parquet_gives_the_same_recording(tmp_path, planar):
@@ -300,10 +217,8 @@ def test_stretches_in_the_air_can_be_given(tmp_path, planar):
 def test_a_tared_table_without_time_is_taken_as_it_is(tmp_path, planar):
     rig = Rig((0, 0, 0), (0, 0, 0), bias=0.0, drift=0.0)
     log = track(planar)
-    columns, data = (
-        table(log, rig),
-        map_of(planar.rod, rig, tare={"air": "none"}, noise={"force_N": 1e-6, "moment_Nm": 1e-9}),
-    )
+    columns = table(log, rig)
+    data = map_of(planar.rod, rig, tare={"air": "none"}, noise={"force_N": 1e-6, "moment_Nm": 1e-9})
     del columns["t"], data["columns"]["time"]
     found = imported(tmp_path / "raw.csv", columns, data)
     rows = same_rows(log, found)
@@ -323,19 +238,15 @@ def test_sensors_with_fewer_channels_give_planar_recordings(tmp_path, planar, ch
     assert not found.recording.six_axis
     assert np.abs(found.recording.force_N - planar.force_N[rows]).max() < 1e-12
     assert np.abs(found.recording.moment_Nm - planar.moment_Nm[rows]).max() < 1e-13
-    notes = " ".join(found.summary.notes)
-    assert ("fz are left out" in notes) == (channels == 4)
+    assert ("fz are left out" in " ".join(found.summary.notes)) == (channels == 4)
 
 
-def test_a_fourth_channel_says_that_the_force_leaves_the_plane(tmp_path, spatial):
+def test_channels_that_are_missing_are_named(tmp_path, planar, spatial):
     rig = Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     columns, data = table(track(spatial), rig), map_of(spatial.rod, rig)
     data["columns"]["moment"] = ["Tz"]
     found = imported(tmp_path / "raw.csv", columns, data)
     assert "% of the force in contact, and the planar model takes it for zero" in " ".join(found.summary.notes)
-
-
-def test_a_sensor_turned_out_of_the_plane_needs_more_channels(tmp_path, planar):
     columns, data = table(track(planar), EXACT), map_of(planar.rod, EXACT)
     data["columns"] |= {"force": ["Fx", "Fy"], "moment": ["Tz"]}
     with pytest.raises(
@@ -349,7 +260,7 @@ def test_a_body_on_a_turntable_is_the_example_of_the_manual(tmp_path, monkeypatc
     monkeypatch.syspath_prepend(str(EGG.parents[1] / "examples"))
     import own_measurements as example
 
-    example.laboratory(tmp_path / "table.csv", slices=6)
+    example.laboratory(tmp_path / "table.csv", slices=3)
     data = {
         "columns": {
             "sweep": "sweep",
@@ -392,8 +303,7 @@ def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, planar, jitter_m, 
     )
     found = imported(tmp_path / "raw.csv", table(long, RIG_WITH_NOISE), map_of(planar.rod, RIG_WITH_NOISE))
     truth, mine = np.where(long.row >= 0, planar.sweep[long.row], -1), found.sweep
-    count = len(np.unique(planar.sweep))
-    assert found.summary.sweeps == count
+    assert found.summary.sweeps == len(np.unique(planar.sweep))
     for number, original in enumerate(dict.fromkeys(planar.sweep.tolist())):
         rows = truth == original
         # all of its rows but a few, and others within the 20 standard deviations over which the direction is determined
@@ -421,16 +331,78 @@ def test_a_convention_with_which_some_sweeps_are_found_is_doubted(tmp_path, spat
     assert 'nearly all do if the convention is "ZYX": check [columns] orientation' in found.notes[0]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar, seed):
+def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
     """A few rows of noise, of more than four standard deviations, are no contact."""
     log = track(planar)
-    nothing = log._replace(wrench=np.zeros_like(log.wrench))
-    columns = table(nothing, EXACT)
-    random = np.random.default_rng(seed)
+    columns = table(log._replace(wrench=np.zeros_like(log.wrench)), EXACT)
+    random = np.random.default_rng(0)
     for name in ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"):
         columns[name] = 1e-4 * random.standard_normal(len(log.time))
-    columns["Fx"][[700, 3000, 9000]] = 5.5e-4
+    columns["Fx"][[300, 700, 2000]] = 5.5e-4
     found = imported(tmp_path / "log.csv", columns, map_of(planar.rod, EXACT))
     assert found.summary.sweeps == len(np.unique(planar.sweep))
     assert found.summary.sweeps_with_contact == 0
+
+
+def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
+    write(tmp_path / "long.csv", table(track(planar, air=400), RIG_WITH_NOISE))
+    data = map_of(planar.rod, RIG_WITH_NOISE)
+    full = scan3d.import_table(tmp_path / "long.csv", data)
+    data["filter"] = {"lowpass_hz": 100.0, "rate_hz": 250.0}
+    raw = load(tmp_path / "long.csv", read_map(data))
+    found = convert(raw, read_map(data))
+    assert found.recording.noise_force_N < 0.75 * full.noise_force_N
+    # the rod snaps off within some rows of this log, which the filter blurs
+    sharp = len(full) - found.summary.left_out["blurred by the filter"]
+    assert 0 < sharp < len(full)
+    assert found.summary.samples == pytest.approx(sharp / 4, rel=0.2)
+    assert found.summary.left_out["thinned"] == sharp - found.summary.samples
+    data["filter"] = {"lowpass_hz": 50.0}
+    notes = convert(raw, read_map(data)).summary.notes
+    assert "rate_hz = 100 under [filter] keeps rows with independent noise" in " ".join(notes)
+    del data["columns"]["time"]
+    with pytest.raises(InputError, match=r"\[filter\] needs the time of the rows"):
+        convert(raw, read_map(data))
+
+
+def test_the_filter_shifts_nothing_and_leaves_the_noise_that_is_stated():
+    clock = np.arange(20_000) / 1000
+    slow = np.sin(2 * np.pi * 2 * clock)[:, None]
+    passed = filtering.low_pass(slow, clock, 50.0, 1000.0, "log")
+    assert np.abs(passed - slow)[500:-500].max() < 1e-4
+    noise = np.random.default_rng(0).standard_normal((20_000, 1))
+    left = filtering.low_pass(noise, clock, 50.0, 1000.0, "log").std()
+    assert left == pytest.approx(filtering.noise_factor(50.0, 1000.0), rel=0.05)
+    # in two parts with a pause between them, each as if it were alone
+    paused = np.where(np.arange(20_000) < 9000, clock, clock + 5)
+    both = filtering.low_pass(noise, paused, 50.0, 1000.0, "log")
+    assert np.array_equal(both[:9000], filtering.low_pass(noise[:9000], clock[:9000], 50.0, 1000.0, "log"))
+
+
+@pytest.mark.parametrize(("noise", "snap"), [(0.0, 10_000), (1e-2, 10_000), (1e-2, 20_000)])
+def test_rows_next_to_a_snap_are_blurred_and_no_others(noise, snap):
+    rate, limit, size = 1000.0, 20.0, np.array([1.0, 0.3, 0.1, 20, 5, 40])
+    clock = np.arange(20_000) / rate
+    exact = size * np.where(np.arange(len(clock)) < snap, np.sin(np.pi * clock / 20), 0.0)[:, None]
+    values = exact + size * noise * np.random.default_rng(0).standard_normal(exact.shape)
+    filtered = filtering.low_pass(values, clock, limit, rate, "log")
+    rows = np.flatnonzero(filtering.blurred(values, filtered, clock, limit, rate, "log"))
+    if snap == len(clock):
+        assert not len(rows)
+        return
+    assert rows.min() < snap - 10
+    assert rows.max() > snap + 10
+    assert np.abs(rows - snap).max() < 3 * rate / limit
+    # what is left is off by little more than the noise that the filter leaves
+    kept = np.setdiff1d(np.arange(len(clock)), rows)
+    assert (np.abs(filtered - exact)[kept] / size).max() < 2 * noise + 2e-4
+    assert np.abs(filtered - exact).max() > 0.4 * 40
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5, 3.0])
+def test_the_noise_is_estimated_with_outliers_and_steps(step):
+    values = np.random.default_rng(1).standard_normal((4000, 1))
+    values = np.round(values / step) * step if step else values
+    values[::400] += 100
+    rms = np.sqrt((values[np.abs(values) < 50] ** 2).mean())
+    assert robust_sd(values)[0] == pytest.approx(np.hypot(1, step / np.sqrt(12)) if step < 2 else rms, rel=0.1)

@@ -17,8 +17,8 @@ from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit
 
 if TYPE_CHECKING:
+    from scan3d.files.text_tables import Table
     from scan3d.laboratory.importing import Imported
-    from scan3d.laboratory.tables import RawTable
     from scan3d.simulation.rig import RawLog
 
 RIG_OPTIONS = Parameter(
@@ -400,7 +400,7 @@ def calibrate(
     from scan3d.files.text import to_json
     from scan3d.laboratory.calibration import calibrate as calibrate_rig
     from scan3d.laboratory.calibration_file import check_path, sections, write_rig
-    from scan3d.laboratory.rigged import not_rigged
+    from scan3d.laboratory.importing import not_rigged
 
     if (sphere is not None) + plane + (mesh is not None) != 1:
         raise UsageError("the reference is one of --sphere D, --plane and --mesh MESH")
@@ -431,7 +431,7 @@ def rigged(recording: Any, rig: Path | None) -> Any:
     if rig is None:
         return recording
     from scan3d.laboratory.calibration_file import read_rig
-    from scan3d.laboratory.rigged import not_rigged
+    from scan3d.laboratory.importing import not_rigged
 
     not_rigged(recording.source, "the recording")
     return read_rig(rig).applied(recording)
@@ -509,9 +509,8 @@ def import_(
         raise UsageError("--out names the recording; --dry-run only shows what would become of the table")
     from scan3d.files.recordings import check_path, read_recording, sidecar, write_recording
     from scan3d.files.whole import check_file, check_pair, folder, write_atomic
-    from scan3d.laboratory.importing import KIND, convert, load
+    from scan3d.laboratory.importing import KIND, convert, load, with_rig
     from scan3d.laboratory.maps import read_map
-    from scan3d.laboratory.rigged import with_rig
     from scan3d.recording import joined
 
     inputs = {"table": raw, "map": map, "rig": rig}
@@ -571,7 +570,7 @@ def _aligned(header: list[str], rows: list[list[str]]) -> str:
     )
 
 
-def _first_rows(raw: RawTable, imported: Imported) -> tuple[list[str], list[list[str]]]:
+def _first_rows(raw: Table, imported: Imported) -> tuple[list[str], list[list[str]]]:
     """The first rows of the recording, with the rows of the table that they come from."""
     recording, log = imported.recording, imported.log
     header = ["row", "fx", "fy", "fz", "mx", "my", "mz", "", "sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
@@ -582,7 +581,8 @@ def _first_rows(raw: RawTable, imported: Imported) -> tuple[list[str], list[list
         shown = [f"{value:.4g}" for value in log.wrench[source]]
         pose = [*recording.position_m[k], *recording.quaternion[k]]
         made = [*recording.force_N[k], recording.moment_Nm[k]]
-        line = str(int(log.row[source]) + (raw.first or 1))
+        row = int(log.row[source])
+        line = str(row + 1 if raw.lines is None else raw.lines[row])
         rows.append(
             [
                 line,

@@ -1,57 +1,157 @@
-"""Stretches of a log in the air: there the wrench keeps the value that it has most often, which may drift slowly."""
+"""The sensor's zero, its drift and its noise, from the stretches of a log in the air, in which the rod touches nothing.
+
+In the air a wrench is the sensor's zero plus noise: it keeps the value that it has most often, which may drift slowly.  Between
+the stretches the zero is interpolated linearly.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
-from scan3d.laboratory.taring import FEWEST, ROUNDING, SD_OVER_MAD, robust_sd, tare
 
-# The zero is looked for within this fraction of the range of the forces, and of that of the moments.  Larger, light contacts
-# count as air at first; smaller, a zero that drifts is lost.
+# Standard deviation over the median of the absolute deviations of a normal distribution.
+SD_OVER_MAD = 1.4826
+# Rows of a stretch at least.
+_FEWEST = 5
+# Rounding, relative to the range of a channel.
+_ROUNDING = 1e-9
+# The zero is looked for within this fraction of the range of the forces, and of that of the moments.
 _NEAR = 0.02
-# Standard deviations of the noise that a row in the air may deviate.  Larger, the beginnings of contacts count as air; smaller,
-# the noise is understated.
+# Standard deviations of the noise that a row in the air may deviate, and standard errors from which a slope counts.
 _SIGMAS = 4.0
-# Rows among which the most frequent wrench is looked for, evenly spread.  More take longer; fewer may miss short stretches.
-_SAMPLED = 1500
-# Windows in which the zero is followed.  More follow faster drift; fewer find more air in each.
-_WINDOWS = 60
-# Rows of single disturbances within a stretch at most.
-_DISTURBED = 2
-# Fraction of a stretch that is left out at each of its ends, where contact may begin below the noise.
-_MARGIN = 0.05
+# Rows among which the most frequent wrench is looked for, and windows in which it is followed.
+_SAMPLED, _WINDOWS = 1500, 60
+# Rows of single disturbances within a stretch at most, and fraction of a stretch that is left out at each of its ends, where
+# contact may begin below the noise.
+_DISTURBED, _MARGIN = 2, 0.05
 # A stretch is no air if its zero deviates from that between its neighbours by more than this many times the usual deviation.
-# Larger, grazing contact of constant force counts as air; smaller, a zero that jumps is not followed.
 _OUTLYING = 6.0
 # Rows over which light contact is distinguished from noise by its mean, and standard deviations that the mean may deviate:
 # there are as many means as rows.
 _AVERAGED, _MEAN_SIGMAS = 15, 5.0
 # Deviations of the zero below this fraction of the noise do no harm.
 _HARMLESS = 0.3
-# Fraction of the rows in the air that the second pass must find again.
-_MOST = 0.8
-# Stretches shorter than this fraction of the median one are left out.
-_SHORT = 0.1
-# Rows from which medians are taken, evenly spread.
-_SOME = 20_000
+# Fraction of the rows in the air that the second pass must find again; stretches shorter than a fraction of the median one are
+# remains of contact, or hardly matter.
+_MOST, _SHORT = 0.8, 0.1
+# Rows from which statistics are taken, evenly spread, and different values below which a channel shows a converter's steps.
+_SOME, _FEW_VALUES = 20_000, 64
+
+Stretches = list[tuple[int, int]]
+"""First row of each stretch, and the one after its last."""
 
 
-def find_air(wrench: Array, clock: Array, where: str) -> list[tuple[int, int]]:
+class Air(NamedTuple):
+    """The sensor's zero over a log."""
+
+    zero: Array
+    """(n, c) of each row."""
+    noise: Array
+    """(c,) standard deviation in the air; 0 where it is no more than rounding."""
+    rows: Mask
+    """(n,) rows in the air."""
+
+
+def tare(wrench: Array, clock: Array, stretches: Stretches) -> Air:
+    """The zero of a wrench (n, c) at times (n,) by its stretches in the air, which follow one another."""
+    scale = np.ptp(wrench, axis=0) + np.abs(wrench).max(axis=0) * _ROUNDING
+    knots, levels, residuals, rows = [], [], [], np.zeros(len(wrench), dtype=bool)
+    for start, stop in stretches:
+        time, values, kept = _line(clock[start:stop], wrench[start:stop], scale)
+        knots += time
+        levels += values
+        residuals.append(kept - np.median(kept, axis=0))
+        rows[start:stop] = True
+    noise = robust_sd(np.concatenate(residuals))
+    zero = _interpolated(clock, np.array(knots), np.array(levels))
+    return Air(zero, np.where(noise > _ROUNDING * scale, noise, 0.0), rows)
+
+
+def _interpolated(clock: Array, at: Array, level: Array) -> Array:
+    """Levels (k, c) at times (k,) interpolated at the times of a log; beyond them continued, as far as they reach at most."""
+    first, last = at[0], at[-1]
+    reach = last - first
+    # through the level a quarter of the log away: that of a neighbour may be too close to give a slope
+    for end, near, inner in ((clock[0], first, first + reach / 4), (clock[-1], last, last - reach / 4)):
+        away = abs(float(end - near))
+        if 0 < away <= reach / 4:
+            known = np.array([np.interp([near, inner], at, column) for column in level.T])
+            beyond = known[:, 0] + (known[:, 0] - known[:, 1]) * away / (reach / 4)
+            place = 0 if end < near else len(at)
+            at, level = np.insert(at, place, end), np.insert(level, place, beyond, axis=0)
+    return np.stack([np.interp(clock, at, column) for column in level.T], axis=1)
+
+
+def _line(time: Array, values: Array, scale: Array) -> tuple[list[float], list[Array], Array]:
+    """The knots of the zero within a stretch, their values, and the residuals (m, c) of its rows.
+
+    There is one knot in the middle, or two at the ends if the zero drifts within the stretch.
+    """
+    middle = float(time.mean())
+    centred = time - middle
+    spread = float((centred**2).sum())
+    level = values.mean(axis=0)
+    if spread == 0 or len(time) < _FEWEST:
+        return [middle], [level], values - level
+    slope = (centred[:, None] * values).sum(axis=0) / spread
+    residual = values - level - slope * centred[:, None]
+    error = np.sqrt((residual**2).sum(axis=0) / (len(time) - 2) / spread)
+    counts = (np.abs(slope) > _SIGMAS * error) & (np.abs(slope) * np.ptp(time) > _ROUNDING * scale)
+    if not counts.any():
+        return [middle], [level], values - level
+    slope = np.where(counts, slope, 0.0)
+    ends = [float(time[0]), float(time[-1])]
+    return ends, [level + slope * (end - middle) for end in ends], values - level - slope * centred[:, None]
+
+
+def robust_sd(residuals: Array) -> Array:
+    """Standard deviations (c,) of residuals (m, c), most of which are noise; also of noise that few steps resolve."""
+    absolute = np.abs(residuals)
+    median, most = np.percentile(absolute, [50, 90], axis=0)
+    mad = SD_OVER_MAD * median
+    # steps of a converter make more than half of the residuals equal
+    inside = absolute <= 3 * np.maximum(mad, SD_OVER_MAD * most)
+    rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / np.maximum(inside.sum(axis=0), 1))
+    coarse = np.array([len(np.unique(column[:_SOME])) < _FEW_VALUES for column in residuals.T])
+    return np.asarray(np.where((mad == 0) | coarse, rms, mad))
+
+
+def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: str) -> Stretches:
+    """The rows of stretches that are given in seconds.  Raises InputError for a stretch without rows."""
+    found: Stretches = []
+    for start, end in sorted(intervals):
+        first, last = int(np.searchsorted(clock, start)), int(np.searchsorted(clock, end, side="right"))
+        if last <= first:
+            raise InputError(
+                f"{where} has no row from {start:g} s to {end:g} s, which [tare] air of the map names; the table covers "
+                f"{clock[0]:g} s to {clock[-1]:g} s"
+            )
+        if found and first < found[-1][1]:
+            raise InputError(
+                f"{where}: the stretches of [tare] air overlap at {clock[first]:g} s; join or shorten them"
+            )
+        found.append((first, last))
+    return found
+
+
+def find_air(wrench: Array, clock: Array, where: str) -> Stretches:
     """The stretches of a wrench (n, c), forces first, in the air: where it keeps the value that it has most often.
 
     Raises InputError if there is no such stretch.
     """
     channels = np.ptp(wrench, axis=0) > 0
-    near_rows = np.ones(len(wrench), dtype=bool)
+    near = np.ones(len(wrench), dtype=bool)
     scale = _scales(wrench)
     if channels.any():
         scaled = wrench[:, channels] / scale[channels]
-        near_rows = (np.abs(scaled - _followed(scaled, clock)) <= 1).all(axis=1)
-    runs = [run for run in _runs(near_rows) if _is_level(wrench[run[0] : run[1]], scale)]
+        near = (np.abs(scaled - _followed(scaled, clock)) <= 1).all(axis=1)
+    runs = [run for run in _runs(near) if _is_level(wrench[run[0] : run[1]], scale)]
     stretches = _consistent(wrench, clock, _refined(wrench, clock, runs))
     again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
     # the second pass finds more, unless the zero drifts in a way that it does not follow
@@ -72,86 +172,44 @@ def _scales(wrench: Array) -> Array:
     noise = np.percentile(steps[:: max(1, len(steps) // _SOME)], 25, axis=0) / (0.3186 * np.sqrt(2))
     reach = np.ptp(wrench, axis=0)
     half = wrench.shape[1] // 2
-    group = np.concatenate([np.full(half, reach[:half].max()), np.full(len(reach) - half, reach[half:].max())])
-    scale: Array = np.maximum(_NEAR * group, _SIGMAS * noise)
-    return scale
+    largest = np.repeat([reach[:half].max(), reach[half:].max()], half)
+    return np.asarray(np.maximum(_NEAR * largest, _SIGMAS * noise))
 
 
 def _followed(scaled: Array, clock: Array) -> Array:
     """The zero (n, c) of a wrench in units of its scales, roughly: most frequent value, followed from window to window."""
     some = scaled[np.linspace(0, len(scaled) - 1, min(len(scaled), _SAMPLED)).astype(np.intp)]
-    count = np.zeros(len(some), dtype=np.intp)
-    for k, row in enumerate(some):
-        count[k] = (np.abs(some - row) <= 1).all(axis=1).sum()
-    start = np.median(some[(np.abs(some - some[np.argmax(count)]) <= 1).all(axis=1)], axis=0)
+    near = [(np.abs(some - row) <= 1).all(axis=1) for row in some]
+    start = np.median(some[max(near, key=np.count_nonzero)], axis=0)
     edges = np.linspace(0, len(scaled), min(_WINDOWS, len(scaled)) + 1).astype(np.intp)
-    windows = list(zip(edges[:-1], edges[1:], strict=True))
-    near = [int((np.abs(scaled[a:b] - start) <= 1).all(axis=1).sum()) for a, b in windows]
+    windows = [scaled[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    best = int(np.argmax([(np.abs(window - start) <= 1).all(axis=1).sum() for window in windows]))
     levels = np.empty((len(windows), scaled.shape[1]))
-    best = int(np.argmax(near))
     for order in (range(best, len(windows)), range(best, -1, -1)):
         level = start
         for k in order:
-            a, b = windows[k]
-            inside = scaled[a:b][(np.abs(scaled[a:b] - level) <= 1).all(axis=1)]
-            level = np.median(inside, axis=0) if len(inside) >= FEWEST else level
+            inside = windows[k][(np.abs(windows[k] - level) <= 1).all(axis=1)]
+            level = np.median(inside, axis=0) if len(inside) >= _FEWEST else level
             levels[k] = level
-    middle = [float(clock[(a + b - 1) // 2]) for a, b in windows]
+    middle = clock[(edges[:-1] + edges[1:] - 1) // 2]
     return np.stack([np.interp(clock, middle, column) for column in levels.T], axis=1)
 
 
-def _runs(near: Mask) -> list[tuple[int, int]]:
+def _runs(near: Mask) -> Stretches:
     """The runs of rows near the zero, single disturbed rows within them included."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(np.int8)))
-    runs: list[tuple[int, int]] = []
+    runs: Stretches = []
     for start, stop in edges.reshape(-1, 2).tolist():
         if runs and start - runs[-1][1] <= _DISTURBED:
             runs[-1] = runs[-1][0], stop
         else:
             runs.append((start, stop))
-    return [(start, stop) for start, stop in runs if stop - start >= FEWEST]
-
-
-def _refined(wrench: Array, clock: Array, runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The runs without the rows at their ends that deviate from a line by more than the noise of all runs."""
-    if not runs:
-        return []
-    lines = [_robust_line(clock[a:b], wrench[a:b]) for a, b in runs]
-    noise = np.median([SD_OVER_MAD * np.median(np.abs(line), axis=0) for line in lines], axis=0)
-    step = np.array([_step(np.concatenate([wrench[a:b, k] for a, b in runs])) for k in range(wrench.shape[1])])
-    limit = _SIGMAS * noise + step + ROUNDING * np.abs(wrench).max(axis=0)
-    found = []
-    for (start, _), line in zip(runs, lines, strict=True):
-        inside = (np.abs(line) <= limit).all(axis=1)
-        parts = _runs(inside)
-        if not parts:
-            continue
-        first, last = max(parts, key=lambda part: part[1] - part[0])
-        found.append(_trimmed(start + first, start + last))
-    return found
-
-
-def _within_noise(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The stretches whose rows, and whose means over some rows, differ from the zero of first stretches by noise only."""
-    first = tare(wrench, clock, stretches)
-    deviation = np.abs(wrench - first.zero)
-    level = np.array([np.median(wrench[a:b] - first.zero[a:b], axis=0) for a, b in stretches])
-    slack = _OUTLYING * SD_OVER_MAD * np.median(np.abs(level), axis=0) + ROUNDING * np.abs(wrench).max(axis=0)
-    step = np.array([_step(wrench[first.rows, k]) for k in range(wrench.shape[1])])
-    single = (deviation <= _SIGMAS * first.noise + step + slack).all(axis=1)
-    if len(wrench) <= _AVERAGED:
-        return [_trimmed(a, b) for a, b in _runs(single)]
-    mean = uniform_filter1d(wrench - first.zero, _AVERAGED, axis=0, mode="nearest")
-    # where some of the rows are in contact, the mean says nothing about the others
-    limit = (_MEAN_SIGMAS / np.sqrt(_AVERAGED) + _HARMLESS) * first.noise
-    light = (np.abs(mean) > limit + step + slack).any(axis=1)
-    crowded = uniform_filter1d(single.astype(np.float64), _AVERAGED, mode="nearest") > 1 - 0.5 / _AVERAGED
-    return [_trimmed(a, b) for a, b in _runs(single & ~(light & crowded))]
+    return [(start, stop) for start, stop in runs if stop - start >= _FEWEST]
 
 
 def _trimmed(start: int, stop: int) -> tuple[int, int]:
     """A stretch without its margins."""
-    margin = round(_MARGIN * (stop - start)) if stop - start > 2 * FEWEST else 0
+    margin = round(_MARGIN * (stop - start)) if stop - start > 2 * _FEWEST else 0
     return start + margin, stop - margin
 
 
@@ -162,41 +220,71 @@ def _is_level(values: Array, scale: Array) -> bool:
     return bool((change <= scale).all())
 
 
-def _robust_line(time: Array, values: Array) -> Array:
+def _refined(wrench: Array, clock: Array, runs: Stretches) -> Stretches:
+    """The runs without the rows at their ends that deviate from a line by more than the noise of all runs."""
+    if not runs:
+        return []
+    lines = [_from_line(clock[a:b], wrench[a:b]) for a, b in runs]
+    noise = np.median([SD_OVER_MAD * np.median(np.abs(line), axis=0) for line in lines], axis=0)
+    inner = np.concatenate([wrench[a:b] for a, b in runs])
+    limit = _SIGMAS * noise + _steps(inner) + _ROUNDING * np.abs(wrench).max(axis=0)
+    found = []
+    for (start, _), line in zip(runs, lines, strict=True):
+        parts = _runs((np.abs(line) <= limit).all(axis=1))
+        if parts:
+            first, last = max(parts, key=lambda part: part[1] - part[0])
+            found.append(_trimmed(start + first, start + last))
+    return found
+
+
+def _from_line(time: Array, values: Array) -> Array:
     """The residuals (m, c) from a line through the medians of both halves, fitted again to the rows close to it."""
-    every = max(1, len(time) // (_SOME // 10))
-    level, slope, middle = _fitted(time[::every], values[::every])
-    return values - level - slope * (time - middle)[:, None]
-
-
-def _fitted(time: Array, values: Array) -> tuple[Array, Array, float]:
-    """That line: its level (c,) at a time, its slope (c,), and the time."""
-    half = len(time) // 2
-    early, late = np.median(values[:half], axis=0), np.median(values[-half:], axis=0)
-    span = float(np.median(time[-half:]) - np.median(time[:half]))
-    slope = (late - early) / span if span > 0 else np.zeros(values.shape[1])
-    middle = float(time.mean())
-    level = np.median(values - slope * (time - middle)[:, None], axis=0)
+    some = slice(None, None, max(1, len(time) // (_SOME // 10)))
+    t, v = time[some], values[some]
+    half = len(t) // 2
+    span = float(np.median(t[-half:]) - np.median(t[:half]))
+    rise = np.median(v[-half:], axis=0) - np.median(v[:half], axis=0)
+    slope = rise / span if span > 0 else np.zeros(v.shape[1])
+    middle = float(t.mean())
+    level = np.median(v - slope * (t - middle)[:, None], axis=0)
     for _ in range(3):
-        residual = values - level - slope * (time - middle)[:, None]
-        mad = SD_OVER_MAD * np.median(np.abs(residual), axis=0)
-        kept = (np.abs(residual) <= _SIGMAS * mad).all(axis=1)
-        if kept.sum() < FEWEST or np.ptp(time[kept]) == 0:
+        residual = np.abs(v - level - slope * (t - middle)[:, None])
+        kept = (residual <= _SIGMAS * SD_OVER_MAD * np.median(residual, axis=0)).all(axis=1)
+        if kept.sum() < _FEWEST or np.ptp(t[kept]) == 0:
             break
-        middle = float(time[kept].mean())
-        centred = time[kept] - middle
-        level = values[kept].mean(axis=0)
-        slope = (centred[:, None] * (values[kept] - level)).sum(axis=0) / float((centred**2).sum())
-    return level, slope, middle
+        middle = float(t[kept].mean())
+        slope, level = np.polyfit(t[kept] - middle, v[kept], 1)
+    return np.asarray(values - level - slope * (time - middle)[:, None])
 
 
-def _step(values: Array) -> float:
-    """The step of a converter that a channel shows: the smallest difference of its values where there are few of them."""
-    distinct = np.unique(values[:: max(1, len(values) // 4000)])
-    return float(np.diff(distinct).min()) if 1 < len(distinct) < 200 else 0.0
+def _steps(values: Array) -> Array:
+    """The steps of a converter (c,) that channels (m, c) show: the smallest difference of values where there are few."""
+    steps = np.zeros(values.shape[1])
+    for k, column in enumerate(values.T):
+        distinct = np.unique(column[:: max(1, len(column) // 4000)])
+        if 1 < len(distinct) < 200:
+            steps[k] = np.diff(distinct).min()
+    return steps
 
 
-def _consistent(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _within_noise(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
+    """The stretches whose rows, and whose means over some rows, differ from the zero of first stretches by noise only."""
+    first = tare(wrench, clock, stretches)
+    deviation = wrench - first.zero
+    level = np.array([np.median(deviation[a:b], axis=0) for a, b in stretches])
+    slack = _OUTLYING * SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
+    slack += _steps(wrench[first.rows])
+    near = (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
+    if len(wrench) > _AVERAGED:
+        # where some of the rows are in contact, the mean says nothing about the others
+        mean = uniform_filter1d(deviation, _AVERAGED, axis=0, mode="nearest")
+        light = (np.abs(mean) > (_MEAN_SIGMAS / np.sqrt(_AVERAGED) + _HARMLESS) * first.noise + slack).any(axis=1)
+        crowded = uniform_filter1d(near.astype(np.float64), _AVERAGED, mode="nearest") > 1 - 0.5 / _AVERAGED
+        near &= ~(light & crowded)
+    return [_trimmed(a, b) for a, b in _runs(near)]
+
+
+def _consistent(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
     """The stretches whose zero agrees with that between their neighbours."""
     if len(stretches) < 4:
         return stretches
@@ -204,32 +292,23 @@ def _consistent(wrench: Array, clock: Array, stretches: list[tuple[int, int]]) -
     time = np.array([clock[a:b].mean() for a, b in stretches])
     count: NDArray[np.int64] = np.array([b - a for a, b in stretches])
     inner = np.concatenate([wrench[a:b] - middle for (a, b), middle in zip(stretches, level, strict=True)])
-    reach = np.ptp(wrench, axis=0) * ROUNDING + _HARMLESS * robust_sd(inner)
-    # much shorter ones are remains of contact, or hardly matter
+    reach = np.ptp(wrench, axis=0) * _ROUNDING + _HARMLESS * robust_sd(inner)
     kept = np.flatnonzero(count >= _SHORT * np.median(count))
-    for _ in range(len(stretches)):
-        if len(kept) < 4:
-            break
-        deviation, before, after = _from_neighbours(time[kept], level[kept])
-        usual = SD_OVER_MAD * np.median(np.abs(deviation), axis=0)
+    while len(kept) >= 4:
+        # from lines through two others: those on both sides, at the ends the next two
+        index = np.arange(len(kept))
+        before, after = index - 1, index + 1
+        before[[0, -1]], after[[0, -1]] = (1, len(kept) - 2), (2, len(kept) - 3)
+        t, v = time[kept], level[kept]
+        span = t[after] - t[before]
+        part = ((t - t[before]) / np.where(span == 0, 1.0, span))[:, None]
+        deviation = np.abs(v - v[before] - part * (v[after] - v[before]))
+        usual = SD_OVER_MAD * np.median(deviation, axis=0)
         # shorter stretches have less certain zeros
         variance = np.maximum(np.median(count[kept]) / count[kept], 1.0)
         weight = np.sqrt((variance + variance[before] + variance[after]) / 3)[:, None]
-        excess = (np.abs(deviation) / (_OUTLYING * usual * weight + reach + np.finfo(float).tiny)).max(axis=1)
+        excess = (deviation / (_OUTLYING * usual * weight + reach + np.finfo(float).tiny)).max(axis=1)
         if excess.max() <= 1:
             break
         kept = np.delete(kept, int(np.argmax(excess)))
     return [stretches[k] for k in kept]
-
-
-def _from_neighbours(time: Array, level: Array) -> tuple[Array, Index, Index]:
-    """Deviations (k, c) of levels from lines through two others, and those (k,): on both sides, at the ends the next two."""
-    index = np.arange(len(time))
-    before = np.clip(index - 1, 0, None)
-    before[0] = 1
-    after = np.clip(index + 1, None, len(time) - 1)
-    after[0], before[-1], after[-1] = 2, len(time) - 2, len(time) - 3
-    span = time[after] - time[before]
-    part = ((time - time[before]) / np.where(span == 0, 1.0, span))[:, None]
-    deviation: Array = level - level[before] - part * (level[after] - level[before])
-    return deviation, before, after

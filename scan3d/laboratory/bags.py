@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import did_you_mean
+from scan3d.files.text_tables import Table
 from scan3d.laboratory.maps import Topics
-from scan3d.laboratory.tables import RawTable
 
 _WRENCH, _POSE, _TF = "WrenchStamped", "PoseStamped", "TFMessage"
 NAMES = ("t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -38,7 +38,7 @@ def is_bag(path: str | Path) -> bool:
     return path.suffix in (".bag", ".db3", ".mcap") or (path.is_dir() and (path / "metadata.yaml").exists())
 
 
-def read_bag(path: str | Path, topics: Topics) -> RawTable:
+def read_bag(path: str | Path, topics: Topics) -> Table:
     """The table of a bag, with the columns `NAMES`.  Raises InputError if rosbags is missing or a topic can't be found."""
     path = Path(path)
     try:
@@ -68,7 +68,7 @@ def read_bag(path: str | Path, topics: Topics) -> RawTable:
     position, quaternion = _at(poses, stamps)
     seconds = (stamps - stamps[0]) * 1e-9
     table = np.column_stack([seconds, position, quaternion, values])
-    return RawTable(path.name, NAMES, tuple(np.ascontiguousarray(column) for column in table.T))
+    return Table(path.name, NAMES, tuple(np.ascontiguousarray(column) for column in table.T))
 
 
 def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:

@@ -1,4 +1,8 @@
-"""From a laboratory's table and a map to a recording, with a summary of what was done."""
+"""From a laboratory's table and a map to a recording, with a summary of what was done.
+
+The columns are read and converted to SI units; the sensor's zero is taken off; the wrench is filtered, turned into the clamp's
+frame and moved to the clamp; the log is cut into sweeps, and the noise is stated.
+"""
 
 from __future__ import annotations
 
@@ -12,30 +16,36 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
-from scan3d.frames import Frame, wrench_matrix
-from scan3d.laboratory import filtering, segments, taring
-from scan3d.laboratory.air import find_air
+from scan3d.files.section import Section
+from scan3d.files.text_tables import Table, read_table
+from scan3d.frames import Frame, euler_of, wrench_matrix
+from scan3d.laboratory import filtering
+from scan3d.laboratory.air import find_air, given_air, robust_sd, tare
 from scan3d.laboratory.bags import is_bag, read_bag
+from scan3d.laboratory.calibration_file import read_rig
 from scan3d.laboratory.calibration_result import Calibration
-from scan3d.laboratory.columns import CHANNELS, Log, read_log
-from scan3d.laboratory.directions import check_directions
-from scan3d.laboratory.maps import Map, read_map
-from scan3d.laboratory.notes import contact_notes, filter_notes
-from scan3d.laboratory.plausibility import check_range, check_sizes, felt, in_contact, stands_out
-from scan3d.laboratory.rigged import with_rig
-from scan3d.laboratory.tables import RawTable, read_table
+from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
+from scan3d.laboratory.logs import CHANNELS, Log, read_log
+from scan3d.laboratory.maps import Map, read_frame, read_map
+from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
+from scan3d.reconstruction.contacts import FORCE_SIGMAS
 from scan3d.recording import Recording
 
 KIND = "import"
 """What the source of an imported recording is."""
 # Noise that is this many times as large as that of a white one would be after the filter is stated as it is found.
 _COLOURED = 1.3
-# Rounding of a wrench from which its zero was taken off, relative to the largest one.
-_ROUNDING = 1e-13
-# Parts of a channel that count as rounding of a turn, relative to the whole.
-_TURN_ROUNDING = 1e-12
+# Rounding of a turn, relative to the whole, and of a wrench from which its zero was taken off, relative to the largest one.
+_TURN_ROUNDING, _ROUNDING = 1e-12, 1e-13
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
+# Part of the largest force that is felt, and one that only contact has; part of the force out of the plane that is noteworthy.
+_FELT, _CONSIDERABLE, _OUT_OF_PLANE = 1e-3, 0.05, 0.05
+# Plausible ranges; a wrong unit makes them wrong by a factor of a thousand.  Travel of the clamp, and median travel of sweeps,
+# in rod lengths; largest force in EI/L², of which a rod whose contact has slid to a tenth of its length has a few hundred;
+# clamping moment over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
+_SMALLEST_RANGE = 0.02
+_TRAVELS, _FORCES, _MOMENTS = (5e-3, 50.0), (1e-4, 2e3), (0.01, 2.0)
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,7 @@ class Summary:
     noise_factor: float
     """Noise that the filter leaves."""
     notes: tuple[str, ...]
+    """What a user should know, in sentences."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +118,101 @@ def import_table(
     return convert(load(path, chosen), chosen).recording
 
 
-def load(path: str | Path, map: Map) -> RawTable:
+def load(path: str | Path, map: Map) -> Table:
     """The table of a file or a ROS bag."""
     return read_bag(path, map.topics) if is_bag(path) else read_table(path, map.layout)
+
+
+def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
+    """The map with the sensor, the clamp and the rod of a calibration, which may be the path of its file.
+
+    A calibration states the clamp in the frame of the poses that it was given, and the sensor in that clamp's frame.  If these
+    came from an import, its map had turned and moved them already: the calibration keeps that map's frames, so that the same
+    physical frames follow for any later map.  Sign, units and columns stay those of the map, and the zero is found in the log's
+    own stretches in the air, because it changes from day to day.  Raises InputError as `scan3d.read_rig`.
+    """
+    found = rig if isinstance(rig, Calibration) else read_rig(rig)
+    sensor_before, clamp_before = (
+        read_frame(Section("the rig", found.map_frames.get(title, {}), f"map.{title}")) for title in ("sensor", "clamp")
+    )
+    sensor, clamp = found.frames()
+    sensor, clamp = sensor_before.within(sensor), clamp.within(clamp_before)
+    used = {
+        name: {"position_mm": (1000 * frame.position_m).tolist(), "euler_deg": euler_of(frame.turn).tolist()}
+        for name, frame in (("sensor", sensor), ("clamp", clamp))
+    }
+    return replace(
+        map,
+        sensor=sensor,
+        clamp=clamp,
+        rod=found.rod,
+        rig={"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name, **used},
+        uncertainty=rig_uncertainty(found),
+        noise_pose_m=found.pose_noise_m if map.noise_pose_m is None else map.noise_pose_m,
+    )
+
+
+def not_rigged(source: Mapping[str, Any], name: str) -> None:
+    """Raise InputError for the source of a recording that a rig has corrected: frames would be applied twice."""
+    if source.get("calibrated"):
+        raise InputError(
+            f"{name} was corrected by a calibrated rig already; leave --rig out, or import the table again without it"
+        )
+
+
+def convert(table: Table, map: Map) -> Imported:
+    """The recording of a table that is read already, with what it was made of.  Raises InputError as `import_table`."""
+    log = read_log(table, map)
+    clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
+    sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
+    wrench, known = _clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
+    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
+    _check_range(position, map, table.name)
+    noise = _clamp_noise(sensed.noise, map, known)
+    sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise[0])
+    touched = felt(sensed.wrench[:, :3], noise[0], _CONSIDERABLE)
+    notes = [*sensed.notes, *check_directions(table, map, sweep, position, quaternion, touched), *notes]
+    if backwards.any():
+        quaternion, wrench = quaternion.copy(), wrench.copy()
+        quaternion[backwards] = _HALF_TURN.carried(position[backwards], quaternion[backwards])[1]
+        wrench[backwards] *= np.tile(np.diag(_HALF_TURN.turn), 2)
+    within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
+    every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
+    kept = within[filtering.thinned(sweep[within], every)]
+    recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
+    _check_sizes(recording, map, table.name)
+    touching = felt(recording.force_N, noise[0])
+    summary = Summary(
+        table=table.name,
+        rows=len(table),
+        seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
+        rate_hz=None if log.time_s is None or clock[-1] == clock[0] else float((len(log) - 1) / (clock[-1] - clock[0])),
+        samples=len(recording),
+        sweeps=len(np.unique(recording.sweep)),
+        sweeps_with_contact=len(np.unique(recording.sweep[touching])),
+        six_axis=recording.six_axis,
+        left_out={
+            "without numbers": len(table) - len(log),
+            "between sweeps": int((sweep < 0).sum()),
+            "blurred by the filter": int((sensed.blurred & (sweep >= 0)).sum()),
+            "thinned": len(within) - len(kept),
+        },
+        air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in sensed.stretches),
+        air_fraction=float(sensed.air.mean()),
+        zero=tuple(sensed.zero.mean(axis=0).tolist()),
+        drift=tuple(np.ptp(sensed.zero, axis=0).tolist()),
+        noise_force_N=noise[0],
+        noise_moment_Nm=noise[1],
+        noise_factor=sensed.factor,
+        notes=(*notes, *_rate_notes(map, sensed.rate, every), *_contact_notes(wrench[kept], touching, known, map)),
+    )
+    return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
+
+
+def felt(force_N: Array, noise_N: float, part: float = _FELT) -> Mask:
+    """Rows (n,) whose force (n, k) stands out from the noise, and is more than a part of the largest one."""
+    force = np.linalg.norm(force_N, axis=1)
+    return np.asarray(force > max(FORCE_SIGMAS * noise_N, part * float(force.max(initial=0.0))))
 
 
 class _Sensed(NamedTuple):
@@ -124,115 +227,20 @@ class _Sensed(NamedTuple):
     stretches: list[tuple[int, int]]
     noise: Array
     """(6,) standard deviations that are left."""
-    factor: float
-    """Noise that the filter leaves, over that before it."""
     blurred: Mask
     """(n,) rows that the filter changes by more than their noise."""
-    rate: float | None
+    factor: float = 1.0
+    """Noise that the filter leaves, over that before it."""
+    rate: float | None = None
     """Rows per second, if there is a filter."""
-    notes: list[str]
+    notes: tuple[str, ...] = ()
 
 
-def convert(table: RawTable, map: Map) -> Imported:
-    """The recording of a table that is read already, with what it was made of.  Raises InputError as `import_table`."""
-    log = read_log(table, map)
-    clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
-    sensed = _sensed(log, clock, map, table.name)
-    wrench, known = _clamp_wrench(sensed.wrench, log.present, map.sensor, table.name)
-    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
-    check_range(position, map, table.name)
-    sweep, backwards = _sweeps(log, position, quaternion, map)
-    noise = _clamp_noise(sensed.noise, map, known)
-    sweep, transfers = _without_transfers(sweep, log, wrench, position, quaternion, map, noise[0])
-    directions = check_directions(table, map, sweep, position, quaternion, in_contact(sensed.wrench[:, :3], noise[0]))
-    if backwards.any():
-        quaternion, wrench = quaternion.copy(), wrench.copy()
-        quaternion[backwards] = _HALF_TURN.carried(position[backwards], quaternion[backwards])[1]
-        wrench[backwards] *= np.tile(np.diag(_HALF_TURN.turn), 2)
-    within = np.flatnonzero((sweep >= 0) & ~sensed.blurred)
-    every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
-    kept = within[filtering.thinned(sweep[within], every)] if every > 1 else within
-    rows = _Rows(sweep[kept], position[kept], quaternion[kept], wrench[kept])
-    recording = _recording(table, map, rows, bool(known.all()), noise)
-    check_sizes(recording, map, table.name)
-    notes = [*sensed.notes, *directions, *transfers, *filter_notes(map, sensed.rate, every)]
-    notes += contact_notes(recording, wrench[kept], known, map)
-    left_out = {
-        "without numbers": len(table) - len(log), "between sweeps": int((sweep < 0).sum()),
-        "blurred by the filter": int((sensed.blurred & (sweep >= 0)).sum()), "thinned": len(within) - len(kept),
-    }  # fmt: skip
-    summary = _summary(table, log, clock, sensed, recording, left_out, notes)
-    return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
-
-
-def _summary(
-    table: RawTable,
-    log: Log,
-    clock: Array,
-    sensed: _Sensed,
-    recording: Recording,
-    left_out: Mapping[str, int],
-    notes: list[str],
-) -> Summary:
-    return Summary(
-        table=table.name,
-        rows=len(table),
-        seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
-        rate_hz=_rate(log.time_s),
-        samples=len(recording),
-        sweeps=len(np.unique(recording.sweep)),
-        sweeps_with_contact=len(np.unique(recording.sweep[felt(recording)])),
-        six_axis=recording.six_axis,
-        left_out=left_out,
-        air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in sensed.stretches),
-        air_fraction=float(sensed.air.mean()),
-        zero=tuple(sensed.zero.mean(axis=0).tolist()),
-        drift=tuple(np.ptp(sensed.zero, axis=0).tolist()),
-        noise_force_N=recording.noise_force_N,
-        noise_moment_Nm=recording.noise_moment_Nm,
-        noise_factor=sensed.factor,
-        notes=tuple(notes),
-    )
-
-
-def _sensed(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
-    """The wrench of a log without the sensor's zero, and filtered if the map says so."""
-    zero, air, noise, stretches = _tared(log, clock, map, where)
-    wrench = _without_rounding(log.wrench - zero, log.wrench) if zero.any() else log.wrench
-    sharp = np.zeros(len(log), dtype=bool)
-    if not (map.lowpass_hz or map.rate_hz):
-        return _Sensed(wrench, zero, air, stretches, noise, 1.0, sharp, None, [])
-    if log.time_s is None:
-        raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
-    rate = filtering.sampling_rate(clock, where)
-    if not map.lowpass_hz:
-        return _Sensed(wrench, zero, air, stretches, noise, 1.0, sharp, rate, [])
-    measured = wrench
-    wrench = filtering.low_pass(measured, clock, map.lowpass_hz, rate, where)
-    blurred = filtering.blurred(measured, wrench, clock, map.lowpass_hz, rate, where)
-    factor = filtering.noise_factor(map.lowpass_hz, rate)
-    notes = []
-    left = factor * noise
-    if air.any():
-        found = np.where(noise > 0, taring.robust_sd(wrench[air]), 0.0)
-        if (found > _COLOURED * left).any():
-            notes.append(
-                "the filter leaves more noise than it would of white noise; the noise found after it is stated"
-            )
-        left = np.maximum(left, found)
-    return _Sensed(wrench, zero, air, stretches, left, factor, blurred, rate, notes)
-
-
-def _rate(time: Array | None) -> float | None:
-    if time is None or len(time) < 2 or time[-1] == time[0]:
-        return None
-    return float((len(time) - 1) / (time[-1] - time[0]))
-
-
-def _tared(log: Log, clock: Array, map: Map, where: str) -> tuple[Array, Mask, Array, list[tuple[int, int]]]:
-    """The sensor's zero (n, 6), the rows in the air (n,), the noise (6,) there, and the stretches."""
+def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
+    """The wrench of a log without the sensor's zero."""
+    none = np.zeros(len(log), dtype=bool)
     if map.air == "none":
-        return np.zeros((1, 6)), np.zeros(len(log), dtype=bool), np.zeros(6), []
+        return _Sensed(log.wrench, np.zeros((1, 6)), none, [], np.zeros(6), none)
     if isinstance(map.air, str):
         stretches = find_air(log.wrench, clock, where)
     elif log.time_s is None:
@@ -240,57 +248,35 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> tuple[Array, Mask, A
             f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]"
         )
     else:
-        stretches = taring.given_air(clock, map.air, where)
-    air = taring.tare(log.wrench, clock, stretches)
-    return air.zero, air.rows, air.noise, stretches
+        stretches = given_air(clock, map.air, where)
+    air = tare(log.wrench, clock, stretches)
+    wrench = log.wrench - air.zero
+    # rows in which all channels are no more than rounding would count as forces
+    largest = np.repeat([np.abs(log.wrench[:, :3]).max(), np.abs(log.wrench[:, 3:]).max()], 3)
+    nothing = np.asarray((np.abs(wrench) <= _ROUNDING * largest).all(axis=1))
+    return _Sensed(np.where(nothing[:, None], 0.0, wrench), air.zero, air.rows, stretches, air.noise, none)
 
 
-def _without_rounding(tared: Array, before: Array) -> Array:
-    """The tared wrench (n, 6), zero in rows in which all channels are no more than rounding: those would count as forces."""
-    largest = np.repeat([np.abs(before[:, :3]).max(), np.abs(before[:, 3:]).max()], 3)
-    nothing: Mask = np.asarray((np.abs(tared) <= _ROUNDING * largest).all(axis=1))
-    return np.where(nothing[:, None], 0.0, tared) if nothing.any() else tared
-
-
-def _sweeps(log: Log, position: Array, quaternion: Array, map: Map) -> tuple[NDArray[np.int64], Mask]:
-    """Number of the sweep (n,) of each row, -1 outside, and rows (n,) of strokes along +x that count as sweeps."""
-    none = np.zeros(len(log), dtype=bool)
-    if log.sweep is not None or log.sweeping is not None:
-        if log.sweep is None:
-            assert log.sweeping is not None
-            sweep = segments.runs_of(log.sweeping)
-        else:
-            sweep = log.sweep if log.sweeping is None else segments.numbered(log.sweep, log.sweeping)
-        if map.directions == "both":
-            numbers = np.unique(sweep[sweep >= 0])
-            back = numbers[segments.travel_angles(sweep, position, quaternion) > np.pi / 2]
-            none = np.isin(sweep, back)
-        return sweep, none
-    found = segments.strokes(position, quaternion, map.rod.length_m)
-    if map.directions == "both":
-        return found.sweep, (found.sweep >= 0) & np.append(found.backwards, False)[found.sweep]
-    number = np.append(np.where(found.backwards, -1, np.cumsum(~found.backwards) - 1), -1)
-    return number[found.sweep], none
-
-
-def _without_transfers(
-    sweep: NDArray[np.int64], log: Log, wrench: Array, position: Array, quaternion: Array, map: Map, noise: float
-) -> tuple[NDArray[np.int64], list[str]]:
-    """The numbers of the sweeps (n,) without strokes found by motion that touch nothing and may be out of reach, and a note."""
-    if log.sweep is not None or log.sweeping is not None:
-        return sweep, []
-    touched = stands_out(wrench[:, :3], noise)
-    within = segments.with_rows(sweep, touched)
-    left = segments.transfers(sweep, within, position, quaternion, map.rod.length_m)
-    if not len(left) or not len(within):
-        return sweep, []
-    kept = np.where(np.isin(sweep, left), -1, sweep)
-    numbers = np.unique(kept[kept >= 0])
-    renumbered = np.where(kept >= 0, np.searchsorted(numbers, kept), -1)
-    return renumbered, [
-        f"{len(left)} strokes without contact are left out, because the rod may have been out of the body's reach; if they are "
-        "sweeps, number them in a column and name it as sweep under [columns]"
-    ]
+def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> _Sensed:
+    """The wrench without what is faster than the low-pass of the map, if there is one."""
+    if not (map.lowpass_hz or map.rate_hz):
+        return sensed
+    if log.time_s is None:
+        raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
+    rate = filtering.sampling_rate(clock, where)
+    if not map.lowpass_hz:
+        return sensed._replace(rate=rate)
+    wrench = filtering.low_pass(sensed.wrench, clock, map.lowpass_hz, rate, where)
+    blurred = filtering.blurred(sensed.wrench, wrench, clock, map.lowpass_hz, rate, where)
+    factor = filtering.noise_factor(map.lowpass_hz, rate)
+    left = factor * sensed.noise
+    notes: tuple[str, ...] = ()
+    if sensed.air.any():
+        found = np.where(sensed.noise > 0, robust_sd(wrench[sensed.air]), 0.0)
+        if (found > _COLOURED * left).any():
+            notes = ("the filter leaves more noise than it would of white noise; the noise found after it is stated",)
+        left = np.maximum(left, found)
+    return sensed._replace(wrench=wrench, noise=left, blurred=blurred, factor=factor, rate=rate, notes=notes)
 
 
 def _clamp_wrench(wrench: Array, present: Mask, sensor: Frame, where: str) -> tuple[Array, Mask]:
@@ -309,9 +295,7 @@ def _clamp_wrench(wrench: Array, present: Mask, sensor: Frame, where: str) -> tu
                 f"{where}: {CHANNELS[channel]} of the clamp needs {absent} of the sensor as well, because [sensor] turns or "
                 "moves it; add the column, or give the wrench in the clamp's frame"
             )
-    if sensor.trivial:
-        return wrench, known
-    return np.where(known, wrench @ matrix.T, 0.0), known
+    return (wrench if sensor.trivial else np.where(known, wrench @ matrix.T, 0.0)), known
 
 
 def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
@@ -323,23 +307,45 @@ def _clamp_noise(noise: Array, map: Map, known: Mask) -> tuple[float, float]:
     return force, moment
 
 
-class _Rows(NamedTuple):
-    """The rows of a recording."""
+def _sweeps(
+    log: Log, wrench: Array, position: Array, quaternion: Array, map: Map, noise_N: float
+) -> tuple[NDArray[np.int64], Mask, list[str]]:
+    """Number of the sweep (n,) of each row, -1 outside, rows (n,) of strokes along +x that count as sweeps, and notes."""
+    none = np.zeros(len(log), dtype=bool)
+    both = map.directions == "both"
+    if log.sweep is not None:
+        if both:
+            numbers = np.unique(log.sweep[log.sweep >= 0])
+            none = np.isin(log.sweep, numbers[travel_angles(log.sweep, position, quaternion) > np.pi / 2])
+        return log.sweep, none, []
+    found = strokes(position, quaternion, map.rod.length_m)
+    counting = np.full(len(found.backwards), True) if both else ~found.backwards
+    sweep = np.append(np.where(counting, np.cumsum(counting) - 1, -1), -1)[found.sweep]
+    backwards = (sweep >= 0) & np.append(found.backwards, False)[found.sweep]
+    sweep, left = without_transfers(sweep, felt(wrench[:, :3], noise_N), position, quaternion, map.rod.length_m)
+    note = (
+        f"{left} strokes without contact are left out, because the rod may have been out of the body's reach; if they are "
+        "sweeps, number them in a column and name it as sweep under [columns]"
+    )
+    return sweep, backwards & (sweep >= 0), [note] if left else []
 
-    sweep: NDArray[np.int64]
-    position: Array
-    quaternion: Array
-    wrench: Array
-    """(n, 6) in the clamp's frame."""
 
-
-def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tuple[float, float]) -> Recording:
-    force, moment = rows.wrench[:, :3], rows.wrench[:, 3:]
+def _recording(
+    table: Table,
+    map: Map,
+    noise: tuple[float, float],
+    sweep: NDArray[np.int64],
+    position: Array,
+    quaternion: Array,
+    wrench: Array,
+    known: Mask,
+) -> Recording:
+    force, moment = wrench[:, :3], wrench[:, 3:]
     source = {"kind": KIND, "table": table.name, "table_sha256": table.sha256, "map": dict(map.text)}
     recording = Recording(
-        sweep=rows.sweep,
-        position_m=rows.position,
-        quaternion=rows.quaternion,
+        sweep=sweep,
+        position_m=position,
+        quaternion=quaternion,
         force_N=force[:, :2],
         moment_Nm=moment[:, 2],
         rod=map.rod,
@@ -351,6 +357,93 @@ def _recording(table: RawTable, map: Map, rows: _Rows, six_axis: bool, noise: tu
         source=source | ({"rig": dict(map.rig), "calibrated": True} if map.rig else {}),
         rig=map.uncertainty,
     )
-    if not six_axis:
+    if not known.all():
         return recording
     return replace(recording, force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
+
+
+def _check_range(position_m: Array, map: Map, table: str) -> None:
+    """Raise InputError if the clamp hardly moves, for the length of the rod."""
+    reach = float(np.ptp(position_m, axis=0).max()) / map.rod.length_m
+    if reach < _SMALLEST_RANGE:
+        raise InputError(
+            f"{table}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] position and [rod] "
+            f"length_m of {map.name}"
+        )
+
+
+def _check_sizes(recording: Recording, map: Map, table: str) -> None:
+    """Raise InputError if travel, force or moment can't be those of the rod, with the entry of the map to check."""
+    rod = recording.rod
+    _, first = np.unique(recording.sweep, return_index=True)
+    last = len(recording) - 1 - np.unique(recording.sweep[::-1], return_index=True)[1]
+    travel = np.linalg.norm(recording.position_m[last] - recording.position_m[first], axis=1) / rod.length_m
+    median = float(np.median(travel))
+    if not _TRAVELS[0] <= median <= _TRAVELS[1]:
+        raise InputError(
+            f"{table}: the sweeps are {median:.3g} rod lengths long, where {_TRAVELS[0]:g} to {_TRAVELS[1]:g} are expected; "
+            f"check [units] length, [columns] position and [rod] length_m of {map.name}"
+        )
+    touching = felt(recording.force_N, recording.noise_force_N)
+    if not touching.any():
+        return
+    force = np.linalg.norm(recording.force_N[touching], axis=1)
+    largest = float(force.max()) / rod.force_unit_N
+    if not _FORCES[0] < largest < _FORCES[1]:
+        raise InputError(
+            f"{table}: the largest force, {force.max():.3g} N, is {largest:.3g} times EI/L² of the rod, where "
+            f"{_FORCES[0]:g} to {_FORCES[1]:g} are expected; check [units] force, the columns of the force, [tare] and [rod] "
+            f"of {map.name}"
+        )
+    strong = force >= np.median(force)
+    moment = np.abs(recording.moment_Nm[touching][strong])
+    ratio = float(np.median(moment / (2 * np.sqrt(force[strong] * rod.bending_stiffness_Nm2))))
+    if not _MOMENTS[0] < ratio < _MOMENTS[1]:
+        raise InputError(
+            f"{table}: the moments in contact are {ratio:.3g} times the largest that the rod can have under such forces, where "
+            f"{_MOMENTS[0]:g} to 1 are expected; check [units] force and moment, the columns of mz, [tare], [sensor] and "
+            f"[rod] of {map.name}"
+        )
+
+
+def _rate_notes(map: Map, rate: float | None, every: int) -> list[str]:
+    """What filter and rate do to the noise, if every so many rows of a table with a given rate in Hz are kept."""
+    if rate is None or not map.lowpass_hz:
+        return []
+    left = rate / every
+    if left > 4 * map.lowpass_hz:
+        return [
+            f"rows that follow one another at {left:.4g} Hz have nearly the same noise after a low-pass of {map.lowpass_hz:g} "
+            f"Hz; rate_hz = {2 * map.lowpass_hz:g} under [filter] keeps rows with independent noise"
+        ]
+    if left < 2 * map.lowpass_hz:
+        return [
+            f"at {left:.4g} Hz what is faster than {left / 2:.4g} Hz appears as slower; lowpass_hz lets up to "
+            f"{map.lowpass_hz:g} Hz pass"
+        ]
+    return []
+
+
+def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[str]:
+    """What the channels (6,) that are known, and the wrench (n, 6) of the recording's rows, say about its use."""
+    notes = []
+    if not touched.any():
+        notes.append(
+            "no row has a force that stands out from the noise: either the rod touched nothing, or the sensor is silent"
+        )
+    further = [CHANNELS[k] for k in (2, 3, 4) if known[k]]
+    if not known.all() and further:
+        text = (
+            f"{', '.join(further)} are left out, because a planar recording has fx, fy and mz, and all six are needed for the "
+            "model in space"
+        )
+        if known[2] and touched.any():
+            part = float(np.median(np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)))
+            if part > _OUT_OF_PLANE:
+                text += f"; fz is {100 * part:.2g} % of the force in contact, and the planar model takes it for zero"
+        notes.append(text)
+    if map.air == "none" and map.noise_force_N is None:
+        notes.append(
+            "nothing is known of the noise: state force_N and moment_Nm under [noise], or stretches in the air under [tare]"
+        )
+    return notes

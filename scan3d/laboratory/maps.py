@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from scan3d.files.reading import did_you_mean
 from scan3d.files.recordings import TABLE
 from scan3d.files.section import REQUIRED, Section, read_rod, read_section
+from scan3d.files.text_tables import Layout
 from scan3d.frames import Frame
-from scan3d.laboratory.quantities import FACTORS, factor
 from scan3d.rigs import RigUncertainty
 from scan3d.rods import Rod
-from scan3d.units import UNITS_M
+from scan3d.units import FACTORS, UNITS_M, spelled
 
 Reference = str | int
 """A column: its name, a pattern with ``*`` or ``?``, or its number from 1; with ``-`` before a name its sign is reversed, and
@@ -29,21 +30,6 @@ ORIENTATIONS = ("quaternion", "euler", "rotvec")
 SHOWS = ("clamp-on-rod", "rod-on-clamp")
 DIRECTIONS = ("-x", "both")
 MISSING = ("refuse", "drop")
-
-
-@dataclass(frozen=True)
-class Layout:
-    """How a text table is written; empty and None where this is to be found from the table."""
-
-    delimiter: str = ""
-    decimal: str = "."
-    header: int | None = None
-    """Number of the line with the names of the columns, from 1; 0 if there is no such line."""
-    units_row: bool = False
-    """Whether the line below the names states the units."""
-    comment: str = "#"
-    missing: str = "refuse"
-    """What becomes of rows with an empty cell: refuse or drop."""
 
 
 @dataclass(frozen=True)
@@ -283,14 +269,15 @@ def _orientation(section: Section) -> Orientation:
 
 def _factors(section: Section, usual: Mapping[str, str]) -> dict[str, float]:
     """What the units are in SI units; a length, force or moment whose unit is guessed would be wrong by a factor of 1000."""
-    return {
-        quantity: factor(
-            section.text(quantity, usual.get(quantity, REQUIRED)),
-            quantity,
-            f"{section.file}: [units] {quantity}",
-        )
-        for quantity in FACTORS
-    }
+    factors = {}
+    for quantity, known in FACTORS.items():
+        unit = section.text(quantity, usual.get(quantity, REQUIRED))
+        name = spelled(unit, quantity)
+        if name is None:
+            near = did_you_mean([unit], known)
+            raise section.error(quantity, f"must be a unit of {quantity}: {', '.join(known)}; got {unit!r}{near}")
+        factors[quantity] = known[name]
+    return factors
 
 
 def read_frame(section: Section) -> Frame:

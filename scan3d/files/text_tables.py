@@ -1,0 +1,387 @@
+"""Tables of samples, one a row: text with any delimiter, or Parquet; columns of numbers or of text.
+
+There is one reader of text, which knows the line of each row, so that every message on a cell names the file, the line and the
+column.  What it finds by itself is the delimiter; a decimal comma, titles above the names and a row of units must be announced
+by a `Layout`, because a table that is read wrongly without a message costs more than a line in a file.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array
+from scan3d.errors import InputError
+from scan3d.files.parquet import read_columns
+from scan3d.files.reading import check_file
+from scan3d.units import unit_of_cell
+
+PARQUET = (".parquet", ".pq")
+# Memory per byte of a table while it is read.
+_MEMORY_PER_BYTE = 8
+# Lines at the beginning of a table in which its names and its first data are looked for, and rows that are read at once.
+_LOOKED_AT, _AT_ONCE = 100, 10_000
+# Delimiters in the order in which they are tried; a space stands for any white space.
+_DELIMITERS = (";", "\t", ",", " ")
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text table is written; empty and None where this is to be found from the table."""
+
+    delimiter: str = ""
+    decimal: str = "."
+    header: int | None = None
+    """Number of the line with the names of the columns, from 1; 0 if there is no such line."""
+    units_row: bool = False
+    """Whether the line below the names states the units."""
+    comment: str = "#"
+    missing: str = "refuse"
+    """What becomes of rows with an empty cell: refuse or drop."""
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of a line, also of a comment."""
+        return [
+            cell.strip()
+            for cell in _split(
+                [line.lstrip().removeprefix(self.comment) if self.comments(line) else line], self.delimiter
+            )[0]
+        ]
+
+    def comments(self, line: str) -> bool:
+        return bool(self.comment) and line.lstrip().startswith(self.comment)
+
+    def holds(self, line: str) -> bool:
+        """Whether a line is neither empty nor a comment."""
+        return not (line.isspace() or not line or self.comments(line))
+
+    def is_number(self, cell: str) -> bool:
+        """Whether a cell is a number with the decimal sign of the table."""
+        try:
+            float(cell.replace(",", ".") if self.decimal == "," else cell)
+        except ValueError:
+            return False
+        return not (self.decimal == "," and "." in cell)
+
+
+@dataclass(frozen=True)
+class Head:
+    """What stands above the data of a text table."""
+
+    layout: Layout
+    names: tuple[str, ...]
+    """Of the columns; empty if the table has no line with names."""
+    units: tuple[str, ...]
+    """The cells of the row of units, likewise."""
+    first: int
+    """Number of the first line of data, from 1."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with n rows, before its columns have a meaning."""
+
+    name: str
+    """Of the file."""
+    names: tuple[str, ...]
+    """Of the columns; empty if the table has no names."""
+    columns: tuple[NDArray[Any], ...]
+    """(n,) of each column: float64, NaN where there is no number, or text as it stands."""
+    units: tuple[str, ...] = ()
+    """The cells of the row of units, if there is one."""
+    layout: Layout | None = None
+    """Of a text table."""
+    lines: NDArray[np.int64] | None = None
+    """(n,) the line of each row of a text table."""
+    wrong: Mapping[int, tuple[int, str]] = field(default_factory=dict)
+    """The first row and its cell that is no number, of columns of numbers that have one."""
+    sha256: str = ""
+
+    def __len__(self) -> int:
+        return len(self.columns[0]) if self.columns else 0
+
+    def title(self, column: int) -> str:
+        """A column by name, or by number from 1 where it has no name."""
+        return f"column {self.names[column]!r}" if self.names and self.names[column] else f"column {column + 1}"
+
+    def place(self, row: int) -> str:
+        """Where a row stands, for messages: ``log.csv: line 7``."""
+        return f"{self.name}: row {row + 1}" if self.lines is None else f"{self.name}: line {self.lines[row]}"
+
+    def text(self, column: int) -> list[str]:
+        """The cells of a column as text."""
+        values = self.columns[column]
+        return [f"{x:g}" for x in values] if values.dtype.kind == "f" else [str(x).strip() for x in values]
+
+    def numbers(self, column: int, *, gaps: bool = False) -> Array:
+        """A column (n,) of finite numbers, NaN in empty cells if `gaps` are allowed.
+
+        Raises InputError with the line and the column of what is no number.
+        """
+        values, wrong = self.columns[column], self.wrong.get(column)
+        if values.dtype.kind != "f":
+            values, wrong = _numbers(values, "." if self.layout is None else self.layout.decimal)
+        if wrong is not None:
+            row, cell = wrong
+            comma = 'a decimal comma; write decimal = "," under [table] in the map'
+            advice = (
+                comma if _DECIMAL_COMMA.fullmatch(cell) else "which is no number; correct the cell, or remove the line"
+            )
+            raise InputError(f"{self.place(row)} has {cell!r} in {self.title(column)}, {advice}")
+        bad = np.isinf(values) if gaps else ~np.isfinite(values)
+        if bad.any():
+            row = int(np.argmax(bad))
+            what = "no value" if np.isnan(values[row]) else f"{values[row]}"
+            raise InputError(
+                f"{self.place(row)} has {what} in {self.title(column)}, where a finite number is expected, and so have "
+                f"{int(bad.sum())} of {len(values)} rows; complete the table, or write "
+                'missing = "drop" under [table] in the map to leave such rows out'
+            )
+        return values
+
+
+def read_table(path: str | Path, layout: Layout | None = None) -> Table:
+    """Read a text table as its layout says, or a Parquet file by its ending.
+
+    Raises InputError with the file, the line and the column of an error, and what to do.
+    """
+    path = Path(path)
+    try:
+        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
+        data = path.read_bytes()
+        sha256 = hashlib.sha256(data).hexdigest()
+        if path.suffix.lower() in PARQUET:
+            by_name = read_columns(path)
+            return Table(path.name, tuple(by_name), tuple(by_name.values()), sha256=sha256)
+    except OSError as error:
+        raise InputError(f"can't read the table {path}: {error.strerror or error}") from None
+    text = _decoded(data)
+    head = _announced_head(path.name, _first_lines(path.name, text), layout or Layout())
+    return replace(_parsed(path.name, text, head), sha256=sha256)
+
+
+def guessed_layout(path: Path) -> Layout:
+    """The layout of a text table as its first lines suggest.  Raises InputError if it can't be read."""
+    try:
+        return guessed_head(_first_lines(path.name, _decoded(path.read_bytes())), Layout()).layout
+    except OSError as error:
+        raise InputError(f"can't read the table {path}: {error.strerror or error}") from None
+
+
+def _first_lines(name: str, text: str) -> list[str]:
+    lines = [line.rstrip("\n") for line in islice(io.StringIO(text, newline=None), _LOOKED_AT)]
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{name} is empty; expected a table with one row per sample")
+    if "\0" in "".join(lines):
+        raise InputError(f"{name} is no text; expected a table as text or Parquet (.parquet), or a ROS bag")
+    return lines
+
+
+def _decoded(data: bytes) -> str:
+    """The text of a file in UTF-8, UTF-16 with its mark, or Latin-1."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+    """The cells of lines that are not empty."""
+    if delimiter == " ":
+        return [line.split() for line in lines]
+    rows = list(csv.reader(lines, delimiter=delimiter))
+    if len(rows) == len(lines):
+        return rows
+    # a quote that is not closed: each line for itself, so that the one with too few cells is found
+    return [next(csv.reader([line], delimiter=delimiter), []) for line in lines]
+
+
+def _numbers(cells: Iterable[str], decimal: str) -> tuple[Array, tuple[int, str] | None]:
+    """Numbers (n,), NaN where a cell holds none, and the first cell, with its row, that holds something else."""
+    cells = [cell.replace(",", ".") for cell in cells] if decimal == "," else list(cells)
+    try:
+        return np.fromiter(map(float, cells), float, len(cells)), None
+    except ValueError:
+        pass
+    values, wrong = np.full(len(cells), np.nan), None
+    for row, cell in enumerate(cells):
+        try:
+            values[row] = float(cell)
+        except ValueError:
+            if cell.strip() and wrong is None:
+                wrong = row, str(cell)
+    return values, wrong
+
+
+def _parsed(name: str, text: str, head: Head) -> Table:
+    """The rows below the head of a text table."""
+    layout, count = head.layout, len(head.names)
+    numbered = islice(enumerate(io.StringIO(text, newline=None), 1), head.first - 1, None)
+    numbers: list[int] = []
+    parts: list[list[Any]] = []
+    is_text: list[bool] = []
+    wrong: dict[int, tuple[int, str]] = {}
+    while some := list(islice(numbered, _AT_ONCE)):
+        some = [(number, line) for number, line in some if layout.holds(line)]
+        if not some:
+            continue
+        lines = [line for _, line in some]
+        columns: Sequence[Any] | None = None if any(is_text) else _all_numbers(lines, layout)
+        if columns is None or len(columns) != (count or len(columns)):
+            columns = _cells(name, [number for number, _ in some], lines, layout, count)
+        count = len(columns)
+        if not parts:
+            is_text = [not isinstance(cells, np.ndarray) and _is_text(cells, layout) for cells in columns]
+            parts = [[] for _ in columns]
+        for k, cells in enumerate(columns):
+            if is_text[k]:
+                parts[k].extend(cells)
+                continue
+            values, bad = (cells, None) if isinstance(cells, np.ndarray) else _numbers(cells, layout.decimal)
+            parts[k].append(values)
+            if bad is not None:
+                wrong.setdefault(k, (len(numbers) + bad[0], bad[1]))
+        numbers += [number for number, _ in some]
+    if not parts:
+        raise InputError(f"{name} has no row of data below line {head.first - 1}; expected one row per sample")
+    joined: list[NDArray[Any]] = [
+        np.array(part, dtype=object) if words else np.concatenate(part)
+        for part, words in zip(parts, is_text, strict=True)
+    ]
+    return Table(name, head.names, tuple(joined), head.units, layout, np.array(numbers), wrong)
+
+
+def _all_numbers(lines: Sequence[str], layout: Layout) -> Sequence[Array] | None:
+    """The columns of lines that hold nothing but numbers, three times as fast as cell by cell; None for other lines."""
+    if layout.decimal == ",":
+        lines = [line.replace(",", ".") for line in lines]
+    try:
+        values = np.loadtxt(
+            lines, delimiter=None if layout.delimiter == " " else layout.delimiter, comments=None, ndmin=2
+        )
+    except ValueError:
+        return None
+    return [np.ascontiguousarray(column) for column in values.T]
+
+
+def _cells(
+    name: str, numbers: Sequence[int], lines: Sequence[str], layout: Layout, count: int
+) -> Sequence[tuple[str, ...]]:
+    """The columns of lines as text.  Raises InputError for a line without the right number of cells, if that is not 0."""
+    try:
+        rows = _split(lines, layout.delimiter)
+    except csv.Error as error:
+        raise InputError(
+            f"{name}: lines {numbers[0]} to {numbers[-1]} can't be split into cells: {error}; correct them"
+        ) from None
+    count = count or len(rows[0])
+    for number, row in zip(numbers, rows, strict=True):
+        if len(row) != count:
+            raise InputError(_wrong_count(name, number, len(row), count, layout))
+    return list(zip(*rows, strict=True))
+
+
+def _is_text(cells: Sequence[str], layout: Layout) -> bool:
+    """Whether a column holds text, by its first cell that is not empty."""
+    return not layout.is_number(next((cell for cell in cells if cell.strip()), "0"))
+
+
+def _wrong_count(name: str, number: int, found: int, count: int, layout: Layout) -> str:
+    expected = f"{name}: line {number} has {found} values, expected {count}"
+    if found < count:
+        return f"{expected}; it ends in column {found}: is it cut off? complete or remove it"
+    if layout.delimiter == "," and found <= 2 * count:
+        return (
+            f"{expected}; are there decimal commas, first in column 1? separate the columns by semicolons or tabs, and write "
+            'decimal = "," under [table] in the map'
+        )
+    return f"{expected}, from column {count + 1} on; check the delimiter and the names in the header"
+
+
+def guessed_head(lines: Sequence[str], layout: Layout) -> Head:
+    """The head of a table as its first lines suggest, with the whole layout filled in; what `layout` states is kept."""
+    data = [line for line in lines if layout.holds(line)]
+    best, count, most = replace(layout, delimiter=layout.delimiter or ","), 0, 0.0
+    for delimiter in (layout.delimiter,) if layout.delimiter else _DELIMITERS:
+        for decimal in (layout.decimal,) if layout.decimal == "," or delimiter == "," else (".", ","):
+            tried = replace(layout, delimiter=delimiter, decimal=decimal)
+            tail = [tried.cells(line) for line in data[len(data) // 2 :]]
+            columns = len(tail[-1]) if tail else 0
+            numbers = sum(tried.is_number(cell) for cells in tail if len(cells) == columns for cell in cells)
+            part = numbers / max(sum(map(len, tail)), 1)
+            # several columns are likelier than one, and full stops than commas where both fit
+            if columns > 1 and part > most + 1e-9:
+                best, count, most = tried, columns, part
+    above: list[tuple[int, list[str]]] = []
+    first = len(lines) + 1
+    for number, line in enumerate(lines, 1):
+        cells = best.cells(line) if line.strip() else []
+        if len(cells) != count:
+            continue
+        if not best.comments(line) and 2 * sum(_is_any_number(cell) or not cell for cell in cells) > len(cells):
+            first = number
+            break
+        above.append((number, cells))
+    filled = [cell for cell in above[-1][1] if cell.strip("[]()-/ ")] if len(above) > 1 else []
+    units_row = layout.units_row or (bool(filled) and 2 * sum(map(bool, map(unit_of_cell, filled))) > len(filled))
+    names = above[-2:] if units_row else above[-1:]
+    if not names:
+        return Head(replace(best, header=0), (), (), first)
+    units = tuple(names[1][1]) if len(names) == 2 else ()
+    return Head(replace(best, header=names[0][0], units_row=bool(units)), tuple(names[0][1]), units, first)
+
+
+def _is_any_number(cell: str) -> bool:
+    """Whether a cell is a number with either decimal sign."""
+    return any(Layout(decimal=sign).is_number(cell) for sign in ".,")
+
+
+def _announced_head(name: str, lines: Sequence[str], layout: Layout) -> Head:
+    """The head of a table as its layout says.  Raises InputError where the lines show that it says something wrong."""
+    guess = guessed_head(lines, layout)
+    found = guess.layout.header or 0
+    held = [number for number, line in enumerate(lines, 1) if layout.holds(line)]
+    commented = found > 0 and layout.comments(lines[found - 1])
+    number = layout.header
+    if number is None:
+        # names in a comment above the data, and a table without names, need no announcement
+        nameless = found == 0 and guess.first <= held[0] if held else True
+        number = found if commented or nameless else held[0]
+    if number > len(lines):
+        raise InputError(f"{name} has no line {number} with the names of its columns; correct header under [table]")
+    stated = replace(layout, delimiter=guess.layout.delimiter, header=number)
+    below = [k for k in held if k > number]
+    first = below[0] if below else len(lines) + 1
+    if number == 0:
+        return Head(stated, (), (), first)
+    names = tuple(stated.cells(lines[number - 1]))
+    if layout.header is None and found not in (0, number) and len(guess.names) != len(names):
+        raise InputError(
+            f"{name}: line {number} has {len(names)} cells and the data have {len(guess.names)} columns, whose names stand in "
+            f"line {found}; write header = {found} under [table] in the map"
+        )
+    row = stated.cells(lines[first - 1]) if below else []
+    if layout.units_row:
+        return Head(stated, names, tuple(row), first + 1)
+    if row and not commented and not any(map(_is_any_number, row)):
+        column = next((k for k, cell in enumerate(row) if cell), 0)
+        raise InputError(
+            f"{name}: line {first} has {row[column]!r} in column {column + 1} "
+            f"({names[column] if column < len(names) else 'without a name'}), where data are expected: a second header "
+            "line; if it states the units, write units_row = true under [table] in the map, else header = "
+            f"{first} for the line with the names"
+        )
+    return Head(stated, names, (), first)

@@ -1,0 +1,301 @@
+"""What a rig has logged: the columns of a table as quantities in SI units, by a map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Mask
+from scan3d.errors import InputError
+from scan3d.files.reading import did_you_mean
+from scan3d.files.text_tables import Table
+from scan3d.laboratory.maps import Map, Orientation, Reference
+from scan3d.poses import Move
+from scan3d.units import FACTORS, stated_unit, unit_of_cell
+
+CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
+_MOVES = tuple(move.name.lower() for move in Move)
+# Largest error of a quaternion's length, as in a recording.
+_QUATERNION_TOLERANCE = 1e-3
+# Names of columns that a message lists at most.
+_LISTED = 30
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a rig has logged: n rows in SI units, in the frames of the robot and of the sensor."""
+
+    time_s: Array | None
+    """(n,) not falling; None if it was not logged."""
+    position_m: Array
+    """(n, 3) in the world."""
+    quaternion: Array
+    """(n, 4) orientation, w first."""
+    wrench: Array
+    """(n, 6) force in N and moment in N m; zero where the sensor has no such channel."""
+    present: Mask
+    """(6,) whether the sensor has the channel."""
+    sweep: NDArray[np.int64] | None
+    """(n,) number of the sweep, -1 between sweeps; None if neither sweeps nor moves were logged."""
+    row: NDArray[np.int64]
+    """(n,) row of the table."""
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+
+def read_log(table: Table, map: Map) -> Log:
+    """The quantities of a table.  Raises InputError with the file, the line and the column of what can't be right."""
+    columns = map.columns
+    position = _vectors(table, map, columns.position, 3, "length", "position")
+    orientation = _orientation(table, map, columns.orientation)
+    force, moment = (
+        _vectors(table, map, references, 3, entry, entry)
+        for references, entry in ((columns.force, "force"), (columns.moment, "moment"))
+    )
+    present = [len(one) == 1 or one[axis] != "" for one in (columns.force, columns.moment) for axis in range(3)]
+    time = None if columns.time is None else _time(table, map, columns.time)
+    wrench = np.concatenate([force, moment], axis=1)
+    kept = np.isfinite(np.concatenate([position, orientation, wrench], axis=1)).all(axis=1)
+    kept &= True if time is None else np.isfinite(time)
+    if not kept.any():
+        raise InputError(f"{table.name} has no row in which all columns of the map hold numbers")
+    row = np.flatnonzero(kept)
+    quaternion = _quaternions(table, map, orientation[row], row)
+    place, sweep = position[row], _sweeps(table, map)
+    if columns.position_in == "clamp":
+        place = Rotation.from_quat(quaternion, scalar_first=True).apply(place)
+    log = Log(
+        time_s=None if time is None else time[row],
+        position_m=place,
+        quaternion=quaternion,
+        wrench=-wrench[row] if map.reversed_sign else wrench[row],
+        present=np.array(present),
+        sweep=None if sweep is None else sweep[row],
+        row=row,
+    )
+    _check_time(log, table)
+    _check_wrench(log, table, map)
+    return log
+
+
+def _entry(map: Map, entry: str) -> str:
+    return f"[columns] {entry} of {map.name}"
+
+
+def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int, float]:
+    """The column of a reference and its sign."""
+    where, names = _entry(map, entry), table.names
+    if isinstance(reference, int):
+        if reference > len(table.columns):
+            raise InputError(
+                f"{table.name} has {len(table.columns)} columns, and {where} names column {reference}; correct the map"
+            )
+        return reference - 1, 1.0
+    if not reference:
+        raise InputError(f"{where} must name a column, or be left out")
+    if not names:
+        raise InputError(
+            f"{table.name} has no line with names, and {where} names {reference!r}; give the number of the column, from 1, or "
+            "the line of the names as header under [table]"
+        )
+    bare, sign = reference, 1.0
+    if reference.startswith("-") and reference not in names:
+        bare, sign = reference[1:], -1.0
+    found = [k for k, name in enumerate(names) if name == bare] or _matching(names, bare)
+    if len(found) == 1:
+        return found[0], sign
+    header = table.layout.header if table.layout else None
+    line = f"{table.name}: line {header}" if header else table.name
+    if found:
+        raise InputError(
+            f"{line} has {len(found)} columns {reference!r} (numbers {', '.join(str(k + 1) for k in found)}), where {where} "
+            "means one; give its number"
+        )
+    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    inside = [name for name in names if reference.lower() in name.lower()]
+    near = f"; did you mean {inside[0]}?" if inside else did_you_mean([reference], names)
+    raise InputError(f"{line} has no column {reference!r}, which {where} names; it has {listed}{near}")
+
+
+def _matching(names: Sequence[str], pattern: str) -> list[int]:
+    return [k for k, name in enumerate(names) if fnmatchcase(name, pattern)] if set(pattern) & set("*?") else []
+
+
+def _expanded(
+    table: Table, map: Map, references: tuple[Reference, ...], count: int, entry: str
+) -> tuple[Reference, ...]:
+    """The references, with a single pattern replaced by the columns that it finds, in the table's order."""
+    first = references[0]
+    if len(references) == count or not isinstance(first, str):
+        return references
+    sign = "-" if first.startswith("-") else ""
+    names = [table.names[k] for k in _matching(table.names, first.removeprefix("-"))]
+    if len(names) != count:
+        found = f"finds {', '.join(names)}" if names else "finds no column"
+        raise InputError(
+            f"{table.name}: the pattern {first!r} in {_entry(map, entry)} {found}, where {count} are expected"
+        )
+    return tuple(sign + name for name in names)
+
+
+def _numbers(table: Table, map: Map, reference: Reference, quantity: str, entry: str) -> Array:
+    """A column in SI units; zeros for an empty reference."""
+    if reference == "":
+        return np.zeros(len(table))
+    column, sign = _find(table, map, reference, entry)
+    if quantity:
+        _check_unit(table, map, column, quantity)
+    factor = sign * map.factors[quantity] if quantity else sign
+    values = table.numbers(column, gaps=map.layout.missing == "drop")
+    return values if factor == 1.0 else values * factor
+
+
+def _vectors(table: Table, map: Map, references: tuple[Reference, ...], count: int, quantity: str, entry: str) -> Array:
+    names = _expanded(table, map, references, count, entry)
+    return np.stack([_numbers(table, map, name, quantity, entry) for name in names], axis=1)
+
+
+def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
+    """The columns (n, k) of the orientation: of a quaternion, or of angles in radians."""
+    count = {"quaternion": 4, "rotvec": 3}.get(orientation.kind, len(orientation.convention))
+    quantity = "" if orientation.kind == "quaternion" else "angle"
+    return _vectors(table, map, orientation.columns, count, quantity, f"orientation.{orientation.kind}")
+
+
+def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) -> Array:
+    """Unit quaternions (n, 4), w first, of the orientation's columns (n, k) in rows (n,) of the table."""
+    orientation = map.columns.orientation
+    if orientation.kind == "euler":
+        return np.asarray(Rotation.from_euler(orientation.convention, values).as_quat(scalar_first=True))
+    if orientation.kind == "rotvec":
+        return np.asarray(Rotation.from_rotvec(values).as_quat(scalar_first=True))
+    length = np.linalg.norm(values, axis=1)
+    worst = int(np.argmax(np.abs(length - 1)))
+    if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
+        first = _expanded(table, map, orientation.columns, 4, "orientation")[0]
+        title = table.title(_find(table, map, first, "orientation")[0]) if first else "the quaternion's columns"
+        raise InputError(
+            f"{table.place(int(row[worst]))} has a quaternion of length {length[worst]:.4g}, from {title} on, where 1 is "
+            f"expected; check the four columns of {_entry(map, 'orientation')}"
+        )
+    return np.roll(values, 1, axis=1) if orientation.order == "xyzw" else values
+
+
+def _time(table: Table, map: Map, reference: Reference) -> Array:
+    """Times (n,) in seconds; text in the form 2026-05-01T10:00:00.5 counts from its first row."""
+    column, _ = _find(table, map, reference, "time")
+    values = table.columns[column]
+    if values.dtype.kind != "f" and "-" in str(values[0])[1:]:
+        try:
+            stamps = values.astype(str).astype("datetime64[ns]")
+            return np.asarray((stamps - stamps[0]).astype(np.int64) * 1e-9)
+        except ValueError:
+            pass
+    return _numbers(table, map, reference, "time", "time")
+
+
+def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
+    """Number of the sweep (n,), -1 between sweeps; None if neither sweeps nor moves were logged.
+
+    Sweeps with names are numbered as they appear; without numbers, each run of rows in which the robot sweeps is one.
+    """
+    columns = map.columns
+    sweeping = None if columns.move is None else _sweeping(table, map, columns.move)
+    if columns.sweep is None:
+        return None if sweeping is None else runs_of(sweeping)
+    column, _ = _find(table, map, columns.sweep, "sweep")
+    values = table.columns[column]
+    if values.dtype.kind != "f":
+        names = table.text(column)
+        numbers = {"": -1} | {name: k for k, name in enumerate(dict.fromkeys(filter(None, names)))}
+        sweep = np.array([numbers[name] for name in names], dtype=np.int64)
+    else:
+        whole = np.where(np.isnan(values), -1.0, table.numbers(column, gaps=True))
+        bad = (whole != np.round(whole)) | (np.abs(whole) >= 2**31)
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InputError(
+                f"{table.place(row)} has {values[row]:g} in {table.title(column)}, where the whole number of a sweep is "
+                "expected"
+            )
+        sweep = np.maximum(whole, -1.0).astype(np.int64)
+    return sweep if sweeping is None else np.where(sweeping, sweep, -1)
+
+
+def runs_of(rows: Mask) -> NDArray[np.int64]:
+    """Number (n,) of each run of rows (n,), -1 between runs."""
+    starts = np.diff(np.concatenate([[False], rows]).astype(np.int8)) == 1
+    return np.where(rows, np.cumsum(starts) - 1, -1)
+
+
+def _sweeping(table: Table, map: Map, reference: Reference) -> Mask:
+    """Whether the robot sweeps (n,)."""
+    column, _ = _find(table, map, reference, "move")
+    values = np.char.lower(np.array(table.text(column), dtype=str))
+    bad = ~np.isin(values, _MOVES)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(
+            f"{table.place(row)} has {str(values[row])!r} in {table.title(column)}, where one of {', '.join(_MOVES)} is "
+            "expected"
+        )
+    return np.asarray(values == _MOVES[Move.SWEEP])
+
+
+def stated_units(table: Table, column: int) -> Mapping[str, tuple[str, int | None]]:
+    """The units that the row of units and the name of a column state, by quantity, with the line."""
+    header = table.layout.header if table.layout else None
+    cell = table.units[column] if column < len(table.units) else ""
+    name = stated_unit(table.names[column]) if table.names else None
+    found = ((name, header), (unit_of_cell(cell), (header or 0) + 1))
+    return {stated[0]: (stated[1], line) for stated, line in found if stated}
+
+
+def _check_unit(table: Table, map: Map, column: int, quantity: str) -> None:
+    """Raise InputError if the table states another unit for a column than the map."""
+    stated, line = stated_units(table, column).get(quantity, ("", None))
+    factor = map.factors[quantity]
+    if stated and abs(FACTORS[quantity][stated] - factor) > 1e-9 * factor:
+        unit = next(unit for unit, value in FACTORS[quantity].items() if value == factor)
+        where = f": line {line}" if line else ""
+        raise InputError(
+            f"{table.name}{where} says that {table.title(column)} is in {stated}, and [units] {quantity} of {map.name} says "
+            f"{unit}; correct the one that is wrong"
+        )
+
+
+def _check_time(log: Log, table: Table) -> None:
+    """Raise InputError if time runs backwards or stands still."""
+    if log.time_s is None or len(log) < 2:
+        return
+    steps = np.diff(log.time_s)
+    if (steps < 0).any():
+        k = int(np.argmax(steps < 0))
+        raise InputError(
+            f"{table.place(int(log.row[k + 1]))} has a time {-steps[k]:.6g} s before that of the row above, and time runs "
+            f"backwards in {int((steps < 0).sum())} of {len(log)} rows; check the column of the time, and sort or separate "
+            "the rows"
+        )
+    if not steps.any():
+        raise InputError(
+            f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
+        )
+
+
+def _check_wrench(log: Log, table: Table, map: Map) -> None:
+    """Raise InputError if all forces, or all moments, are zero."""
+    for name, part in (("force", log.wrench[:, :3]), ("moment", log.wrench[:, 3:])):
+        if part.any():
+            continue
+        references = _expanded(table, map, getattr(map.columns, name), 3, name)
+        titles = ", ".join(table.title(_find(table, map, one, name)[0]) for one in references if one != "")
+        raise InputError(
+            f"{table.place(int(log.row[0]))} and all {len(log) - 1} rows below have zero in {titles}: nothing was measured; "
+            f"check [columns] {name} of {map.name}, and the sensor"
+        )

@@ -1,0 +1,337 @@
+"""One continuous log cut into sweeps, by the motion of the clamp: straight strokes along the x axis of its frame.
+
+Approaches and retracts move along or across the rod in other directions and are left out, and so are rows in which the clamp
+turns.  A stroke without contact is a sweep as well, because it shows that nothing is there.  Sweeps are along -x; where most
+are not, other ways to read the orientation are tried, and the one with which they are is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scan3d.arrays import Array, Mask
+from scan3d.errors import InputError
+from scan3d.files.text_tables import Table
+from scan3d.laboratory.logs import read_log
+from scan3d.laboratory.maps import Map
+
+# The clamp moves along an axis if a displacement, or a whole stroke, deviates from it by less than this, in radians.
+_ALONG, _STRAIGHT = 0.2, 0.1
+# Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
+_OVER_JITTER = 20.0
+# The usual motion is that of at least this fraction of the rows; motion this many times slower is still recognised.
+_USUAL, _SLOWER = 0.25, 16
+# Rows from which medians are taken, evenly spread.
+_SOME = 20_000
+# Errors of positions below this fraction of the rod's length do not count.
+_EXACT = 1e-9
+# A stroke is a sweep if it is at least this fraction of the rod's length, and has so many rows.
+_SHORTEST, _FEWEST = 0.02, 3
+# Strokes are one sweep if the clamp has moved by less than this fraction of the first one between them, or by the jitter.
+_PAUSED = 1e-3
+# A stroke is straight if its positions leave the line between its ends by no more than this fraction of its length.
+_OFF_LINE = 0.05
+# A stroke without contact is beside one with contact if their axes differ by less than this, and if its clamp is farther from
+# the body by less than this fraction of the rod's length; transfers out of the rod's reach would count as empty slices.
+_SAME_TURN, _RETRACTED = 0.02, 0.05
+# Rows of a stroke with contact at least, and their fraction.
+_HITS, _HIT_FRACTION = 3, 0.01
+# The clamp turns if its axes change by more than this many radians over a displacement, or per rod length of a stroke.
+_TURNING, _TURNS = 0.02, 0.2
+# Angle in radians to the x axis within which a sweep is along it, and the part of the sweeps that counts as most of them.
+_SWEEPS_ALONG, _MOST = 0.3, 0.5
+# Part of the rows in contact that sweeps found by motion hold at least; below the second one other readings are tried.
+_TOUCHING, _DOUBTFUL = 0.2, 0.7
+# Part of the rows in contact, or of the sweeps, that another reading must hold to be named.
+_NEARLY_ALL = 0.9
+# Rows of a table by which other readings are tried in doubt, about.
+_TRIED = 50_000
+_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+class Strokes(NamedTuple):
+    """Which stroke each row belongs to."""
+
+    sweep: NDArray[np.int64]
+    """(n,) number of the stroke, -1 outside strokes."""
+    backwards: Mask
+    """(s,) whether the stroke is along +x of the clamp's frame."""
+
+
+def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
+    """The strokes along the x axis of the clamp, of poses (n, 3) and (n, 4), in both directions; `length` is the rod's."""
+    n = len(position)
+    jitter = _jitter(position, length)
+    axes = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()[:, :, 0]
+    lag, moved = _displacements(position, jitter)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = (moved * axes).sum(axis=1) / np.linalg.norm(moved, axis=1)
+    turned = np.linalg.norm(axes[np.minimum(np.arange(n) + lag, n - 1)] - axes, axis=1)
+    turn_error = 4 * _error(axes)
+    straight = (lag > 0) & (turned < _TURNING + turn_error)
+    direction = np.where(straight & (np.abs(along) > np.cos(_ALONG)), np.sign(along), 0).astype(np.int8)
+    sweep = np.full(n, -1, dtype=np.int64)
+    signs: list[bool] = []
+    for start, stop, sign in _joined(_runs(direction, lag), position, jitter):
+        travel = _travel(position[start:stop], axes[start], jitter)
+        turn = np.linalg.norm(axes[stop - 1] - axes[start])
+        long = travel >= max(_SHORTEST * length, _OVER_JITTER * jitter) and stop - start >= _FEWEST
+        if long and turn <= _TURNS * travel / length + turn_error:
+            sweep[start:stop] = len(signs)
+            signs.append(sign > 0)
+    return Strokes(sweep, np.array(signs, dtype=bool))
+
+
+def _travel(position: Array, axis: Array, jitter: float) -> float:
+    """Length of the line from the first to the last position (n, 3).
+
+    It is 0 if the line is not along the axis (3,), or if the other positions leave it by more than a fraction of it.
+    """
+    line = position[-1] - position[0]
+    length = float(np.linalg.norm(line))
+    if length == 0 or abs(line @ axis) < np.cos(_STRAIGHT) * length:
+        return 0.0
+    off = np.linalg.norm(np.cross(position - position[0], line / length), axis=1).max()
+    return length if off <= _OFF_LINE * length + _OVER_JITTER / 4 * jitter else 0.0
+
+
+def _error(values: Array) -> float:
+    """Standard deviation of the errors of successive values (n, k), from their second differences."""
+    if len(values) < 3:
+        return 0.0
+    second = np.abs(np.diff(values, n=2, axis=0)[:: max(1, len(values) // _SOME)])
+    # of three independent errors with the weights 1, -2, 1
+    return float(np.median(second, axis=0).max()) * 1.4826 / float(np.sqrt(6))
+
+
+def _jitter(position: Array, length: float) -> float:
+    """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if they count as exact."""
+    error = float(np.hypot(_error(position), max(_encoder_step(column) for column in position.T)))
+    return error if error > _EXACT * length else 0.0
+
+
+def _encoder_step(values: Array) -> float:
+    """The step of a coordinate (n,) that stalls and jumps because it moves by less from row to row; 0 for others."""
+    steps = np.abs(np.diff(values))
+    moves = steps > 0
+    if not moves.any():
+        return 0.0
+    beside = np.append(False, moves[:-1]) | np.append(moves[1:], False)
+    stalls = int((beside & ~moves).sum())
+    return float(np.median(steps[moves])) if 5 * stalls > (beside | moves).sum() else 0.0
+
+
+def _displacements(position: Array, jitter: float) -> tuple[NDArray[np.intp], Array]:
+    """Rows (n,) after which the clamp has moved by many times the jitter, 0 where it stands, and the displacements (n, 3)."""
+    n = len(position)
+    lag, moved = np.zeros(n, dtype=np.intp), np.zeros((n, 3))
+    window, largest = 1, 1 if jitter == 0 else n // 8
+    while window <= largest and window < n:
+        step = position[window:] - position[:-window]
+        far = np.linalg.norm(step, axis=1) > _OVER_JITTER * jitter
+        new = np.flatnonzero(far & (lag[:-window] == 0))
+        lag[new], moved[new] = window, step[new]
+        if far.mean() >= _USUAL:
+            largest = min(largest, _SLOWER * window)
+        window *= 2
+    return lag, moved
+
+
+def _runs(direction: NDArray[np.int8], lag: NDArray[np.intp]) -> list[tuple[int, int, int]]:
+    """Runs of rows that begin or end a displacement in one direction: first row, the one after the last, and the sign."""
+    edges = [0, *(np.flatnonzero(np.diff(direction)) + 1).tolist(), len(direction)]
+    found = [
+        (start, stop + int(lag[stop - 1]), int(direction[start]))
+        for start, stop in zip(edges[:-1], edges[1:], strict=True)
+        if direction[start]
+    ]
+    # a row at a turning point ends one stroke and begins another one, which gets it
+    for k, (following, _, other) in enumerate(found[1:]):
+        start, stop, sign = found[k]
+        if other != sign:
+            found[k] = start, min(stop, following), sign
+    return found
+
+
+def _joined(runs: list[tuple[int, int, int]], position: Array, jitter: float) -> list[tuple[int, int, int]]:
+    """The runs, those of one direction joined between which the clamp only paused."""
+    joined: list[tuple[int, int, int]] = []
+    for start, stop, sign in runs:
+        if joined and joined[-1][2] == sign:
+            first, last, _ = joined[-1]
+            travel = float(np.linalg.norm(position[last - 1] - position[first]))
+            between = position[min(last, start) - 1 : max(last, start) + 1]
+            away = float(np.ptp(between, axis=0).max()) if len(between) else 0.0
+            step = float(np.linalg.norm(position[min(start + 1, len(position) - 1)] - position[start]))
+            if start <= last or away <= max(_PAUSED * travel, 6 * jitter, 2 * step):
+                joined[-1] = first, max(stop, last), sign
+                continue
+        joined.append((start, stop, sign))
+    return joined
+
+
+def without_transfers(
+    sweep: NDArray[np.int64], touched: Mask, position: Array, quaternion: Array, length: float
+) -> tuple[NDArray[np.int64], int]:
+    """The numbers (n,) without strokes that are no evidence of empty space, and how many these are.
+
+    A stroke in which hardly any of the rows (n,) touch counts as a sweep beside one with contact that has the same
+    orientation, if the clamp is no farther from the body along the rod, and if both pass each other.  Elsewhere the rod may
+    have been out of reach.
+    """
+    numbers, first, last = _ends(sweep)
+    place = np.searchsorted(numbers, sweep[sweep >= 0])
+    hits, count = np.bincount(place, weights=touched[sweep >= 0]), np.bincount(place)
+    with_contact = (hits >= _HITS) & (hits >= _HIT_FRACTION * count)
+    if not with_contact.any():
+        return sweep, 0
+    axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix()
+    kept = with_contact.copy()
+    for k in np.flatnonzero(~with_contact):
+        same = with_contact & (np.abs(axes - axes[k]).max(axis=(1, 2)) < _SAME_TURN)
+        x, y = axes[k, :, 0], axes[k, :, 1]
+        reaches = position[first[k]] @ y >= position[first] @ y - _RETRACTED * length
+        start, end = np.sort([position[first] @ x, position[last] @ x], axis=0)
+        kept[k] = (same & reaches & (start <= end[k]) & (start[k] <= end)).any()
+    renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+    return renumbered[np.where(sweep >= 0, np.searchsorted(numbers, sweep), -1)], int((~kept).sum())
+
+
+def _ends(sweep: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
+    """The numbers (s,) of the sweeps of rows (n,), and the first and last row of each."""
+    rows = np.flatnonzero(sweep >= 0)
+    numbers, first = np.unique(sweep[rows], return_index=True)
+    _, last = np.unique(sweep[rows][::-1], return_index=True)
+    return numbers, rows[first], rows[::-1][last]
+
+
+def travel_angles(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> Array:
+    """Angle (s,) in radians of each sweep's travel to the -x axis of the clamp; NaN for one without travel."""
+    numbers, first, last = _ends(sweep)
+    if not len(numbers):
+        return np.empty(0)
+    travel = position[last] - position[first]
+    axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix()[:, :, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = -(travel * axes).sum(axis=1) / np.linalg.norm(travel, axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def check_directions(
+    table: Table, map: Map, sweep: NDArray[np.int64], position: Array, quaternion: Array, touched: Mask
+) -> list[str]:
+    """Raise InputError if there is no sweep, or if most are not along -x of the clamp's frame, or do not hold the contacts.
+
+    touched
+        (n,) rows in contact.
+
+    Returns notes on sweeps that hold only some of the contacts, where with another reading of the orientation they hold most.
+    """
+    angle = travel_angles(sweep, position, quaternion)
+    known = angle[np.isfinite(angle)]
+    if map.directions == "both":
+        known = np.minimum(known, np.pi - known)
+    held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
+    if len(known) and (known < _SWEEPS_ALONG).mean() >= _MOST and held >= _TOUCHING:
+        if held >= _DOUBTFUL:
+            return []
+        # some of the rows are enough, if none of the table was left out
+        step = max(1, len(table) // _TRIED) if len(table) == len(touched) else 1
+        some = replace(table, columns=tuple(column[::step] for column in table.columns), lines=None)
+        right = _right_readings(some, map, touched[::step], _NEARLY_ALL)
+        return [
+            f"only {100 * held:.0f} % of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
+            f"{name}: check [columns] orientation of {map.name}"
+            for name in right[:1]
+        ]
+    if len(angle) and not len(known):
+        raise InputError(
+            f"{table.name}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
+            f"{map.name}"
+        )
+    if held < _TOUCHING:
+        listed, axis = "in contact ", _usual_axis(np.where(touched, 0, -1), position, quaternion)
+    else:
+        listed = f"in {(known >= _SWEEPS_ALONG).sum()} of {len(known)} sweeps " if len(known) else ""
+        axis = _usual_axis(sweep, position, quaternion)
+    what = f"the clamp moves {listed}mostly along {axis} of its own frame, and not along -x as in a sweep"
+    right = _right_readings(table, map, touched, _MOST)
+    if right:
+        advice = f"they would be along -x if {right[0]}: check [columns] orientation of {map.name}"
+    elif axis == "+x":
+        advice = (
+            "turn the clamp's frame about the rod by euler_deg = [0, 180, 0] under [clamp] of the map, or take strokes in both "
+            'directions by directions = "both" under [sweeps]'
+        )
+    else:
+        advice = (
+            f"check [columns] orientation and position of {map.name}, or state the clamp's frame, with y along the rod and x "
+            "against the sweep, in the logged one under [clamp]"
+        )
+    raise InputError(f"{table.name}: {what}; {advice}")
+
+
+def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> str:
+    """The axis of the clamp's frame along which it moves farthest, in the sweeps if there are any."""
+    step = np.diff(position, axis=0)
+    rows = (sweep[1:] >= 0) & (sweep[1:] == sweep[:-1])
+    rows = rows if step[rows].any() else np.ones(len(step), dtype=bool)
+    if not rows.any():
+        return "no axis"
+    local = Rotation.from_quat(quaternion[:-1][rows], scalar_first=True).apply(step[rows], inverse=True)
+    lengths = np.stack([np.maximum(local, 0).sum(axis=0), np.maximum(-local, 0).sum(axis=0)], axis=1).ravel()
+    return _AXES[int(np.argmax(lengths))]
+
+
+def _right_readings(table: Table, map: Map, touched: Mask, least: float) -> list[str]:
+    """The other readings of the orientation with which the clamp sweeps along -x, in words."""
+    return [name for name, other in _other_readings(map) if _fits(table, other, touched, least)]
+
+
+def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
+    """Other ways to read the orientation, with the words for them."""
+    orientation = map.columns.orientation
+
+    def changed(**fields: Any) -> Map:
+        return replace(map, columns=replace(map.columns, orientation=replace(orientation, **fields)))
+
+    if orientation.kind == "quaternion":
+        other, place = ("xyzw", "last") if orientation.order == "wxyz" else ("wxyz", "first")
+        yield f'qw is the {place} of the four columns, order = "{other}"', changed(order=other)
+        return
+    for unit, factor in (("deg", np.pi / 180), ("rad", 1.0)):
+        if map.factors["angle"] != factor:
+            yield (
+                f'the angles are in {unit}, angle = "{unit}" under [units]',
+                replace(map, factors={**map.factors, "angle": factor}),
+            )
+    if orientation.kind == "euler":
+        convention = orientation.convention
+        for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
+            if other != convention:
+                yield f'the convention is "{other}"', changed(convention=other)
+
+
+def _fits(table: Table, map: Map, touched: Mask, least: float) -> bool:
+    """Whether nearly all of the clamp's sweeps are along -x with another map.
+
+    Sweeps that are found by motion hold at least the part `least` of the rows in contact then.
+    """
+    try:
+        log = read_log(table, map)
+    except InputError:
+        return False
+    position, quaternion = map.clamp.carried(log.position_m, log.quaternion)
+    if log.sweep is None:
+        found = strokes(position, quaternion, map.rod.length_m)
+        forwards = (found.sweep >= 0) & ~np.append(found.backwards, True)[found.sweep]
+        return bool(forwards[touched].mean() >= least) if touched.any() else bool(forwards.any())
+    angle = travel_angles(log.sweep, position, quaternion)
+    known = angle[np.isfinite(angle)]
+    return bool(len(known)) and bool((known < _SWEEPS_ALONG).mean() >= _NEARLY_ALL)
