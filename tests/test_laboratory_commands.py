@@ -69,7 +69,7 @@ def test_sweeps_come_after_those_of_an_earlier_recording(place, capsys):
     assert (both.sweep[len(first) :] == first.sweep + count).all()
     assert (both.force_N == np.concatenate([first.force_N, first.force_N])).all()
     assert main([*run, "--after", "first.csv", "--out", "first.csv"]) == 1
-    assert "first.csv is the recording before that this run reads" in capsys.readouterr().err
+    assert "TOML file of the recording before that this run reads" in capsys.readouterr().err
     text = (place / "first.toml").read_text()
     (place / "first.toml").write_text(text.replace("length_m = ", "length_m = 1", 1))
     assert main([*run, "--after", "first.csv", "--out", "other.csv"]) == 1
@@ -79,7 +79,7 @@ def test_sweeps_come_after_those_of_an_earlier_recording(place, capsys):
 def test_files_of_others_are_not_replaced(place, capsys):
     (place / "other.csv").write_text("mine")
     assert main(["import", "raw.csv", "--map", "rig.toml", "--out", "other.csv"]) == 1
-    assert "other.csv is not a recording that scan3d has imported; give --overwrite" in capsys.readouterr().err
+    assert "other.csv can't be recognised as" in capsys.readouterr().err
     for out, sentence in (
         ("raw.csv", "raw.csv is the table that this run reads"),
         ("rig.csv", "rig.toml is the map that"),

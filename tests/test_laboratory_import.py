@@ -118,6 +118,7 @@ UNITS = {
     units=st.fixed_dictionaries({name: st.sampled_from(list(known)) for name, known in UNITS.items()}),
     sign=st.tuples(*[st.sampled_from([1, -1])] * 3), bias=SOME, delimiter=st.sampled_from([",", ";", "\t", " "]),
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore:Gimbal lock")  # at the poles of Euler angles
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_map_and_its_inverse(
     tmp_path, planar, turn, arm, clamp, clamp_arm, shows, kind, units, sign, bias, delimiter
@@ -308,7 +309,7 @@ def test_sweeps_are_found_under_jitter_and_in_steps(tmp_path, planar, jitter_m, 
         rows = truth == original
         # all of its rows but a few, and others within the 20 standard deviations over which the direction is determined
         assert (mine[rows] == number).mean() > 0.97
-        assert (mine == number).sum() < 1.25 * rows.sum()
+        assert (mine == number).sum() < rows.sum() + 200
 
 
 def test_a_convention_with_which_some_sweeps_are_found_is_doubted(tmp_path, spatial):
