@@ -28,7 +28,7 @@ from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from scan3d.laboratory.logs import CHANNELS, Log, read_log
 from scan3d.laboratory.maps import Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
-from scan3d.reconstruction.contacts import FORCE_SIGMAS
+from scan3d.reconstruction.errors import FORCE_SIGMAS
 from scan3d.recording import Recording
 
 KIND = "import"
