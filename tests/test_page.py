@@ -1,4 +1,4 @@
-"""The page: complete in one file, the same for the same scan; in a browser it shows the body and turns."""
+"""The page: complete in one file, the same for the same scan; its data are those of the scan and of its recording."""
 
 import base64
 import fnmatch
@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import HEIGHT, WIDTH, Tab
 from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures.page import page as html_page
+from scan3d.pictures.page import page, player, samples_of
+from scan3d.pictures.parts import shown_surface
 from scan3d.pictures.scene import Scene
+from scan3d.recording import Recording
+from scan3d.rods import Rod
 
 
 @pytest.fixture(scope="module")
@@ -24,109 +26,110 @@ def cube():
     return scanned(CUBE)
 
 
-def data_of(page):
-    return json.loads(re.search(r'id="data">(.*?)</script>', page.decode(), re.DOTALL)[1])
+def array(data):
+    ((kind, text),) = data.items()
+    return np.frombuffer(base64.b64decode(text), f"<{kind}")
 
 
-def layer(page, name):
-    return next(layer for layer in data_of(page)["layers"] if layer["name"] == name)
+def data_of(text):
+    return json.loads(re.search(r'id="data">(.*?)</script>', text.decode(), re.DOTALL)[1])
 
 
-def floats(text):
-    return np.frombuffer(base64.b64decode(text), "<f4")
-
-
-# --- what is in it ---
+def layers_of(text):
+    return {layer["name"]: layer for layer in data_of(text)["layers"]}
 
 
 def test_the_page_holds_the_scan(cube):
-    page = html_page(cube)
-    data = data_of(page)
-    names = [layer["name"] for layer in data["layers"]]
-    assert names == ["surface", "contacts", "normals", "slices", "truth"]
-    contacts = layer(page, "contacts")
-    points = floats(contacts["position"]).reshape(-1, 3) + data["center"]
+    text = page(cube)
+    layers, center = layers_of(text), data_of(text)["center"]
+    assert list(layers) == ["surface", "contacts", "normals", "slices", "truth"]
+    points = array(layers["contacts"]["points"]).reshape(-1, 3) + center
     assert points == pytest.approx(cube.points, abs=1e-5)
-    assert [scale["title"] for scale in contacts["colors"]] == [
+    colors = layers["contacts"]["colors"]
+    assert [scale["title"] for scale in colors] == [
         "kind of contact",
         "contact force in mN",
         "coefficient of friction",
         "distance from the truth in mm",
     ]
-    assert floats(contacts["colors"][1]["values"]) == pytest.approx(1e3 * cube.column("force"), rel=1e-6)
-    surface = layer(page, "surface")
-    assert [scale["title"] for scale in surface["colors"]] == ["signed deviation in mm", "certified bound in mm"]
-    deviation = surface["colors"][0]
+    assert array(colors[1]["values"]) == pytest.approx(1e3 * cube.column("force"), rel=1e-6)
+    deviation, bound = layers["surface"]["colors"]
+    assert (deviation["title"], bound["title"]) == ("signed deviation in mm", "certified bound in mm")
     assert deviation["low"] == -deviation["high"]  # symmetric
-    faces = np.frombuffer(base64.b64decode(surface["index"]), "<u4").reshape(-1, 3)
-    assert faces.max() < len(floats(surface["position"])) / 3
+    assert array(layers["surface"]["faces"]).max() < len(array(layers["surface"]["points"])) / 3
+    size = np.ptp(array(layers["truth"]["points"]).reshape(-1, 3), axis=0)
+    assert size == pytest.approx(scan3d.load_mesh(CUBE).extents, rel=1e-6)
     for quantity, value in cube.key_figures:
-        assert f"<th>{quantity}</th><td>{value}</td>" in page.decode()
+        assert f"<th>{quantity}</th><td>{value}</td>" in text.decode()
+    assert page(cube) == text
+
+
+def test_histograms_count_area_and_contacts_alike(cube):
+    layers, (mesh, deviation, bound) = layers_of(page(cube)), shown_surface(cube)
+    weight = np.zeros(len(mesh.vertices))
+    np.add.at(weight, np.asarray(mesh.faces), np.asarray(mesh.area_faces)[:, None] / 3)
+    for scale, values in zip(layers["surface"]["colors"], (deviation, bound), strict=True):
+        expected = np.histogram(np.clip(values, scale["low"], scale["high"]), 32, (scale["low"], scale["high"]),
+                                weights=weight)[0]  # fmt: skip
+        # values of equal size at an edge of a bin may be rounded into the next
+        assert np.abs(np.cumsum(scale["shares"]) - np.cumsum(expected) / weight.sum()).max() < 0.02
+        assert scale["unknown"] == 0
+        for share, quantile in zip((0.05, 0.5, 0.95), scale["quantiles"], strict=True):
+            assert weight[values <= quantile].sum() >= share * weight.sum() * (1 - 1e-9)
+            assert weight[values < quantile].sum() <= share * weight.sum() * (1 + 1e-9)
+    friction = layers["contacts"]["colors"][2]
+    known = np.isfinite(cube.column("friction"))
+    assert friction["unknown"] == pytest.approx(1 - known.mean())
+    assert sum(friction["shares"]) == pytest.approx(known.mean())
 
 
 def test_the_page_of_a_scan_in_space():
     scene = scanned_in_space()
-    page = html_page(scene)
-    names = [layer["name"] for layer in data_of(page)["layers"]]
-    assert names == ["surface", "contacts", "normals", "contact paths"]
-    contacts = layer(page, "contacts")
-    bending = contacts["colors"][-1]
+    layers = layers_of(page(scene))
+    assert list(layers) == ["surface", "contacts", "normals", "contact paths"]
+    bending = layers["contacts"]["colors"][-1]
     assert bending["title"] == "bending out of the sweep's plane in °"
     assert bending["low"] == -bending["high"]  # symmetric
     angle = scan3d.reconstruct(scene.recording).bending_angle
-    assert floats(bending["values"]) == pytest.approx(np.rad2deg(np.arcsin(np.sin(angle))), abs=1e-4)
-    assert set(contacts["columns"]) == {"sweep"}
+    assert array(bending["values"]) == pytest.approx(np.rad2deg(np.arcsin(np.sin(angle))), abs=1e-4)
+    assert set(layers["contacts"]["columns"]) == {"sweep"}
     # the lines of the paths run through contacts
-    lines = floats(layer(page, "contact paths")["position"]).reshape(-1, 3)
-    distance = np.linalg.norm(lines[:, None] - floats(contacts["position"]).reshape(-1, 3), axis=2).min(axis=1)
-    assert distance.max() == 0
+    lines, contacts = (array(layers[name]["points"]).reshape(-1, 3) for name in ("contact paths", "contacts"))
+    assert np.linalg.norm(lines[:, None] - contacts, axis=2).min(axis=1).max() == 0
 
 
-def test_the_page_needs_no_other_file(cube):
-    text = html_page(cube).decode()
+def test_the_page_needs_no_other_file_and_runs_its_own_script_only(cube):
+    """By the hash in its content security policy; without it any script that got into the page would run."""
+    text = page(cube).decode()
     assert not re.findall(r"https?:|//cdn|@import|\bfetch\(|XMLHttpRequest|\bsrc=", text)
+    script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert "default-src 'none'" in text
-
-
-def test_the_same_scene_gives_the_same_page(cube):
-    assert html_page(cube) == html_page(scanned(CUBE))
+    assert f"script-src 'sha256-{digest}'" in text
+    assert text.count("<script") == 2  # this one, and the data
+    assert not re.search(r"\son\w+=", text[: text.index("<script")])
+    assert "eval(" not in script
 
 
 def test_names_that_look_like_code_stay_text(cube):
-    name = "</script><b>@DATA@ & \\1"
-    text = html_page(replace(cube, name=name)).decode()
+    text = page(replace(cube, name="</script><b>@DATA@ & \\1")).decode()
     assert "<b>" not in text
     assert "&lt;/script&gt;&lt;b&gt;@DATA@ &amp; \\1" in text
     assert data_of(text.encode())["unit"] == "mm"
 
 
-@pytest.mark.parametrize("what", ["contacts", "surface"])
-def test_a_page_of_a_part_shows_that_part(cube, what):
-    part = Scene("part", "um", **{what: getattr(cube, what)})
-    page = html_page(part)
-    names = {layer["name"] for layer in data_of(page)["layers"]}
-    assert names == ({"contacts", "normals", "slices"} if what == "contacts" else {"surface"})
-    assert data_of(page)["unit"] == "µm"
-
-
-def test_a_folder_of_an_earlier_version_has_a_page_without_player(cube):
-    """Its contacts do not state their rows of the recording."""
-    columns = [name for name in cube.contacts.dtype.names if name != "row"]
-    page = html_page(replace(cube, contacts=cube.contacts[columns]))
-    assert [layer["name"] for layer in data_of(page)["layers"]] == ["surface", "contacts", "normals", "slices", "truth"]
-    assert "player" in data_of(html_page(cube))
-    assert "player" not in data_of(page)
-
-
-def test_the_page_runs_its_own_script_only(cube):
-    """By the hash in its content security policy; without it any script that got into the page would run."""
-    text = html_page(cube).decode()
-    script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert f"script-src 'sha256-{digest}'" in text
-    assert text.count("<script") == 2  # this one, and the data
-    assert not re.search(r"\son\w+=", text[: text.index("<script")])
-    assert "eval(" not in script
+@pytest.mark.parametrize(
+    ("what", "names"), [("contacts", {"contacts", "normals", "slices"}), ("surface", {"surface"}), (None, None)]
+)
+def test_a_page_of_a_part_shows_that_part(cube, what, names):
+    part = Scene("part", "um", **({what: getattr(cube, what)} if what else {}))
+    if what is None:
+        with pytest.raises(scan3d.InputError, match="part has nothing to show: neither contacts nor a surface"):
+            page(part)
+        return
+    text = page(part)
+    assert set(layers_of(text)) == names
+    assert data_of(text)["unit"] == "µm"
 
 
 def test_the_package_contains_the_empty_page():
@@ -145,123 +148,75 @@ def test_the_package_contains_the_empty_page():
     assert {root / "scan3d" / "pictures" / name for name in ("page.html", "page.css", "page_view.js")} <= matched
 
 
-def test_a_page_of_nothing():
-    with pytest.raises(scan3d.InputError, match="void has nothing to show: neither contacts nor a surface"):
-        html_page(Scene("void", "mm"))
+# --- the player ---
 
 
-# --- in a browser ---
+@pytest.mark.parametrize("scene", [scanned(CUBE), scanned_in_space()], ids=["planar", "spatial"])
+def test_the_player_has_the_poses_and_reactions_of_the_recording(scene):
+    center = np.array([1.0, -2.0, 3.0])
+    data, recording = player(scene, center), scene.recording
+    of_contact, rows = array(data["contact"]), scene.column("row").astype(int)
+    position = array(data["position"]).reshape(-1, 3) + center
+    assert position[of_contact] == pytest.approx(1e3 * recording.position_m[rows], abs=1e-4)
+    width = sum(len(chart["names"]) for chart in data["labels"])
+    reactions = array(data["reactions"]).reshape(len(position), width)
+    force, moment = recording.force_N, recording.moment_Nm[:, None]
+    if width == 6:
+        force, moment = recording.wrench()
+        assert array(data["bending"])[of_contact] == pytest.approx(scene.column("bending"), abs=1e-6)
+    expected = np.hstack([1e3 * force, 1e6 * moment])[rows]
+    assert reactions[of_contact] == pytest.approx(expected, rel=1e-6)
+    # the orientation of a sample is the last one that begins at it or before
+    turned, turns = array(data["turned"]), array(data["turns"]).reshape(-1, 3, 3)
+    chosen = turns[np.searchsorted(turned, of_contact, "right") - 1]
+    assert chosen == pytest.approx(recording.axes()[rows], abs=1e-6)
+    # every sample is in the sweep of its contact, whose largest force and moment, and whose travel are known
+    sweeps = np.searchsorted(data["starts"], of_contact, "right") - 1
+    assert np.array_equal(np.array(data["numbers"])[sweeps], scene.column("sweep"))
+    part = reactions[data["starts"][1] : data["starts"][2]]
+    middle = width - width // 2
+    largest = [np.linalg.norm(columns, axis=1).max() for columns in (part[:, :middle], part[:, middle:])]
+    assert data["largest"][1] == pytest.approx(largest, rel=1e-6)
+    travel = array(data["travel"])[: data["starts"][1]]
+    assert travel[0] == 0
+    assert (np.diff(travel) > 0).all()
+    assert data["length"] == pytest.approx(1e3 * recording.rod.length_m)
 
 
-@pytest.fixture(scope="module")
-def tab(browser_path, cube, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("page")
-    (folder / "page.html").write_bytes(html_page(cube))
-    tab = Tab(browser_path, folder / "profile")
-    try:
-        tab.open(folder / "page.html")
-        yield tab
-    finally:
-        tab.close()
+def test_contacts_without_rows_or_of_another_recording_have_no_player(cube):
+    columns = [name for name in cube.contacts.dtype.names if name != "row"]  # as of an earlier version
+    assert "player" in data_of(page(cube))
+    assert "player" not in data_of(page(replace(cube, contacts=cube.contacts[columns])))
+    other = replace(cube.recording, force_N=2 * cube.recording.force_N)
+    with pytest.raises(scan3d.InputError, match=r"the contacts of cube do not belong to its recording"):
+        page(replace(cube, recording=other))
 
 
-def blue(image):
-    """Pixels as blue as the cube's top, which lies farthest below the truth."""
-    return (image[:, :, 2] - image[:, :, 0] > 50) & (image[:, :, 0] < 40)
+def log(sweep):
+    n = len(sweep)
+    return Recording(
+        sweep=np.array(sweep),
+        position_m=np.column_stack([np.arange(n), np.zeros(n), np.zeros(n)]).astype(float),
+        quaternion=np.tile([1.0, 0, 0, 0], (n, 1)),
+        force_N=np.zeros((n, 2)),
+        moment_Nm=np.zeros(n),
+        rod=Rod(0.05, 1e-4),
+    )
 
 
-def drawn(image):
-    """Right of the panel, above the player: what isn't white."""
-    return (image[:460, 320:] < 250).any(axis=2)
+def test_sweeps_are_shown_with_a_little_air_before_and_after_their_contacts():
+    # 100 samples in each of three sweeps, of which the second touches nothing
+    rows = np.concatenate([np.arange(50, 58), [299, 296]])
+    samples = samples_of(log(np.repeat([7, 8, 9], 100)), rows)
+    assert samples.numbers.tolist() == [7, 9]
+    # a quarter of eight contacts is two samples; the third sweep ends with its last contact
+    assert samples.rows.tolist() == [*range(48, 60), *range(295, 300)]
+    assert samples.starts.tolist() == [0, 12]
+    assert samples.rows[samples.of_contact].tolist() == rows.tolist()
 
 
-@pytest.mark.browser
-@pytest.mark.slow
-def test_the_page_in_a_browser(tab, cube):
-    first = tab.picture()
-    assert first.shape == (HEIGHT, WIDTH, 3)
-    # the body, in the middle of the space right of the panel, on a white page
-    assert 0.2 < drawn(first).mean() < 0.8
-    assert drawn(first)[250:350, 240:340].all()
-    assert not drawn(first)[:, -20:].any()
-    assert blue(first[:460, 320:]).mean() > 0.03
-    assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.key_figures))
-
-    # it turns with the mouse: the top goes out of sight when it is looked at from the side
-    tab.drag((600, 250), (640, 193))
-    turned = tab.picture()
-    assert (np.abs(turned - first).max(axis=2) > 20).mean() > 0.1
-    assert blue(turned[:460, 320:]).mean() < 0.2 * blue(first[:460, 320:]).mean()
-
-    # the wheel zooms, a double click goes back
-    tab.mouse("mouseWheel", 600, 300, deltaX=0, deltaY=600)
-    assert drawn(tab.picture()).mean() < 0.5 * drawn(turned).mean()
-    for count in (1, 2):
-        tab.mouse("mousePressed", 880, 20, button="left", buttons=1, clickCount=count)
-        tab.mouse("mouseReleased", 880, 20, button="left", clickCount=count)
-    assert (np.abs(tab.picture() - first).max(axis=2) > 20).mean() < 1e-3
-
-    # meanwhile no errors, and no access to the network
-    assert tab.complaints() == []
-
-
-@pytest.mark.browser
-@pytest.mark.slow
-def test_layers_and_colours_in_a_browser(tab):
-    before = tab.picture()
-    tab.run("for (const box of document.querySelectorAll('input')) if (box.checked) box.click()")
-    assert not drawn(tab.picture()).any()
-    shown = {}
-    for name in tab.run("[...document.querySelectorAll('#layers input')].map(box => box.name)"):
-        tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
-        shown[name] = drawn(tab.picture()).mean()
-        tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
-    layers = {"surface", "contacts", "normals", "slices", "truth", "axes and scale"}
-    assert set(shown) == {*layers, "rod, clamp and reactions", "rods along the sweep"}
-    assert min(shown.values()) > 1e-3
-    assert shown["truth"] == pytest.approx(shown["surface"], rel=0.05)
-    assert shown["normals"] < shown["surface"]
-
-    again = "['surface', 'contacts', 'axes and scale']"
-    tab.run(f'for (const name of {again}) document.querySelector(`input[name="${{name}}"]`).click()')
-    tab.run("switchPlayer(false); reset()")
-    assert (np.abs(tab.picture() - before).max(axis=2) > 20).mean() < 1e-3
-    choose = "const s = document.querySelector('select'); s.selectedIndex = {}; s.onchange(); s.value"
-    assert tab.run("{" + choose.format(2) + "}") == "plain"
-    plain = tab.picture()
-    assert not blue(plain[:460, 320:]).any()
-    assert tab.run("{" + choose.format(1) + "}") == "certified bound in mm"
-    assert (np.abs(tab.picture() - plain).max(axis=2) > 20).mean() > 0.05
-    assert tab.complaints() == []
-
-
-@pytest.mark.browser
-def test_a_click_shows_what_was_measured(tab, cube):
-    panel = "document.getElementById('picked')"
-    tab.mouse("mousePressed", 880, 300, button="left", buttons=1, clickCount=1)
-    tab.mouse("mouseReleased", 880, 300, button="left", clickCount=1)
-    assert tab.run(panel + ".hidden") is True
-    place = """(() => {
-      const p = data.layers.find(layer => layer.kind === "points").points, m = turned(), {w, h, scale, shift} = measures();
-      let best = 0, front = -1e9;
-      for (let k = 0; k < p.length; k += 3) {
-        const d = m[2] * p[k] + m[5] * p[k + 1] + m[8] * p[k + 2];
-        if (d > front) { front = d; best = k; }
-      }
-      const [u, v] = [0, 1].map(i => m[i] * p[best] + m[3 + i] * p[best + 1] + m[6 + i] * p[best + 2]);
-      return [best / 3, (u * scale[0] + shift[0] + 1) * w / 2, (1 - v * scale[1] - shift[1]) * h / 2];
-    })()"""
-    contact, x, y = tab.run(place)
-    tab.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)
-    tab.mouse("mouseReleased", x, y, button="left", clickCount=1)
-    text = tab.run(panel + ".textContent")
-    assert text.startswith(f"contact {contact}\n")
-    assert f"sweep {cube.column('sweep')[contact]:.0f}\n" in text
-    point = [float(coordinate) for coordinate in re.findall(r"[xyz] = (\S+) mm", text)]
-    assert point == pytest.approx(cube.points[contact], abs=1e-3)
-
-
-def test_the_truth_is_that_of_the_mesh(cube):
-    truth = layer(html_page(cube), "truth")
-    size = np.ptp(floats(truth["position"]).reshape(-1, 3), axis=0)
-    assert size == pytest.approx(scan3d.load_mesh(CUBE).extents, rel=1e-6)
+def test_samples_of_sweeps_that_alternate_in_the_log_are_put_in_order():
+    samples = samples_of(log([2, 1] * 4), np.arange(8))
+    assert samples.numbers.tolist() == [1, 2]
+    assert samples.rows.tolist() == [1, 3, 5, 7, 0, 2, 4, 6]
+    assert samples.rows[samples.of_contact].tolist() == list(range(8))

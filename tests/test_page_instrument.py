@@ -1,4 +1,4 @@
-"""The page as an instrument, in headless Chromium: player, links, histogram, cutting plane, distances, pictures, keys."""
+"""The page as an instrument, in headless Chromium: layers, player, links, cutting plane, distances, pictures, keys."""
 
 import json
 import re
@@ -12,11 +12,10 @@ from PIL import Image
 from small_scans import CUBE, scanned, scanned_in_space
 
 from scan3d.geometry.distance import distances
-from scan3d.pictures.page import page as html_page
+from scan3d.pictures.page import page
 from scan3d.pictures.parts import shown_surface, shown_sweep
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
-CONTACTS = 100_000
 NUMBER = r"[-−]?[\d.]+(?:e[-−]?\d+)?"
 
 
@@ -25,29 +24,47 @@ def cube():
     return scanned(CUBE)
 
 
-def opened(browser_path, scene, folder, **size):
-    (folder / "page.html").write_bytes(html_page(scene))
-    tab = Tab(browser_path, folder / "profile")
-    tab.open(folder / "page.html", **size)
-    return tab
-
-
 @pytest.fixture(scope="module")
-def browser_tab(browser_path, cube, tmp_path_factory):
-    tab = opened(browser_path, cube, tmp_path_factory.mktemp("page"))
-    yield tab
-    tab.close()
+def browser(browser_path, cube, tmp_path_factory):
+    """One browser, and the folder of its page."""
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "page.html").write_bytes(page(cube))
+    tab = Tab(browser_path, folder / "profile")
+    try:
+        tab.open(folder / "page.html")
+        yield tab, folder
+    finally:
+        tab.close()
 
 
 @pytest.fixture
-def tab(browser_tab):
-    """The page as it is when it has just been opened; every test leaves it without complaints."""
-    browser_tab("Page.reload")
-    browser_tab.events.clear()
-    while not any(event["method"] == "Page.loadEventFired" for event in browser_tab.events):
-        browser_tab.receive()
-    yield browser_tab
-    assert browser_tab.complaints() == []
+def tab(browser):
+    """The page of the cube as it is when it has just been opened; every test leaves it without complaints."""
+    tab, _ = browser
+    reload(tab)
+    yield tab
+    assert tab.complaints() == []
+
+
+def reload(tab):
+    tab("Page.reload")
+    tab.events.clear()
+    while not any(event["method"] == "Page.loadEventFired" for event in tab.events):
+        tab.receive()
+
+
+@pytest.fixture
+def shows(browser, cube):
+    """A function that shows another scene in the browser."""
+    tab, folder = browser
+
+    def show(scene):
+        (folder / "page.html").write_bytes(page(scene))
+        reload(tab)
+        return tab
+
+    yield show
+    (folder / "page.html").write_bytes(page(cube))
 
 
 def place_of(tab, selector):
@@ -63,11 +80,12 @@ def press(tab, selector):
 
 def front_contacts(tab):
     """Contacts that are seen, with their places on the screen: those that the page finds there."""
-    return tab.run("""(() => { const found = [], p = contactLayer().points;
-      for (let k = 0; k < p.length / 3; k += 7) {
-        const [x, y] = onScreen(contactPoint(k));
-        const at = contactAt(x, y);
-        if (at === k && document.elementFromPoint(x, y) === canvas) found.push([k, x, y]);
+    return tab.run("""(() => { const found = [], n = contacts.points.length / 3, step = Math.ceil(n / 120);
+      for (let k = 0; k < n && found.length < 20; k += step) {
+        const front = contactAt(...onScreen(contactPoint(k)));
+        if (front < 0) continue;
+        const [x, y] = onScreen(contactPoint(front));
+        if (contactAt(x, y) === front && document.elementFromPoint(x, y) === canvas) found.push([front, x, y]);
       }
       return found; })()""")
 
@@ -79,205 +97,110 @@ def wait_for(tab, expression):
         time.sleep(0.02)
 
 
-def sample_of(scene, contact):
-    """The values at a contact as the page's text has them."""
-    row = int(scene.column("row")[contact])
-    force, moment = 1e3 * scene.recording.force_N[row], 1e6 * scene.recording.moment_Nm[row]
-    return [*force, moment]
-
-
 def reactions_in(text):
     return [float(value.replace("−", "-")) for value in re.findall(rf"[fm]0[xyz]\s=\s({NUMBER})", text)]
 
 
-# --- the player ---
+def of_contact(scene, contact):
+    """The reactions at a contact as the page's text has them."""
+    row = int(scene.column("row")[contact])
+    return [*(1e3 * scene.recording.force_N[row]), 1e6 * scene.recording.moment_Nm[row]]
 
 
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_the_rod_in_the_page_is_the_elastic_line(browser_path, tmp_path, model, cube):
-    """Against `planar.elastic_lines`, which computes it in closed form: within a hundredth of a pixel, 1e-5 rod lengths."""
-    scene = cube if model == "planar" else scanned_in_space()
-    tab = opened(browser_path, scene, tmp_path)
-    try:
-        sweep = shown_sweep(scene)
-        first = tab.run(f"player.numbers.indexOf({sweep.number})")
-        samples = np.flatnonzero(scene.column("sweep") == sweep.number)
-        rods = tab.run(
-            f"[...player.contact].filter(k => sweepOf(k) === {first}).map(k => {{ const r = rodAt(k);"
-            " return [r.base, r.points[r.contact], r.points[r.points.length - 1], r.force, r.moment]; })"
-        )
-        assert len(rods) == len(samples) == len(sweep.base)
-        base, contact, tip, force, moment = np.array(rods).transpose(1, 0, 2)
-        center = np.array(tab.run("data.center"))
-        length = 1e3 * scene.recording.rod.length_m
-        assert base + center == pytest.approx(sweep.base, abs=1e-5 * length)
-        assert np.abs(contact + center - sweep.contact).max() < 1e-5 * length
-        assert np.abs(tip + center - sweep.rods[:, -1]).max() < 1e-5 * length
-        # the reactions point where they do in the world
-        rows = scene.column("row")[samples].astype(int)
-        recording = scene.recording
-        if model == "spatial":
-            wrench = recording.wrench()
-        else:
-            zero = np.zeros(len(recording))
-            wrench = np.column_stack([recording.force_N, zero]), np.column_stack([zero, zero, recording.moment_Nm])
-        for drawn, scale, expected in zip((force, moment), (1e3, 1e6), wrench, strict=True):
-            world = scale * np.einsum("ni,nij->nj", expected[rows], recording.axes()[rows])
-            assert np.abs(drawn - world).max() < 1e-5 * np.abs(world).max()
-        assert tab.complaints() == []
-    finally:
-        tab.close()
+def differing(image, other):
+    """The share of pixels that differ."""
+    return (np.abs(image - other).max(axis=2) > 20).mean()
 
 
-def test_mouse_and_keys_move_the_player(tab, cube):
-    assert tab.run("[dock.hidden, curves.hidden, player.on]") == [False, True, False]
-    body = tab.picture()
-    press(tab, "#charts")
-    assert tab.run("[curves.hidden, player.on, byId('charts').getAttribute('aria-pressed')]") == [False, True, "true"]
-    assert (np.abs(tab.picture() - body).max(axis=2) > 20).mean() > 0.05
-    # the sliders by keys, as a user without a mouse has them
-    tab.run("byId('sample').focus()")
-    before = tab.run("player.sample")
-    tab.key("ArrowRight")
-    tab.key("ArrowRight")
-    assert tab.run("player.sample") == before + 2
-    tab.run("byId('sweep').focus()")
-    number = tab.run("player.sweep")
-    tab.key("ArrowLeft")
-    assert tab.run("player.sweep") == number - 1
-    sweep = tab.run("player.numbers[player.sweep]")
-    assert tab.run("byId('sweep').getAttribute('aria-valuetext')") == f"sweep {sweep}"
-    tab.key("Home")
-    assert tab.run("[player.sweep, player.sample]") == [0, tab.run("player.sample")]
-    # in the view, by keys of their own
-    tab.run("canvas.focus()")
-    before = tab.run("player.sample")
-    tab.key(".")
-    assert tab.run("player.sample") == before + 1
-    tab.key(",")
-    tab.key("]")
-    assert tab.run("player.sweep") == 1
-    tab.key("[")
-    tab.picture()
-    # what stands there are the recording's numbers
-    contact = tab.run("player.contactOf[player.sample]")
-    assert contact >= 0
-    text = tab.run("now.textContent")
-    assert text.startswith(f"sweep {cube.column('sweep')[contact]:.0f} ")
-    assert reactions_in(text) == pytest.approx(sample_of(cube, contact), rel=6e-3, abs=1e-9)
+def blue(image):
+    """Pixels as blue as the cube's top, which lies farthest below the truth, right of the panel."""
+    image = image[:460, 320:]
+    return ((image[:, :, 2] - image[:, :, 0] > 50) & (image[:, :, 0] < 40)).mean()
 
 
-def test_it_plays_to_the_end_and_through_all_sweeps(tab):
-    tab.run("goTo(0, 0); byId('speed').selectedIndex = 3")
-    press(tab, "#play")
-    assert tab.run("byId('play').getAttribute('aria-label')") == "pause"
-    wait_for(tab, "!player.playing")
-    assert tab.run("[player.sweep, player.sample]") == [0, tab.run("player.starts[1] - 1")]
-    press(tab, "#through")
-    press(tab, "#play")
-    wait_for(tab, "player.sweep >= 3")
-    press(tab, "#play")
-    assert not tab.run("player.playing")
-    stopped = tab.run("player.sample")
-    tab.picture()
-    assert tab.run("player.sample") == stopped
+def drawn(image):
+    """Right of the panel, above the player: what isn't white."""
+    return (image[:460, 320:] < 250).any(axis=2)
 
 
-def test_contacts_and_curves_are_linked_both_ways(tab):
-    press(tab, "#charts")
-    tab.picture()
-    seen = front_contacts(tab)
-    assert len(seen) > 10
-    contact, x, y = seen[len(seen) // 2]
-    # the contact under the pointer is shown in the curves, as long as it is there
-    chosen = tab.run("player.sample")
-    tab.mouse("mouseMoved", x, y)
-    wait_for(tab, f"marks.hovered === {contact}")
-    tab.picture()
-    assert tab.run("shownSample()") == tab.run(f"player.contact[{contact}]") != chosen
-    assert f"sweep {tab.run(f'contactLayer().columns.sweep[{contact}]')} " in tab.run("now.textContent")
-    tab.mouse("mouseMoved", 890, 5)
-    wait_for(tab, "marks.hovered === -1")
-    assert tab.run("shownSample()") == chosen
-    # a click chooses it
-    tab.click(x, y)
-    assert tab.run("player.sample") == tab.run(f"player.contact[{contact}]")
-    assert tab.run("picked.textContent").startswith(f"contact {contact}\n")
+# --- the view ---
 
-    # a place in a chart shows its sample and contact in the view, a click chooses it
-    tab.run("goTo(0, 0); redraw()")
+
+def test_the_body_is_seen_and_turns(tab, cube):
+    first = tab.picture()
+    assert first.shape == (HEIGHT, WIDTH, 3)
+    # in the middle of the space right of the panel, on a white page
+    assert 0.2 < drawn(first).mean() < 0.8
+    assert drawn(first)[250:350, 240:340].all()
+    assert not drawn(first)[:, -20:].any()
+    assert blue(first) > 0.03
+    assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.key_figures))
+    # the top goes out of sight when it is looked at from the side
+    tab.drag((600, 250), (640, 193))
+    turned = tab.picture()
+    assert differing(turned, first) > 0.1
+    assert blue(turned) < 0.2 * blue(first)
+    # the wheel zooms, a double click goes back
+    tab.mouse("mouseWheel", 600, 300, deltaX=0, deltaY=600)
+    assert drawn(tab.picture()).mean() < 0.5 * drawn(turned).mean()
+    for count in (1, 2):
+        tab.mouse("mousePressed", 880, 20, button="left", buttons=1, clickCount=count)
+        tab.mouse("mouseReleased", 880, 20, button="left", clickCount=count)
+    assert differing(tab.picture(), first) < 1e-3
+
+
+def test_layers_and_colours(tab):
     before = tab.picture()
-    frames = tab.run("(() => { const r = curves.getBoundingClientRect();"
-                     " return curveFrames().map(f => [r.x + f.x, f.w, r.y + f.y + f.h / 2]); })()")  # fmt: skip
-    assert len(frames) == 3
-    travel = np.array(tab.run("[...travelOf(0)]"))
-    assert travel[0] == 0
-    assert (np.diff(travel) > 0).all()
-    chosen = 0
-    for k, (left, width, middle) in zip((3, len(travel) // 2, len(travel) - 2), frames, strict=True):
-        at = left + width * travel[k] / travel[-1]
-        tab.mouse("mouseMoved", at, middle)
-        assert tab.run("[shownSample(), player.sample]") == [k, chosen]
-        tab.click(at, middle)
-        assert tab.run("player.sample") == k
-        chosen = k
-    tab.mouse("mouseMoved", 890, 5)
-    assert (np.abs(tab.picture() - before).max(axis=2) > 20).mean() > 1e-3
+    tab.run("for (const box of document.querySelectorAll('input')) if (box.checked) box.click()")
+    assert not drawn(tab.picture()).any()
+    shown = {}
+    for name in tab.run("[...document.querySelectorAll('#layers input')].map(box => box.name)"):
+        tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
+        shown[name] = drawn(tab.picture()).mean()
+        tab.run(f"document.querySelector('input[name=\"{name}\"]').click()")
+    layers = {"surface", "contacts", "normals", "slices", "truth", "axes and scale"}
+    assert set(shown) == {*layers, "rod, clamp and reactions", "rods along the sweep"}
+    assert min(shown.values()) > 1e-3
+    assert shown["truth"] == pytest.approx(shown["surface"], rel=0.05)
+    assert shown["normals"] < shown["surface"]
+
+    again = "['surface', 'contacts', 'axes and scale']"
+    tab.run(f'for (const name of {again}) document.querySelector(`input[name="${{name}}"]`).click()')
+    tab.run("switchPlayer(false); reset()")
+    assert differing(tab.picture(), before) < 1e-3
+    choose = "(s => {{ s.selectedIndex = {}; s.onchange(); return s.value; }})(document.querySelector('select'))"
+    assert tab.run(choose.format(2)) == "plain"
+    plain = tab.picture()
+    assert not blue(plain)
+    assert tab.run(choose.format(1)) == "certified bound in mm"
+    assert differing(tab.picture(), plain) > 0.05
+    # the bars have the heights of the shares
+    heights = tab.run("[...document.querySelectorAll('.histogram')[0].children].map(bar => bar.offsetHeight)")
+    assert np.argmax(heights) == np.argmax(tab.run("data.layers[0].colors[1].shares"))
 
 
-# --- values ---
+def test_the_cutting_plane_takes_away_one_side(tab):
+    def row():
+        return (tab.picture()[:440, 320:] < 250).any(axis=2)[200]
 
-
-def test_the_histogram_counts_area(tab, cube):
-    mesh, deviation, bound = shown_surface(cube)
-    weight = np.zeros(len(mesh.vertices))
-    np.add.at(weight, np.asarray(mesh.faces), np.asarray(mesh.area_faces)[:, None] / 3)
-    largest = np.abs(deviation).max()
-    choose = "{{ const s = document.querySelector('#layers select'); s.selectedIndex = {}; s.onchange(); }}"
-    for k, (values, low, high) in enumerate([(deviation, -largest, largest), (bound, 0, cube.bound.max())]):
-        tab.run(choose.format(k))
-        legend = "document.querySelector('#layers .legend')"
-        shares = np.array(
-            tab.run(f"[...{legend}.querySelectorAll('.histogram > span')].map(bar => +bar.dataset.share)")
-        )
-        expected = np.histogram(np.clip(values, low, high), 32, (low, high), weights=weight)[0] / weight.sum()
-        # values of equal size at an edge of a bin may be rounded into the next
-        assert shares.sum() == pytest.approx(1)
-        assert np.abs(np.cumsum(shares) - np.cumsum(expected)).max() < 0.02
-        note = tab.run(f"{legend}.querySelector('.note').textContent")
-        quantiles = [float(q.replace("−", "-")) for q in re.search("below (.*?);", note)[1].split(", ")]
-        order = np.argsort(values)
-        share = np.cumsum(weight[order]) / weight.sum()
-        for part, quantile in zip((0.05, 0.5, 0.95), quantiles, strict=True):
-            near = values[order][np.searchsorted(share, [part - 0.01, part + 0.01])]
-            assert near[0] - 6e-3 * abs(near[0]) <= quantile <= near[1] + 6e-3 * abs(near[1])
-        heights = tab.run(f"[...{legend}.querySelectorAll('.histogram > span')].map(bar => bar.offsetHeight)")
-        assert np.argmax(heights) == np.argmax(shares)
-
-
-def test_the_cutting_plane_takes_away_one_side(tab, cube):
     tab.run("along('x')")  # seen against x: y to the right
-    whole = (tab.picture()[:440, 320:] < 250).any(axis=2)
-    left, right = np.flatnonzero(whole[200])[[0, -1]]
-    place_of(tab, "#cut-axis")
-    tab.run("byId('cut-axis').focus()")
-    tab.run("byId('cut-axis').value = 'y'; byId('cut-axis').onchange()")
-    assert tab.run("byId('cut-text').textContent") == "y = 0 mm"
-    half = (tab.picture()[:440, 320:] < 250).any(axis=2)
+    whole = row()
+    left, right = np.flatnonzero(whole)[[0, -1]]
     middle = (left + right) // 2
-    assert half[200, left + 5 : middle - 5].all()
-    assert not half[200, middle + 5 : right + 20].any()
+    tab.run("byId('cut-axis').value = 'y'; byId('cut-axis').onchange()")
+    half = row()
+    assert tab.run("byId('cut-text').textContent") == "y = 0 mm"
+    assert half[left + 5 : middle - 5].all()
+    assert not half[middle + 5 : right + 20].any()
     # contacts that are cut off are not found any more
-    y = "contactPoint({})[1]"
-    assert all(tab.run(y.format(contact)) < 1e-4 for contact, _, _ in front_contacts(tab))
+    assert all(tab.run(f"contactPoint({contact})[1]") < 1e-4 for contact, _, _ in front_contacts(tab)[:5])
     press(tab, "#cut-flip")
-    other = (tab.picture()[:440, 320:] < 250).any(axis=2)
-    assert not other[200, left : middle - 5].any()
+    assert not row()[left : middle - 5].any()
     tab.run("byId('cut-at').focus()")
     tab.key("End")
-    assert (tab.picture()[:440, 320:] < 250).any(axis=2)[200].sum() < 5
+    assert row().sum() < 5
     tab.run("byId('cut-axis').value = ''; byId('cut-axis').onchange()")
-    assert ((tab.picture()[:440, 320:] < 250).any(axis=2) == whole).mean() > 0.999
+    assert (row() == whole).mean() > 0.99
 
 
 def test_the_distance_between_two_points(tab, cube):
@@ -290,22 +213,20 @@ def test_the_distance_between_two_points(tab, cube):
     text = tab.run("picked.textContent")
     expected = cube.points[b] - cube.points[a]
     assert float(re.search(r"distance = (\S+) mm", text)[1]) == pytest.approx(np.linalg.norm(expected), rel=1e-4)
-    assert [float(v) for v in re.findall(r"Δ. = (\S+) mm", text)] == pytest.approx(expected, abs=2e-3)
+    assert [float(v) for v in re.findall(r"Δ. = (\S+) mm", text)] == pytest.approx(expected, abs=6e-3)
     # between places of the surface without contact: the middle of the page is on the body
     x, y = tab.run("(v => [v.x, v.y])(measures())")
-    tab.run("contactLayer().on = false; redraw()")
+    tab.run("contacts.on = false; redraw()")
     tab.click(x, y)
     tab.click(x + 30, y)
-    a, b = np.array(tab.run("marks.points"))
-    mesh, _, _ = shown_surface(cube)
-    center = np.array(tab.run("data.center"))
-    assert distances(np.array([a, b]) + center, mesh).max() < 1e-3
+    points = np.array(tab.run("marks.points")) + tab.run("data.center")
+    assert distances(points, shown_surface(cube)[0]).max() < 1e-3
     tab.run("canvas.focus()")
     tab.key("Escape")
     assert tab.run("[marks.points.length, picked.hidden]") == [0, True]
 
 
-def test_a_picture_is_saved_as_it_is_seen(tab, tmp_path, cube):
+def test_a_picture_is_saved_as_it_is_seen(tab, tmp_path):
     session, tab.session = tab.session, None
     tab("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     tab.session = session
@@ -324,6 +245,134 @@ def test_a_picture_is_saved_as_it_is_seen(tab, tmp_path, cube):
     assert 0.01 < (saved[:250, :300] < 250).any(axis=2).mean() < 0.5
 
 
+# --- the player ---
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_the_rod_in_the_page_is_the_elastic_line(shows, model, cube):
+    """Against `planar.elastic_lines`, which computes it in closed form: within a hundredth of a pixel, 1e-5 rod lengths."""
+    scene = cube if model == "planar" else scanned_in_space()
+    tab = shows(scene)
+    sweep = shown_sweep(scene)
+    samples = np.flatnonzero(scene.column("sweep") == sweep.number)
+    rods = tab.run(
+        f"[...player.contact].filter(k => player.numbers[sweepOf(k)] === {sweep.number}).map(k => {{ const r = rodAt(k);"
+        " return [r.base, r.points[r.contact], r.points[r.points.length - 1], r.force, r.moment]; })"
+    )
+    assert len(rods) == len(samples) == len(sweep.base)
+    base, contact, tip, force, moment = np.array(rods).transpose(1, 0, 2)
+    center, recording = np.array(tab.run("data.center")), scene.recording
+    length = 1e3 * recording.rod.length_m
+    assert base + center == pytest.approx(sweep.base, abs=1e-5 * length)
+    assert np.abs(contact + center - sweep.contact).max() < 1e-5 * length
+    assert np.abs(tip + center - sweep.rods[:, -1]).max() < 1e-5 * length
+    # the reactions point where they do in the world
+    rows = scene.column("row")[samples].astype(int)
+    zero = np.zeros(len(recording))
+    wrench = np.column_stack([recording.force_N, zero]), np.column_stack([zero, zero, recording.moment_Nm])
+    if model == "spatial":
+        wrench = recording.wrench()
+    for shown, scale, expected in zip((force, moment), (1e3, 1e6), wrench, strict=True):
+        world = scale * np.einsum("ni,nij->nj", expected[rows], recording.axes()[rows])
+        assert np.abs(shown - world).max() < 1e-5 * np.abs(world).max()
+    assert tab.complaints() == []
+
+
+def test_mouse_and_keys_move_the_player(tab, cube):
+    assert tab.run("[dock.hidden, curves.hidden, player.on]") == [False, True, False]
+    body = tab.picture()
+    press(tab, "#charts")
+    assert tab.run("[curves.hidden, player.on, byId('charts').getAttribute('aria-pressed')]") == [False, True, "true"]
+    assert differing(tab.picture(), body) > 0.05
+    # the sliders by keys, as a user without a mouse has them
+    tab.run("byId('sample').focus()")
+    before = tab.run("player.sample")
+    tab.key("ArrowRight")
+    assert tab.run("player.sample") == before + 1
+    tab.run("byId('sweep').focus()")
+    number = tab.run("player.sweep")
+    tab.key("ArrowLeft")
+    assert tab.run("player.sweep") == number - 1
+    assert tab.run("byId('sweep').getAttribute('aria-valuetext') === `sweep ${player.numbers[player.sweep]}`")
+    tab.key("Home")
+    assert tab.run("player.sweep") == 0
+    # in the view, by keys of their own
+    tab.run("canvas.focus()")
+    before = tab.run("player.sample")
+    tab.key(".")
+    assert tab.run("player.sample") == before + 1
+    tab.key(",")
+    tab.key("]")
+    assert tab.run("player.sweep") == 1
+    tab.key("[")
+    tab.picture()
+    # what stands there are the recording's numbers
+    contact = tab.run("player.contactOf[player.sample]")
+    text = tab.run("now.textContent")
+    assert text.startswith(f"sweep {cube.column('sweep')[contact]:.0f} ")
+    assert reactions_in(text) == pytest.approx(of_contact(cube, contact), rel=6e-3, abs=1e-9)
+
+
+def test_it_plays_to_the_end_and_through_all_sweeps(tab):
+    tab.run("goTo(0, 0); byId('speed').selectedIndex = 3")
+    press(tab, "#play")
+    assert tab.run("byId('play').getAttribute('aria-label')") == "pause"
+    wait_for(tab, "!player.playing")
+    assert tab.run("[player.sweep, player.sample]") == [0, tab.run("player.starts[1] - 1")]
+    press(tab, "#through")
+    press(tab, "#play")
+    wait_for(tab, "player.sweep >= 2")
+    press(tab, "#play")
+    stopped = tab.run("player.sample")
+    tab.picture()
+    assert tab.run("[player.playing, player.sample]") == [False, stopped]
+
+
+def test_contacts_and_curves_are_linked_both_ways(tab, cube):
+    press(tab, "#charts")
+    tab.picture()
+    seen = front_contacts(tab)
+    assert len(seen) > 10
+    contact, x, y = seen[len(seen) // 2]
+    # the contact under the pointer is shown in the curves, as long as it is there
+    chosen = tab.run("player.sample")
+    tab.mouse("mouseMoved", x, y)
+    wait_for(tab, f"marks.hovered === {contact}")
+    tab.picture()
+    assert tab.run("shownSample()") == tab.run(f"player.contact[{contact}]") != chosen
+    assert f"sweep {cube.column('sweep')[contact]:.0f} " in tab.run("now.textContent")
+    tab.mouse("mouseMoved", 890, 5)
+    wait_for(tab, "marks.hovered === -1")
+    assert tab.run("shownSample()") == chosen
+    # a click beside all contacts shows nothing, one on a contact chooses it, and shows what was measured at it
+    tab.click(880, 300)
+    assert tab.run("picked.hidden")
+    tab.click(x, y)
+    assert tab.run("player.sample") == tab.run(f"player.contact[{contact}]")
+    text = tab.run("picked.textContent")
+    assert text.startswith(f"contact {contact}\n")
+    point = [float(coordinate) for coordinate in re.findall(r"[xyz] = (\S+) mm", text)]
+    assert point == pytest.approx(cube.points[contact], abs=1e-3)
+    assert f"sweep {cube.column('sweep')[contact]:.0f}\n" in text
+
+    # a place in a chart shows its sample and contact in the view, a click chooses it
+    tab.run("goTo(0, 0)")
+    before = tab.picture()
+    frames = tab.run("(() => { const r = curves.getBoundingClientRect();"
+                     " return curveFrames().map(f => [r.x + f.x, f.w, r.y + f.y + f.h / 2]); })()")  # fmt: skip
+    assert len(frames) == 3
+    travel, chosen = np.array(tab.run("[...travelOf(0)]")), 0
+    for k, (left, width, middle) in zip((3, len(travel) // 2, len(travel) - 2), frames, strict=True):
+        at = left + width * travel[k] / travel[-1]
+        tab.mouse("mouseMoved", at, middle)
+        assert tab.run("[shownSample(), player.sample]") == [k, chosen]
+        tab.click(at, middle)
+        assert tab.run("player.sample") == k
+        chosen = k
+    tab.mouse("mouseMoved", 890, 5)
+    assert differing(tab.picture(), before) > 1e-3
+
+
 # --- for everybody, on every screen ---
 
 
@@ -331,16 +380,13 @@ def test_every_control_has_a_name(tab):
     """As screen readers get them from the browser."""
     press(tab, "#charts")
     tab.run("for (const e of document.querySelectorAll('details')) e.open = true")
-    nodes = [node for node in tab("Accessibility.getFullAXTree")["nodes"] if not node["ignored"]]
+    tab.picture()
     controls = {}
-    for node in nodes:
-        role = node["role"]["value"]
-        if role in ("button", "checkbox", "slider", "combobox", "application", "DisclosureTriangle", "image", "group"):
-            controls.setdefault(role, []).append(node.get("name", {}).get("value", ""))
-    assert {"button", "checkbox", "slider", "combobox", "application", "image"} <= set(controls)
-    named = [name for role, names in controls.items() if role != "group" for name in names]
-    assert "" not in named
-    # two sliders of the player, choices of colours, cutting plane and speed; three histograms or charts
+    for node in tab("Accessibility.getFullAXTree")["nodes"]:
+        if not node["ignored"]:
+            controls.setdefault(node["role"]["value"], []).append(node.get("name", {}).get("value", ""))
+    for role in ("button", "checkbox", "slider", "combobox", "application", "DisclosureTriangle", "image"):
+        assert "" not in controls[role], role
     assert controls["slider"] == ["sweep", "sample"]
     assert {"colour of surface", "colour of contacts", "speed"} <= set(controls["combobox"])
     assert any(name.startswith("histogram of signed deviation in mm: 5 %, 50 % and 95 %") for name in controls["image"])
@@ -353,11 +399,9 @@ def test_the_keys_reach_everything(tab):
     """By Tab alone, from the view through all controls that are seen."""
     tab.run("canvas.focus()")
     reached = set()
-    for _ in range(60):
+    for _ in range(40):
         tab.key("Tab")
-        reached.add(
-            tab.run("document.activeElement.id || document.activeElement.name || document.activeElement.tagName")
-        )
+        reached.add(tab.run("(e => e.id || e.name || e.tagName)(document.activeElement)"))
     assert {"play", "sweep", "sample", "speed", "charts", "cut-axis", "measure", "save", "reset", "surface"} <= reached
     tab.run("canvas.focus(); reset()")
     before = tab.run("({...eye})")
@@ -372,30 +416,30 @@ def test_the_keys_reach_everything(tab):
     assert tab.run("({...eye})") == before
 
 
-@pytest.mark.parametrize("size", [(360, 640), (390, 844), (844, 390), (1920, 1080)], ids=str)
-def test_nothing_leaves_the_window(tab, size):
-    width, height = size
-    tab("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500)
+def test_nothing_leaves_the_window(tab):
     try:
-        tab("Page.reload")
-        wait_for(tab, "document.readyState === 'complete' && typeof player === 'object' && !dock.hidden")
-        for shown in (False, True):
-            if shown:
-                press(tab, "#charts")
-            boxes = tab.run("[panel, dock].map(e => { const r = e.getBoundingClientRect();"
-                            " return [r.left, r.top, r.right, r.bottom]; })")  # fmt: skip
-            for left, top, right, bottom in boxes:
-                assert left >= 0
-                assert top >= 0
-                assert right <= width
-                assert bottom <= height
-            # some of the body is seen beside them
-            view = tab.run("measures()")
-            assert view["wide"] * view["high"] > 0.12 * width * height
-            inner = tab.run("[...dock.querySelectorAll('button, input, select')].every(e => {"
-                            " const r = e.getBoundingClientRect(), d = dock.getBoundingClientRect();"
-                            " return r.left >= d.left && r.right <= d.right && r.bottom <= d.bottom; })")  # fmt: skip
-            assert inner
+        for width, height in [(360, 640), (844, 390), (1920, 1080)]:
+            tab(
+                "Emulation.setDeviceMetricsOverride",
+                width=width,
+                height=height,
+                deviceScaleFactor=1,
+                mobile=width < 500,
+            )
+            reload(tab)
+            for shown in (False, True):
+                if shown:
+                    press(tab, "#charts")
+                for box in tab.run("[panel, dock].map(e => e.getBoundingClientRect().toJSON())"):
+                    assert min(box["left"], box["top"]) >= 0
+                    assert box["right"] <= width
+                    assert box["bottom"] <= height
+                # some of the body is seen beside them
+                view = tab.run("measures()")
+                assert view["wide"] * view["high"] > 0.12 * width * height
+                assert tab.run("[...dock.querySelectorAll('button, input, select')].every(e => {"
+                               " const r = e.getBoundingClientRect(), d = dock.getBoundingClientRect();"
+                               " return r.left >= d.left && r.right <= d.right && r.bottom <= d.bottom; })")  # fmt: skip
     finally:
         tab("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
 
@@ -419,51 +463,25 @@ def many(scene, count):
     return replace(scene, contacts=rows, recording=replace(recording, sweep=sweep, **tiled))
 
 
-@pytest.fixture(scope="module")
-def full_tab(browser_path, cube, tmp_path_factory):
-    scene = many(cube, CONTACTS)
-    tab = opened(browser_path, scene, tmp_path_factory.mktemp("many"))
-    yield tab, scene
-    tab.close()
-
-
-def test_a_hundred_thousand_contacts(full_tab):
-    """All that a user does with few; and pictures in motion are made in the time of 30 in a second, even by software."""
-    tab, scene = full_tab
-    assert tab.run("contactLayer().points.length / 3") == len(scene.contacts) >= CONTACTS
+def test_a_hundred_thousand_contacts(shows, cube):
+    """Links work as with few; and pictures in motion are made in the time of 30 in a second, even by software."""
+    scene = many(cube, 100_000)
+    tab = shows(scene)
+    assert tab.run("contacts.points.length / 3") == len(scene.contacts) >= 100_000
     press(tab, "#charts")
     tab.picture()
-    # links, both ways
-    contact, x, y = front_contacts(tab)[5]
-    tab.mouse("mouseMoved", x, y)
-    wait_for(tab, f"marks.hovered === {contact}")
+    contact, x, y = front_contacts(tab)[0]
     tab.click(x, y)
     assert tab.run("player.contactOf[player.sample]") == contact
-    assert reactions_in(tab.run("buildRod() || now.textContent")) == pytest.approx(
-        sample_of(scene, contact), rel=6e-3, abs=1e-9
-    )
-    tab.run("byId('sweep').focus()")
-    tab.key("End")
-    assert tab.run("player.numbers[player.sweep]") == scene.column("sweep").max()
-    # histogram, cutting plane, distance
+    text = tab.run("buildRod() || now.textContent")
+    assert reactions_in(text) == pytest.approx(of_contact(scene, contact), rel=6e-3, abs=1e-9)
     counts = tab.run("[...document.querySelectorAll('.legend')][1].innerText")
     assert sum(int(count) for count in re.findall(r": (\d+) \(", counts)) == len(scene.contacts)
-    tab.run("byId('cut-axis').value = 'x'; byId('cut-axis').onchange()")
-    assert all(tab.run(f"contactPoint({contact})[0]") < 1e-4 for contact, _, _ in front_contacts(tab)[:20])
-    tab.run("byId('cut-axis').value = ''; byId('cut-axis').onchange()")
-    tab.run("canvas.focus()")
-    tab.key("m")
-    assert tab.run("marks.points.length") == 1
-    tab.key("Escape")
-    # a picture
-    assert tab.run("picture().width") == WIDTH
-    # which is opaque, although contacts that are close together let the surface shine through
-    assert tab.run("pointStyle(contactLayer(), measures()).alpha") < 1
-    alpha = (
-        "(c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.filter((_, k) => k % 4 === 3))(picture())"
-    )
-    assert tab.run(f"{alpha}.every(a => a === 255)")
-    # pictures in motion; the fastest, as the machine may be busy
+    # a picture is opaque, although contacts that are close together let the surface shine through
+    assert tab.run("pointStyle(contacts, measures()).alpha") < 1
+    pixels = "(c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data)(picture())"
+    assert tab.run(f"{pixels}.every((value, k) => k % 4 < 3 || value === 255)")
+    # the fastest, as the machine may be busy
     moving = """(() => { const times = [], pixel = new Uint8Array(4);
       for (let k = 0; k < 40; k++) {
         const before = performance.now();

@@ -10,7 +10,7 @@ from scan3d.arrays import Array
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
 from scan3d.pictures.figures import REACTION_LABELS, SIX_REACTION_LABELS, chart, open_axes, ticks, wrapped
-from scan3d.pictures.parts import evenly_chosen, shown_surface
+from scan3d.pictures.parts import area_of_vertices, evenly_chosen, shown_surface, weighted_quantiles
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import BOUND, INK, ROD, UNKNOWN
 from scan3d.pictures.sheet import Sheet
@@ -120,7 +120,7 @@ def histograms(scene: Scene, sheet: Sheet) -> Any:
             f"neither the deviation nor the bound of {scene.name} is known, which the view histogram shows: give --truth MESH "
             "(in Python truth=), or show a scan's folder"
         )
-    area = np.bincount(np.ravel(mesh.faces), np.repeat(mesh.area_faces / 3, 3), len(mesh.vertices)).astype(np.float64)
+    area = area_of_vertices(mesh)
     figure = chart((1.8, 2.3)[len(shown) - 1], sheet)
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
     for axes, (title, values, color) in zip(panels, shown, strict=True):
@@ -155,10 +155,7 @@ def _histogram(
     axes.yaxis.set_major_locator(ticks(_HISTOGRAM_HEIGHT * axes.figure.get_figheight(), sheet, 2.0, 5))
     axes.ticklabel_format(axis="x", useOffset=False, style="plain")
     axes.set_xlabel(wrapped(title, width, sheet), fontsize=sheet.font)
-    # the values that 5 %, 50 % and 95 % of the area do not exceed
-    order = np.argsort(values[known])
-    below = np.cumsum(area[known][order]) / area[known].sum()
-    quantiles = values[known][order][np.searchsorted(below, [0.05, 0.5, 0.95]).clip(max=len(order) - 1)]
+    quantiles = weighted_quantiles(values[known], area[known], (0.05, 0.5, 0.95))
     digits = 2 - int(np.floor(np.log10(high - low)))
     lower, median, upper = (f"{round(value, digits) + 0.0:.3g}" for value in quantiles)
     text = f"median {median}, 90 % from {lower} to {upper}".replace("-", "−")

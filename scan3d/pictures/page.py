@@ -1,7 +1,7 @@
 """A page that shows a scan in any browser: one file, which needs WebGL 2 and no access to the network.
 
 `page.html` beside this module is the page without a scan: ``@NAME@``, ``@KEYFIGURES@`` and the like are filled in here, and so
-are the style and the scripts, `page.css` and `page_*.js`.  Arrays are little-endian, of 32 bits and in base64.
+are the style and the scripts, `page.css` and `page_*.js`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,15 @@ from scan3d.choices import COLORS
 from scan3d.errors import InputError
 from scan3d.pictures.figures import quiet
 from scan3d.pictures.parts import (
+    SWEEP_DIRECTION,
+    area_of_vertices,
     has_rods,
     is_spatial,
     most_informative_sweep,
     normal_lines,
     recording_rows,
     sections,
+    weighted_quantiles,
 )
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import (
@@ -49,7 +52,7 @@ from scan3d.recording import Recording
 from scan3d.units import UNITS_M, unit_symbol
 
 # The scripts in the order in which they run: one script, whose parts see each other's names.
-_SCRIPTS = ("view", "layers", "rod", "player", "tools", "main")
+_SCRIPTS = ("view", "layers", "player", "tools", "main")
 
 
 def page(scene: Scene) -> bytes:
@@ -92,15 +95,10 @@ def _part(name: str) -> str:
     return files("scan3d.pictures").joinpath(name).read_text(encoding="utf-8")
 
 
-def _floats(values: Array) -> str:
-    """Numbers as float32; what is too large becomes infinite."""
+def _array(values: NDArray[Any], kind: str = "f4") -> dict[str, str]:
+    """Numbers as float32, too large ones as infinite, or as uint32 ("u4"): little-endian, in base64."""
     with np.errstate(over="ignore"):
-        return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
-
-
-def _integers(values: NDArray[Any]) -> str:
-    """Numbers from 0 to 2³² - 1 as uint32."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<u4").tobytes()).decode()
+        return {kind: base64.b64encode(np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()).decode()}
 
 
 # --- layers ---
@@ -111,7 +109,8 @@ def _layers(scene: Scene, center: Array) -> list[dict[str, Any]]:
     layers = []
     if scene.surface is not None:
         mesh, shades = surface_shades(scene)
-        layers.append(_triangles("surface", mesh, center, on=True, colors=[_scale(shaded) for shaded in shades]))
+        colors = [_scale(shaded, area_of_vertices(mesh)) for shaded in shades]
+        layers.append(_triangles("surface", mesh, center, on=True, colors=colors))
     if scene.contacts is not None:
         layers.append(_contacts(scene, center))
     normals = normal_lines(scene)
@@ -129,21 +128,22 @@ def _triangles(name: str, mesh: Any, center: Array, **options: Any) -> dict[str,
     return {
         "name": name,
         "kind": "triangles",
-        "position": _floats(np.asarray(mesh.vertices) - center),
-        "index": _integers(np.asarray(mesh.faces)),
+        "points": _array(np.asarray(mesh.vertices) - center),
+        "faces": _array(np.asarray(mesh.faces), "u4"),
         "color": BODY,
         **options,
     }
 
 
 def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
-    names = {name: scene.column(name) for name in ("sweep", "slice")}
+    names, alike = {name: scene.column(name) for name in ("sweep", "slice")}, np.ones(len(scene.points))
+    known = [color for color in COLORS if scene.column(color) is not None]
     return {
         "name": "contacts",
         "kind": "points",
         "on": True,
-        "position": _floats(scene.points - center),
-        "colors": [_scale(shade_contacts(scene, color)) for color in COLORS if scene.column(color) is not None],
+        "points": _array(scene.points - center),
+        "colors": [_scale(shade_contacts(scene, color), alike) for color in known],
         "columns": {name: values.astype(int).tolist() for name, values in names.items() if values is not None},
         "color": ON_DEVIATION[0],
     }
@@ -151,27 +151,36 @@ def _contacts(scene: Scene, center: Array) -> dict[str, Any]:
 
 def _strips(name: str, lines: list[Array], center: Array, color: str, width: float) -> dict[str, Any]:
     starts = np.cumsum([0, *map(len, lines)]).tolist()
-    points = _floats(np.concatenate(lines) - center)
-    return {"name": name, "kind": "lines", "position": points, "starts": starts, "color": color, "width": width}
+    points = _array(np.concatenate(lines) - center)
+    return {"name": name, "kind": "lines", "points": points, "starts": starts, "color": color, "width": width}
 
 
-def _scale(shaded: Shade) -> dict[str, Any]:
-    """Values with their scale of colours, of which the page interpolates 33, or with their kinds."""
+def _scale(shaded: Shade, weights: Array) -> dict[str, Any]:
+    """Values (n,) with their scale of colours, of which the page interpolates 33, or with their kinds.
+
+    The histogram of values by their weights (n,) has 32 bins of equal length on the scale.
+    """
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
     if shaded.norm is None:
         kinds = [[name, color] for name, color in zip(("tangential", "tip"), ON_DEVIATION, strict=True)]
-        values = _floats(planar.Phase.TANGENTIAL - shaded.values)
+        values = _array(planar.Phase.TANGENTIAL - shaded.values)
         return {"title": "kind of contact", "kinds": kinds, "values": values}
     stops = [to_hex(color) for color in colormaps[shaded.map](np.linspace(0, 1, 33))]
+    known = np.isfinite(shaded.values)
+    shown, counts = shaded.values[known], weights[known]
+    shares = np.histogram(np.asarray(shaded.norm(shown)), 32, (0, 1), weights=counts)[0] / weights.sum()
     return {
         "title": shaded.title.replace(" um", " µm"),
-        "values": _floats(shaded.values),
+        "values": _array(shaded.values),
         "low": float(shaded.norm.vmin),
         "high": float(shaded.norm.vmax),
         "log": type(shaded.norm).__name__ == "LogNorm",
         "stops": stops,
+        "shares": shares.tolist(),
+        "quantiles": weighted_quantiles(shown, counts, (0.05, 0.5, 0.95)).tolist(),
+        "unknown": float(weights[~known].sum() / weights.sum()),
     }
 
 
@@ -201,26 +210,35 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
     assert recording is not None
     samples = samples_of(recording, recording_rows(scene, recording))
     rows, spatial = samples.rows, is_spatial(scene)
-    force, moment = recording.wrench() if spatial else (recording.force_N, recording.moment_Nm)
+    force, moment = recording.wrench() if spatial else (recording.force_N, recording.moment_Nm[:, None])
+    force, moment = 1e3 * force[rows], 1e6 * moment[rows]
     if spatial:
         charts = [("force in mN", ["f0x", "f0y", "f0z"]), ("moment in mN mm", ["m0x", "m0y", "m0z"])]
     else:
         charts = [("f0x in mN", ["f0x"]), ("f0y in mN", ["f0y"]), ("m0z in mN mm", ["m0z"])]
     # the samples from which on the clamp has another orientation
-    quaternion = recording.quaternion[rows]
-    turned = np.flatnonzero(np.concatenate([[True], (np.diff(quaternion, axis=0) != 0).any(axis=1)]))
-    scale = 1 / UNITS_M[scene.unit]
+    differs = np.diff(recording.quaternion[rows], axis=0) != 0
+    turned = np.flatnonzero(np.concatenate([[True], differs.any(axis=1)]))
+    axes, position = recording.axes()[rows], recording.position_m[rows] / UNITS_M[scene.unit]
+    # the way of the clamp against its x axis since the first sample of the sweep, and the sizes of force and moment
+    first = np.repeat(samples.starts, np.diff([*samples.starts, len(rows)]))
+    travel = -np.einsum("ni,ni->n", position - position[first], axes[first, 0])
+    sizes = np.column_stack([np.linalg.norm(force, axis=1), np.linalg.norm(moment, axis=1)])
+    shown = int(np.flatnonzero(samples.numbers == most_informative_sweep(scene))[0])
     data: dict[str, Any] = {
         "numbers": samples.numbers.tolist(),
         "starts": samples.starts.tolist(),
-        "shown": int(np.flatnonzero(samples.numbers == most_informative_sweep(scene))[0]),
-        "position": _floats(recording.position_m[rows] * scale - center),
-        "turned": _integers(turned),
-        "turns": _floats(quaternion[turned]),
-        "reactions": _floats(np.column_stack([1e3 * force[rows], 1e6 * moment[rows]])),
+        "shown": shown,
+        "toward": (SWEEP_DIRECTION @ axes[samples.starts[shown]]).tolist(),
+        "position": _array(position - center),
+        "turned": _array(turned, "u4"),
+        "turns": _array(axes[turned]),
+        "reactions": _array(np.column_stack([force, moment])),
+        "travel": _array(travel),
+        "largest": np.maximum.reduceat(sizes, samples.starts).tolist(),
         "labels": [{"title": title, "names": names} for title, names in charts],
-        "contact": _integers(samples.of_contact),
-        "length": recording.rod.length_m * scale,
+        "contact": _array(samples.of_contact, "u4"),
+        "length": recording.rod.length_m / UNITS_M[scene.unit],
         "forceUnit": 1e3 * recording.rod.force_unit_N,
         "momentUnit": 1e6 * recording.rod.moment_unit_Nm,
         "colors": {"rod": ROD, "force": FORCE, "selected": SELECTED, "ink": INK, "curves": REACTION_COLORS},
@@ -229,7 +247,7 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
     if angles is not None:
         bending = np.zeros(len(rows))
         bending[samples.of_contact] = np.nan_to_num(angles)
-        data["bending"] = _floats(bending)
+        data["bending"] = _array(bending)
     return data
 
 

@@ -1,10 +1,6 @@
 // What mouse, fingers and keys do, and the start of the page.
-// Zoom: from a small body on the page to single contacts; factor for a key, exponent for a pixel of the wheel.
-const zoomRange = [0.2, 200], zoomKey = 1.2, zoomWheel = 0.0012;
-// Radians for a pixel of dragging, and for a key; pixels for a key that moves; pixels that a click may move.
-const turnDrag = 0.008, turnKey = 0.1, moveKey = 20, still = 4;
 
-function zoom(factor) { eye.zoom = Math.min(zoomRange[1], Math.max(zoomRange[0], eye.zoom * factor)); redraw(); }
+function zoom(factor) { eye.zoom = Math.min(200, Math.max(0.2, eye.zoom * factor)); redraw(); }
 function turn(dx, dy) {
   eye.azimuth -= dx; eye.elevation = Math.min(1.5707, Math.max(-1.5707, eye.elevation + dy)); redraw();
 }
@@ -21,7 +17,6 @@ function listenToPointers() {
   const down = new Map();
   let moved = 0, waiting = 0;
   canvas.onpointerdown = e => {
-    canvas.classList.remove("keys");
     canvas.setPointerCapture(e.pointerId); canvas.focus(); down.set(e.pointerId, [e.clientX, e.clientY]); moved = 0;
   };
   canvas.onpointermove = e => {
@@ -38,41 +33,38 @@ function listenToPointers() {
       zoom(apart(now) / Math.max(1, apart(last)));
     }
     if (down.size === 2 || e.buttons & 6 || e.shiftKey) { eye.x += dx / down.size; eye.y -= dy / down.size; redraw(); }
-    else turn(dx * turnDrag, dy * turnDrag);
+    else turn(0.008 * dx, 0.008 * dy);
     down.set(e.pointerId, now);
   };
   canvas.onpointerup = canvas.onpointercancel = e => {
     down.delete(e.pointerId);
-    if (e.type === "pointerup" && moved < still && e.button === 0) click(e.clientX, e.clientY);
+    if (e.type === "pointerup" && moved < 4 && e.button === 0) click(e.clientX, e.clientY);
   };
   canvas.onpointerleave = () => hover(null);
-  canvas.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-zoomWheel * e.deltaY)); }, {passive: false});
+  canvas.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-0.0012 * e.deltaY)); }, {passive: false});
   canvas.oncontextmenu = e => e.preventDefault();
   canvas.ondblclick = reset;
 }
 
 function step(sweeps, samples) {  // from the present sample
   play(false); switchPlayer(true);
-  goTo(player.sweep + sweeps, player.sample - player.starts[player.sweep] + samples); redraw();
-}
-function markContact() {
-  const contact = player.contactOf[player.sample];
-  if (contact >= 0 && contactLayer()) mark(contactPoint(contact));
+  goTo(player.sweep + sweeps, player.sample - player.starts[player.sweep] + samples);
 }
 
 function listenToKeys() {
-  const keys = {"+": () => zoom(zoomKey), "=": () => zoom(zoomKey), "-": () => zoom(1 / zoomKey), 0: reset, x: () => along("x"),
-    y: () => along("y"), z: () => along("z"), s: save, Escape: escape};
+  const keys = {"+": () => zoom(1.2), "=": () => zoom(1.2), "-": () => zoom(1 / 1.2), 0: reset, s: save, Escape: escape};
+  for (const axis of "xyz") keys[axis] = () => along(axis);
   if (player) {
+    const present = () => player.contactOf[player.sample];
+    const markContact = () => { if (present() >= 0) mark(contactPoint(present())); };
     Object.assign(keys, {",": () => step(0, -1), ".": () => step(0, 1), "[": () => step(-1, 0), "]": () => step(1, 0),
       p: () => play(), m: markContact});
   }
-  canvas.onkeyup = () => canvas.classList.add("keys");  // the frame that says where keys go; after Tab as well
   canvas.onkeydown = e => {
     if (e.ctrlKey || e.altKey || e.metaKey) return;
     const way = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[e.key];
-    if (way && e.shiftKey) { eye.x += way[0] * moveKey; eye.y += way[1] * moveKey; }
-    else if (way) turn(way[0] * turnKey, way[1] * turnKey);
+    if (way && e.shiftKey) { eye.x += 20 * way[0]; eye.y += 20 * way[1]; }
+    else if (way) turn(0.1 * way[0], 0.1 * way[1]);
     else if (keys[e.key]) keys[e.key]();
     else return;
     e.preventDefault(); redraw();
@@ -80,7 +72,7 @@ function listenToKeys() {
 }
 
 function listenToControls() {
-  byId("cut-axis").onchange = byId("cut-at").oninput = byId("cut-flip").onchange = cut;
+  byId("cut-axis").onchange = byId("cut-at").oninput = byId("cut-flip").onchange = redraw;
   byId("measure").onclick = () => measuring(); byId("save").onclick = save; byId("reset").onclick = reset;
   for (const button of document.querySelectorAll("[data-along]")) button.onclick = () => along(button.dataset.along);
   const arrange = () => {
@@ -93,18 +85,18 @@ function listenToControls() {
   if (!player) return;
   byId("play").onclick = () => play();
   byId("charts").onclick = () => switchPlayer(!player.on);
-  const slid = (sweep, sample) => { play(false); switchPlayer(true); goTo(sweep, sample); redraw(); };
+  const slid = (sweep, sample) => { play(false); switchPlayer(true); goTo(sweep, sample); };
   byId("sweep").oninput = e => slid(+e.target.value, player.sample - player.starts[player.sweep]);
   byId("sample").oninput = e => slid(player.sweep, +e.target.value);
   const at = e => {
     const k = sampleAtCurve(e.clientX);
-    if (e.buttons & 1) { play(false); goToSample(k); redraw(); } else preview(k);
+    if (e.buttons & 1) { play(false); goToSample(k); } else preview(k);
   };
   curves.onpointerdown = curves.onpointermove = at;
   curves.onpointerleave = () => preview(-1);
 }
 
-panel.open = window.innerWidth > narrow && window.innerHeight > low;
+panel.open = window.innerWidth > narrow && window.innerHeight > 500;
 if (gl) {
   data.layers.forEach(prepare);
   if (player) preparePlayer();

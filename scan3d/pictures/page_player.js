@@ -1,49 +1,47 @@
 // The player: one sample of one sweep at a time, with rod, clamp and reactions, and the reactions over the travel of the clamp.
-// Lengths of what is drawn with the rod, in rod lengths: the longest arrow, its head, the clamp, the radius of the moment.
-const drawn = {arrow: 0.35, head: 0.05, clamp: 0.07, moment: 0.09};
-// Rods along a sweep, the longest arc of a moment in radians, and the diameter in pixels of the contacts of the present sweep.
-const trailRods = 9, longestArc = 1.6 * Math.PI, traceSize = 6;
 const player = gl && data.player || null;
 const now = byId("now"), curves = byId("curves");
+// Steps of the integration along the whole rod; its error, of the fourth order, is below a pixel by far.
+const rodSteps = 64;
 
 function preparePlayer() {
-  for (const name of ["position", "reactions", "turns"]) player[name] = new Float32Array(bytes(player[name]));
-  if (player.bending) player.bending = new Float32Array(bytes(player.bending));
-  for (const name of ["turned", "contact"]) player[name] = new Uint32Array(bytes(player[name]));
   const n = player.position.length / 3;
-  player.starts.push(n);
+  player.ends = [...player.starts.slice(1), n];
   player.width = player.reactions.length / n;
   player.contactOf = new Int32Array(n).fill(-1);
   player.contact.forEach((k, contact) => { player.contactOf[k] = contact; });
+  player.names = player.labels.flatMap(({title, names}) => names.map(name => [name, title.split(" in ")[1]]));
   Object.assign(player, {on: false, trail: false, preview: -1, time: 0, stale: true, lines: [], trace: null});
   byId("sweep").max = player.numbers.length - 1;
-  goTo(player.shown, Math.floor((player.starts[player.shown + 1] - player.starts[player.shown]) / 2));
+  goTo(player.shown, Math.floor((player.ends[player.shown] - player.starts[player.shown]) / 2));
   dock.hidden = false;
 }
 
-const shownSample = () => player.preview >= 0 ? player.preview : player.sample;
-
-function sweepOf(k) {
-  let low = 0, high = player.numbers.length - 1;
+function lastUpTo(rising, value) {  // the number of the last of some rising values that is not larger
+  let low = 0, high = rising.length - 1;
   while (low < high) {
     const middle = (low + high + 1) >> 1;
-    if (player.starts[middle] <= k) low = middle; else high = middle - 1;
+    if (rising[middle] <= value) low = middle; else high = middle - 1;
   }
   return low;
 }
 
+const sweepOf = k => lastUpTo(player.starts, k);
+const shownSample = () => player.preview >= 0 ? player.preview : player.sample;
+
 function goTo(sweep, sample) {  // to a sample of a sweep, both counted from 0
   player.sweep = Math.min(player.numbers.length - 1, Math.max(0, sweep));
-  const first = player.starts[player.sweep], count = player.starts[player.sweep + 1] - first;
+  const first = player.starts[player.sweep], count = player.ends[player.sweep] - first;
   player.sample = first + Math.min(count - 1, Math.max(0, sample));
   const slider = byId("sample");
   slider.max = count - 1; slider.value = player.sample - first; byId("sweep").value = player.sweep;
   byId("sweep").setAttribute("aria-valuetext", `sweep ${player.numbers[player.sweep]}`);
   slider.setAttribute("aria-valuetext", `sample ${player.sample - first + 1} of ${count}`);
   player.preview = -1; player.stale = true;
+  redraw();
 }
 
-const goToSample = k => { const sweep = sweepOf(k); goTo(sweep, k - player.starts[sweep]); };
+const goToSample = k => goTo(sweepOf(k), k - player.starts[sweepOf(k)]);
 
 function preview(k) {  // show a sample as long as the pointer is at it, -1 for none
   if (!player || player.preview === k) return;
@@ -58,99 +56,117 @@ function switchPlayer(on) {
   redraw();
 }
 
-// From a sweep toward the viewer, along the clamp's axes: rods hide little of the body and do not hide each other.
-const toViewer = [0.45, -0.6, 0.7];
-
 function lookAtSweep() {  // once, unless the view was changed before: from its side, with the clamps of all sweeps in view
-  const axes = clampAxes(player.sample), [x, y, z] = [0, 1, 2].map(i => dot(toViewer, axes.map(axis => axis[i])));
+  const [x, y, z] = player.toward;
   eye.azimuth = Math.atan2(x, -y); eye.elevation = Math.atan2(z, Math.hypot(x, y)); player.fitted = true;
-  const view = measures(), m = turned(), L = drawn.clamp * player.length;
+  const view = measures(), placed = onScreen(player.position), clamp = 0.07 * player.length;
   let wide = data.radius, high = data.radius;
-  for (let k = 0; k < player.position.length; k += 3) {
-    const [u, v] = onScreen(clampAt(k / 3), m, view);
-    wide = Math.max(wide, Math.abs(u - view.x) / view.unit + L); high = Math.max(high, Math.abs(v - view.y) / view.unit + L);
+  for (let k = 0; k < placed.length; k += 3) {
+    wide = Math.max(wide, Math.abs(placed[k] - view.x) / view.unit + clamp);
+    high = Math.max(high, Math.abs(placed[k + 1] - view.y) / view.unit + clamp);
   }
   eye.zoom = data.radius * Math.min(view.wide / wide, view.high / high) / Math.min(view.wide, view.high);
 }
 
-function travelOf(sweep) {  // (samples,) the way of the clamp against its x axis since the first sample
-  const first = player.starts[sweep], count = player.starts[sweep + 1] - first;
-  const origin = clampAt(first), x = clampAxes(first)[0];
-  return Float64Array.from({length: count}, (_, k) => -dot(plus(clampAt(first + k), origin, -1), x));
+// --- the rod of a sample ---
+
+// In rod lengths, from the reactions: φ' = κ, κ' = f0y cos φ - f0x sin φ from the clamp, φ = π/2 and κ = -m0z, to the
+// contact, κ = 0; straight from there.
+function elasticLine(fx, fy, m) {
+  const points = [[0, 0]], curvatureRate = phi => fy * Math.cos(phi) - fx * Math.sin(phi);
+  const rate = ([, , phi, kappa]) => [Math.cos(phi), Math.sin(phi), kappa, curvatureRate(phi)];
+  const move = (y, k, t) => y.map((v, i) => v + t * k[i]);
+  let state = [0, 0, Math.PI / 2, -m], s = 0, ends = m === 0;
+  const step = h => {
+    const a = rate(state), b = rate(move(state, a, h / 2)), c = rate(move(state, b, h / 2)), d = rate(move(state, c, h));
+    return state.map((v, i) => v + h / 6 * (a[i] + 2 * b[i] + 2 * c[i] + d[i]));
+  };
+  for (let k = 0; !ends && k < rodSteps; k++) {
+    let h = 1 / rodSteps, next = step(h);
+    ends = next[3] * m >= 0;  // κ has changed its sign
+    for (let i = 0; ends && i < 4; i++) {  // Newton's method for the step at whose end it is zero
+      h = Math.min(1 / rodSteps, Math.max(0, h - next[3] / curvatureRate(next[2]))); next = step(h);
+    }
+    state = next; s += h; points.push(state.slice(0, 2));
+  }
+  const contact = points.length - 1;
+  points.push([state[0] + (1 - s) * Math.cos(state[2]), state[1] + (1 - s) * Math.sin(state[2])]);
+  return {points, contact, s1: s};
+}
+
+function clampAxes(k) {  // x, y and z of the clamp at a sample, in the world
+  const turn = 9 * lastUpTo(player.turned, k);
+  return [0, 3, 6].map(axis => [...player.turns.subarray(turn + axis, turn + axis + 3)]);
+}
+
+const clampAt = k => [...player.position.subarray(3 * k, 3 * k + 3)];
+
+// The rod of a sample in the world: points from the clamp to the tip, of which number `contact` touches; reactions as vectors.
+function rodAt(k) {
+  const [x, y, z] = clampAxes(k), base = clampAt(k), L = player.length, v = player.reactions.subarray(player.width * k);
+  const [f, m] = player.width === 6 ? [v.subarray(0, 3), v.subarray(3, 6)] : [[v[0], v[1], 0], [0, 0, v[2]]];
+  const angle = player.bending ? player.bending[k] : 0, cos = Math.cos(angle), sin = Math.sin(angle);
+  const across = plus(x.map(v => v * cos), z, sin), touches = player.contactOf[k] >= 0;
+  const world = v => plus(plus(x.map(c => v[0] * c), y, v[1]), z, v[2]);
+  const line = touches ? elasticLine((f[0] * cos + f[2] * sin) / player.forceUnit, f[1] / player.forceUnit,
+    (m[2] * cos - m[0] * sin) / player.momentUnit) : elasticLine(0, 0, 0);
+  return {base, x, y, z, across, force: world(f), moment: world(m), contact: line.contact, s1: line.s1, touches,
+    points: line.points.map(([u, v]) => plus(plus(base, across, L * u), y, L * v))};
 }
 
 function strip(lines, color, width) {
   const starts = [0];
   for (const line of lines) starts.push(starts[starts.length - 1] + line.length);
-  return {points: new Float32Array(lines.flat(2)), starts, color, width};
+  const points = new Float32Array(lines.flat(2));
+  return {points, starts, color, width, buffer: buffer(gl.ARRAY_BUFFER, points)};
 }
 
 function arrow(from, vector, normal) {  // shaft and head, in the plane with this normal
-  const to = plus(from, vector), along = unitVector(vector), across = cross(normal, along), head = drawn.head * player.length;
+  const to = plus(from, vector), along = unitVector(vector), across = cross(normal, along), head = 0.05 * player.length;
   const barb = side => plus(plus(to, along, -head), across, side * 0.5 * head);
   return Math.hypot(...vector) > 0 ? [[from, to], [barb(1), to, barb(-1)]] : [];
 }
 
 function arc(rod, turn) {  // an arrow around the moment's axis, beginning at the rod, as long as the moment is large
   const L = player.length, n = unitVector(rod.moment), u = unitVector(plus(rod.y, n, -dot(rod.y, n))), v = cross(n, u);
-  const at = t => plus(plus(rod.base, u, drawn.moment * L * Math.cos(t)), v, drawn.moment * L * Math.sin(t));
-  const line = Array.from({length: 33}, (_, k) => at(turn * k / 32)), end = plus(at(turn), at(turn - 0.05), -1);
-  return [line, ...arrow(plus(at(turn), unitVector(end), -1e-3 * L), unitVector(end).map(c => 1e-3 * L * c), n).slice(1)];
+  const at = t => plus(plus(rod.base, u, 0.09 * L * Math.cos(t)), v, 0.09 * L * Math.sin(t));
+  const line = Array.from({length: 33}, (_, k) => at(turn * k / 32)), end = unitVector(minus(at(turn), at(turn - 0.05)));
+  return [line, ...arrow(plus(at(turn), end, -1e-3 * L), end.map(c => 1e-3 * L * c), n).slice(1)];
 }
 
 function buildRod() {  // what is drawn of the shown sample, and the text and curves that belong to it
   player.stale = false;
-  const k = shownSample(), sweep = sweepOf(k), first = player.starts[sweep], last = player.starts[sweep + 1] - 1;
-  const {rod: blue, force: purple, selected, ink} = player.colors, rod = rodAt(k), L = player.length;
-  const n = cross(rod.across, rod.y);
-  let force = 0, moment = 0;
-  for (let i = first; i <= last; i++) {
-    force = Math.max(force, sizeAt(i, 0)); moment = Math.max(moment, sizeAt(i, 1));
-  }
-  const scaled = rod.force.map(f => f * drawn.arrow * L / (force || 1)), lines = [];
-  lines.push(strip([[clampAt(first), clampAt(last)]], "#8a8a8a", 1.2));
-  if (player.trail) {
-    const count = Math.min(trailRods, last - first + 1);
-    const chosen = Array.from({length: count}, (_, i) => Math.round(first + (last - first) * i / Math.max(1, count - 1)));
-    lines.push(strip(chosen.map(i => rodAt(i).points), "#8fb8d8", 1.5));
-  }
-  lines.push(strip([rod.points], blue, 3.5));
-  lines.push(strip([[rod.base, plus(rod.base, rod.y, -drawn.clamp * L)]], ink, 11));
-  if (rod.touches) {
-    lines.push(strip([...arrow(rod.base, scaled, n), ...arrow(rod.points[rod.contact], scaled.map(f => -f), n),
-      ...arc(rod, longestArc * Math.hypot(...rod.moment) / (moment || 1))], purple, 2.5));
-  }
+  const k = shownSample(), sweep = sweepOf(k), first = player.starts[sweep], last = player.ends[sweep] - 1, L = player.length;
+  const {rod: blue, force: purple, selected, ink} = player.colors, rod = rodAt(k), normal = cross(rod.across, rod.y);
+  const trace = [...player.contactOf.subarray(first, k + 1)].filter(contact => contact >= 0).flatMap(contactPoint);
   player.lines.forEach(line => gl.deleteBuffer(line.buffer));
-  player.lines = lines.map(line => ({...line, buffer: buffer(gl.ARRAY_BUFFER, line.points)}));
-  const all = data.layers.find(layer => layer.kind === "points"), trace = [];
-  for (let i = first; i <= k; i++) {
-    const contact = player.contactOf[i];
-    if (contact >= 0) trace.push(...all.points.subarray(3 * contact, 3 * contact + 3));
+  player.lines = [strip([[clampAt(first), clampAt(last)]], "#8a8a8a", 1.2)];
+  if (player.trail) {
+    const chosen = Array.from({length: 9}, (_, i) => Math.round(first + (last - first) * i / 8));
+    player.lines.push(strip([...new Set(chosen)].map(i => rodAt(i).points), "#8fb8d8", 1.5));
   }
-  const points = new Float32Array(trace), old = player.trace && player.trace.buffer;
-  player.trace = {points, color: selected, buffer: buffer(gl.ARRAY_BUFFER, points, old || gl.createBuffer())};
+  player.lines.push(strip([rod.points], blue, 3.5), strip([[rod.base, plus(rod.base, rod.y, -0.07 * L)]], ink, 11));
+  if (rod.touches) {
+    // the longest arrow and the longest arc are those of the largest force and moment of the sweep
+    const [force, moment] = player.largest[sweep].map(size => size || 1), scaled = rod.force.map(f => f * 0.35 * L / force);
+    const arrows = [...arrow(rod.base, scaled, normal), ...arrow(rod.points[rod.contact], scaled.map(f => -f), normal)];
+    player.lines.push(strip([...arrows, ...arc(rod, 1.6 * Math.PI * Math.hypot(...rod.moment) / moment)], purple, 2.5));
+  }
+  const points = new Float32Array(trace);
+  player.trace = {points, color: selected, buffer: buffer(gl.ARRAY_BUFFER, points, player.trace?.buffer)};
   describe(k, sweep, rod);
   if (player.on) drawCurves(k, sweep);
 }
 
-function sizeAt(k, part) {  // the size of the force (part 0) or the moment (part 1) of a sample
-  const from = player.width * k, middle = player.width === 6 ? 3 : 2;
-  return Math.hypot(...player.reactions.subarray(part ? from + middle : from, part ? from + player.width : from + middle));
-}
-
-const names = () => player.labels.flatMap(chart => chart.names.map(name => [name, chart.title.split(" in ")[1]]));
-
 function describe(k, sweep, rod) {
-  const count = player.starts[sweep + 1] - player.starts[sweep], place = k - player.starts[sweep];
-  const contact = player.contactOf[k];
-  const layer = data.layers.find(layer => layer.kind === "points"), slices = layer.columns.slice;
-  const slice = slices && contact >= 0 ? `, slice ${slices[contact]}` : "";
-  const kind = layer.colors.find(scale => scale.kinds);
+  const contact = player.contactOf[k], {columns, colors} = contacts, kind = colors.find(scale => scale.kinds);
+  const slice = columns.slice && contact >= 0 ? `, slice ${columns.slice[contact]}` : "";
   const what = contact < 0 ? "no contact" : kind ? kind.kinds[kind.values[contact]][0] + " contact" : "contact";
-  const value = ([name, unit], i) => `${name} = ${number(rod.values[i])} ${unit}`.replaceAll(" ", "\u00a0");
-  const values = names().map(value).join(", ");
+  const value = ([name, unit], i) => `${name} = ${number(player.reactions[player.width * k + i])} ${unit}`;
+  const values = player.names.map(value).map(text => text.replaceAll(" ", "\u00a0")).join(", ");
   now.textContent = `sweep ${player.numbers[sweep]} (no. ${sweep + 1} of ${player.numbers.length} with contact)${slice}, `
-    + `sample ${place + 1} of ${count}: ${what}${rod.touches ? ` at ${number(rod.s1)} of the rod's length` : ""}; ${values}`;
+    + `sample ${k - player.starts[sweep] + 1} of ${player.ends[sweep] - player.starts[sweep]}: ${what}`
+    + `${rod.touches ? ` at ${number(rod.s1)} of the rod's length` : ""}; ${values}`;
   curves.setAttribute("aria-label", `reactions over the travel of the clamp; ${values}`);
 }
 
@@ -158,10 +174,12 @@ function drawRod(view, ratio) {
   if (player.stale) buildRod();
   if (!player.on) return;
   for (const line of player.lines) drawLines(line, view, ratio, false);
-  if (player.trace.points.length) drawPoints(player.trace, {size: traceSize, alpha: 1}, view, ratio, false, 0.006);
+  if (player.trace.points.length) drawPoints(player.trace, {size: 6, alpha: 1}, view, ratio, false, 0.006);
 }
 
 // --- the curves ---
+
+const travelOf = sweep => player.travel.subarray(player.starts[sweep], player.ends[sweep]);
 
 function ticks(low, high, most) {  // round numbers from low to high
   const length = high - low, power = 10 ** Math.floor(Math.log10(length / most));
@@ -170,61 +188,42 @@ function ticks(low, high, most) {  // round numbers from low to high
 }
 
 function curveFrames() {  // places of the charts in CSS pixels
-  const w = curves.clientWidth, h = curves.clientHeight, size = 0.82 * fontSize();
-  const count = player.labels.length, left = 3.4 * size, each = w / count;
+  const size = 0.82 * fontSize(), left = 3.4 * size, each = curves.clientWidth / player.labels.length;
   return player.labels.map((chart, i) => (
-    {chart, size, x: i * each + left, w: each - left - size, y: 1.7 * size, h: h - 4.4 * size}));
+    {chart, size, x: i * each + left, w: each - left - size, y: 1.7 * size, h: curves.clientHeight - 4.4 * size}));
 }
 
 function drawCurves(k, sweep) {
-  const ratio = window.devicePixelRatio || 1, context = curves.getContext("2d");
-  curves.width = Math.round(curves.clientWidth * ratio); curves.height = Math.round(curves.clientHeight * ratio);
-  context.scale(ratio, ratio);
   const first = player.starts[sweep], travel = travelOf(sweep);
   let column = 0;
-  for (const frame of curveFrames()) {
-    const value = (i, j) => player.reactions[player.width * (first + j) + column + i];
-    const rows = frame.chart.names.map((_, i) => travel.map((_, j) => value(i, j)));
-    column += rows.length;
-    drawChart(context, frame, travel, rows, k - first);
-  }
+  const values = column => travel.map((_, j) => player.reactions[player.width * (first + j) + column]);
+  const charts = curveFrames().map(frame => chartText(frame, travel, frame.chart.names.map(() => values(column++)), k - first));
+  curves.innerHTML = `<svg width="100%" height="100%">${charts.join("")}</svg>`;
 }
 
-function drawChart(context, {chart, size, x, y, w, h}, travel, rows, shown) {
-  const near = Math.min(...travel), far = Math.max(...travel), width = far - near || 1;
+function chartText({chart, size, x, y, w, h}, travel, rows, shown) {  // a chart as SVG
+  const near = Math.min(...travel), width = Math.max(...travel) - near || 1;
   const low = Math.min(0, ...rows.map(row => Math.min(...row))), top = Math.max(0, ...rows.map(row => Math.max(...row)));
-  const high = top > low ? top : low + 1;
+  const high = top > low ? top : low + 1, color = i => player.colors.curves[i];
   const px = t => x + w * (t - near) / width, py = v => y + h * (high - v) / (high - low);
-  const line = (...points) => {
-    context.beginPath(); points.forEach(([u, v], i) => { i ? context.lineTo(u, v) : context.moveTo(u, v); }); context.stroke();
-  };
-  context.font = `${size}px system-ui, sans-serif`; context.lineWidth = 1; context.strokeStyle = "#d0d0d0";
-  context.fillStyle = "#222"; context.textBaseline = "middle"; context.textAlign = "right";
-  for (const t of ticks(low, high, h > 7 * size ? 4 : 3)) {
-    context.fillText(number(t), x - 4, py(t)); line([x, py(t)], [x + w, py(t)]);
-  }
-  context.textAlign = "center"; context.textBaseline = "top";
-  for (const t of ticks(near, near + width, Math.max(2, w / (5 * size)))) context.fillText(number(t), px(t), y + h + 4);
-  const axis = "travel of the clamp in " + data.unit, short = "travel in " + data.unit;
-  context.fillText(context.measureText(axis).width < w ? axis : short, x + w / 2, y + h + 4 + 1.3 * size);
-  context.textAlign = "left"; context.textBaseline = "alphabetic";
-  const titled = Math.min(x, x + w - context.measureText(chart.title).width);
-  context.fillText(chart.title, titled, y - 0.6 * size);
-  let legendAt = titled + context.measureText(chart.title + "  ").width;
-  context.strokeStyle = "#222"; line([px(travel[shown]), y], [px(travel[shown]), y + h]);
-  rows.forEach((row, i) => {
-    context.strokeStyle = context.fillStyle = player.colors.curves[rows.length > 1 ? i : 0]; context.lineWidth = 1.8;
-    line(...Array.from(row, (value, j) => [px(travel[j]), py(value)]));
-    context.beginPath(); context.arc(px(travel[shown]), py(row[shown]), 4, 0, 2 * Math.PI); context.fill();
-    if (rows.length === 1) return;
-    context.fillText(chart.names[i], legendAt, y - 0.6 * size);
-    legendAt += context.measureText(chart.names[i] + "  ").width;
-  });
+  const line = (points, color, wide) => `<polyline points="${points.join(" ")}" stroke="${color}" stroke-width="${wide}"/>`;
+  const text = (u, v, anchor, words) => `<text x="${u}" y="${v}" font-size="${size}" text-anchor="${anchor}">${words}</text>`;
+  const names = chart.names.map((name, i) => `<tspan dx="${size / 2}" fill="${color(i)}">${name}</tspan>`);
+  return [
+    ...ticks(low, high, h > 7 * size ? 4 : 3).map(t => text(x - 4, py(t) + 0.35 * size, "end", number(t))
+      + line([[x, py(t)], [x + w, py(t)]], "#d0d0d0", 1)),
+    ...ticks(near, near + width, w / (5 * size)).map(t => text(px(t), y + h + 1.2 * size, "middle", number(t))),
+    text(x + w / 2, y + h + 2.5 * size, "middle", (w > 13 * size ? "travel of the clamp in " : "travel in ") + data.unit),
+    text(x, y - 0.6 * size, "start", chart.title + (rows.length > 1 ? names.join("") : "")),
+    line([[px(travel[shown]), y], [px(travel[shown]), y + h]], "#222", 1),
+    ...rows.map((row, i) => line(Array.from(row, (value, j) => [px(travel[j]), py(value)]), color(i), 1.8)
+      + `<circle cx="${px(travel[shown])}" cy="${py(row[shown])}" r="4" fill="${color(i)}"/>`),
+  ].join("");
 }
 
 function sampleAtCurve(clientX) {  // the sample of the present sweep whose travel is nearest to a place in a chart
-  const x = clientX - curves.getBoundingClientRect().left, frames = curveFrames(), travel = travelOf(player.sweep);
-  const chart = frames.reduce((a, b) => Math.abs(x - a.x - a.w / 2) <= Math.abs(x - b.x - b.w / 2) ? a : b);
+  const x = clientX - curves.getBoundingClientRect().left, travel = travelOf(player.sweep);
+  const chart = curveFrames().reduce((a, b) => Math.abs(x - a.x - a.w / 2) <= Math.abs(x - b.x - b.w / 2) ? a : b);
   const near = Math.min(...travel), far = Math.max(...travel), at = near + (x - chart.x) / chart.w * (far - near);
   const nearest = travel.reduce((best, t, i) => Math.abs(t - at) < Math.abs(travel[best] - at) ? i : best, 0);
   return player.starts[player.sweep] + nearest;
@@ -237,21 +236,20 @@ function play(on = !player.playing) {
   byId("play").textContent = on ? "❚❚" : "▶"; byId("play").setAttribute("aria-label", on ? "pause" : "play");
   if (!on) return;
   switchPlayer(true);
-  const atEnd = player.sample === player.starts[player.sweep + 1] - 1;
-  if (atEnd) goTo(player.sweep + (byId("through").checked && player.sweep < player.numbers.length - 1), 0);
+  if (player.sample === player.ends[player.sweep] - 1) goTo(player.sweep + goesOn(), 0);
   player.time = performance.now(); player.share = 0;
   requestAnimationFrame(advance);
 }
 
+const goesOn = () => byId("through").checked && player.sweep < player.numbers.length - 1;
+
 function advance(time) {
   if (!player.playing) return;
-  const count = player.starts[player.sweep + 1] - player.starts[player.sweep];
+  const count = player.ends[player.sweep] - player.starts[player.sweep];
   player.share += Math.max(0, time - player.time) / 1000 / byId("speed").value * count; player.time = time;
-  const whole = Math.floor(player.share);
+  const whole = Math.floor(player.share), next = player.sample - player.starts[player.sweep] + whole;
   player.share -= whole;
-  const next = player.sample - player.starts[player.sweep] + whole;
-  if (whole && next < count) goTo(player.sweep, next);
-  else if (whole && byId("through").checked && player.sweep < player.numbers.length - 1) goTo(player.sweep + 1, 0);
-  else if (whole) { goTo(player.sweep, count - 1); play(false); }
-  redraw(); requestAnimationFrame(advance);
+  if (whole && next >= count && goesOn()) goTo(player.sweep + 1, 0);
+  else if (whole) { goTo(player.sweep, next); if (next >= count) play(false); }
+  requestAnimationFrame(advance);
 }

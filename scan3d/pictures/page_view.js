@@ -1,11 +1,13 @@
 // The camera, and what WebGL draws: triangles, points and lines in the coordinates of the scan about its centre.
 const byId = id => document.getElementById(id);
-const data = JSON.parse(byId("data").textContent);
 const canvas = byId("view"), panel = byId("panel"), dock = byId("dock"), picked = byId("picked");
 const gl = canvas.getContext("webgl2", {antialias: false});
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
+const data = JSON.parse(byId("data").textContent, (_, value) => value?.f4 !== undefined ? new Float32Array(bytes(value.f4))
+  : value?.u4 !== undefined ? new Uint32Array(bytes(value.u4)) : value);
 const rgb = hex => [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16) / 255);
 const plus = (a, b, t = 1) => [a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]];
+const minus = (a, b) => plus(a, b, -1);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unitVector = a => a.map(x => x / (Math.hypot(...a) || 1));
@@ -14,24 +16,9 @@ const number = x => x === 0 ? "0"
   : (Math.abs(x) >= 1e-3 && Math.abs(x) < 1e5 ? String(+x.toPrecision(3)) : x.toExponential(2)).replaceAll("-", "−");
 // A window up to this width, in CSS pixels, is that of a phone: the panel then covers the body instead of standing beside it.
 const narrow = 700;
-// In a window up to this height the panel is closed at first.
-const low = 500;
-// Part of the free space that the body fills at first.
-const fill = 0.94;
-// Diameters of a contact in CSS pixels, by the distance between contacts: many stay apart, few are seen.
-// Closer than `dense` they let the surface shine through.
-const contactSize = {share: 0.6, least: 1.4, most: 7, zoomed: 12, dense: 2.5, faintest: 0.25};
-// From this diameter, in pixels of the screen, points have a rim, which sets them off from what they lie on.
-const leastRimmed = 5;
-
-// Where frames come late, as without a graphics processor, the picture is drawn in less detail as long as it moves: frames that
-// begin this many ms after they were asked for are late, so many in a row lower the detail, and after so many ms it is still.
-const late = {after: 36, inARow: 3, still: 200};
-// The detail of each level but the first, which has all: contacts at most, cells of the surface across the body, and pixels for
-// each CSS pixel at most.
+// Where frames come late, as without a graphics processor, the picture is drawn in less detail as long as it moves: contacts at
+// most, cells of the surface across the body, and pixels for each CSS pixel at most.
 const levels = [null, {contacts: 20000, cells: 36, ratio: 0.75}, {contacts: 8000, cells: 24, ratio: 0.5}];
-// Samples for each pixel in a picture that is still, and in one that moves where frames are not late.
-const samples = 4;
 
 const head = `#version 300 es
 precision highp float; uniform mat3 turn; uniform vec2 scale, shift; uniform float depth; uniform vec4 cut; out float beyond;
@@ -103,15 +90,21 @@ function measures() {  // of the space beside panel and player, in CSS pixels; `
   const left = panel.open && beside ? panel.offsetWidth + 20 : 0, top = beside ? 0 : 52;
   const bottom = dock.hidden ? 0 : dock.offsetHeight + 16;
   const wide = Math.max(40, w - left), high = Math.max(40, h - top - bottom);
-  const unit = eye.zoom * fill * Math.min(wide, high) / (2 * data.radius);
+  const unit = eye.zoom * 0.94 * Math.min(wide, high) / (2 * data.radius);
   const x = left + wide / 2 + eye.x, y = top + high / 2 - eye.y;
   const scale = [2 * unit / w, 2 * unit / h], shift = [2 * x / w - 1, 1 - 2 * y / h];
   return {w, h, left, bottom, wide, high, unit, x, y, scale, shift};
 }
 
-function onScreen(p, m = turned(), view = measures()) {  // x and y in CSS pixels, and the depth, larger nearer to the viewer
-  const [u, v, d] = [0, 1, 2].map(i => m[i] * p[0] + m[3 + i] * p[1] + m[6 + i] * p[2]);
-  return [view.x + u * view.unit, view.y - v * view.unit, d];
+function onScreen(points) {  // of each point x and y in CSS pixels, and the depth, larger nearer to the viewer
+  const m = turned(), view = measures(), placed = new Float64Array(points.length);
+  for (let k = 0; k < points.length; k += 3) {
+    const [a, b, c] = [points[k], points[k + 1], points[k + 2]];
+    placed[k] = view.x + (m[0] * a + m[3] * b + m[6] * c) * view.unit;
+    placed[k + 1] = view.y - (m[1] * a + m[4] * b + m[7] * c) * view.unit;
+    placed[k + 2] = m[2] * a + m[5] * b + m[8] * c;
+  }
+  return placed;
 }
 
 function use(kind, view, cuts = true) {
@@ -129,7 +122,8 @@ function drawPoints(layer, {size, alpha}, view, ratio, cuts = true, nearer = 0.0
   const used = use("points", view, cuts), pixels = Math.max(1, size * ratio);
   gl.uniform1f(used.at("alpha"), alpha);
   gl.uniform1f(used.at("size"), pixels); gl.uniform1f(used.at("nearer"), nearer);
-  gl.uniform1f(used.at("core"), pixels < leastRimmed ? 2 : (1 - 2 * Math.max(1, 0.8 * ratio) / pixels) ** 2);
+  // points have a rim, which sets them off from what they lie on, unless they are too small
+  gl.uniform1f(used.at("core"), pixels < 5 ? 2 : (1 - 2 * Math.max(1, 0.8 * ratio) / pixels) ** 2);
   attribute(used, "position", layer.buffer, 3, gl.FLOAT, 12 * every);
   if (layer.tint) attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4 * every);
   else gl.vertexAttrib3f(used.attribute("tint"), ...rgb(layer.color));
@@ -177,11 +171,9 @@ function coarser(layer, cells) {  // the triangles that remain where all vertice
   return {faces, elements: buffer(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(faces))};
 }
 
-function pointStyle(layer, view) {
+function pointStyle(layer, view) {  // by the distance between contacts: many stay apart or let the surface shine through
   const apart = view.unit * data.radius * Math.sqrt(2 * Math.PI / (layer.points.length / 3));
-  const most = eye.zoom > 1 ? contactSize.zoomed : contactSize.most;
-  return {size: Math.min(most, Math.max(contactSize.least, contactSize.share * apart)),
-    alpha: Math.min(1, Math.max(contactSize.faintest, apart / contactSize.dense))};
+  return {size: Math.min(eye.zoom > 1 ? 12 : 7, Math.max(1.4, 0.6 * apart)), alpha: Math.min(1, Math.max(0.25, apart / 2.5))};
 }
 
 function drawLayers(view, ratio, level) {
@@ -203,18 +195,14 @@ function drawLayers(view, ratio, level) {
 
 const smooth = gl && {target: gl.createFramebuffer(), color: gl.createRenderbuffer(), depth: gl.createRenderbuffer()};
 
-function drawSmooth(view, ratio) {  // the layers with several samples for each pixel
-  const {width, height} = canvas;
+function drawSmooth(view, ratio) {  // the layers with four samples for each pixel, which a picture in motion does without
+  const {width, height} = canvas, count = Math.min(4, gl.getParameter(gl.MAX_SAMPLES));
   gl.bindFramebuffer(gl.FRAMEBUFFER, smooth.target);
-  if (smooth.width !== width || smooth.height !== height) {
-    const count = Math.min(samples, gl.getParameter(gl.MAX_SAMPLES));
-    for (const [store, format, at] of [[smooth.color, gl.RGBA8, gl.COLOR_ATTACHMENT0],
-      [smooth.depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
-      gl.bindRenderbuffer(gl.RENDERBUFFER, store);
-      gl.renderbufferStorageMultisample(gl.RENDERBUFFER, count, format, width, height);
-      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, store);
-    }
-    Object.assign(smooth, {width, height});
+  for (const [store, format, at] of [[smooth.color, gl.RGBA8, gl.COLOR_ATTACHMENT0],
+    [smooth.depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
+    gl.bindRenderbuffer(gl.RENDERBUFFER, store);
+    gl.renderbufferStorageMultisample(gl.RENDERBUFFER, count, format, width, height);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, store);
   }
   drawLayers(view, ratio, 0);
   gl.bindFramebuffer(gl.READ_FRAMEBUFFER, smooth.target); gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
@@ -229,7 +217,7 @@ function draw(level = 0) {
   const full = window.devicePixelRatio || 1, ratio = level ? Math.min(full, levels[level].ratio) : full, view = measures();
   const width = Math.max(1, Math.round(view.w * ratio)), height = Math.max(1, Math.round(view.h * ratio));
   if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-  if (cutting.follow) cutting.follow();
+  cut();
   if (level) drawLayers(view, ratio, level); else drawSmooth(view, ratio);
   drawMarks(view, full);
 }
@@ -237,11 +225,11 @@ function draw(level = 0) {
 function redraw() {
   if (frame) return;
   pace.asked = performance.now();
-  frame = requestAnimationFrame(() => {
-    pace.lateFrames = performance.now() - pace.asked > late.after ? pace.lateFrames + 1 : 0;
-    if (pace.lateFrames >= late.inARow) { pace.level = Math.min(levels.length - 1, pace.level + 1); pace.lateFrames = 0; }
+  frame = requestAnimationFrame(() => {  // three late frames in a row lower the detail, which returns when the picture is still
+    pace.lateFrames = performance.now() - pace.asked > 36 ? pace.lateFrames + 1 : 0;
+    if (pace.lateFrames >= 3) { pace.level = Math.min(levels.length - 1, pace.level + 1); pace.lateFrames = 0; }
     draw(pace.level);
     clearTimeout(pace.settle);
-    if (pace.level) pace.settle = setTimeout(draw, late.still);
+    if (pace.level) pace.settle = setTimeout(draw, 200);
   });
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from scan3d.spatial import inverse
 from scan3d.units import UNITS_M
 
 # From a sweep toward the camera, along the clamp's axes: rods hide little of the body and do not hide each other.
-_SWEEP_DIRECTION = (0.45, -0.6, 0.7)
+SWEEP_DIRECTION = (0.45, -0.6, 0.7)
 
 
 def evenly_chosen(count: int, at_most: int) -> NDArray[np.integer]:
@@ -79,6 +80,20 @@ def _subdivide(mesh: Any, longest: float) -> tuple[Any, Array, NDArray[np.intege
     distance = np.linalg.norm(mesh.triangles[old_face[slivers]] - vertices[slivers, None], axis=2)
     weights[slivers] = np.eye(3)[distance.argmin(axis=1)]
     return trimesh.Trimesh(vertices, faces, process=False), weights, np.asarray(mesh.faces)[old_face]
+
+
+def area_of_vertices(mesh: Any) -> Array:
+    """(v,) the area around each vertex: a third of its facets."""
+    faces = np.asarray(mesh.faces)
+    return np.bincount(faces.ravel(), np.repeat(mesh.area_faces / 3, 3), len(mesh.vertices)).astype(np.float64)
+
+
+def weighted_quantiles(values: Array, weights: Array, shares: Sequence[float]) -> Array:
+    """(s,) the values that these shares of the weights (n,) do not exceed."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) / weights.sum()
+    found: Array = values[order][np.searchsorted(below, shares).clip(max=len(order) - 1)]
+    return found
 
 
 def outlines(scene: Scene) -> list[tuple[Array, int]]:
@@ -222,7 +237,7 @@ def sweep_direction(sweep: ShownSweep) -> Array:
     """(3,) from a sweep toward the camera; rods that bend below the sweep's plane are seen from below."""
     x, y, z = sweep.axes
     side = -1.0 if sweep.slice is None and ((sweep.contact - sweep.base) @ z).mean() < 0 else 1.0
-    direction: Array = side * _SWEEP_DIRECTION[2] * z + _SWEEP_DIRECTION[1] * y + _SWEEP_DIRECTION[0] * x
+    direction: Array = side * SWEEP_DIRECTION[2] * z + SWEEP_DIRECTION[1] * y + SWEEP_DIRECTION[0] * x
     return direction
 
 

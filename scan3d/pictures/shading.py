@@ -97,7 +97,7 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
         # a body that was found exactly is not shown in the colours of a large deviation
         largest = max(float(np.abs(deviation).max()), 1e-9 * scene.diagonal) or 1.0
         shades.append(shade(deviation, scene.deviation_title, -largest, largest, map="RdBu_r"))
-    if bound is not None and scene.bound is not None:
+    if scene.bound is not None and bound is not None and np.isfinite(bound).any():
         title = f"certified bound in {scene.unit}"
         shades.append(shade(bound, title, 0.0, largest_known(scene.bound) or 1.0, map="YlGnBu"))
     return mesh, shades
@@ -110,12 +110,11 @@ def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | Non
     """
     if scene.surface is None:
         raise InputError(f"{scene.name} has no surface to show; it has a cloud: give the view cloud")
-    has_bound = scene.bound is not None and np.isfinite(scene.bound).any()
-    if view == "bound" and not has_bound:
+    mesh, shades = surface_shades(scene)
+    if view != "bound":
+        return mesh, shades[0] if shades else None
+    if scene.bound is None or not np.isfinite(scene.bound).any():
         raise InputError(
             f"the bound of {scene.name} is not known; show a scan's folder, its surface.ply, or a recording"
         )
-    if scene.truth is None and not has_bound:
-        return scene.surface, None
-    mesh, shades = surface_shades(scene)
-    return mesh, shades[-1 if view == "bound" else 0]
+    return mesh, shades[-1]
