@@ -189,7 +189,7 @@ class Cloud(Shown, Exported):
         columns = {name: getattr(self, name) for name in _PER_CONTACT}
         selected = {name: column[rows] for name, column in columns.items() if column is not None}
         calibration = None if self.calibration is None else self.calibration.select(rows)
-        return replace(self, **selected, calibration=calibration, kept={})
+        return replace(self, **selected, calibration=calibration, kept=dict(self.kept))
 
     def summary(self) -> Rows:
         """Counts, size and what was measured."""

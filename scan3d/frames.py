@@ -18,8 +18,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
+from scan3d.errors import InputError
 
 _EULER = "xyz"
+# Largest error of a quaternion's length: that of one written with three digits.
+_UNIT = 1e-3
 
 
 def turn_of(euler_deg: ArrayLike) -> Array:
@@ -31,6 +34,24 @@ def turn_of(euler_deg: ArrayLike) -> Array:
 def euler_of(turn: Array) -> Array:
     """The Euler angles (3,), in degrees, of a rotation matrix (3, 3)."""
     return np.asarray(Rotation.from_matrix(turn).as_euler(_EULER, degrees=True))
+
+
+def axes_of(quaternion: Array) -> Array:
+    """(n, 3, 3) the axes x, y and z, as rows, of frames with orientations (n, 4), w first."""
+    matrices: Array = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    return matrices.swapaxes(1, 2)
+
+
+def check_orientations(what: str, quaternion: Array) -> None:
+    """Raise InputError, about `what`, unless orientations (n, 4) are unit quaternions."""
+    with np.errstate(over="ignore"):  # the length of huge quaternions is infinite, and is refused
+        length = np.linalg.norm(quaternion, axis=1)
+    worst = int(np.argmax(np.abs(length - 1)))
+    if abs(length[worst] - 1) > _UNIT:
+        raise InputError(
+            f"{what}: orientations must be unit quaternions (qw, qx, qy, qz); that of row {worst + 1} has the length "
+            f"{length[worst]:.4g}"
+        )
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
+from scan3d.frames import axes_of, check_orientations
 from scan3d.rods import Rod
 from scan3d.shown import Described, Rows
 
@@ -24,8 +25,6 @@ SPEED_M_S = 0.02
 """Speed of the clamp where none is given: a rod of 80 mm passes a body of that size in some ten seconds."""
 # Shortest time between two poses, in seconds, which stand at the same place.
 _PAUSE = 1e-3
-# Largest error of a quaternion's length, as in recordings.
-_QUATERNION_TOLERANCE = 1e-3
 
 
 class Move(IntEnum):
@@ -74,13 +73,7 @@ class PoseList(Described):
             bad = ~np.isfinite(value.astype(float)).reshape(n, -1).all(axis=1)
             if bad.any():
                 raise InputError(f"poses: {name} is not a number in row {np.argmax(bad) + 1}")
-        length = np.linalg.norm(self.quaternion, axis=1)
-        worst = int(np.argmax(np.abs(length - 1)))
-        if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
-            raise InputError(
-                f"poses: orientations must be unit quaternions (qw, qx, qy, qz); that of row {worst + 1} has the length "
-                f"{length[worst]:.4g}"
-            )
+        check_orientations("poses", self.quaternion)
         if not self.speed_m_s > 0:
             raise InputError(f"poses: the speed must be above 0 m/s, got {self.speed_m_s}")
         self._check_sweeps()
@@ -127,8 +120,7 @@ class PoseList(Described):
 
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
-        matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
-        return matrices.swapaxes(1, 2)
+        return axes_of(self.quaternion)
 
     def sweeps(self) -> list[Index]:
         """The rows of the move sweep of every sweep, in order."""

@@ -21,17 +21,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.frames import axes_of, check_orientations
 from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Rod
 from scan3d.shown import Rows, Shown
 from scan3d.units import UNITS_M, unit_symbol
 
-# Largest error of a quaternion's length: that of one written with three digits.
-_QUATERNION_TOLERANCE = 1e-3
 # Distinct normals of slices that a table lists: scans along the three axes have three.
 _MOST_NORMALS = 4
 # Standard deviations in N, N·m or m whose squares are no numbers of a computer.
@@ -174,14 +172,7 @@ class Recording(Shown):
                 raise InputError(
                     f"recording: {name} is not a number in {bad.sum()} of {n} rows, first in row {np.argmax(bad) + 1}"
                 )
-        with np.errstate(over="ignore"):  # the length of huge quaternions is infinite, and is refused
-            length = np.linalg.norm(self.quaternion, axis=1)
-        worst = np.argmax(np.abs(length - 1))
-        if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
-            raise InputError(
-                f"recording: orientations must be unit quaternions (qw, qx, qy, qz); that of row {worst + 1} has the length "
-                f"{length[worst]:.4g}"
-            )
+        check_orientations("recording", self.quaternion)
         if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"recording: unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         noises = (self.noise_force_N, self.noise_moment_Nm, self.noise_pose_m)
@@ -245,8 +236,7 @@ class Recording(Shown):
 
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
-        matrices: Array = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
-        return matrices.swapaxes(1, 2)
+        return axes_of(self.quaternion)
 
     def summary(self) -> Rows:
         """Counts, rod, noise, and where the samples were taken, with the largest reactions."""

@@ -25,14 +25,15 @@ def degrees_between(a, b):
 )
 def smooth(request):
     # the pebble is most curved where its facets are largest
-    mesh = formulas.make(request.param, subdivisions=200 if request.param == "pebble" else 100)
+    subdivisions = {"ellipsoid": 60, "egg": 100, "pebble": 200}[request.param]
+    mesh = formulas.make(request.param, subdivisions=subdivisions)
     cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(friction=(0.0, 0.4))))
     return request.param, mesh, cloud
 
 
 @pytest.mark.slow
 def test_normals_of_a_smooth_body_come_from_the_fit(smooth):
-    """80,000 facets are inclined up to 0.6° to the smooth body; the fit averages them out, end slices included."""
+    """The facets are inclined up to 1° to the smooth body; the fit averages them out, end slices included."""
     name, _, cloud = smooth
     deviation = degrees_between(cloud.normals, formulas.normal(name, cloud.points))
     assert (cloud.normal_source == NormalSource.FIT).all()
@@ -53,7 +54,7 @@ def test_slices_alone_give_normals_to_within_a_facets_inclination(smooth):
             assert np.median(degrees_between(normals, exact)) < 0.6
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_the_fitted_surface_is_closer_than_the_hull(smooth):
     name, mesh, cloud = smooth
     fitted, convex = (scan3d.compare(scan3d.surface(cloud, method), mesh).relative for method in ("auto", "hull"))
@@ -77,8 +78,7 @@ def test_bodies_with_edges_are_not_fitted():
         scan3d.surface(cloud, "support")
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, pytest.param(1e-3, marks=pytest.mark.trust)])
 def test_tip_contacts_get_normals_by_the_friction_that_the_tangential_contacts_agree_on(noise):
     plan = scan3d.Plan(slices=24, samples=32, friction=0.3, noise=noise)
     cloud = with_slice_normals(contacts(scan3d.simulate(formulas.make("ellipsoid", subdivisions=60), plan)))
@@ -115,25 +115,6 @@ def test_walls_stay_upright_below_a_roof():
     assert len(walls) >= 3
     for i in walls:
         assert np.abs(slopes[i].tangential).max() < 1e-9
-
-
-@pytest.mark.parametrize("mesh", [house(), trimesh.creation.icosphere(1, 15.0)], ids=["house", "polyhedron"])
-@pytest.mark.parametrize("spacing", ["uniform", "cosine"])
-def test_slopes_lie_between_the_secants_to_the_slices_below_and_above(mesh, spacing):
-    stack = one_stack(mesh, slices=12, spacing=spacing)
-    closed = [section for section in stack.slices if section.closed]
-    assert len(closed) > 6
-    for below, section, above in zip(closed, closed[1:], closed[2:], strict=False):
-        (slope,) = (
-            s.tangential for s, other in zip(height_slopes(stack), stack.slices, strict=True) if other is section
-        )
-        angle = np.arctan2(section.normals[:, 1], section.normals[:, 0])
-        here = section.support(angle)
-        lower = (here - below.support(angle)) / (section.height - below.height)
-        upper = (above.support(angle) - here) / (above.height - section.height)
-        # where the support between normals is interpolated, the secants may be the wrong way round
-        assert (slope >= np.minimum(lower, upper) - 1e-12).all()
-        assert (slope <= np.maximum(lower, upper) + 1e-12).all()
 
 
 def test_the_slope_of_a_pyramid_is_found():

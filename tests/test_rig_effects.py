@@ -31,14 +31,14 @@ def egg():
 @pytest.fixture(scope="module")
 def flat(egg):
     """Exact touches in slices."""
-    recording = scan3d.simulate(egg, scan3d.Plan(slices=24, friction=0.3, samples=32))
+    recording = scan3d.simulate(egg, scan3d.Plan(slices=16, friction=0.3, samples=24))
     return dataclasses.replace(recording, table_m=egg.bounds[0, 2] / 1000)
 
 
 @pytest.fixture(scope="module")
 def space():
     """Exact touches by a rod in space."""
-    return recorded(0.3, directions=8, heights=8, samples=48)[0]
+    return recorded(0.3, directions=6, heights=7, samples=40)[0]
 
 
 def with_rig(recording, rig, seed=None):
@@ -59,8 +59,21 @@ def without(cloud):
     return dataclasses.replace(cloud, calibration=None)
 
 
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-@pytest.mark.parametrize("name", [name for name in RIG_QUANTITIES if name != "length_relative"])
+QUICK = {
+    "planar": ("stiffness_relative", "clamp_turn_z_rad", "sensor_z_m"),
+    "spatial": ("sensor_y_m", "sensor_turn_y_rad"),
+}
+
+
+@pytest.mark.parametrize(
+    ("model", "name"),
+    [
+        (model, name) if name in QUICK[model] else pytest.param(model, name, marks=pytest.mark.trust)
+        for model in ("planar", "spatial")
+        for name in RIG_QUANTITIES
+        if name != "length_relative"
+    ],
+)
 def test_contacts_move_as_predicted(request, model, name):
     """One quantity at a time, by one standard deviation: contacts of the rig that is off, less those of the rig as it is."""
     recording = request.getfixturevalue("flat" if model == "planar" else "space")
@@ -120,7 +133,7 @@ def test_a_turned_and_scaled_world_changes_nothing(request, model):
 def test_the_bound_allows_for_the_calibration(flat, egg):
     """Seeds in which the bound without the term is too small, and that with it holds."""
     too_small = 0
-    for seed in range(6):
+    for seed in range(3):
         cloud = touched(with_rig(flat, typical(3.0, six=False), seed))
         for part in (cloud, without(cloud)):
             bounds = enclosure(part)
@@ -134,7 +147,7 @@ def test_the_bound_allows_for_the_calibration(flat, egg):
                 true = np.concatenate([egg.bounds[1], -egg.bounds[0]])
                 assert (low <= true).all()
                 assert (true <= high).all()
-    assert too_small >= 3
+    assert too_small >= 1
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import one_stack, random_body, rotated, scanned
+from sample_bodies import one_stack, random_body, rotated
 from scipy.optimize import linprog
 from slices_by_hand import rectangle, slice_of
 
@@ -18,7 +18,7 @@ from scan3d.reconstruction.normals import height_slopes
 from scan3d.reconstruction.slices import _outline, stacks
 
 
-@pytest.fixture(scope="module", params=[0, 4, 8])
+@pytest.fixture(scope="module", params=[0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (4, 8))])
 def polytope(request):
     mesh = random_body(request.param)
     cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=10, samples=12, sweeps=5, friction=(0.0, 0.4))))
@@ -52,15 +52,6 @@ def test_between_its_normals_a_slices_support_lies_between_contacts_and_support_
     assert clipped_above
 
 
-def test_the_support_function_of_a_slices_contacts_is_a_lower_bound_of_the_bodys(polytope):
-    mesh, by_axis = polytope
-    for stack in by_axis:
-        polygons = slice_polygons(mesh, stack.frame, stack.heights)
-        for section, polygon in zip(stack.slices, polygons, strict=True):
-            exact = (NORMALS @ polygon.T).max(axis=1)
-            assert (section.support_of_contacts(NORMALS) <= exact + 1e-9 * np.ptp(polygon)).all()
-
-
 def test_slopes_in_height_lie_between_the_secants(polytope):
     """Concavity in the height bounds them with certainty; a cubic spline alone exceeds these bounds at a crease."""
     _, by_axis = polytope
@@ -81,28 +72,6 @@ def test_slopes_in_height_lie_between_the_secants(polytope):
     assert 0 < clipped < counted
 
 
-def test_slices_along_several_axes_make_a_stack_each():
-    cloud = scanned(trimesh.creation.box((20, 30, 40)), slices=6, axis="xyz", samples=12, sweeps=4)
-    by_axis = stacks(cloud)
-    assert len(by_axis) == 3
-    assert sorted(np.concatenate([section.rows for stack in by_axis for section in stack.slices])) == list(
-        range(len(cloud))
-    )
-    for stack in by_axis:
-        assert (np.diff(stack.heights) > 0).all()
-        assert stack.floor < stack.heights[0] < stack.heights[-1] < stack.ceiling
-
-
-def test_a_slice_of_two_contacts_has_no_outline():
-    cloud = contacts(scan3d.simulate(rotated(trimesh.creation.box((20, 30, 40))), scan3d.Plan(slices=4, samples=12)))
-    first = np.flatnonzero(cloud.slice == cloud.slice[0])
-    kept = np.sort(np.concatenate([first[:2], np.flatnonzero(cloud.slice != cloud.slice[0])]))
-    (stack,) = stacks(cloud.select(kept))
-    (smallest,) = [section for section in stack.slices if len(section.rows) == 2]
-    assert len(smallest.outline) == 0
-    assert not smallest.closed
-
-
 # --- prisms and cylinders, whose slices have support functions in closed form ---
 
 
@@ -113,8 +82,7 @@ def prism(sides, radius=10.0, height=40.0):
     return polygon, hull(np.array([(*p, z) for p in polygon for z in (-height / 2, height / 2)]))
 
 
-@pytest.mark.parametrize("sides", [3, 4, 7])
-@pytest.mark.parametrize("samples", [4, 8, 64])
+@pytest.mark.parametrize(("sides", "samples"), [(3, 8), (4, 64), (7, 4)])
 def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_vertices(sides, samples):
     """The intersection of two neighbouring support lines is a vertex of the polygon, where all its edges are known."""
     polygon, mesh = prism(sides)
@@ -135,7 +103,7 @@ def test_between_the_normals_the_support_of_a_prism_lies_between_contacts_and_ve
 def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
     """An ellipse, whose support function is √(a² cos² + b² sin²), from a few dozen contacts."""
     a, b = 10.0, 6.0
-    mesh = trimesh.creation.cylinder(1.0, 40.0, sections=4000)
+    mesh = trimesh.creation.cylinder(1.0, 40.0, sections=1000)
     mesh.apply_scale((a, b, 1.0))
     stack = one_stack(mesh, slices=3, samples=16, sweeps=4)
     exact = np.hypot(a * np.cos(ANGLES), b * np.sin(ANGLES))
@@ -194,21 +162,6 @@ def test_with_one_normal_the_support_is_bounded_from_below_only():
     assert section.support(np.array([np.pi / 2])) == pytest.approx([3 + 2 * np.pi * (2 * 9 / 64 + 3 / 64)])
 
 
-@pytest.mark.parametrize("edges", [[0, 1], [0, 2], [1, 3], [0, 1, 2]])
-def test_beside_a_gap_of_half_a_turn_the_support_is_bounded_from_below_only(edges):
-    section = slice_of(rectangle(3.0, 1.0), 0.0, edges=edges)
-    support = section.support(ANGLES)
-    assert np.isfinite(support).all()
-    assert (support >= section.support_of_contacts(NORMALS) - 1e-12).all()
-    assert section.support(section.angle) == pytest.approx(section.value)
-    assert section.support(section.angle - 2 * np.pi) == pytest.approx(section.value)
-    if edges == [0, 1]:
-        # between the two normals the polygon's vertex is both bounds
-        between = np.radians(np.linspace(-90, 0, 7))
-        expected = np.stack([np.cos(between), np.sin(between)], axis=1) @ [3.0, -1.0]
-        assert section.support(between) == pytest.approx(expected)
-
-
 def test_with_all_normals_the_support_is_that_of_the_polygon():
     for polygon in (rectangle(3.0, 1.0), prism(5)[0], prism(3)[0] + np.array([100.0, -40.0])):
         section = slice_of(polygon, 0.0)
@@ -257,7 +210,7 @@ def test_contacts_on_a_line_have_no_outline(offset):
     assert section.support_of_contacts(NORMALS) == pytest.approx((NORMALS @ line[[0, -1]].T).max(axis=1))
 
 
-@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (1.0, 2.0, 3.0), (-2.0, 0.5, 1.0), (1.0, 0.0, 0.0)])
+@pytest.mark.parametrize("axis", [(1.0, 2.0, 3.0), (1.0, 0.0, 0.0)])
 def test_slices_across_any_axis_hold_the_contacts_in_their_frame(axis):
     mesh = rotated(trimesh.creation.box((20, 30, 40)))
     cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=6, axis=axis, samples=12, sweeps=5)))

@@ -57,16 +57,9 @@ def check(seed, count):
     return bounds.bound / max(true, rounding), bounds.bound / body.size
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_bound_is_never_below_the_true_distance(seed):
     check(seed, 1500)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 106))
-def test_the_bound_is_never_below_the_true_distance_for_few_contacts_and_many(seed):
-    """As many contacts as the 104 bodies have, but for the largest number."""
-    check(seed, (400, 2000, 3000)[seed % 3])
 
 
 @pytest.mark.trust
@@ -80,7 +73,7 @@ def test_the_bound_is_never_below_the_true_distance_on_104_bodies(block):
     ("semi_axes", "count", "ratio"),
     [
         pytest.param((1, 1, 1), 10_000, 6, marks=pytest.mark.trust),
-        pytest.param((1, 0.6, 0.3), 10_000, 6, marks=pytest.mark.slow),
+        pytest.param((1, 0.6, 0.3), 10_000, 6, marks=pytest.mark.trust),
         pytest.param((1, 0.3, 0.3), 20_000, 7, marks=pytest.mark.trust),
         pytest.param((1, 1, 0.4), 3_000, 7, marks=pytest.mark.slow),
     ],
@@ -93,7 +86,7 @@ def test_the_bound_of_smooth_bodies_is_a_few_times_the_true_distance(semi_axes, 
 
 
 def test_the_bound_of_polyhedra_is_close_to_the_true_distance():
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         body = Polyhedron(random_polyhedron(seed).vertices, corners=0.0)
         bounds = enclosure(spatial_cloud(body, 3000, seed))
         assert bounds.bound < 2.5 * largest_difference(bounds.inner, body)
@@ -102,7 +95,7 @@ def test_the_bound_of_polyhedra_is_close_to_the_true_distance():
 def test_the_volume_is_bounded():
     body = Ellipsoid(np.array([1.0, 0.7, 0.5]))
     volume = 4 / 3 * np.pi * body.semi_axes.prod()
-    for radius in (0.0, 0.02):
+    for radius in (0.02,):
         lower, upper = enclosure(spatial_cloud(body, 1500, 2, radius)).volume
         assert 0.9 * volume < lower <= volume <= upper < 1.2 * volume
 

@@ -12,7 +12,6 @@ import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.errors import InputError
 from scan3d.reconstruction import NoContactError
-from scan3d.reconstruction.spatial import readings
 from scan3d.spatial.normals import angles
 
 FEW = {"directions": 4, "heights": 5}  # too few contacts for a fit
@@ -20,7 +19,7 @@ FEW = {"directions": 4, "heights": 5}  # too few contacts for a fit
 
 @pytest.fixture(scope="module")
 def few():
-    return recorded(0.3, substeps=10, **FEW)
+    return recorded(0.3, substeps=6, **FEW)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +92,7 @@ def test_unknown_normals_leave_an_error_of_the_radius(few):
     np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)
 
 
-@pytest.mark.parametrize("noise", [(1e-4, 1e-4), (1e-3, 1e-4)])
+@pytest.mark.parametrize("noise", [(1e-4, 1e-4), pytest.param((1e-3, 1e-4), marks=pytest.mark.trust)])
 def test_noise_gives_the_errors_that_are_stated(noise):
     recording, points, normals = recorded(0.3, noise=noise, substeps=2, directions=8, heights=10)
     cloud = scan3d.reconstruct(recording)
@@ -144,24 +143,6 @@ def test_turning_moving_and_scaling_the_scene_moves_the_cloud(few):
     error = angles(other.normals, turn.apply(cloud.normals))[both]
     assert np.median(error) < 1e-9
     assert error.max() < 1e-5  # normals of slip and path differ by the error of the sweeps themselves
-
-
-def test_turning_the_clamp_about_its_axis_changes_nothing(few):
-    """The frame of clamp and sensor is turned about the rod: the same forces, in another frame."""
-    recording, _, _ = few
-    turn = Rotation.from_rotvec([0, 0.8, 0])
-    force, moment = (turn.inv().apply(v) for v in recording.wrench())
-    turned = replace(
-        recording,
-        quaternion=(Rotation.from_quat(recording.quaternion, scalar_first=True) * turn).as_quat(scalar_first=True),
-        force_N=force[:, :2],
-        force_z_N=force[:, 2],
-        moment_x_Nm=moment[:, 0],
-        moment_y_Nm=moment[:, 1],
-        moment_Nm=moment[:, 2],
-    )
-    cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(turned)
-    np.testing.assert_allclose(other.points, cloud.points, atol=1e-7)
 
 
 def test_the_model_is_chosen_by_the_axes_or_by_name(few):
@@ -231,14 +212,6 @@ def test_single_rows_of_nonsense_cost_their_contacts_only(few):
     cloud = scan3d.reconstruct(replace(recording, moment_Nm=moment))
     assert not np.isin(touching, cloud.row).any()
     assert len(cloud) == np.isfinite(points[:, 0]).sum() - len(touching)
-
-
-def test_readings_tell_what_each_row_is(few):
-    recording, points, _ = few
-    known = readings(recording)
-    np.testing.assert_array_equal(known.touching, np.isfinite(points[:, 0]))
-    assert np.abs(known.found.torsion).max() < 1e-12
-    assert np.abs(known.found.skew).max() < 1e-12
 
 
 def test_under_noise_centre_points_and_tangents_have_errors_as_stated(few):

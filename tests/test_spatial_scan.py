@@ -179,7 +179,7 @@ def test_the_same_seed_gives_the_same_recording(tiny, cube):
     assert len(other) != len(first) or not np.array_equal(other, first)
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_a_scan_in_space_depends_neither_on_place_nor_on_unit(cube):
     # without aimed sweeps, whose choice among equally open places rounding may decide
     plan = dict(SMALL, sweeps=3, friction=(0.0, 0.4))
@@ -196,7 +196,7 @@ def test_a_scan_in_space_depends_neither_on_place_nor_on_unit(cube):
     assert (off < 1e-6).mean() > 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_noise_is_that_of_the_plan(cube):
     noise, plan = 1e-3, dict(SMALL, sweeps=5, friction=0.2)
     exact, noisy = (scan3d.simulate(cube, scan3d.Plan(noise=sigma, **plan)) for sigma in (0.0, noise))
@@ -266,7 +266,6 @@ def test_the_command_scans_in_space(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "plan"),
     [
-        pytest.param("cube.stl", dict(slices=8, samples=8), marks=pytest.mark.slow),
         *(
             pytest.param(name, dict(slices=16), marks=pytest.mark.trust)
             for name in ("cube.stl", "egg.stl", "needle.ply", "capsule.stl", "lens.off")

@@ -18,7 +18,11 @@ def nearest_of_cuboid(points):
     return np.clip(points, -HALF, HALF)
 
 
-@pytest.fixture(scope="module", params=[(0.03, 0.0), (0.03, 0.2), (0.005, 0.3)], ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[*(pytest.param((0.03, mu), marks=pytest.mark.trust) for mu in (0.0, 0.2)), (0.005, 0.3)],
+    ids=str,
+)
 def swept(request):
     """Sweeps past a cuboid turned askew."""
     radius, friction = request.param
@@ -26,7 +30,7 @@ def swept(request):
     turn = turned(rng)
     mesh = trimesh.creation.box(2 * HALF)
     body = RoundedPolyhedron(mesh.vertices @ turn, mesh.faces, radius)
-    position, clamps = random_paths(body, 60, 64, rng)
+    position, clamps = random_paths(body, 40, 48, rng)
     result = sweep(body, position, clamps, friction)
     return radius, friction, turn, position, clamps, result
 
@@ -48,7 +52,7 @@ def test_slivers_have_normals_for_friction():
 def test_contacts_lie_on_the_fattened_cuboid(swept):
     radius, _, turn, _, _, result = swept
     touching = np.isfinite(result.s1)
-    assert touching.sum() > 800
+    assert touching.sum() > 300
     point = result.point[touching] @ turn.T
     away = point - nearest_of_cuboid(point)
     distance = np.linalg.norm(away, axis=1)
@@ -94,7 +98,7 @@ def test_forces_lie_in_the_cone_and_against_the_slip(swept):
 
 
 @pytest.mark.parametrize(
-    "friction", [pytest.param(0.0, marks=pytest.mark.trust), pytest.param(0.3, marks=pytest.mark.slow)]
+    "friction", [pytest.param(0.0, marks=pytest.mark.trust), pytest.param(0.3, marks=pytest.mark.trust)]
 )
 def test_a_fine_mesh_of_a_sphere_is_the_sphere(friction):
     """Forces differ by the angles between the facets, by which their normals jump; four times the facets halve that."""
@@ -124,7 +128,7 @@ def test_open_surfaces_are_refused():
         RoundedPolyhedron(mesh.vertices, mesh.faces, -0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_contacts_end_only_where_the_straight_rod_is_clear():
     """A thin rod past a cube, with friction: rods that have just touched are nearly straight, too, but do not lift off."""
     mesh = trimesh.creation.box(np.full(3, 1 / np.sqrt(3)))

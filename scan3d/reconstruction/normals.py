@@ -75,15 +75,9 @@ _BLOCK = 256
 
 def with_smooth_fit(cloud: Cloud) -> Cloud:
     """The cloud of slices with the normals of the smooth body fitted to its contacts, if the body proves smooth."""
-    fit = smooth_fit(cloud)
-    return cloud if fit is None else _fitted(cloud, *fit)
-
-
-def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
-    """The support function of a smooth body and its error at held-out contacts, in mean radii; None for other bodies."""
     rows = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
     if len(rows) < _TO_TRY * (_DEGREES[0] + 1) ** 2:
-        return None
+        return cloud
     held_out = _held_out_rows(rows)
     used = np.setdiff1d(rows, held_out)
     sd = cloud.select(used).sd_along(cloud.normals[used])
@@ -96,7 +90,14 @@ def smooth_fit(cloud: Cloud) -> tuple[SupportFit, float] | None:
         if best is not None and not error < _DEGREE_GAIN * best[1]:
             break
         best = fitted, error
-    return best if best is not None and _is_smooth(*best, cloud.noise) else None
+    if best is None or not _is_smooth(*best, cloud.noise):
+        return cloud
+    fitted, error = best
+    # the search for the normal at a tip contact starts from the known normal of the nearest contact
+    near = rows[cKDTree(cloud.points[rows]).query(cloud.points)[1]]
+    normals = fitted.normals(cloud.points, cloud.normals[near])
+    source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
+    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * _mean_radius(fitted))
 
 
 def _held_out_rows(rows: Index) -> Index:
@@ -196,18 +197,6 @@ def _slope_at(z: Array, h: Array, centers: Array, k: int, normals: Array) -> Arr
 
 def _spline(z: Array, values: Array) -> CubicSpline:
     return CubicSpline(z, values, bc_type="not-a-knot" if len(z) > 3 else "natural")
-
-
-def _fitted(cloud: Cloud, fitted: SupportFit, error: float) -> Cloud:
-    """The cloud with the normals of the fitted body at all contacts.
-
-    The search for the normal at a tip contact starts from the known normal of the nearest contact.
-    """
-    known = np.flatnonzero(np.isfinite(cloud.normals[:, 0]))
-    near = known[cKDTree(cloud.points[known]).query(cloud.points)[1]]
-    normals = fitted.normals(cloud.points, cloud.normals[near])
-    source = np.full(len(cloud), NormalSource.FIT, dtype=np.int8)
-    return replace(cloud, normals=normals, normal_source=source, fit=fitted, fit_error=error * _mean_radius(fitted))
 
 
 class HullNormals(NamedTuple):
