@@ -10,10 +10,8 @@ from PIL import Image
 import planar
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.sweeps import COLUMNS, SI_COLUMNS, is_sweep, read_sweep
-from scan3d.one_sweep import OneSweep
+from scan3d.laboratory.one_sweep import COLUMNS, SI_COLUMNS, OneSweep, is_sweep, read_sweep, reconstruct_sweep
 from scan3d.pictures.one_sweep import sweep_figure
-from scan3d.reconstruction.one_sweep import reconstruct_sweep
 from scan3d.rods import parse_rod
 
 ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.85), 0.3)
@@ -89,7 +87,7 @@ def test_error_bars_cover_the_truth(sweep):
     noise, rng = 3e-4, np.random.default_rng(0)
     hits = {name: [] for name in ("x", "y", "s1", "friction", "slope")}
     strong = np.hypot(sweep.f0x, sweep.f0y) > 100 * noise  # errors of the first order
-    for _ in range(40):
+    for _ in range(20):
         error = rng.normal(scale=noise, size=(3, len(sweep)))
         noisy = OneSweep(sweep.x0, sweep.f0x + error[0], sweep.f0y + error[1], sweep.m0z + error[2], None, noise, noise)
         found = reconstruct_sweep(noisy)
@@ -100,9 +98,9 @@ def test_error_bars_cover_the_truth(sweep):
         for name, value, truth, sd, some in (
             ("x", contacts.point[:, 0], sweep.point[:, 0], found.point_sd[:, 0], rows),
             ("y", contacts.point[:, 1], sweep.point[:, 1], found.point_sd[:, 1], rows),
-            ("s1", contacts.s1, sweep.s1, found.s1_sd, rows),
+            ("s1", contacts.s1, sweep.s1, found.errors.s1, rows),
             ("friction", contacts.friction, sweep.friction, found.friction_sd, safely),
-            ("slope", contacts.slope, sweep.slope, found.slope_sd, safely),
+            ("slope", contacts.slope, sweep.slope, found.errors.slope, safely),
         ):
             hits[name].append(np.abs(value - truth)[some] <= 2 * sd[some])
     for name, covered in hits.items():
@@ -114,9 +112,7 @@ def test_noise_is_that_of_the_sidecar_or_the_options(tmp_path, left, capsys):
     (tmp_path / "sweep.toml").write_text(f"{SIDECAR}[noise]\nforce_N = 1e-5\nmoment_Nm = 5e-7\n")
     found = reconstruct_sweep(read_sweep(table))
     rod = parse_rod(ROD)
-    assert (found.noise_force, found.noise_moment) == pytest.approx(
-        (1e-5 / rod.force_unit_N, 5e-7 / rod.moment_unit_Nm)
-    )
+    assert found.noise == pytest.approx((1e-5 / rod.force_unit_N, 5e-7 / rod.moment_unit_Nm))
     options = ["--noise-force", "2e-5", "--noise-moment", "1e-6", "--json"]
     medians = []
     for further in ([], options):
@@ -131,7 +127,7 @@ def test_noise_is_that_of_the_sidecar_or_the_options(tmp_path, left, capsys):
     assert np.nanmax(np.abs(written["sd_x_m"] / length - twice.point_sd[:, 0])) < 1e-15
     tangential = twice.tangential
     # the first order of tan ζ
-    step = np.tan(twice.contacts.friction_angle + 1e-6 * twice.friction_angle_sd) - twice.contacts.friction
+    step = np.tan(twice.contacts.friction_angle + 1e-6 * twice.errors.friction_angle) - twice.contacts.friction
     assert written["sd_friction"][tangential] == pytest.approx(1e6 * step[tangential], rel=1e-3)
 
 
@@ -142,24 +138,22 @@ def test_the_rounding_of_the_numbers_gives_error_bars(tmp_path, left, capsys):
     path = write(tmp_path / "sweep.csv", np.round(table, 3))
     found = reconstruct_sweep(read_sweep(path))
     assert found.only_rounding
-    assert found.noise_force == pytest.approx(step / np.sqrt(12), rel=1e-6)
+    assert found.noise[0] == pytest.approx(step / np.sqrt(12), rel=1e-6)
     assert main(["reconstruct", str(path)]) == 0
     assert "by rounding alone" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "1e-320"])
 @pytest.mark.parametrize("column", range(4))
-def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, left, value, column):
+def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, left, column):
     table = np.round(columns(left), 4)
     whole = reconstruct_sweep(read_sweep(write(tmp_path / "whole.csv", table)))
-    table[50, column] = float(value)
+    table[50, column] = np.nan
     found = reconstruct_sweep(read_sweep(write(tmp_path / "sweep.csv", table)))
     others = np.arange(len(table)) != 50
-    if not np.isfinite(float(value)):
-        assert found.contacts.status[50] == planar.Status.NO_FORCE
-        assert np.isnan(found.place_sd[50])
-        assert found.noise_force == pytest.approx(whole.noise_force)
-        assert (found.contacts.status == whole.contacts.status)[others].all()
+    assert found.contacts.status[50] == planar.Status.NO_FORCE
+    assert np.isnan(found.errors.largest[50])
+    assert found.noise[0] == pytest.approx(whole.noise[0])
+    assert (found.contacts.status == whole.contacts.status)[others].all()
     sweep_figure(found)
 
 
@@ -169,11 +163,11 @@ def test_the_picture_has_contacts_and_error_bars_by_kind(left, tmp_path, capsys)
     for sweep, bars in ((exact, 0), (noisy, 2)):
         found = reconstruct_sweep(sweep)
         figure = sweep_figure(found)
-        below, above = figure.axes
+        above, below = figure.axes
         assert len(above.containers) == bars
         drawn = np.concatenate([line.get_xydata() for line in above.lines if line.get_marker() in ("o", "s")])
         assert {tuple(point) for point in drawn} == {tuple(point) for point in found.contacts.point[found.touching]}
-        # one scale along both axes, but for the rounding of the size to whole pixels
+        # one scale along both axes
         width, height = above.get_position().size * figure.get_size_inches()
         assert np.ptp(above.get_xlim()) / width == pytest.approx(np.ptp(above.get_ylim()) / height, rel=1e-3)
         assert len(below.containers) == bars / 2
@@ -243,15 +237,17 @@ def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
             "the header of one sweep lacks f0y; expected x0,f0x,f0y,m0z or x0_m,f0x_N,f0y_N,m0z_Nm",
         ),
         ("x0_m,f0x_N\n0,0\n", "lacks f0y_N, m0z_Nm"),
-        ("x0;f0x;f0y;m0z\n0;0;0;0\n", "lacks x0, f0x, f0y, m0z"),
-        ("x0;f0x;f0y;m0z\n0;0;0;0\n", "its columns must be separated by commas"),
+        (
+            "x0;f0x;f0y;m0z\n0;0;0;0\n",
+            "lacks x0, f0x, f0y, m0z; expected x0,f0x,f0y,m0z or x0_m,f0x_N,f0y_N,m0z_Nm; its columns",
+        ),
         ("x0,f0x,f0y,m0z,f0x\n0,0,0,0,0\n", "has f0x more than once"),
-        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,abc,0\n", "line 3 has 'abc' for f0y, where a number is expected"),
-        ("x0,f0x,f0y,m0z\n1,0,,0\n0,0,0,0\n", "line 2 has '' for f0y, where a number is expected"),
-        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0\n", "line 3 has 3 values, expected 4; is it cut off"),
-        ("x0,f0x,f0y,m0z\n1,0,5,0,0\n", "or has it decimal commas?"),
+        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,abc,0\n", "line 3 has 'abc' in column 'f0y', which is no number"),
+        ("x0,f0x,f0y,m0z\n1,0,inf,0\n0,0,0,0\n", "line 2 has inf in column 'f0y', where a finite number is expected"),
+        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0\n", "line 3 has 3 values, expected 4; it ends in column 3: is it cut off"),
+        ("x0,f0x,f0y,m0z\n1,0,5,0,0\n", "line 2 has 5 values, expected 4; are there decimal commas"),
         ("x0_m,f0x,f0y,m0z\n1,0,0,0\n", "mixes dimensionless columns (f0x, f0y, m0z) with columns in SI units (x0_m)"),
-        ("x0,f0x,f0y,m0z\n", "a sweep needs two rows or more"),
+        ("x0,f0x,f0y,m0z\n", "has no row of data below line 1"),
         ("x0,f0x,f0y,m0z\n1,-1,1,1\n", "a sweep needs two rows or more, which tell the direction"),
         ("x0,f0x,f0y,m0z\n1,-1,1,1\n1,-1,1,1\n", "must decrease or increase"),
         ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0,0\n", "the sweep has no contact: of 2 of its 2 rows, nothing touches"),

@@ -35,10 +35,9 @@ def reconstruct(
 ) -> int:
     """Contour and friction of one sweep: a summary, the contacts as CSV, and a picture."""
     from scan3d.files.recordings import sidecar
-    from scan3d.files.sweeps import contacts_csv, read_sweep
     from scan3d.files.whole import atomic, check_file, folder, write_atomic
+    from scan3d.laboratory.one_sweep import contacts_csv, read_sweep, reconstruct_sweep
     from scan3d.pictures.one_sweep import sweep_picture
-    from scan3d.reconstruction.one_sweep import reconstruct_sweep
 
     rod = parse_rod(rod_name) if rod_name else None
     if rod_name and rod is None:
@@ -83,7 +82,7 @@ def _data(found: Any) -> dict[str, Any]:
         "friction_range": [float(friction.min()), float(friction.max())] if len(friction) else None,
     }
     if found.noisy:
-        sd = scale * found.place_sd[touching]
+        sd = scale * found.errors.largest[touching]
         data["place_sd_median"], data["place_sd_largest"] = float(np.nanmedian(sd)), float(np.nanmax(sd))
         data["friction_sd_median"] = float(np.nanmedian(found.friction_sd[tangential])) if len(friction) else None
         data["only_rounding"] = found.only_rounding

@@ -201,7 +201,7 @@ def reconstruct(
     from scan3d import pipeline
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, sidecar
-    from scan3d.files.sweeps import is_sweep
+    from scan3d.laboratory.one_sweep import is_sweep
 
     of_recording = {
         "truth": truth is not None,

@@ -75,6 +75,9 @@ class Layout:
         return not (self.decimal == "," and "." in cell)
 
 
+_OURS = Layout(",", header=1, comment="")
+
+
 @dataclass(frozen=True)
 class Head:
     """What stands above the data of a text table."""
@@ -134,41 +137,50 @@ class Table:
             values, wrong = _numbers(values, "." if self.layout is None else self.layout.decimal)
         if wrong is not None:
             row, cell = wrong
-            comma = 'a decimal comma; write decimal = "," under [table] in the map'
-            advice = (
-                comma if _DECIMAL_COMMA.fullmatch(cell) else "which is no number; correct the cell, or remove the line"
-            )
+            advice = "which is no number; correct the cell, or remove the line"
+            if self.layout and _DECIMAL_COMMA.fullmatch(cell):
+                advice = 'a decimal comma; write decimal = "," under [table] in the map'
             raise InputError(f"{self.place(row)} has {cell!r} in {self.title(column)}, {advice}")
         bad = np.isinf(values) if gaps else ~np.isfinite(values)
         if bad.any():
             row = int(np.argmax(bad))
             what = "no value" if np.isnan(values[row]) else f"{values[row]}"
+            advice = (
+                ', or write missing = "drop" under [table] in the map to leave such rows out' if self.layout else ""
+            )
             raise InputError(
                 f"{self.place(row)} has {what} in {self.title(column)}, where a finite number is expected, and so have "
-                f"{int(bad.sum())} of {len(values)} rows; complete the table, or write "
-                'missing = "drop" under [table] in the map to leave such rows out'
+                f"{int(bad.sum())} of {len(values)} rows; complete the table{advice}"
             )
         return values
 
 
-def read_table(path: str | Path, layout: Layout | None = None) -> Table:
-    """Read a text table as its layout says, or a Parquet file by its ending.
+def read_table(path: str | Path, layout: Layout | None = None, what: str = "table", name: str = "") -> Table:
+    """Read a text table as its layout says, or a Parquet file by its ending; messages call it `what` it is, and by its `name`.
 
-    Raises InputError with the file, the line and the column of an error, and what to do.
+    Without a layout it is comma-separated, with the names in its first line, as this program writes tables.  Raises InputError
+    with the file, the line and the column of an error, and what to do.
     """
     path = Path(path)
+    name = name or path.name
     try:
         check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
-        data = path.read_bytes()
-        sha256 = hashlib.sha256(data).hexdigest()
         if path.suffix.lower() in PARQUET:
             by_name = read_columns(path)
-            return Table(path.name, tuple(by_name), tuple(by_name.values()), sha256=sha256)
+            return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=_sha256(path))
+        text = _decoded(path.read_bytes())
     except OSError as error:
-        raise InputError(f"can't read the table {path}: {error.strerror or error}") from None
-    text = _decoded(data)
-    head = _announced_head(path.name, _first_lines(path.name, text), layout or Layout())
-    return replace(_parsed(path.name, text, head), sha256=sha256)
+        raise InputError(f"can't read the {what} {path}: {error.strerror or error}") from None
+    lines = _first_lines(name, text)
+    if layout is None:
+        head = Head(_OURS, tuple(_OURS.cells(lines[0])), (), 2)
+        return replace(_parsed(name, text, head), layout=None)
+    return replace(_parsed(name, text, _announced_head(name, lines, layout)), sha256=_sha256(path))
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def guessed_layout(path: Path) -> Layout:
@@ -304,10 +316,8 @@ def _wrong_count(name: str, number: int, found: int, count: int, layout: Layout)
     if found < count:
         return f"{expected}; it ends in column {found}: is it cut off? complete or remove it"
     if layout.delimiter == "," and found <= 2 * count:
-        return (
-            f"{expected}; are there decimal commas, first in column 1? separate the columns by semicolons or tabs, and write "
-            'decimal = "," under [table] in the map'
-        )
+        announced = ', and write decimal = "," under [table] in the map' if layout is not _OURS else ""
+        return f"{expected}; are there decimal commas, first in column 1? separate the columns by semicolons or tabs{announced}"
     return f"{expected}, from column {count + 1} on; check the delimiter and the names in the header"
 
 

@@ -1,0 +1,300 @@
+"""One sweep in one plane: a table of base positions and support reactions, and the contacts that follow from them.
+
+The table is dimensionless or in SI units, by the names of its columns.  A TOML file of the same name in the same folder may
+contain the rod and the noise.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import planar
+from scan3d.arrays import Array, Mask
+from scan3d.errors import InputError
+from scan3d.files.recordings import sidecar
+from scan3d.files.section import read_rod, read_section
+from scan3d.files.text_tables import Table, read_table
+from scan3d.reconstruction.errors import FORCE_SIGMAS, contact_tolerance
+from scan3d.recording import rounding_sd, together
+from scan3d.rods import Rod
+
+COLUMNS = ("x0", "f0x", "f0y", "m0z")
+"""Base position and support reactions in rod lengths, EI/L² and EI/L."""
+SI_COLUMNS = ("x0_m", "f0x_N", "f0y_N", "m0z_Nm")
+# What a recording has and one sweep in one plane has not.
+_POSE = {"qw", "qx", "qy", "qz"}
+# What is not known of a contact whose force does not stand out from the noise.
+_VALUES = ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope")
+
+
+@dataclass(frozen=True)
+class OneSweep:
+    """Base positions and support reactions (n,) of one sweep, of which the frame is that of `planar`.
+
+    They are in m, N and N·m if the rod is given, else in rod lengths, EI/L² and EI/L.  They are kept as they were recorded,
+    because their digits tell how they were rounded.  Raises InputError for fewer than two rows, and for base positions that do
+    not tell the direction of the sweep.
+    """
+
+    x0: Array
+    f0x: Array
+    f0y: Array
+    m0z: Array
+    rod: Rod | None = None
+    noise_force: float = 0.0
+    """Standard deviation of each force component; 0 where it is not known."""
+    noise_moment: float = 0.0
+    """Standard deviation of the moment; 0 where it is not known."""
+
+    def __post_init__(self) -> None:
+        if len(self.x0) < 2:
+            raise InputError(
+                f"a sweep needs two rows or more, which tell the direction of the base's motion, got {len(self.x0)}"
+            )
+        known = self.x0[np.isfinite(self.x0)]
+        if len(known) < 2 or known[0] == known[-1]:
+            raise InputError(
+                "the base position of a sweep must decrease or increase from the first row to the last one; cut a motion "
+                "back and forth into two tables"
+            )
+        for noise in (self.noise_force, self.noise_moment):
+            if not (np.isfinite(noise) and noise >= 0):
+                raise InputError(f"the standard deviations of the noise must be finite and at least 0, got {noise:g}")
+
+    def __len__(self) -> int:
+        return len(self.x0)
+
+    @property
+    def units(self) -> tuple[float, float, float]:
+        """The units (1) of length, force and moment, by which values are divided to make them dimensionless."""
+        rod = self.rod
+        return (rod.length_m, rod.force_unit_N, rod.moment_unit_Nm) if rod else (1.0, 1.0, 1.0)
+
+    @property
+    def direction(self) -> int:
+        """-1 or 1: the sign of the base's motion along x, from the first row to the last one."""
+        known = self.x0[np.isfinite(self.x0)]
+        return -1 if known[-1] < known[0] else 1
+
+
+@dataclass(frozen=True)
+class SweepContacts:
+    """Contacts (n,) of one sweep, one for every row, and their errors.
+
+    Dimensionless: lengths are in rod lengths, angles in radians; values of rows without contact are NaN.
+    """
+
+    sweep: OneSweep
+    contacts: planar.Contacts
+    errors: planar.Errors
+    """Standard deviations, 0 for exact data; those of slope and friction angle in tangential contact only."""
+    noise: tuple[float, float]
+    """Standard deviations of each force component in EI/L² and of the moment in EI/L, with those of their rounding."""
+
+    @property
+    def point_sd(self) -> Array:
+        """(n, 2) standard deviations of the contact's x and y."""
+        return np.asarray(np.sqrt(np.einsum("nii->ni", self.errors.point)))
+
+    @property
+    def friction_sd(self) -> Array:
+        """(n,) standard deviation of the coefficient of friction, in tangential contact."""
+        return np.asarray((1 + self.contacts.friction**2) * self.errors.friction_angle)
+
+    @property
+    def noisy(self) -> bool:
+        """Whether errors of the reactions are known."""
+        return max(self.noise) > 0
+
+    @property
+    def only_rounding(self) -> bool:
+        """Whether the known errors are those of the rounding of the numbers alone."""
+        return self.noisy and not max(self.sweep.noise_force, self.sweep.noise_moment)
+
+    @property
+    def touching(self) -> Mask:
+        """(n,) whether the row gives a contact."""
+        return np.asarray(self.contacts.status == planar.Status.OK)
+
+    @property
+    def tangential(self) -> Mask:
+        """(n,) whether the contact is tangential."""
+        return np.asarray(self.contacts.phase == planar.Phase.TANGENTIAL)
+
+
+def is_sweep(path: str | Path) -> bool:
+    """Whether a file is a table of one sweep, by the names in its first line; also if some of its columns are missing."""
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        return False
+    try:
+        with open(path, "rb") as file:
+            line = file.readline(1 << 16).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError):
+        return False  # the reader of recordings says what is wrong
+    names = {name.strip().strip('"') for name in re.split("[,;\t]", line)}
+    return bool(names & {*COLUMNS, *SI_COLUMNS}) and not names & _POSE
+
+
+def read_sweep(
+    path: str | Path, rod: Rod | None = None, noise_force: float | None = None, noise_moment: float | None = None
+) -> OneSweep:
+    """Read the table of one sweep, and its TOML file if there is one.
+
+    rod
+        of a table in SI units; by default that of the TOML file.
+    noise_force, noise_moment
+        standard deviations in the units of the table; by default those of the TOML file, and 0 without them.
+
+    Raises InputError with the name of the file and the error in it.
+    """
+    path = Path(path)
+    table = read_table(path)
+    columns = _columns(table)
+    si = columns == SI_COLUMNS
+    x0, f0x, f0y, m0z = (table.numbers(table.names.index(name), gaps=True) for name in columns)
+    stated_rod, stated_force, stated_moment = _read_sidecar(sidecar(path), si)
+    force = stated_force if noise_force is None else noise_force
+    moment = stated_moment if noise_moment is None else noise_moment
+    if rod is not None and not si:
+        raise InputError(
+            f"{path.name}: its columns are dimensionless and need no rod; with a rod they are {', '.join(SI_COLUMNS)}"
+        )
+    rod = rod or stated_rod
+    if si and rod is None:
+        raise InputError(
+            f"{path.name}: its columns are in SI units and need the rod: give --rod MATERIAL:DIAMETERxLENGTH, or a section "
+            f"[rod] in {sidecar(path).name}"
+        )
+    try:
+        return OneSweep(x0, f0x, f0y, m0z, rod, force, moment)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
+
+
+def _columns(table: Table) -> tuple[str, ...]:
+    """The four columns of a table.  Raises InputError unless it has all of one system of units, once."""
+    names = table.names
+    plain, si = ([name for name in columns if name in names] for columns in (COLUMNS, SI_COLUMNS))
+    if plain and si:
+        raise InputError(
+            f"{table.name}: its header mixes dimensionless columns ({', '.join(plain)}) with columns in SI units "
+            f"({', '.join(si)}); give all four in one system"
+        )
+    columns = SI_COLUMNS if si else COLUMNS
+    if missing := [name for name in columns if name not in names]:
+        separated = "; its columns must be separated by commas" if any(set(";\t") & set(name) for name in names) else ""
+        raise InputError(
+            f"{table.name}: the header of one sweep lacks {', '.join(missing)}; expected {','.join(COLUMNS)} or "
+            f"{','.join(SI_COLUMNS)}{separated}"
+        )
+    if repeated := [name for name in columns if names.count(name) > 1]:
+        raise InputError(
+            f"{table.name}: its header has {', '.join(repeated)} more than once; keep one column of each name"
+        )
+    return columns
+
+
+def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float]:
+    """Rod and noise in the TOML file beside a table; None and zeros where it does not state them."""
+    if not path.exists():
+        return None, 0.0, 0.0
+    meta = read_section(path, "TOML file of the table")
+    meta.any("schema")
+    meta.notes("source")
+    noise, names = meta.section("noise"), ("force_N", "moment_Nm") if si else ("force", "moment")
+    force, moment = (noise.number(name, 0.0, at_least=0) for name in names)
+    rod = read_rod(meta.section("rod")) if si and "rod" in meta else None
+    meta.finish(f" for a table that is {'in SI units' if si else 'dimensionless'}")
+    return rod, force, moment
+
+
+def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
+    """The contacts of a sweep.
+
+    Errors of the reactions are the noise that the sweep states, and the rounding of its numbers.  Rows whose force does not
+    stand out from them have no contact.  Raises InputError if no row has one.
+    """
+    in_length, in_force, in_moment = sweep.units
+    rounding = [rounding_sd(column[np.isfinite(column)]) for column in (sweep.f0x, sweep.f0y, sweep.m0z)]
+    force = together(sweep.noise_force, max(rounding[:2])) / in_force
+    moment = together(sweep.noise_moment, rounding[2]) / in_moment
+    reactions = sweep.f0x / in_force, sweep.f0y / in_force, sweep.m0z / in_moment
+    errors = planar.errors(*reactions, noise=(force, moment), direction=sweep.direction)
+    found = planar.reconstruct(
+        sweep.x0 / in_length, *reactions, tolerance=contact_tolerance(errors), direction=sweep.direction
+    )
+    felt = np.hypot(*reactions[:2]) > FORCE_SIGMAS * max(force, moment)
+    hidden = (found.status == planar.Status.OK) & ~felt
+    found = replace(
+        found,
+        **{name: _kept(getattr(found, name), ~hidden) for name in _VALUES},
+        phase=np.where(hidden, planar.Phase.NONE, found.phase).astype(np.int8),
+        status=np.where(hidden, planar.Status.NO_FORCE, found.status).astype(np.int8),
+        normal_source=np.where(hidden, planar.NormalSource.NONE, found.normal_source).astype(np.int8),
+    )
+    touching, tangential = found.status == planar.Status.OK, found.phase == planar.Phase.TANGENTIAL
+    if not touching.any():
+        codes, counts = np.unique(found.status, return_counts=True)
+        most = planar.Status(int(codes[counts.argmax()]))
+        raise InputError(f"the sweep has no contact: of {counts.max()} of its {len(sweep)} rows, {most.sentence}")
+    errors = planar.Errors(
+        point=_kept(errors.point, touching),
+        largest=_kept(errors.largest, touching),
+        s1=_kept(errors.s1, touching),
+        friction_angle=_kept(errors.friction_angle, tangential),
+        slope=_kept(errors.slope, tangential),
+    )
+    return SweepContacts(sweep, found, errors, (force, moment))
+
+
+def _kept(values: Array, rows: Mask) -> Array:
+    """Values (n, ...) of some rows (n,), NaN in the others."""
+    return np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+
+
+def contacts_csv(found: SweepContacts) -> bytes:
+    """The contacts as CSV, a line for every row of the sweep; cells of unknown values are empty.
+
+    Lengths are in metres (``x_m``) if the sweep has a rod, else in rod lengths; angles are in radians.  Columns of standard
+    deviations are there if errors are known.
+    """
+    contacts, rod = found.contacts, found.sweep.rod
+    length, unit = (rod.length_m, "_m") if rod else (1.0, "")
+    columns: dict[str, NDArray[Any]] = {
+        f"x0{unit}": found.sweep.x0,
+        f"x{unit}": length * contacts.point[:, 0],
+        f"y{unit}": length * contacts.point[:, 1],
+        f"s1{unit}": length * contacts.s1,
+        "phase": np.array([planar.Phase(code).name.lower() for code in contacts.phase]),
+        "status": np.array([planar.Status(code).name.lower() for code in contacts.status]),
+        "friction_angle": contacts.friction_angle,
+        "friction": contacts.friction,
+        "slope": contacts.slope,
+        "normal_x": contacts.normal[:, 0],
+        "normal_y": contacts.normal[:, 1],
+    }
+    if found.noisy:
+        columns |= {
+            f"sd_x{unit}": length * found.point_sd[:, 0],
+            f"sd_y{unit}": length * found.point_sd[:, 1],
+            f"sd_s1{unit}": length * found.errors.s1,
+            "sd_friction_angle": found.errors.friction_angle,
+            "sd_friction": found.friction_sd,
+            "sd_slope": found.errors.slope,
+        }
+    cells = [[_cell(value) for value in column.tolist()] for column in columns.values()]
+    return "".join(f"{','.join(row)}\n" for row in [list(columns), *zip(*cells, strict=True)]).encode()
+
+
+def _cell(value: float | str) -> str:
+    """A number with all digits; an empty text for one that is not known."""
+    if isinstance(value, str):
+        return value
+    return repr(value) if np.isfinite(value) else ""
