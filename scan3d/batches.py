@@ -286,9 +286,9 @@ def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[
     if executor is None:
         yield from ((run, perform(run)) for run in runs)
         return
-    kill = executor.kill if isinstance(executor, Workers) else bool
+    end = executor.kill if isinstance(executor, Workers) else bool
     futures = {executor.submit(perform, run): run for run in runs}
-    with undone_if_ended(kill):
+    with undone_if_ended(end):
         for future in as_completed(futures):
             run = futures[future]
             try:

@@ -8,8 +8,9 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import suppress
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any
 
@@ -34,54 +35,70 @@ class Workers(Executor):
     def __init__(self, jobs: int) -> None:
         if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
             raise InputError(f"jobs must be a whole number of at least 1, got {jobs!r}")
-        # each thread has a pool of one process, which it replaces when that has died
+        # each thread has a process, which it replaces when that has died
         self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="scan3d-worker")
         self._of_thread = threading.local()
-        self._pools: list[ProcessPoolExecutor] = []
-        self._pids: set[int] = set()
+        self._all: list[tuple[BaseProcess, Connection]] = []
+        self._is_over = False
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """As `Executor.submit`."""
         return self._threads.submit(self._call, fn, args, kwargs)
 
     def _call(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-        pool, pid = getattr(self._of_thread, "own", (None, 0))
+        if self._is_over:
+            raise BrokenExecutor("the workers have been ended")
+        connection = getattr(self._of_thread, "connection", None) or self._start()
         try:
-            if pool is None:
-                # a fork would copy the locks of threads; a spawned process starts afresh
-                pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
-                self._pools.append(pool)
-                pid = pool.submit(os.getpid).result()
-                self._pids.add(pid)
-                self._of_thread.own = pool, pid
-            return pool.submit(fn, *args, **kwargs).result()
-        except BrokenExecutor:
-            self._pids.discard(pid)
-            self._of_thread.own = None, 0
-            raise
+            connection.send((fn, args, kwargs))
+            value, error = connection.recv()
+        except (EOFError, OSError):
+            self._of_thread.connection = None
+            raise BrokenExecutor("the process of this call has ended") from None
+        if error is not None:
+            raise error
+        return value
+
+    def _start(self) -> Connection:
+        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()
+        self._all.append((process, ours))
+        if self._is_over:  # while it was being started
+            process.kill()
+        self._of_thread.connection = ours
+        return ours
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As `Executor.shutdown`."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
-        for pool in self._pools:
-            pool.shutdown(wait)
+        if wait:
+            for process, connection in self._all:
+                connection.close()  # a process that waits for a call ends
+                process.join()
+
+    def kill(self) -> None:
+        """End all processes, when they have undone what they were about; no further calls are answered."""
+        self._is_over = True
+        processes = [process for process, _ in self._all]
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is not None:
+            self._threads.shutdown(wait=False, cancel_futures=True)
             self.kill()
-        self.shutdown(cancel_futures=kind is not None)
-
-    def kill(self) -> None:
-        """End all processes at once, when they have undone what they were about."""
-        for pid in self._pids:
-            with suppress(OSError):  # it has just ended
-                os.kill(pid, signal.SIGTERM)
+        self.shutdown()
 
 
-def _begin() -> None:
-    """What a worker does first."""
+def _serve(connection: Connection) -> None:
+    """What a worker does: answer calls, until no more can come."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     # Ctrl-C in a terminal reaches all its processes: the one that started this one ends it
@@ -89,6 +106,16 @@ def _begin() -> None:
     signal.signal(signal.SIGTERM, lambda *_: end(128 + signal.SIGTERM))
     logging.captureWarnings(True)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            fn, args, kwargs = connection.recv()
+        except EOFError:
+            return
+        try:
+            answer: tuple[Any, Exception | None] = fn(*args, **kwargs), None
+        except Exception as error:
+            answer = None, error
+        connection.send(answer)
 
 
 def _end_with_parent() -> None:

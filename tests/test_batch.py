@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,7 @@ from scan3d import batches, workers
 from scan3d.batches import COLUMNS, body_names, combinations, mesh_files, read_grid, run_name
 from scan3d.cli import main
 from scan3d.pictures import rendering
-from scan3d.settings import settings
+from scan3d.settings import settings, varied_settings
 
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 """Those of `FEW`, as keywords."""
@@ -238,25 +238,15 @@ def test_a_setting_is_given_once(call, tmp_path):
         scan3d.batch(EGG, tmp_path / "out", slises=4)
 
 
-def test_a_grid_takes_precedence_over_the_file_of_settings(call, tmp_path):
-    (tmp_path / "grid.toml").write_text("samples = [8, 10]\nslices = 4\n")
+def test_a_grid_takes_precedence_over_the_file_of_settings_and_no_combination_comes_twice(tmp_path):
     (tmp_path / "settings.toml").write_text("samples = 12\nsweeps = 4\n")
-    options = ("--grid", tmp_path / "grid.toml", "--config", tmp_path / "settings.toml", "--quiet")
-    code, stdout, _ = call(CUBE, "--out", tmp_path / "out", *options)
-    assert (code, stdout) == (0, "")
-    found = rows_of(tmp_path / "out")
-    assert [(row["run"], row["samples"], row["sweeps"], row["slices"]) for row in found] == [
-        ("cube_samples=8_slices=4", "8", "4", "4"),
-        ("cube_samples=10_slices=4", "10", "4", "4"),
+    grid = combinations({"samples": (8, 10), "slices": 4, "friction": [0.3, "0.3"]})
+    chosen = varied_settings({"seed": 1}, grid, tmp_path / "settings.toml")
+    assert [(one.samples, one.sweeps, one.slices, one.seed) for one in chosen] == [
+        (k, "4", 4, 1) for k in (8, 8, 10, 10)
     ]
-    for row in found:
-        report = scan3d.open(tmp_path / "out" / row["run"]).report
-        assert str(report["settings"]["samples"]) == row["samples"]
-
-
-def test_no_combination_is_computed_twice(tmp_path):
-    done = scan3d.batch(CUBE, tmp_path, grid={"friction": [0.3, "0.3"]}, **SETTINGS)
-    assert [row["run"] for row in done.rows] == ["cube_friction=0.3"]
+    runs = batches._runs([CUBE], list(zip(grid, chosen, strict=True)), tmp_path, False)
+    assert [run.name for run in runs] == [f"cube_samples={k}_slices=4_friction=0.3" for k in (8, 10)]
 
 
 # --- what a batch writes ---
@@ -310,18 +300,6 @@ def test_the_results_of_a_run_are_opened_by_its_name(serial):
         done.open("eggs")
 
 
-def test_meshes_of_one_stem_have_folders_of_their_own(tmp_path):
-    for name, mesh in (("left", EGG), ("right", CUBE)):
-        (tmp_path / name).mkdir()
-        shutil.copy(mesh, tmp_path / name / "part.stl")
-    scan3d.batch([tmp_path / "left" / "part.stl", tmp_path / "right" / "part.stl"], tmp_path / "out", **SETTINGS)
-    first, second = rows_of(tmp_path / "out")
-    assert (first["run"], second["run"]) == ("left-part", "right-part")
-    assert first["mesh_sha256"] != second["mesh_sha256"]
-    for row in (first, second):
-        assert scan3d.open(tmp_path / "out" / row["run"]).report["mesh"]["sha256"] == row["mesh_sha256"]
-
-
 def test_the_page_has_a_card_for_each_run(serial, tmp_path):
     out, done = serial
     page = (out / "index.html").read_text(encoding="utf-8")
@@ -361,32 +339,26 @@ def test_what_is_done_is_not_repeated(again, serial):
     assert done.rows[0] == serial[1].rows[0]
 
 
-@pytest.mark.slow
-def test_other_meshes_settings_and_versions_are_computed(again, monkeypatch):
+def test_other_meshes_settings_versions_and_results_that_are_not_whole_are_computed(again, monkeypatch):
     out, meshes = again
-    assert scan3d.batch(meshes[:3], out, **SETTINGS).computed == 0
-    assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 3
-    assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 0
+
+    def done(paths=meshes[:2], **changed):
+        runs = batches._runs(paths, [({}, settings({**SETTINGS, **changed}))], out, False)
+        return [run.is_done() for run in runs]
+
+    assert done() == [True, True]
+    assert done(seed=1) == [False, False]
     copy = out.parent / "egg.stl"
     copy.write_bytes(CUBE.read_bytes())
-    assert scan3d.batch([copy, *meshes[1:3]], out, **SETTINGS | {"seed": 1}).computed == 1
+    assert done([copy, meshes[1]]) == [False, True]
+    (out / "egg" / "surface.ply").write_bytes(b"ply")
+    (out / "cube" / "cloud.ply").unlink()
+    assert done() == [False, False]
+    shutil.copytree(out / "gem", out / "gem-2")
+    (out / "gem" / "report.json").write_text("{")
+    assert done([meshes[2]]) == [False]
     monkeypatch.setattr(batches, "version", lambda name: "0.0.1")
-    chosen = settings({**SETTINGS, "seed": 1})
-    assert not any(run.is_done() for run in batches._runs(meshes[:3], [({}, chosen)], out, False))
-
-
-@pytest.mark.parametrize("change", ["a file is missing", "a file was changed", "the report is damaged"])
-def test_a_result_that_is_not_whole_is_computed_again(again, change):
-    out, meshes = again
-    if change == "a file is missing":
-        (out / "egg" / "surface.ply").unlink()
-    elif change == "a file was changed":
-        (out / "egg" / "surface.ply").write_bytes(b"ply")
-    else:
-        (out / "egg" / "report.json").write_text("{")
-    done = scan3d.batch(meshes[:2], out, overwrite=True, **SETTINGS)
-    assert done.computed == 1
-    assert scan3d.open(out / "egg").surface.is_watertight
+    assert done() == [False, False]
 
 
 def test_files_of_others_are_replaced_only_if_asked_to(again, call):
@@ -418,47 +390,31 @@ def test_files_of_others_are_replaced_only_if_asked_to(again, call):
         (ZeroDivisionError("in\na library"), r"the program has failed: ZeroDivisionError: in a library"),
     ],
 )
-def test_whatever_goes_wrong_is_a_row(tmp_path, monkeypatch, error, sentence):
-    real = batches.pipeline.scan
-
-    def fail(mesh, *rest, **more):
-        if mesh == str(EGG):
-            raise error
-        return real(mesh, *rest, **more)
+def test_whatever_goes_wrong_is_a_sentence(tmp_path, monkeypatch, error, sentence):
+    def fail(*_, **__):
+        raise error
 
     monkeypatch.setattr(batches.pipeline, "scan", fail)
-    first, second = scan3d.batch([EGG, CUBE], tmp_path, **SETTINGS).rows
-    assert first["status"] == "failed"
-    assert re.fullmatch(f"{sentence}.*", first["error"])
-    assert second["status"] == "done"
+    (run,) = batches._runs([EGG], [({}, settings(SETTINGS))], tmp_path, False)
+    outcome = batches.perform(run)
+    assert re.match(sentence, outcome.error)
+    row = batches._row(run, outcome)
+    assert (row["status"], row["error"]) == ("failed", outcome.error)
+    assert batches._row(run, None)["error"].startswith("its results can't be read")
 
 
-def test_results_that_vanish_are_a_failure(tmp_path, monkeypatch):
-    real = batches.pipeline.scan
-
-    def vanish(mesh, chosen, out, **more):
-        real(mesh, chosen, out, **more)
-        (Path(out) / "report.json").unlink()
-
-    monkeypatch.setattr(batches.pipeline, "scan", vanish)
-    (row,) = scan3d.batch(CUBE, tmp_path, **SETTINGS).rows
-    assert (row["status"], row["error"][:26]) == ("failed", "its results can't be read:")
-
-
-class Fails(Inline):
-    """An executor whose first call raises an error."""
+class Fails(Executor):
+    """An executor whose workers die."""
 
     def submit(self, fn, /, *args, **kwargs):
-        future = super().submit(fn, *args, **kwargs) if "cube" in args[0].path else Future()
-        if not future.done():
-            future.set_exception(RuntimeError("the worker\nis gone"))
+        future = Future()
+        future.set_exception(RuntimeError("the worker\nis gone"))
         return future
 
 
 def test_a_run_whose_worker_is_lost_is_a_failure(tmp_path):
-    first, second = scan3d.batch([EGG, CUBE], tmp_path, Fails(), **SETTINGS).rows
-    assert first["error"].startswith("its worker was lost (RuntimeError: the worker is gone)")
-    assert second["status"] == "done"
+    (row,) = scan3d.batch(EGG, tmp_path, Fails(), **SETTINGS).rows
+    assert row["error"].startswith("its worker was lost (RuntimeError: the worker is gone)")
 
 
 def test_a_worker_that_writes_elsewhere_is_a_failure(tmp_path, monkeypatch):
@@ -487,26 +443,21 @@ def test_interruptions_leave_what_is_done(again):
 # --- the command ---
 
 
-def test_the_command_prints_a_table(call, serial, tmp_path):
-    code, stdout, stderr = call(*THREE, serial[0].parent / "bad.stl", "--out", tmp_path / "out", *FEW[:-1])
+def test_the_command_prints_a_table(call, again):
+    out, meshes = again
+    code, stdout, stderr = call(*meshes, "--out", out, *FEW[:-1])
     lines = stdout.splitlines()
     assert code == 1
-    assert re.fullmatch(r"4 runs: 3 done, 1 failed, in \d+ s", lines[0])
+    assert re.fullmatch(r"4 runs, 3 of them by an earlier call: 3 done, 1 failed, in \d+ s", lines[0])
     for line, name in zip(lines[1:4], ("best", "median", "worst"), strict=True):
         assert re.fullmatch(rf"{name} +\S+ of the diagonal, certified \S+ \(\w+\)", line)
     assert lines[4].startswith("failed             bad: bad.stl has no triangles")
-    assert lines[5] == f"written to         {tmp_path / 'out'}"
-    assert "1 of 4 runs failed; summary.csv in " in stderr.splitlines()[-1]
-    # the sentence about pictures once, not for every run
-    assert stderr.count("no pictures") == 1
-    assert rows_of(tmp_path / "out") == rows_of(serial[0])
-    assert results_of(tmp_path / "out") == results_of(serial[0])
-    code, stdout, _ = call(*THREE, "--out", tmp_path / "out", *FEW[:-1], "--json")
+    assert lines[5] == f"written to         {out}"
+    assert stderr == f"scan3d: 1 of 4 runs failed; summary.csv in {out} says why\n"
+    code, stdout, _ = call(*meshes[:3], "--out", out, *FEW[:-1], "--json")
     data = json.loads(stdout)
     assert (code, data["computed"], data["counts"]["failed"]) == (0, 0, 0)
     assert [row["run"] for row in data["runs"]] == ["egg", "cube", "gem"]
-    code, stdout, _ = call(*THREE, "--out", tmp_path / "out", *FEW[:-1])
-    assert stdout.startswith("3 runs, 3 of them by an earlier call: 3 done, 0 failed")
 
 
 def test_many_failures_are_counted(call, tmp_path):
@@ -535,13 +486,6 @@ def test_wrong_usage(call, tmp_path, monkeypatch, options, sentence):
     assert not Path("out").exists()
 
 
-def test_the_settings_are_printed(call, tmp_path):
-    code, stdout, _ = call(EGG, "--out", tmp_path / "out", "--slices", "7", "--print-config")
-    assert code == 0
-    assert "slices = 7" in stdout
-    assert not (tmp_path / "out").exists()
-
-
 def test_progress_counts_all_runs(again):
     out, meshes = again
     seen = []
@@ -550,14 +494,6 @@ def test_progress_counts_all_runs(again):
 
 
 # --- other processes ---
-
-
-@pytest.mark.slow
-def test_threads_take_turns(serial, tmp_path):
-    with ThreadPoolExecutor(2) as executor:
-        scan3d.batch([*THREE, serial[0].parent / "bad.stl"], tmp_path, executor, **SETTINGS)
-    assert rows_of(tmp_path) == rows_of(serial[0])
-    assert results_of(tmp_path) == results_of(serial[0])
 
 
 class Killer(threading.Thread):
@@ -622,7 +558,7 @@ def waited_for(condition, seconds=120):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.trust)])
 def test_a_batch_that_is_interrupted_continues(serial, tmp_path, number):
     meshes = [*THREE, serial[0].parent / "bad.stl"]
     arguments = ["-m", "scan3d", "batch", *meshes, "--out", tmp_path / "out", *FEW]
@@ -633,7 +569,8 @@ def test_a_batch_that_is_interrupted_continues(serial, tmp_path, number):
         _, stderr = first.communicate(timeout=120)
     assert first.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
     if number == signal.SIGINT:
-        assert stderr == "scan3d: interrupted\n"
+        assert stderr.splitlines()[-1] == "scan3d: interrupted"
+        assert all(line.startswith("scan3d: ") for line in stderr.splitlines())
         assert not list((tmp_path / "out").rglob(".scan3d-*"))
     assert not (tmp_path / "out" / "summary.csv").exists()
     before = stamps(tmp_path / "out")
@@ -653,7 +590,7 @@ def test_a_batch_that_is_interrupted_continues(serial, tmp_path, number):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
-def test_a_dask_cluster_gives_the_same_summary_though_a_worker_is_killed(serial, tmp_path, capsys):
+def test_a_dask_cluster_gives_the_same_summary(serial, tmp_path, capsys):
     pytest.importorskip("distributed")
     address = tmp_path / "scheduler.json"
     local = ["--host", "127.0.0.1", "--scheduler-file", address, "--no-dashboard"]
@@ -661,23 +598,19 @@ def test_a_dask_cluster_gives_the_same_summary_though_a_worker_is_killed(serial,
     cluster = [started("-m", "distributed.cli.dask_scheduler", *local, "--port", "0")]
     try:
         waited_for(address.exists)
-        cluster += [started("-m", "distributed.cli.dask_worker", *one_thread) for _ in range(2)]
+        cluster.append(started("-m", "distributed.cli.dask_worker", *one_thread))
         url = json.loads(address.read_text())["address"]
         meshes = [str(mesh) for mesh in (*THREE, serial[0].parent / "bad.stl")]
-        with Killer(tmp_path / "out" / "cube") as killer:
-            code = main(["batch", *meshes, "--out", str(tmp_path / "out"), *FEW, "--scheduler", url])
+        code = main(["batch", *meshes, "--out", str(tmp_path / "out"), *FEW, "--scheduler", url])
     finally:
         for process in reversed(cluster):
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
     assert code == 1  # one of the meshes is bad
-    assert len(killer.killed) == 1
     assert rows_of(tmp_path / "out") == rows_of(serial[0])
     assert results_of(tmp_path / "out") == results_of(serial[0])
-    lines = capsys.readouterr().err.splitlines()
-    assert "1 of 4 runs failed" in lines[-1]
     # Dask says nothing of its own
-    assert all(line.startswith("scan3d: ") for line in lines)
+    assert all(line.startswith("scan3d: ") for line in capsys.readouterr().err.splitlines())
 
 
 def test_without_dask_the_message_says_how_to_install_it(call, tmp_path, monkeypatch):
@@ -689,16 +622,12 @@ def test_without_dask_the_message_says_how_to_install_it(call, tmp_path, monkeyp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
-def test_a_scheduler_that_does_not_answer(call, tmp_path, monkeypatch, address):
+def test_a_scheduler_that_does_not_answer(call, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
+    address = "tcp://127.0.0.1:9"
     monkeypatch.setattr(batches, "_PATIENCE_S", 1)
     code, stdout, stderr = call(EGG, "--out", tmp_path / "out", "--scheduler", address)
     assert (code, stdout) == (1, "")
     assert re.fullmatch(
         rf"scan3d: no Dask scheduler answers at {address} \(.*; start one with 'dask scheduler', .*\n", stderr
     )
-
-
-def test_combinations_of_a_program():
-    assert combinations({"slices": (4, 8), "noise": 0.0}) == [{"slices": 4, "noise": 0.0}, {"slices": 8, "noise": 0.0}]

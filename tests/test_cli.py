@@ -1,11 +1,13 @@
 """The command: its output and exit codes, its messages for wrong input, and that it writes all results or none."""
 
+import contextlib
 import dataclasses
 import io
 import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -18,7 +20,7 @@ import trimesh
 
 from scan3d import InputError, read_recording
 from scan3d.choices import SHELLS
-from scan3d.cli import verbs
+from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.pictures import rendering
 from scan3d.settings import Settings, settings
@@ -40,6 +42,16 @@ def tree(folder):
 def assert_sentence(stderr, sentence):
     """The message is one line that contains the sentence."""
     assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", stderr), stderr
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    """The folder of a scan of the egg, and what the command printed with --json."""
+    out, printed = tmp_path_factory.mktemp("scanned") / "out", io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(rendering, "can_render", lambda: False)
+        assert main(["scan", str(EGG), "--out", str(out), *FEW, "--friction", "0.2", "--json"]) == 0
+    return out, printed.getvalue()
 
 
 # --- mistakes ---
@@ -98,16 +110,12 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, name, sentence):
     ("arguments", "sentence"),
     [
         (["--friction", "-0.1"], r"friction must be a number >= 0 or a rising range LOW:HIGH of such, got -0\.1"),
-        (["--friction", "0.4:0.0"], r"friction must be .* rising range .*, got \(0\.4, 0\.0\)"),
         (["--friction", "0:0.2:0.4"], r"friction must be a number, such as 0\.3, or a range .*; got '0:0\.2:0\.4'"),
         (["--friction", "ice"], "friction must be a number, .*; got 'ice'"),
-        (["--friction", "nan"], "friction must be .*, got nan"),
         (["--slices", "0"], "slices must be a whole number of at least 1, got 0"),
-        (["--slices", "-2"], "slices must be a whole number of at least 1, got -2"),
         (["--samples", "0"], "samples must be a whole number of at least 2, got 0"),
         (["--sweeps", "0"], "sweeps must be a whole number of at least 1, got 0"),
         (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
-        (["--sweeps", "2.5"], r"sweeps must be 'auto' or a whole number, got '2\.5'"),
         (["--slices", "4.5"], r"Invalid value for --slices: expected a whole number, got '4\.5'"),
         (["--clearance", "far"], 'Invalid value for --clearance: unable to convert "far" into float'),
         (
@@ -116,11 +124,8 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, name, sentence):
         ),
         (["--unit", "furlong"], 'Invalid value "furlong" for --unit. Choose from: "m", "cm", "mm", "um", "in"'),
         (["--axis", "w"], "axis must be .*, got 'w'"),
-        (["--axis", "0,0,0"], r"axis must be .*, got \(0\.0, 0\.0, 0\.0\)"),
-        (["--axis", "1,1"], r"axis must be .*, got \(1\.0, 1\.0\)"),
         (["--axis", "1,,0"], "axis must be x, y, z or three numbers, such as 1,1,0; got '1,,0'"),
         (["--rod", "gold:1x100"], "a rod is 'auto' or MATERIAL:DIAMETERxLENGTH .*; got 'gold:1x100'"),
-        (["--rod", "steel:0x100"], "rod 'steel:0x100': a wire needs a positive diameter"),
         (["--tolerance", "-1"], r"tolerance must be a number >= 0, got -1\.0"),
         (["--clearance", "1.5"], r"clearance must lie between 0 and 1 rod lengths, got 1\.5"),
         (["--noise", "-1"], r"noise must be a number >= 0, got -1\.0"),
@@ -208,8 +213,8 @@ def test_a_scan_that_finds_no_body_writes_nothing(call, tmp_path, no_pictures):
     assert tree(tmp_path) == {}
 
 
-def test_a_failed_run_leaves_the_results_of_the_one_before(call, tmp_path, no_pictures):
-    assert call("scan", CUBE, "--out", tmp_path, *FEW)[0] == 0
+def test_a_failed_run_leaves_the_results_of_the_one_before(call, scanned, tmp_path, no_pictures):
+    shutil.copytree(scanned[0], tmp_path, dirs_exist_ok=True)
     before = tree(tmp_path)
     assert call("scan", CUBE, "--out", tmp_path, "--slices", "1")[0] == 1
     assert tree(tmp_path) == before
@@ -263,16 +268,14 @@ def test_an_invalid_recording(call, tmp_path, table, sentence):
     assert tree(tmp_path) == before
 
 
-def test_an_invalid_true_body(call, bad, tmp_path):
-    assert call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)[0] == 0
-    before = tree(tmp_path)
+def test_an_invalid_true_body(call, bad, scanned, tmp_path):
     for name, sentence in (("missing.stl", "there is no mesh file"), ("torus.stl", "isn't convex")):
         code, stdout, stderr = call(
-            "reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out", "--truth", bad / name
+            "reconstruct", scanned[0] / "recording.csv", "--out", tmp_path / "out", "--truth", bad / name
         )
         assert (code, stdout) == (1, "")
         assert_sentence(stderr, sentence)
-        assert tree(tmp_path) == before
+        assert tree(tmp_path) == {}
 
 
 def test_meshes_that_can_not_be_compared(call, bad):
@@ -438,17 +441,10 @@ def test_without_a_renderer_all_but_pictures_is_written(call, tmp_path, no_pictu
     assert set(report["files"]) == RESULTS
 
 
-def test_json_is_the_report(call, tmp_path, no_pictures):
-    code, stdout, _ = call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")
-    assert code == 0
-    assert stdout == (tmp_path / "scan" / "report.json").read_text()
-    code, stdout, _ = call("reconstruct", tmp_path / "scan" / "recording.csv", "--out", tmp_path / "again", "--json")
-    assert code == 0
-    assert stdout == (tmp_path / "again" / "report.json").read_text()
-
-
-def test_the_report_has_its_sections_and_consistent_numbers(call, tmp_path, no_pictures):
-    report = json.loads(call("scan", EGG, "--out", tmp_path, *FEW, "--json", "--friction", "0.2")[1])
+def test_json_is_the_report_whose_sections_have_consistent_numbers(scanned):
+    out, printed = scanned
+    assert printed == (out / "report.json").read_text()
+    report = json.loads(printed)
     assert report["schema"] == 1
     assert report["mesh"]["file"] == "egg.stl"
     assert report["mesh"]["faces"] == len(trimesh.load_mesh(EGG).faces)
@@ -459,7 +455,7 @@ def test_the_report_has_its_sections_and_consistent_numbers(call, tmp_path, no_p
     counts = report["counts"]
     assert counts["slices"] == 3
     assert counts["contacts"] == counts["tangential"] + counts["tip"] <= counts["samples"]
-    assert counts["samples"] == 8 * counts["sweeps"] == len(read_recording(tmp_path / "recording.csv"))
+    assert counts["samples"] == 8 * counts["sweeps"] == len(read_recording(out / "recording.csv"))
     assert 0 <= report["contact_error"]["rms"] <= report["contact_error"]["max"] <= 1e-9 * report["rod"]["length"]
     assert report["friction"]["set"] == "0.2"
     assert report["friction"]["estimated_median"] == pytest.approx(0.2, abs=1e-9)
@@ -471,36 +467,35 @@ def test_the_report_has_its_sections_and_consistent_numbers(call, tmp_path, no_p
     assert report["surface"]["faces"] > 50
     assert 0 <= report["normals"]["median_deg"] <= report["normals"]["p95_deg"]
     assert report["timings_s"]["simulate"] >= 0
-    assert set(report["files"]) == {p.name for p in tmp_path.iterdir()}
+    assert set(report["files"]) == {p.name for p in out.iterdir()}
 
 
-def test_the_report_without_the_truth(call, tmp_path, no_pictures):
-    assert call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)[0] == 0
-    code, stdout, _ = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
+def test_the_reports_of_scan_and_reconstruct_agree_in_their_numbers(call, scanned, tmp_path, no_pictures):
+    out, printed = scanned
+    first = json.loads(printed)
+    code, stdout, _ = call("reconstruct", out / "recording.csv", "--out", tmp_path, "--truth", EGG, "--json")
+    assert code == 0
+    again = json.loads(stdout)
+    # the friction that was set is known to the scan only
+    assert (first["friction"].pop("set"), again["friction"].pop("set")) == ("0.2", None)
+    assert set(again) == set(first)
+    for key in set(first) - {"settings", "timings_s", "files", "sha256"}:
+        assert again[key] == first[key], key
+    for name in ("cloud.ply", "surface.ply"):
+        assert again["sha256"][name] == first["sha256"][name]
+
+
+def test_the_report_without_the_truth(call, scanned, tmp_path, no_pictures):
+    code, stdout, _ = call("reconstruct", scanned[0] / "recording.csv", "--out", tmp_path / "out")
     assert code == 0
     assert "Hausdorff" not in stdout
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["mesh"] is report["hausdorff"] is report["contact_error"] is report["friction"]["set"] is None
-    assert report["source"]["mesh"] == "cube.stl"
+    assert report["source"]["mesh"] == "egg.stl"
     # settings of the simulation do not apply here
     assert report["settings"] == {"method": "auto", "hull": False, "clip_dent": "0"}
     assert set(report["files"]) == RESULTS - {"recording.csv", "recording.toml"}
     assert set(report["files"]) == {p.name for p in (tmp_path / "out").iterdir()}
-
-
-def test_the_reports_of_scan_and_reconstruct_agree_in_their_numbers(call, tmp_path, no_pictures):
-    scanned = json.loads(call("scan", CUBE, "--out", tmp_path / "scan", *FEW, "--json")[1])
-    recording = tmp_path / "scan" / "recording.csv"
-    code, stdout, _ = call("reconstruct", recording, "--out", tmp_path / "out", "--truth", CUBE, "--json")
-    assert code == 0
-    again = json.loads(stdout)
-    # the friction that was set is known to the scan only
-    assert (scanned["friction"].pop("set"), again["friction"].pop("set")) == ("0.3", None)
-    assert set(again) == set(scanned)
-    for key in set(scanned) - {"settings", "timings_s", "files", "sha256"}:
-        assert again[key] == scanned[key], key
-    for name in ("cloud.ply", "surface.ply"):
-        assert again["sha256"][name] == scanned["sha256"][name]
 
 
 def test_simulate_prints_its_counts(call, tmp_path):
@@ -525,19 +520,10 @@ def test_compare_prints_the_distance(call, tmp_path):
     assert "0.5 cm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
 
 
-def test_quiet_prints_nothing(call, tmp_path, monkeypatch, no_pictures):
-    monkeypatch.setattr(rendering, "NO_RENDERER", "nothing to see")
-    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path, *FEW, "--quiet")
-    assert (code, stdout) == (0, "")
-    assert stderr in ("", "scan3d: nothing to see\n")
-
-
-def test_hull_scans_a_body_that_is_not_convex(call, bad, tmp_path, no_pictures):
-    code, stdout, _ = call(
-        "scan", bad / "torus.stl", "--out", tmp_path / "out", "--hull", *FEW, "--slices", "6", "--json"
-    )
-    assert code == 0
-    report = json.loads(stdout)
+def test_hull_scans_a_body_that_is_not_convex_and_quiet_prints_nothing(call, bad, tmp_path, no_pictures):
+    asked = ["scan", bad / "torus.stl", "--out", tmp_path, "--hull", *FEW, "--slices", "6", "--quiet"]
+    assert call(*asked) == (0, "", f"scan3d: {rendering.NO_RENDERER}\n")
+    report = json.loads((tmp_path / "report.json").read_text())
     assert report["mesh"]["hull"] is True
     assert report["mesh"]["dent"] > 1
     # radius 4 and height 2: the hull's volume, which lacks the caps beyond the last slices

@@ -14,7 +14,6 @@ import trimesh
 import planar
 import scan3d
 from scan3d import InputError, comparison, memory
-from scan3d.cli.terminal import one_line, printable, printable_json
 from scan3d.files.declared import shortfall
 from scan3d.files.reading import check_file
 from scan3d.reconstruction import models
@@ -167,7 +166,7 @@ def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monk
     scan3d.simulate(box(), scan3d.Plan(slices=2, samples=8))  # imports what it needs
     tracemalloc.start()
     for plan in (scan3d.Plan(slices=10**9), scan3d.Plan(samples=10**12), scan3d.Plan(sweeps=10**400)):
-        with pytest.raises(InputError, match=r"needs (about|more).* memory|needs about .*, and this machine has 24 GB"):
+        with pytest.raises(InputError, match=r"needs about .* GB, and this machine has 24 GB"):
             scan3d.simulate(box(), plan)
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
@@ -226,10 +225,3 @@ def test_right_files_hold_what_they_declare(ending):
         assert shortfall(ending, data[: len(data) // 2]) != ""
     text = box().export(file_type="stl_ascii").encode()
     assert shortfall("stl", text) == ""
-
-
-def test_what_a_terminal_obeys_is_escaped():
-    assert printable("a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ") == r"a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ"
-    assert printable_json('{\n "a": "\x9b\u202e"\n}') == '{\n "a": "\\u009b\\u202e"\n}'
-    assert one_line("a\nb\r\nc\td") == r"a b c\x09d"
-    assert len(one_line("1" * 10_000)) < 1100

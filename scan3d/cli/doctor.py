@@ -1,11 +1,10 @@
-"""What works on this machine, what does not, and the command that installs what is missing."""
+"""The command doctor: what works on this machine, what does not, and the command that installs what is missing."""
 
 from __future__ import annotations
 
 import re
 import shlex
 import sys
-from pathlib import Path
 from typing import Any
 
 from scan3d.cli.options import Output
@@ -21,10 +20,7 @@ OPTIONAL = {
     "rosbags": "the import of ROS bags",
     "distributed": "batches on a Dask cluster",
 }
-# Endings of recordings that are tried; those that this version does not know are left out of the result.
-_RECORDINGS = (".csv", ".parquet")
-# A child process is stopped after this time.  Shorter, a slow disk or a busy machine would count as a failure; longer, a
-# process that hangs would keep the user waiting.
+# A child process is stopped after this time: longer than a slow disk takes, and a process that hangs is not waited for.
 _TIMEOUT_S = 300
 # A small scan with all steps.  It runs in a child process, because a broken library may end its process.
 _SCAN = """
@@ -63,12 +59,10 @@ def examine() -> dict[str, Any]:
     import platform
 
     packages = {name: _version(name) for name in (*NEEDED, "vtk", *OPTIONAL)}
-    scan_error = _error_of(_SCAN)
-    open3d_error = _error_of("import open3d")
-    recordings = _recordings()
+    scan_error, open3d_error = _error_of(_SCAN), _error_of("import open3d")
     pictures = _can_render()
     missing = [
-        _missing(name, "every scan" if name in NEEDED else OPTIONAL[name], "not installed", _pip(name))
+        _missing(name, OPTIONAL.get(name, "every scan"), "not installed", _pip(name))
         for name in (*NEEDED, *OPTIONAL)
         if packages[name] is None
     ]
@@ -76,9 +70,6 @@ def examine() -> dict[str, Any]:
         missing.append(_missing("open3d", OPTIONAL["open3d"], open3d_error, _apt("libgl1 libgomp1")))
     if not pictures:
         missing.append(_missing("renderer", "pictures", "nothing can render off screen", _apt("libegl1 libgl1")))
-    missing += [
-        _missing(f"{ending} recordings", "recordings", error, None) for ending, error in recordings.items() if error
-    ]
     return {
         "scan3d": _version("scan3d"),
         "python": platform.python_version(),
@@ -87,7 +78,6 @@ def examine() -> dict[str, Any]:
         "scan": {"works": scan_error is None, "why_not": scan_error},
         "rendering": pictures,
         "open3d": {"works": open3d_error is None, "why_not": open3d_error},
-        "recordings": {ending: error is None for ending, error in recordings.items()},
         "missing": missing,
         "ok": scan_error is None,
     }
@@ -95,13 +85,13 @@ def examine() -> dict[str, Any]:
 
 def summary(state: dict[str, Any]) -> list[tuple[str, str]]:
     """The result of `examine` as rows (label, value) for the terminal."""
-    packages = state["packages"]
+    packages, scan, open3d = state["packages"], state["scan"], state["open3d"]
+    open3d_words = "works" if open3d["works"] else f"doesn't work ({open3d['why_not']})"
     rows = [
         ("scan3d", f"{state['scan3d']}, Python {state['python']}, {state['platform']}"),
-        ("scans", _works(state["scan"]["works"], state["scan"]["why_not"])),
-        ("pictures", _works(state["rendering"], "nothing can render off screen")),
-        ("open3d", _open3d(state)),
-        ("recordings", ", ".join(ending for ending, works in state["recordings"].items() if works) or "none"),
+        ("scans", "work" if scan["works"] else f"don't work ({scan['why_not']})"),
+        ("pictures", "work" if state["rendering"] else "don't work (nothing can render off screen)"),
+        ("open3d", open3d_words if packages["open3d"] else "not installed (no scan needs it by default)"),
         ("packages", ", ".join(f"{name} {number}" for name, number in packages.items() if number)),
     ]
     # what a scan does not need and nobody asked for is not missing
@@ -110,19 +100,7 @@ def summary(state: dict[str, Any]) -> list[tuple[str, str]]:
         command = f": {item['command']}" if item["command"] else ""
         label = "optional" if is_optional else "missing"
         rows.append((label, f"{item['what']} ({item['why']}), for {item['for']}{command}"))
-    if all(optional):
-        rows.append(("missing", "nothing"))
-    return rows
-
-
-def _open3d(state: dict[str, Any]) -> str:
-    if state["packages"]["open3d"] is None:
-        return "not installed (no scan needs it by default)"
-    return _works(state["open3d"]["works"], state["open3d"]["why_not"], "works", "doesn't work")
-
-
-def _works(works: bool, why_not: str | None, yes: str = "work", no: str = "don't work") -> str:
-    return yes if works else f"{no} ({why_not})"
+    return rows if not all(optional) else [*rows, ("missing", "nothing")]
 
 
 def _missing(what: str, use: str, why: str, command: str | None) -> dict[str, str | None]:
@@ -179,42 +157,3 @@ def _can_render() -> bool:
     except ImportError:
         return False
     return rendering.can_render()
-
-
-def _recordings() -> dict[str, str | None]:
-    """The error message for recordings of each ending that this version knows; None if writing and reading succeed."""
-    from tempfile import TemporaryDirectory
-
-    try:
-        import numpy as np
-
-        from scan3d.errors import InputError
-        from scan3d.files.recordings import check_path, read_recording, write_recording
-        from scan3d.recording import Recording
-        from scan3d.rods import Rod
-    except ImportError as error:
-        return {".csv": str(error)}
-    recording = Recording(
-        sweep=np.zeros(1, np.int64),
-        position_m=np.zeros((1, 3)),
-        quaternion=np.array([[1.0, 0, 0, 0]]),
-        force_N=np.zeros((1, 2)),
-        moment_Nm=np.zeros(1),
-        rod=Rod(1.0, 1.0),
-    )
-    errors: dict[str, str | None] = {}
-    with TemporaryDirectory() as folder:
-        for ending in _RECORDINGS:
-            path = Path(folder) / f"log{ending}"
-            try:
-                check_path(path)
-            except InputError:
-                continue
-            try:
-                write_recording(recording, path)
-                errors[ending] = (
-                    None if len(read_recording(path)) == 1 else "the recording is not read back as it was written"
-                )
-            except (InputError, ImportError) as error:
-                errors[ending] = str(error)
-    return errors

@@ -27,7 +27,7 @@ OPTIONS = ("slices", "samples", "sweeps", "friction", "clearance", "tolerance", 
 WORDS = ("auto", "hull", "bracket", "support", "regression", "poisson", "adaptive", "uniform", "fixed", "xyz", "y", "1,1,0",
          "spatial", "0:0.4", "m", "um", "in", "steel:0.3x50", "nylon:1x20", "steel:0.01x2000")  # fmt: skip
 KINDS = ("mesh", "compare", "table", "rod", "options", "options", "config", "show", "show", "export", "body", "body", "columns",
-         "columns", "words", *rig_inputs.KINDS)  # fmt: skip
+         "columns", *rig_inputs.KINDS)  # fmt: skip
 METHODS = ("auto", "hull", "bracket", "support", "regression", "poisson", "ball-pivoting")
 UNITS = ("mm", "m", "um", "in")
 SMALL = ("--slices=4", "--samples=20")
@@ -141,8 +141,6 @@ def attempt(chance, source, folder):
     kind = chance.choice(KINDS)
     if kind in rig_inputs.KINDS:
         return rig_inputs.attempt(kind, chance, folder, change, NUMBERS, columns)
-    if kind == "words":
-        return ["explain", *chance.choices((*NUMBERS, *WORDS, "bound", "tip contact"), k=chance.randint(0, 2))]
     mesh = chance.choice(MESHES)
     hull = chance.choice(([], ["--hull"]))
     if kind in ("mesh", "compare", "options"):
