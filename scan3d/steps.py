@@ -18,7 +18,7 @@ from scan3d.files.recordings import read_recording
 from scan3d.laboratory import calibration
 from scan3d.laboratory.calibration_result import Calibration
 from scan3d.planning import Plan
-from scan3d.reconstruction import models
+from scan3d.reconstruction import contacts
 from scan3d.recording import Recording
 from scan3d.simulation import scan
 from scan3d.surfaces import choice
@@ -55,9 +55,9 @@ def simulate(
     return scan.simulate(load_mesh(mesh) if isinstance(mesh, (str, os.PathLike)) else mesh, plan, progress)
 
 
-@_described_by(models.reconstruct, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
+@_described_by(contacts.reconstruct, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
 def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
-    return models.reconstruct(_recording(recording), method, model)
+    return contacts.reconstruct(_recording(recording), method, model)
 
 
 @_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")

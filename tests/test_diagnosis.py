@@ -85,9 +85,16 @@ PLANAR = {
 }
 
 
+QUICK_IN_PLANE = ("fx of the other sign", "moment in N mm", "fx off by 1 %", "wrench doubled", "fy 10 % too large")
+QUICK_IN_PLANE += ("sensor turned by -30 degrees", "60 stuck rows", "rod 10 % too long")
+
+
 @pytest.mark.parametrize(
     ("name", "fault"),
-    [*(("egg.stl", fault) for fault in PLANAR), *(trusted("cube.stl", fault) for fault in PLANAR)],
+    [
+        *((("egg.stl", fault) if fault in QUICK_IN_PLANE else trusted("egg.stl", fault)) for fault in PLANAR),
+        *(trusted("cube.stl", fault) for fault in PLANAR),
+    ],
 )
 def test_a_planar_fault_is_named_with_its_size(name, fault):
     found = diagnosed(FAULTS[fault](in_plane(name)))

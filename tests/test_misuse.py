@@ -16,7 +16,7 @@ import scan3d
 from scan3d import InputError, comparison, memory
 from scan3d.files.declared import shortfall
 from scan3d.files.reading import check_file
-from scan3d.reconstruction import models
+from scan3d.reconstruction import contacts
 from scan3d.simulation import scan
 from tests.shapes import box, dimpled_box, letter_l, without
 
@@ -76,7 +76,7 @@ def test_functions_below_the_public_ones_read_no_files():
             ):
                 call(path)
     with pytest.raises(InputError, match=r"from a scan3d\.Recording, got str"):
-        models.reconstruct("log.csv")
+        contacts.reconstruct("log.csv")
 
 
 def simulation_of(mesh):

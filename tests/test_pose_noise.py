@@ -9,7 +9,7 @@ from scipy.stats import chi2
 import scan3d
 from scan3d import InputError
 from scan3d.files.recordings import read_recording, write_recording
-from scan3d.reconstruction.spatial import readings, without_normals
+from scan3d.reconstruction.contacts import readings, without_normals
 from scan3d.recording import joined
 from scan3d.surfaces import enclosure
 from tests import rigs

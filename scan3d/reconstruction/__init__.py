@@ -1,10 +1,9 @@
 """The first half of step 2: from a recording, simulated or measured, to contacts with the normals of the surface."""
 
 from scan3d.reconstruction.agreement import Checked, Contradiction, cause_of_no_contact, checked, contradictions
+from scan3d.reconstruction.contacts import radius_errors, reconstruct
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
 from scan3d.reconstruction.errors import NoContactError
-from scan3d.reconstruction.models import reconstruct
-from scan3d.reconstruction.spatial import radius_errors
 
 __all__ = [
     "Checked",

@@ -20,10 +20,10 @@ from scipy.special import chdtri
 import planar
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud, Tilt
+from scan3d.reconstruction.contacts import Readings, readings, without_normals
 from scan3d.reconstruction.diagnosis import Diagnosis, diagnose, middle_of_lines
 from scan3d.reconstruction.errors import FORCE_SIGMAS, NoContactError, spread, torsion_sd, with_rig_errors
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
-from scan3d.reconstruction.spatial import Readings, readings, without_normals
 from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
 
 BELOW_TABLE = "below-table"
