@@ -19,19 +19,15 @@ if TYPE_CHECKING:
 
 UNKNOWN_UNIT = "units of the meshes"
 """What the unit of a comparison's lengths is called."""
-# Largest number of points per surface over which averages are taken.  More take longer; fewer make the averages less
-# accurate.
+# Largest number of points per surface over which averages are taken.
 SAMPLES = 20_000
-# Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).  Larger, the
-# averages are less accurate; smaller, more points need the slower search for the nearest face.
+# Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).
 AVERAGE_GAP = 0.05
-# Faces that are tried for each point of an average.  More take longer; fewer do not show that no other is nearer.
+# Faces that are tried for each point of an average.
 _TRIED_FACES = 10
-# A point is straight above a face if its distances from the face and from its plane differ by less than this fraction.  Larger,
-# averages are less accurate; smaller, rounding calls for the slower search.
+# A point is straight above a face if its distances from the face and from its plane differ by less than this fraction.
 _STRAIGHT_ABOVE = 1e-6
-# Distance, in diagonals of the mesh, within which area counts as agreeing in the F-score.  Larger, all F-scores are near 1;
-# smaller, near 0.
+# Distance, in diagonals of the mesh, within which area counts as agreeing in the F-score.
 F_SCORE_RADIUS = 0.01
 
 

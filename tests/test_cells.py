@@ -17,7 +17,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces.cell_estimates import FRACTIONS, between_cells, has_cells
+from scan3d.surfaces.between import FRACTIONS, between_cells, has_cells
 from scan3d.surfaces.cross_validation import hold_out_slices
 from tests.sample_bodies import outside
 

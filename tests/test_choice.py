@@ -12,9 +12,8 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import certificate, choice, enclosure, surface
+from scan3d.surfaces.between import Edges, Tuning
 from scan3d.surfaces.cross_validation import HeldOutError
-from scan3d.surfaces.interpolation import Edges
-from scan3d.surfaces.tuning import Tuning
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces.interpolation import Edges, _contour, _thinned, contours_between, fractions
-from scan3d.surfaces.tuning import Tuning
+from scan3d.surfaces.between import Edges, Tuning, _contour, _thinned, contours_between, fractions
 
 TUNING = Tuning(damping=0.6, unseen_corners=0.3, parabola=0.25, crease=0.75)
 

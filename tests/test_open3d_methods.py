@@ -65,7 +65,7 @@ def check_well_made(mesh):
 # askew; Poisson's cells are as wide as the slices are apart.
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("semi_axes", [(25.0, 25.0, 25.0), (36.0, 26.0, 18.0), (2.0, 2.0, 40.0), (40.0, 40.0, 2.0)])
+@pytest.mark.parametrize("semi_axes", [(36.0, 26.0, 18.0), (2.0, 2.0, 40.0)])
 @pytest.mark.slow
 def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
     made = method(*slices_of(np.array(semi_axes)))
@@ -73,20 +73,10 @@ def test_the_surface_of_a_smooth_body_is_closed_and_accurate(method, semi_axes):
     check_well_made(made)
     assert made.is_watertight
     assert made.body_count == 1
+    if method is ball_pivoting:
+        assert set(map(tuple, made.vertices)) <= set(map(tuple, slices_of(np.array(semi_axes))[0]))
     assert result.relative < 2e-3
     assert abs(result.volume_error) < 1e-2
-
-
-@pytest.mark.open3d
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.slow
-def test_more_slices_give_a_closer_surface(method):
-    semi_axes = np.array([36.0, 26.0, 18.0])
-    few, many = (
-        np.linalg.norm(method(*slices_of(semi_axes, slices, 8 * slices)).triangles_center / semi_axes, axis=1) - 1
-        for slices in (16, 48)
-    )
-    assert np.abs(many).mean() < np.abs(few).mean() / 4
 
 
 @pytest.mark.open3d
@@ -96,13 +86,6 @@ def test_a_cube_with_contacts_on_all_faces(method, within):
     made = method(*cube())
     check_well_made(made)
     assert scan3d.compare(made, trimesh.creation.box((2, 2, 2))).relative < within
-
-
-@pytest.mark.open3d
-def test_the_vertices_of_ball_pivoting_are_contacts():
-    points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
-    given = set(map(tuple, points))
-    assert all(tuple(vertex) in given for vertex in ball_pivoting(points, normals).vertices)
 
 
 @pytest.mark.open3d
@@ -122,23 +105,13 @@ def test_the_result_is_the_same_bytes_for_any_order_of_the_contacts(method):
 
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e7])
+@pytest.mark.parametrize("scale", [1e-9, 1e7])
 @pytest.mark.slow
 def test_the_result_does_not_depend_on_the_unit(method, scale):
     points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
     here, there = method(points, normals), method(scale * points, normals)
     np.testing.assert_array_equal(there.faces, here.faces)
     np.testing.assert_allclose(there.vertices / scale, here.vertices, rtol=0, atol=1e-9)
-
-
-@pytest.mark.open3d
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.slow
-def test_a_body_far_from_the_origin(method):
-    points, normals = slices_of(np.array([36.0, 26.0, 18.0]))
-    moved = method(np.add(points, [1e3, -2e3, 3e3]), normals)
-    assert moved.is_watertight
-    assert scan3d.compare(moved, ellipsoid((36.0, 26.0, 18.0)).apply_translation([1e3, -2e3, 3e3])).relative < 2e-3
 
 
 @pytest.mark.open3d
@@ -154,35 +127,9 @@ def test_the_reason_of_ball_pivoting_counts_the_open_edges():
     assert f"not closed, {open_edges(holed)} of" in holed.metadata["reason"]
 
 
-def test_only_holes_of_three_edges_are_filled():
-    faces = trimesh.creation.icosphere(subdivisions=2).faces.astype(np.int64)
-    # two faces apart, and two that share an edge, so leave a hole of four
-    sharing = np.flatnonzero([len(set(face) & set(faces[100])) == 2 for face in faces])[0]
-    left = np.delete(faces, [0, 300, 100, sharing], axis=0)
-    filled = open3d_methods._triangular_holes(left)
-    assert {tuple(np.roll(face, -face.argmin())) for face in filled} == {
-        tuple(np.roll(face, -face.argmin())) for face in faces[[0, 300]]
-    }
-    assert len(open3d_methods._triangular_holes(faces)) == 0
-
-
 def test_faces_that_overlap_at_an_edge_are_dropped():
     faces = np.array([[0, 1, 2], [0, 3, 1], [0, 1, 4]])
     np.testing.assert_array_equal(open3d_methods._without_overlaps(faces), faces[:2])
-
-
-@pytest.mark.open3d
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("noise", [1e-6, 1e-4])
-@pytest.mark.slow
-def test_noisy_duplicates_leave_the_surface_closed(method, noise):
-    """Each place touched several times by noisy contacts: near duplicates, which no longer lie on one surface."""
-    points, normals = slices_of(np.array([1.0, 1.0, 1.0]))
-    several = np.tile(points, (3, 1)) + np.random.default_rng(2).normal(scale=noise, size=(3 * len(points), 3))
-    made = method(several, np.tile(normals, (3, 1)))
-    check_well_made(made)
-    assert made.is_watertight
-    assert scan3d.compare(made, ellipsoid((1.0, 1.0, 1.0))).relative < 2e-3
 
 
 @pytest.mark.open3d

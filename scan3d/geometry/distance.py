@@ -29,17 +29,13 @@ if TYPE_CHECKING:
 TRIED_FACES = 4
 """Faces that `Search.near` tries for each point: more take longer; with fewer, the face that is found is more often not the
 nearest one, and the bounds that rest on it are wider."""
-# Rounding of distances at unit size, with room to spare.  Larger, faces are tried that can't be nearer; smaller, one might be
-# left out that is nearer by rounding.
+# Rounding of distances at unit size, with room to spare.
 _ROUNDING = 1e-12
-# Points whose nearest ones are sought at once.  Larger, lists of Python take several times the memory of the results; smaller,
-# more arrays are joined.
+# Points whose nearest ones are sought at once.
 _QUERIES = 100_000
-# Largest coordinate, and the inverse of the smallest extent.  Larger, and products of lengths overflow or vanish; smaller,
-# there is no need.
+# Largest coordinate, and the inverse of the smallest extent.
 _LARGEST = 1e100
-# A triangle whose height is less than this fraction of its longest edge counts as degenerate.  Larger, thin triangles would
-# be replaced by their edge; smaller, VTK would pass over some without a warning.
+# A triangle whose height is less than this fraction of its longest edge counts as degenerate.
 _DEGENERATE = 1e-14
 
 

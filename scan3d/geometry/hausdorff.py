@@ -36,23 +36,18 @@ from scan3d.geometry.triangles import distance_to, halve, row_minima
 if TYPE_CHECKING:
     import trimesh
 
-# Differences of distances below this are rounding.  Larger, the distance of convex bodies would lose digits; smaller,
-# vertices that are equally far would all be examined.
+# Differences of distances below this are rounding.
 ROUNDING = 1e-15
 # The bounds are not improved further where their difference is less than this fraction of the distance, or less than this
-# number of diagonals.  Larger, the bounds are wider; smaller, more triangles are split, which takes longer.
+# number of diagonals.
 RELATIVE_GAP, ABSOLUTE_GAP = 1e-3, 1e-9
-# Largest number of triangles that are split in one direction.  Larger, a comparison may take longer than a fraction of a
-# second; smaller, the bounds of some pairs remain wider than the gaps above, though still certain.
+# Largest number of triangles that are split in one direction.
 MAX_SPLITS = 40_000
-# Triangles that are split at once.  More are split in vain, because bounds are improved after each batch; fewer take more
-# calls.
+# Triangles that are split at once.
 BATCH = 4096
-# Vertices that are examined first; the number is doubled from batch to batch.  More are examined in vain; fewer take more
-# calls.
+# Vertices that are examined first; the number is doubled from batch to batch.
 _FIRST_VERTICES = 16
-# Fraction of the lower bound that the slack of a nearly convex target may reach.  Larger, the slack may widen the bounds by
-# more than `RELATIVE_GAP`; smaller, more targets are treated as not convex, which takes longer.
+# Fraction of the lower bound that the slack of a nearly convex target may reach.
 _MAX_SLACK = RELATIVE_GAP / 10
 
 

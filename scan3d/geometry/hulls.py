@@ -15,14 +15,12 @@ from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
 from scan3d.geometry.vectors import highest
 
-# Points whose root mean square distance from a plane is less than this fraction of their extent span no body.  Larger, thin
-# bodies would be refused; smaller, the hull of points in one plane would be made of rounding.
+# Points whose root mean square distance from a plane is less than this fraction of their extent span no body.
 _FLATTEST = 1e-9
 # A hull whose volume is less than this fraction of its area times the points' extent is one of points in a plane or on a line,
-# up to rounding, which is larger far from the origin.  Larger, thin bodies would be refused; smaller, rounding makes bodies.
+# up to rounding, which is larger far from the origin.
 _THINNEST = 1e-12
-# Points closer than this fraction of their extent are merged if their hull is not a closed surface.  Larger, the hull loses
-# accuracy; smaller, it may stay open.
+# Points closer than this fraction of their extent are merged if their hull is not a closed surface.
 _COINCIDENT = 1e-11
 # Products of points and directions up to which all are computed, in less time than the hull.
 _FEW = 10_000_000

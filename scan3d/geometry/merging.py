@@ -13,10 +13,9 @@ from scipy.spatial import cKDTree
 from scan3d.arrays import Array, Index
 from scan3d.geometry.triangles import distinct_rows, dot
 
-# Decimals by which trimesh tells vertices apart (`trimesh.tol.merge`).  It is a convention of that program, and no choice.
+# Decimals by which trimesh tells vertices apart (`trimesh.tol.merge`). It is a convention of that program, and no choice.
 _READERS_DECIMALS = 1e-8
-# Distance up to which vertices are merged for their readers, relative to the diagonal.  Larger, surfaces lose accuracy;
-# smaller, small bodies and bodies far from the origin are not read back closed.
+# Distance up to which vertices are merged for their readers, relative to the diagonal.
 _LARGEST = 1e-5
 
 

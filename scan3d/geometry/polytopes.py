@@ -13,16 +13,15 @@ from scan3d.arrays import Array, Index
 from scan3d.geometry.triangles import dot
 from scan3d.geometry.vectors import across
 
-# Distance, in sizes of the body, of the planes that close a polytope.  Larger, rounding grows; smaller, sharp corners are cut.
+# Distance, in sizes of the body, of the planes that close a polytope.
 _FAR = 2.0
-# Rounds in which planes are added where they cut the polytope, and the number of vertices that are cut in one of them.  More
-# take longer; fewer leave the polytope larger.
+# Rounds in which planes are added where they cut the polytope, and the number of vertices that are cut in one of them.
 _ROUNDS, _AT_ONCE = 20, 500
 # Depth of a cut, in sizes of the body, that is rounding.
 _SHALLOW = 1e-9
-# Points that a plane face has at least.  Larger, small faces are overlooked; smaller, facets of curved bodies count as plane.
+# Points that a plane face has at least.
 _FACE_POINTS = 6
-# Groups of facets that are tried at most, those with the largest facets first.  More take longer; fewer overlook small faces.
+# Groups of facets that are tried at most, those with the largest facets first.
 _FACES = 400
 
 

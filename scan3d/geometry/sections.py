@@ -13,11 +13,9 @@ from scan3d.arrays import Array, Index
 if TYPE_CHECKING:
     import trimesh
 
-# Rounding of a rotated coordinate, relative to its size.  Larger, short edges and shallow corners would be removed from
-# sections; smaller, rounding would decide on which side of a plane a vertex lies.
+# Rounding of a rotated coordinate, relative to its size.
 _ROUNDING = 8 * np.finfo(np.float64).eps
-# Largest error of a rotation's rows from orthonormality.  Larger, sections would be distorted; smaller, rotations given with
-# ten digits would be refused.
+# Largest error of a rotation's rows from orthonormality.
 _ORTHONORMAL = 1e-9
 
 

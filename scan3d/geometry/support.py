@@ -34,41 +34,33 @@ from scan3d.arrays import Array, Index
 from scan3d.geometry.hulls import hull_near
 from scan3d.geometry.vectors import across, unit
 
-# Largest number of contacts used for a fit, spread over all slices.  More take longer; fewer come close to the number of
-# coefficients, and the series follows their noise.
+# Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000
 # Largest number of noisy contacts used for a fit: the error falls with their number.
 _NOISY_CONTACTS = 20_000
-# Rounds in which the normals follow the fit.  Each improves them by a factor of ten or more and takes as long as the first;
-# with fewer, the rough normals of the contacts show in the fit.
+# Rounds in which the normals follow the fit. Each improves them by a factor of ten or more and takes as long as the first; with
+# fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
-# Extents of points in their narrowest over their widest direction below which they span no body.  Larger, flat bodies have no
-# moments of inertia; smaller, rounding passes for a body.
+# Extents of points in their narrowest over their widest direction below which they span no body.
 _FLAT = 1e-9
-# Steps in which directions follow the fit, and the damping of a step.  More steps take longer; fewer stop before the
-# directions have settled.  With less damping (a larger number) a step overshoots where the body is flatter than the ball;
-# with more, more steps are needed.
+# Steps in which directions follow the fit, and the damping of a step.
 _TURNS, _DAMPING = 3, 0.8
-# Steps of noisy contacts, whose normals may be wrong by more than a right angle at first.  Fewer leave some of them behind, and
-# a dent in the body where they lie.
+# Steps of noisy contacts, whose normals may be wrong by more than a right angle at first.
 _NOISY_TURNS = 10
-# Weight of a contact's position along the surface relative to its distance from the surface, in the first round, where
-# normals are rough, and later.  Larger, errors of the position along the surface, which say little, distort the fit; smaller,
-# rough normals do.
+# Weight of a contact's position along the surface relative to its distance from the surface, in the first round, where normals
+# are rough, and later.
 _POSITION_WEIGHT = (0.1, 0.02)
-# Weight of the table on which a body stands, relative to that of all contacts together.  Larger, rounding counts; smaller,
-# contacts far from the table move the fitted body off it.
+# Weight of the table on which a body stands, relative to that of all contacts together.
 _TABLE_WEIGHT = 1e3
-# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points.  One more divides the distance
+# Subdivisions of the icosahedron in whose directions a fitted body is evaluated: 40,962 points. One more divides the distance
 # of the facets from the body by four and multiplies the number of vertices by four; one fewer does the opposite.
 _SUBDIVISIONS = 6
-# Points that are evaluated at once.  More need more memory; fewer take more calls.
+# Points that are evaluated at once.
 _BLOCK = 1000
-# Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.  Larger, it would distort what the
-# contacts determine; smaller, coefficients that they hardly determine could grow.
+# Regularisation of the coefficients, relative to the mean eigenvalue of the normal matrix.
 _RIDGE = 1e-11
 # Values of λ that are compared, and the factors by which they reach beyond those that damp the roughest and the smoothest
-# combination of harmonics by half.  More values hardly improve the best one.
+# combination of harmonics by half.
 _DAMPINGS, _BEYOND = 100, 1e3
 
 # Changes real and imaginary parts (2, n) into those of the conjugate.

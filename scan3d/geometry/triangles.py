@@ -8,11 +8,9 @@ from scipy.sparse.csgraph import connected_components
 
 from scan3d.arrays import Array, Index, Mask
 
-# Points and triangles whose offsets are computed at once.  More do not fit into the processor's cache, and take three times as
-# long; fewer take more calls.
+# Points and triangles whose offsets are computed at once.
 _AT_ONCE = 8000
-# Fraction of rows that share their last number up to which these are sorted a second time.  Larger, rows are sorted twice
-# where once is faster; smaller, meshes with a few coordinates in common are sorted by the slow way.
+# Fraction of rows that share their last number up to which these are sorted a second time.
 _FEW_ALIKE = 0.1
 
 # The corners of a triangle from each of them on.

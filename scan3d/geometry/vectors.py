@@ -6,7 +6,7 @@ import numpy as np
 
 from scan3d.arrays import Array
 
-# Products computed at once.  More need more memory.
+# Products computed at once.
 _PRODUCTS = 4_000_000
 
 

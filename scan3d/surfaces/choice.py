@@ -27,15 +27,13 @@ from scan3d.geometry.merging import (
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
 from scan3d.reconstruction.normals import with_slice_normals
-from scan3d.surfaces.cell_estimates import between_cells, has_cells
+from scan3d.surfaces.between import Edges, Tuning, between_cells, contours_between, fractions, has_cells
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface, hold_out_slices
-from scan3d.surfaces.interpolation import Edges, contours_between, fractions
 from scan3d.surfaces.regression import regression
 from scan3d.surfaces.spatial_estimates import REGRESSION, best_estimate
-from scan3d.surfaces.tuning import Tuning
 
 # An estimate from contacts anywhere is given up if it is bounded so many times less well than the hull: it lies outside the
-# outer body somewhere.  Larger, wrong estimates pass; smaller, right ones are given up, bounded by the outer body's corners.
+# outer body somewhere.
 _FAR = 2.0
 # In the order in which they are tried: where a function could be fitted, the body most likely is bent everywhere.
 _ASSUMED = (Edges.ROUND, Edges.NONE, Edges.SOME, Edges.SHARP)

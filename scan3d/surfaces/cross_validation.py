@@ -12,13 +12,11 @@ from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.support import SupportFit, fitted_body
 
-# Slices with contacts that an axis needs before any of them is held out.  Larger, scans of few slices are not judged by
-# cross-validation; smaller, the slices that are kept do not determine a surface.
+# Slices with contacts that an axis needs before any of them is held out.
 _FEWEST_SLICES = 5
-# Held-out contacts at most, evenly spread over all.  More take longer; with fewer, the one farthest off is more often left out.
+# Held-out contacts at most, evenly spread over all.
 _MOST_HELD_OUT = 20_000
 # Weight of the root mean square beside the largest error, as exponents, where estimates from exact contacts are compared.
-# Larger, an estimate is chosen that is far off in one place; smaller, the contact farthest off decides alone.
 _RMS = 0.15
 
 

@@ -29,16 +29,15 @@ from scan3d.geometry.polytopes import cut_polytope
 from scan3d.geometry.vectors import across, unit
 from scan3d.reconstruction.slices import stacks
 
-# Decrease of the sum of squared misfits for which a plane is added, and below which it is left out.  Its three parameters alone
-# explain 3 on average; Akaike's criterion asks for 6.  Larger, curved parts are coarser; smaller, planes follow the noise.
+# Decrease of the sum of squared misfits for which a plane is added, and below which it is left out. Its three parameters alone
+# explain 3 on average; Akaike's criterion asks for 6.
 _GAIN = 10.0
-# Contacts that each half of a split plane has at least.  Larger, dense small faces are not resolved; smaller, planes of few
-# contacts are loose.
+# Contacts that each half of a split plane has at least.
 _HALF = 8
 # Contacts of a plane at least, which has three parameters.
 _FEWEST = 4
-# Standard deviation of a plane's turn in one step, in radians.  It keeps planes whose contacts lie on a line from turning about
-# it.  Larger, it does so less; smaller, more steps are needed.
+# Standard deviation of a plane's turn in one step, in radians. It keeps planes whose contacts lie on a line from turning about
+# it.
 _TURN = 0.3
 # Part of the normal equations that is rounding.
 _ROUNDING = 1e-12
@@ -52,14 +51,14 @@ _STEPS, _ROUNDS = 20, 16
 _PATIENCE = 3
 # Directions across a plane in which it may be split.
 _DIRECTIONS = 6
-# Subdivisions of the icosahedron by whose directions contacts are first grouped.  More find smaller faces at once.
+# Subdivisions of the icosahedron by whose directions contacts are first grouped.
 _CELLS = 1
-# Contacts that are fitted at most, evenly spread over all.  More take longer.
+# Contacts that are fitted at most, evenly spread over all.
 _MOST = 20_000
-# Rows of a matrix of contacts and planes that are computed at once.  More need more memory.
+# Rows of a matrix of contacts and planes that are computed at once.
 _BLOCK = 4000
 # A vertex counts where each of its planes has contacts within this many median distances between neighbouring contacts; other
-# vertices are drawn half way to the contacts.  Larger, caps that were not touched are pointed; smaller, edges are rounded.
+# vertices are drawn half way to the contacts.
 _NEAR = 8.0
 # Depth, in sizes of the body, at which a vertex lies on a plane.
 _ON_PLANE = 1e-9

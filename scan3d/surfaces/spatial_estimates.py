@@ -23,34 +23,28 @@ from scan3d.geometry.support import fit_support
 from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface
 from scan3d.surfaces.regression import regression
 
-# Distance from a plane, in diagonals, of the contacts that lie in it.  Larger, gently curved surfaces count as plane;
-# smaller, errors of the normals, by which contacts are moved by the rod's radius, hide plane faces.
+# Distance from a plane, in diagonals, of the contacts that lie in it.
 _PLANE = 5e-6
-# Depth, in diagonals, of the smallest cut by a contact's tangent plane.  Larger, curved parts of bodies with edges are
-# coarse; smaller, errors of the normals cut off what lies in the plane faces.
+# Depth, in diagonals, of the smallest cut by a contact's tangent plane.
 _CUT = 1e-4
-# Fraction of the contacts that lie in plane faces of a body with edges.  Larger, bodies with small faces count as curved;
-# smaller, dense contacts of curved bodies count as faces.
+# Fraction of the contacts that lie in plane faces of a body with edges.
 _IN_FACES = 0.05
 # Standard deviation of a normal, in radians, above which its contact does not count for a body with edges, if half of the
-# normals are better known.  Larger, contacts that the rod's radius displaces hide faces, and their tangent planes cut
-# corners off; smaller, curved parts of bodies with edges are coarse.
+# normals are better known.
 _WELL_KNOWN = 1e-3
-# Contacts whose tangent planes limit the estimate of a place.  More take longer; fewer leave it higher.
+# Contacts whose tangent planes limit the estimate of a place.
 _BESIDE = 32
 # Where contacts beside the ends of an edge of the hull, nearer than the first part of its length, leave no more than the second
-# part of the turn from end to end, both lie on edges of the body.  Of a surface that curves evenly they leave as much as 1 less
-# twice the first part.  Larger second parts: curved bodies are taken for plane; smaller: planes between edges of the body are
-# taken for curved.  The third number is that of the contacts beside each end; more take longer.
+# part of the turn from end to end, both lie on edges of the body. Of a surface that curves evenly they leave as much as 1 less
+# twice the first part. The third number is that of the contacts beside each end; more take longer.
 _AT_END, _AS_MUCH, _AROUND = 0.2, 0.55, 32
-# Tangent planes that are used at most.  More take longer; fewer leave curved parts of bodies with edges coarser.
+# Tangent planes that are used at most.
 _TANGENT_PLANES = 6000
-# Sweeps with contacts that are needed before any is held out.  Larger, small scans are not judged by cross-validation;
-# smaller, the sweeps that are kept do not determine a surface.
+# Sweeps with contacts that are needed before any is held out.
 _FEWEST_SWEEPS = 6
-# Every how-many-th sweep is held out, and the number of held-out contacts at most.  More take longer.
+# Every how-many-th sweep is held out, and the number of held-out contacts at most.
 _EVERY, _HELD_OUT = 4, 3000
-# Contacts that are kept at most for cross-validation, evenly spread over all.  More take longer; fewer judge a coarser scan.
+# Contacts that are kept at most for cross-validation, evenly spread over all.
 _KEPT = 12_000
 
 

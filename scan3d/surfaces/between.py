@@ -20,29 +20,75 @@ distributed over the slab:
   d τl/4 below the apex, where 2l is the length of the arc relative to d.  If the slope of the straight part falls slightly
   towards the slab, the arc has begun before the slice.
 
+In the cells between slices along several axes the estimate is a fraction of the way from the hull to the corners.  Of a
+polyhedron the surface reaches them; of a body that is bent evenly it passes at a quarter of the way, as a parabola does.  Which
+fraction predicts held-out slices best is tried.
+
 The estimate rests on assumptions about the body.  The certificate does not: it holds whether or not the estimate is good.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import Array, Index, Mask
-from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces.tuning import Tuning
+from scan3d.bounds.cells import applicable, cells_of_cloud
+from scan3d.cloud import Cloud
+from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.slices import Slice, SliceStack, stacks
 
-# Where between two slices contours are estimated, as fractions of the slab's thickness.  More contours follow a curved body
-# more closely, but make the hull larger and slower to compute.
+FRACTIONS = (0.25, 0.4, 0.7, 1.0)
+"""Fractions of the way from the hull of the contacts to the corners."""
+# Gaps, over the size of the body, that are left out.
+_LEAST = 1e-7
+# Where between two slices contours are estimated, as fractions of the slab's thickness.
 _CONTOUR_FRACTIONS = (1 / 3, 2 / 3)
-# Every second point of an estimated contour is left out that is nearer to the chord of its neighbours than this fraction of
-# the widest slice: contours have the angles of two slices.  Larger, the surface loses accuracy; smaller, it has more facets
-# than the contacts can tell.
+# Every second point of an estimated contour is left out that is nearer to the chord of its neighbours than this fraction of the
+# widest slice: contours have the angles of two slices.
 _SAGITTA = 2e-5
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the estimate between the bounds; a fraction is 0 at the inner body and 1 at an outer corner.
+
+    None of them affects the enclosure.  ``tests/benchmarks/tuning.py`` prints the error over each of them.
+    """
+
+    unknown: float = 0.5
+    """Fraction in the caps and where slices lack normals: the error is at most half the gap."""
+    damping: float = 0.6
+    """Weight by which every estimated fraction is drawn towards `unknown`, unless the body is bent everywhere: where the
+    estimate is wrong, as where facets end within two slices of each other, the error is smaller."""
+    unseen_corners: float = 0.3
+    """Fraction of the remaining distance to the corner that is added for a polyhedron where too few slices show its planes."""
+    straight: float = 0.03
+    """Slopes beyond a slab are equal if they differ by less than this fraction of their difference to the slab's."""
+    parabola: float = 0.25
+    """Height of an evenly sliced parabola above the chord, relative to that of the secants' apex: used where slices on one
+    side only are known.  It follows from the geometry of a parabola."""
+    crease: float = 0.7
+    """Fraction where a curved body with some edges goes on straight on both sides of a slab."""
+    sharp_advantage: float = 0.9
+    """Sharp edges are chosen only if their error at held-out slices is below this many times that of bent ones."""
+    round_advantage: float = 0.95
+    """As `sharp_advantage`, for a body that is bent everywhere."""
+    flat_advantage: float = 0.8
+    """As `sharp_advantage`, for a body that is flat between its slices, which is the hull but for the caps."""
+    fit_gain: float = 0.65
+    """The fitted body is chosen if its error at held-out slices is below this many times that of the estimate between the
+    bounds.  With all slices the error of the estimate falls to about two thirds, that of the fit stays."""
+    fit_close: float = 0.1
+    """The fitted body of exact contacts is chosen, and no estimate between the bounds is made, if its error at held-out slices
+    is below this fraction of the hull's bound.  Of smooth bodies the best estimate has errors of 0.16 to 0.57 of the bound."""
+    proven: float = 1e-4
+    """A hull with a bound this small, relative to the diagonal, is taken as it is."""
 
 
 class Edges(Enum):
@@ -283,3 +329,22 @@ class _End:
             before = np.minimum(before, self.near_thickness)
         arc = np.minimum(self.near, np.maximum(self.far - curvature * before, curvature * self.thickness / 2))
         return np.where(self.straight, np.where(curvature > 0, arc, self.near), parabola)
+
+
+def has_cells(cloud: Cloud) -> bool:
+    """Whether a cloud has `between_cells`; a part of its slices may have them where all are too many."""
+    return applicable(cloud, stacks(cloud))
+
+
+def between_cells(cloud: Cloud, tried: Iterable[float] = FRACTIONS) -> Iterator[tuple[float, Any]]:
+    """Fractions and their estimates; none unless the contacts are exact and in slices along several axes."""
+    by_axis = stacks(cloud)
+    if not applicable(cloud, by_axis):
+        return
+    inner = hull(cloud.points)
+    found = cells_of_cloud(cloud, by_axis, inner)
+    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    rows = np.isfinite(found.gap) & (found.gap > _LEAST * size)
+    away = found.corners[rows] - found.foot[rows]
+    for fraction in tried:
+        yield fraction, hull(np.concatenate([cloud.points, found.foot[rows] + fraction * away]))
