@@ -80,7 +80,7 @@ def poisson(points: Array, normals: Array) -> Any:
             )
         places, vertex = np.unique(np.asarray(made.vertices), axis=0, return_inverse=True)
         surface = _mesh(places @ cloud.back + cloud.origin, vertex.reshape(-1)[np.asarray(made.triangles)])
-        bodies = surface.split(only_watertight=False)
+        bodies = surface.split(only_watertight=False, repair=False)
         surface = max(bodies, key=lambda body: len(body.faces), default=surface)
         if len(surface.faces) and surface.is_watertight:
             used = len(cloud.points)
