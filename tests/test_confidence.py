@@ -50,18 +50,6 @@ def test_the_section_lies_between_the_polygons(name, noise):
         assert ((normals @ slice_.points.T).max(axis=1) <= support + rounding).all()
 
 
-def test_small_errors_leave_the_contours_almost_as_they_are():
-    _, _, cloud = scanned("egg.stl", 1e-9)
-    (stack,) = stacks(cloud)
-    proven = confident(stack, cloud, allowed(cloud))
-    for exact, slice_ in zip(stack.slices, proven.slices, strict=True):
-        normals = np.stack([np.cos(exact.angle), np.sin(exact.angle)], axis=1)
-        lost = exact.support_of_contacts(normals) - slice_.support_of_contacts(normals)
-        # the section of an egg whose slices are up to 42 mm wide
-        assert lost.min() > -1e-9
-        assert lost.max() < 2e-3 * np.ptp(exact.points)
-
-
 def test_a_slice_that_proves_no_point_is_left_out():
     _, _, cloud = scanned("egg.stl", 1e-3)
     (stack,) = stacks(cloud)
@@ -188,19 +176,6 @@ def test_the_part_of_a_polygon_beyond_a_line():
 # --- enclosures and certificates ---
 
 
-@pytest.mark.slow
-def test_an_enclosure_allows_for_the_clouds_own_noise():
-    """The bound that ignores the noise is smaller than the truth."""
-    mesh, _, cloud = scanned("cube.stl", 1e-3, slices=48)
-    diagonal = np.linalg.norm(mesh.extents)
-    convex = surface(cloud, "hull")
-    truth = scan3d.compare(convex, mesh).hausdorff
-    own, ignored = (certificate(enclosure(cloud, margin), convex).bound for margin in (None, 0.0))
-    assert ignored < truth < own < 0.05 * diagonal
-    assert enclosure(cloud).confidence == 0.95
-    assert enclosure(cloud, confidence=0.5).bound < enclosure(cloud).bound < enclosure(cloud, confidence=0.999).bound
-
-
 def test_exact_contacts_need_no_confidence():
     cloud = scanned("cube.stl", 0.0)[2]
     assert cloud.covariance is None
@@ -215,39 +190,6 @@ def test_the_certificates_that_were_false(seed):
     mesh, recording, _ = scanned("cube.stl", 1e-4, seed=seed, slices=24)
     analysis = analyse(recording, mesh)
     assert analysis.comparison.hausdorff <= analysis.certificate.bound
-
-
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 1 else pytest.mark.trust) for seed in range(4)]
-)
-def test_the_adaptive_certificates_that_were_false(seed):
-    mesh = trimesh.creation.box((20, 30, 40))
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=24, spacing="adaptive", noise=1e-3, seed=seed))
-    analysis = analyse(recording, mesh)
-    assert analysis.comparison.hausdorff <= analysis.certificate.bound
-
-
-@pytest.mark.parametrize(
-    ("name", "noise", "slices"),
-    [
-        # a polyhedron and a smooth body; all combinations, with more slices, are for `make trust`
-        pytest.param("cube.stl", 1e-5, 10, marks=pytest.mark.slow),
-        pytest.param("pebble.obj", 1e-3, 10, marks=pytest.mark.slow),
-        *(pytest.param(name, noise, 16, marks=pytest.mark.trust) for name in BODIES for noise in (1e-5, 1e-3)),
-    ],
-)
-def test_inner_body_outer_body_volume_and_certificate_hold(name, noise, slices):
-    mesh, recording, cloud = scanned(name, noise, slices=slices)
-    bounds = enclosure(cloud)
-    vertices = np.asarray(mesh.vertices)
-    # the inner body lies inside the true one, which lies within the bound of the inner body
-    assert nearest(np.asarray(bounds.inner.vertices), mesh)[0].max() <= 1e-9 * np.ptp(vertices)
-    assert nearest(vertices, bounds.inner)[0].max() <= bounds.bound
-    lower, upper = bounds.volume
-    assert lower <= mesh.volume <= upper
-    analysis = analyse(recording, mesh)
-    truth = analysis.comparison.hausdorff
-    assert truth <= analysis.certificate.bound
 
 
 @pytest.mark.slow
@@ -267,56 +209,7 @@ def test_the_bound_is_at_most_five_times_the_least_one_that_holds(name, noise):
     assert least > 5 * truth
 
 
-@pytest.mark.parametrize("axis", ["xyz"])
-def test_the_bound_of_several_axes_holds(axis):
-    mesh, recording, _ = scanned("cube.stl", 1e-3, slices=6, axis=axis)
-    analysis = analyse(recording, mesh, "hull")
-    assert np.isfinite(analysis.certificate.bound)
-    assert analysis.comparison.hausdorff <= analysis.certificate.bound
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-6])
-def test_the_inner_body_allows_for_the_digits_of_the_poses(noise):
-    """The bound allowed for them, the inner body and its volume did not."""
-    mesh, recording, _ = scanned("cube.stl", noise, slices=8, samples=30)
-    position = np.round(recording.position_m, 6)
-    cloud = scan3d.reconstruct(dataclasses.replace(recording, position_m=position))
-    assert 1e-4 < cloud.pose_error < 1e-2
-    bounds = enclosure(cloud)
-    assert nearest(np.asarray(bounds.inner.vertices), mesh)[0].max() <= 0
-    assert nearest(np.asarray(mesh.vertices), bounds.inner)[0].max() <= bounds.bound
-    assert bounds.volume[0] < mesh.volume < bounds.volume[1]
-    # a given margin moves the half-spaces only
-    assert enclosure(cloud, margin=cloud.pose_error).inner.volume > bounds.inner.volume
-    # poses whose digits are coarser than the body is thick prove nothing
-    assert np.isinf(enclosure(dataclasses.replace(cloud, pose_error=1e3)).bound)
-
-
 # --- contacts ---
-
-
-@pytest.mark.parametrize("name", [pytest.param("egg.stl", marks=pytest.mark.trust), "cube.stl"])
-def test_the_contacts_covariances_hold(name):
-    """Against the same scan without noise, row by row: 95 % of the contacts lie in the ellipse of 95 %."""
-    mesh = scan3d.load_mesh(MESHES / name)
-    plan = scan3d.Plan(slices=40, spacing="cosine", friction=0.3)
-    exact = scan3d.reconstruct(scan3d.simulate(mesh, plan))
-    cloud = scan3d.reconstruct(scan3d.simulate(mesh, dataclasses.replace(plan, noise=1e-4)))
-    _, noisy, true = np.intersect1d(cloud.row, exact.row, return_indices=True)
-    (frame,) = {tuple(axis) for axis in cloud.slice_axis}
-    assert frame == (0, 0, 1)
-    error = (cloud.points[noisy] - exact.points[true])[:, :2]
-    inverse = np.linalg.inv(cloud.covariance[noisy][:, :2, :2])
-    inside = np.einsum("ni,nij,nj->n", error, inverse, error) < -2 * np.log(0.05)
-    assert len(inside) > 10_000
-    for phase in (1, 2):
-        assert 0.93 < inside[cloud.phase[noisy] == phase].mean() < 0.97
-    # and so do the angles of the normals
-    tangential = np.flatnonzero((cloud.phase[noisy] == 2) & (exact.phase[true] == 2))
-    noisy, true = noisy[tangential], true[tangential]
-    n, m = cloud.in_plane_normals[noisy], exact.in_plane_normals[true]
-    turned = np.arctan2(n[:, 1] * m[:, 0] - n[:, 0] * m[:, 1], (n * m).sum(axis=1))
-    assert 0.93 < np.mean(np.abs(turned) < 1.96 * cloud.normal_sd[noisy]) < 0.97
 
 
 def test_light_touches_are_left_out_with_a_count():

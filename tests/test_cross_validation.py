@@ -8,7 +8,6 @@ import trimesh
 from sample_bodies import scanned
 
 from scan3d.geometry.hulls import hull
-from scan3d.surfaces import cross_validation
 from scan3d.surfaces.choice import surface
 from scan3d.surfaces.cross_validation import error_of_fit, error_of_surface, hold_out_slices
 
@@ -37,16 +36,6 @@ def test_every_second_slice_is_held_out_except_the_end_slices(ball):
     # the empty slices stay: they bound the body
     assert len(kept.slice_height) == len(kept_heights) + 2
     assert kept.fit is None
-
-
-def test_of_very_many_held_out_contacts_some_of_each_slice_are_taken(monkeypatch):
-    cloud = scanned(trimesh.creation.icosphere(3, 20.0), slices=12, samples=16)
-    _, every = hold_out_slices(cloud)
-    monkeypatch.setattr(cross_validation, "_MOST_HELD_OUT", len(every) // 4)
-    kept, some = hold_out_slices(cloud)
-    assert len(every) / 6 < len(some) <= len(every) // 4
-    assert set(some.slice) == set(every.slice)
-    assert len(kept) + len(every) == len(cloud)
 
 
 def test_the_error_of_a_surface_is_the_distance_of_the_held_out_contacts():

@@ -1,6 +1,5 @@
 """The estimate between the bounds, on stacks of slices of bodies whose support function is known."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -114,20 +113,6 @@ def test_the_contours_between_slices_are_the_bodys(profile, heights):
         assert radius[member == k].max() < profile(z) / np.cos(np.pi / 36)
 
 
-def test_no_contours_beside_slices_of_too_few_contacts_for_an_outline():
-    """As where a single sweep touched the body, or all contacts of a slice are those of one vertex."""
-    whole = round_stack(lambda z: 10 - z * z, np.arange(-2.0, 3.0))
-    touched_once = [
-        replace(whole.slices[0], points=np.ones((1, 2)), outline=np.empty((0, 2)), angle=np.zeros(1)),
-        replace(whole.slices[-1], points=whole.slices[-1].points[:2], outline=np.empty((0, 2))),
-    ]
-    points = contours_between(replace(whole, slices=(touched_once[0], *whole.slices[1:-1], touched_once[1])), Tuning())
-    assert len(points)
-    assert np.isfinite(points).all()
-    assert points[:, 2].min() > -1
-    assert points[:, 2].max() < 1
-
-
 def test_an_arc_that_begins_in_the_straight_part_is_followed_back():
     """It begins a fifth of a step before the slice, which the slope of the slab there hardly shows."""
 
@@ -157,16 +142,6 @@ def test_every_second_point_of_a_fine_contour_is_left_out(count):
     if count > 3:
         assert len(_thinned(circle, 1.001 * least)) == (count + 1) // 2
     assert np.array_equal(_thinned(circle, 0.999 * least), circle)
-
-
-def test_corners_of_a_contour_stay():
-    side = np.linspace(0, 1, 101)[1:]  # the corners are at odd places
-    square = np.concatenate([np.column_stack(p) for p in ((side, 0 * side), (0 * side + 1, side))])
-    square = np.concatenate([square, 1 - square])
-    corners = {(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)}
-    kept = _thinned(square, 1e-9)
-    assert corners <= {tuple(point) for point in kept.round(12).tolist()}
-    assert len(kept) == 204
 
 
 def test_a_polyhedrons_vertices_lie_beyond_those_of_a_curved_body():

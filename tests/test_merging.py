@@ -91,16 +91,6 @@ def test_surfaces_are_read_back_closed(body, method, plan, tmp_path):
     check_readers(surface, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 2 else pytest.mark.trust) for seed in range(12)]
-)
-def test_surfaces_of_random_bodies_are_read_back_closed(seed, tmp_path):
-    random = np.random.default_rng(seed)
-    points = random.standard_normal((random.integers(5, 60), 3)) * random.uniform(3, 30, 3) + random.uniform(-50, 50, 3)
-    for method in ("hull", "bracket"):
-        check_readers(scanned(hull(points), method, axis=random.standard_normal(3)), tmp_path)
-
-
 def test_the_distance_of_readers_follows_size_and_place():
     cube = np.asarray(box(1, 1, 1).vertices)
     assert distance_of_readers(cube) == pytest.approx(np.sqrt(3) * 0.5 * np.finfo(np.float32).eps)
@@ -132,7 +122,7 @@ def test_points_that_coincide_are_merged_and_corners_stay():
     assert np.array_equal(kept_apart(points, 0.0), np.arange(len(points)))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_two_points_that_stay_are_close_and_none_is_far_from_them(seed):
     random = np.random.default_rng(seed)
     points = random.uniform(-1, 1, (400, 3))
@@ -143,7 +133,7 @@ def test_no_two_points_that_stay_are_close_and_none_is_far_from_them(seed):
     assert len(kept) < 300
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_closed_surface_stays_closed_when_edges_collapse(seed):
     mesh = polytope(seed, 40).subdivide()
     for k in range(0, len(mesh.edges_unique), 7):

@@ -13,15 +13,7 @@ from scan3d.geometry.triangles import (
     longest_first,
     mirrored_faces,
     offset_from,
-    row_minima,
 )
-
-
-def test_areas_of_known_triangles():
-    corners = np.array([[(0, 0, 0), (3, 0, 0), (0, 4, 0)], [(1, 1, 1), (1, 1, 1), (2, 2, 2)]], dtype=float)
-    assert areas(corners).tolist() == [6.0, 0.0]
-    turned = corners + np.array([5.0, -7.0, 2.0])
-    assert areas(turned[:, [1, 2, 0]]) == pytest.approx([6.0, 0.0])
 
 
 def test_the_longest_edge_comes_first_and_the_winding_stays():
@@ -44,13 +36,6 @@ def test_halves_share_the_area_and_the_longest_edge():
         # the order is that in which the corners of the unsorted halves were put
         unsorted = triangle[np.argsort(order[i])]
         assert unsorted[1 if i < 2 else 0] == pytest.approx(middles[i % 2])
-
-
-def test_the_minimum_of_each_row_and_its_label():
-    values, labels = np.array([(3.0, 1.0, 2.0), (0.0, 5.0, 4.0)]), np.array([(7, 8, 9), (1, 2, 3)])
-    smallest, label = row_minima(values, labels)
-    assert smallest.tolist() == [1.0, 0.0]
-    assert label.tolist() == [8, 1]
 
 
 def test_distinct_rows_stand_for_all():
