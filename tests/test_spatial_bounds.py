@@ -238,7 +238,7 @@ def test_the_report_states_the_parts_of_the_bound():
 
 def test_under_noise_the_bound_follows_from_the_errors_of_centre_points_and_tangents():
     """The place on the surface may be much less certain than the centre point, by the rod's radius; the bound needs neither."""
-    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.7, 0.5])), 800, 3, 0.02)
+    cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.7, 0.5])), 2000, 3, 0.02)
     sd = np.full(len(cloud), 1e-5)
     noisy = dataclasses.replace(cloud, noise=1e-3, place_sd=100 * sd, centre_sd=sd, tangent_sd=sd)
     stated, exact = enclosure(noisy), enclosure(cloud)
