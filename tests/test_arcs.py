@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud, unit
 
 from planar import Phase
-from scan3d.bounds.apexes import best_apexes, cover, cut_depths, thinned
+from scan3d.bounds.apexes import best_apexes, cover, thinned
 from scan3d.geometry.arcs import Arcs, arcs_at
 from scan3d.geometry.hulls import edges_of
 
@@ -149,7 +149,7 @@ def test_planes_that_turn_over_or_pass_through_the_middle_are_left_out():
 
 def test_a_cut_counts_by_the_end_at_which_it_is_least():
     planes = Arcs(np.eye(3)[:1], np.eye(3)[:1], np.eye(3)[1:2], np.array([0.1]))
-    depth = cut_depths(planes, np.array([0]), np.array([[2.0, 0, 0], [1.0, 0.5, 0]]))
+    depth = planes.depths(np.array([[2.0, 0, 0], [1.0, 0.5, 0]]))
     assert depth[:, 0] == pytest.approx([np.cos(0.1), -0.5 * np.sin(0.1)])
 
 

@@ -149,7 +149,7 @@ def _improvements(
         free = np.setdiff1d(free, rows)
         cut = np.zeros(len(rows), dtype=bool)
         if len(candidates):
-            depth = cut_depths(planes, candidates, nominal[rows])
+            depth = planes.select(candidates).depths(nominal[rows])
             deepest = depth.argmax(axis=1)
             cut = depth[np.arange(len(rows)), deepest] > _SHALLOWEST
             added = np.unique(candidates[deepest[cut]])
@@ -159,14 +159,6 @@ def _improvements(
         triangles = apexes.cover.planes[held]
         removed = np.unique(triangles[np.arange(len(triangles)), planes.half_width[triangles].argmax(axis=1)])
     return added, removed
-
-
-def cut_depths(planes: Arcs, rows: Index, points: Array) -> Array:
-    """How far (m, k) points (m, 3) lie beyond some planes (k,), by the end of the arc at which it is least."""
-    ends = planes.ends()[rows]
-    offset = (ends * planes.points[rows, None]).sum(axis=2)
-    depths: Array = np.minimum(*(points @ ends[:, k].T - offset[:, k] for k in range(2)))
-    return depths
 
 
 def thinned(planes: Arcs, multiple: float, least: float) -> Index:

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.geometry.arcs import Arcs, arcs_at
 from scan3d.geometry.hulls import edges_of
@@ -105,6 +105,12 @@ class Tangents(NamedTuple):
     def to_world(self, points: Array) -> Array:
         """Points (n, 3) of the frame in the world."""
         return points @ self.shape + self.centre
+
+    def exclude(self, points: Array) -> Mask:
+        """Whether points (n, 3) of the world lie beyond one of the planes, whichever normal of its arc that has."""
+        depths = self.arcs.depths((points - self.centre) @ np.linalg.inv(self.shape))
+        excluded: Mask = np.asarray((depths > 0).any(axis=1))
+        return excluded
 
     def normals(self) -> tuple[Array, Array]:
         """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""

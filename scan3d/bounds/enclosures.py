@@ -243,9 +243,16 @@ def _volume_within(body: Any, distance: float) -> float:
 
 def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     """The enclosure with that by the tangents of all contacts, if it is tighter."""
-    tangents = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
-    anywhere = replace(cloud, centre_points=cloud.points, tangents=tangents, rod_radius=0.0)
-    found = _spatial_enclosure(anywhere, None, bounds.confidence)
+    along = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
+    anywhere = replace(cloud, centre_points=cloud.points, tangents=along, rod_radius=0.0)
+    errors, turns = np.full(len(cloud), exact_error(cloud)), np.zeros(len(cloud))
+    tangent = tangent_planes(anywhere, errors, turns)
+    known = bounds if bounds.tighter is None else bounds.tighter
+    worst = known.corners[[known.gap.argmax()]]
+    # where no tangent excludes the farthest corner, no choice of them bounds the body more tightly
+    if np.isfinite(worst).all() and not tangent.exclude(worst).any():
+        return bounds
+    found = _by_contacts(anywhere, tangent, errors, turns, bounds.confidence)
     if found.bound >= bounds.bound:
         return bounds
     volume = max(bounds.volume[0], found.volume[0]), min(bounds.volume[1], found.volume[1])
@@ -427,7 +434,7 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
     if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
         turns = np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
-        return _by_contacts(cloud, errors, turns, 1.0)
+        return _by_contacts(cloud, tangent_planes(cloud, errors, turns), errors, turns, 1.0)
     allow = allowed(cloud, confidence)
     turns = np.zeros(len(cloud))
     if cloud.place_sd is not None:
@@ -441,17 +448,17 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
     for quantile in _QUANTILES:
         kept = (errors <= np.quantile(errors, quantile)) & (turns <= np.quantile(turns, quantile))
         if kept.any():
-            candidates.append(_by_contacts(cloud.select(kept), errors[kept], turns[kept], allow.confidence))
+            part = cloud.select(kept), errors[kept], turns[kept]
+            candidates.append(_by_contacts(part[0], tangent_planes(*part), *part[1:], allow.confidence))
     return min(candidates, key=lambda candidate: candidate.bound)
 
 
-def _by_contacts(cloud: Cloud, errors: Array, turns: Array, confidence: float) -> Enclosure:
+def _by_contacts(cloud: Cloud, tangent: Tangents, errors: Array, turns: Array, confidence: float) -> Enclosure:
     """The enclosure by all contacts of a cloud, with errors (n,) of their places, and of their tangents in radians."""
     assert cloud.centre_points is not None
     centre_hull = hull(cloud.centre_points)
     margin, radius = float(errors.max()), cloud.rod_radius
     inner = _inner_body(cloud, centre_hull)
-    tangent = tangent_planes(cloud, errors, turns)
     apexes = _apexes_around(tangent, centre_hull)
     if apexes is None:
         corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
