@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from scan3d.shown import register as _register
+
 TYPE_CHECKING = False  # that of `typing`, whose import would be the longest part of this one
 if TYPE_CHECKING:
     from typing import Any
@@ -117,3 +119,9 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, "__version__"})
+
+
+_register(
+    drawn=lambda: import_module("scan3d.pictures.notebook"),
+    saved=lambda: import_module("scan3d.saving"),
+)

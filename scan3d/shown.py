@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
-
+TYPE_CHECKING = (
+    False  # that of `typing`, whose import takes longer than that of this module, which `import scan3d` needs
+)
 if TYPE_CHECKING:
     import os
+    from collections.abc import Callable
+    from typing import Any
 
     import pandas
     import pyvista
@@ -15,14 +17,21 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 """Name and value of each quantity in a table."""
 
-# Characters of a line, and those of the names in it.
-_WIDTH, _NAMES = 120, 21
+_LOADERS: dict[str, Callable[[], Any]] = {}
+
+
+def register(**loaders: Callable[[], Any]) -> None:
+    """State what loads the modules that draw (`drawn`) and save (`saved`) results, when a result is first asked for that.
+
+    The package does so from above, because the modules of results may not depend on those.
+    """
+    _LOADERS.update(loaders)
 
 
 def described(title: str, rows: Rows) -> str:
     """A table as text: the title, and below it a line of at most 120 characters for each row."""
-    lines = [title, *(f"  {name:{_NAMES}} {value}" for name, value in rows)]
-    return "\n".join(line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..." for line in lines)
+    lines = [title, *(f"  {name:21} {value}" for name, value in rows)]
+    return "\n".join(line if len(line) <= 120 else f"{line[:117]}..." for line in lines)
 
 
 class Described:
@@ -37,23 +46,20 @@ class Described:
 
 
 class Shown(Described):
-    """A result that has a picture and a table in HTML.
-
-    Both are made by `scan3d.pictures.notebook`, which is imported only when a picture or a table is asked for, because the
-    modules of results may not depend on those of pictures.  These classes have the only imports of higher
-    wings.
-    """
+    """A result that has a picture and a table in HTML."""
 
     def plot(self, **options: Any) -> Image:
         """A picture of the result; `options` are those of `scan3d.plot`."""
-        return cast("Image", import_module("scan3d.pictures.notebook").plot(self, **options))
+        picture: Image = _LOADERS["drawn"]().plot(self, **options)
+        return picture
 
     def _repr_html_(self) -> str:
-        return cast(str, import_module("scan3d.pictures.notebook").to_html(self))
+        text: str = _LOADERS["drawn"]().to_html(self)
+        return text
 
 
 class Exported(Described):
-    """Contacts that can be written to files and handed to other libraries, by ``scan3d.saving``, which is imported likewise.
+    """Contacts that can be written to files and handed to other libraries.
 
     In all of them `truth` is the true body, a `trimesh.Trimesh` or the path of its mesh: where it is given, the column
     ``quality`` is the distance of each contact from it, else NaN or missing.
@@ -61,16 +67,18 @@ class Exported(Described):
 
     def save(self, path: str | os.PathLike[str], *, truth: Any = None, overwrite: bool = False) -> None:
         """Write the contacts to a file, as `scan3d.save`: ``.ply``, ``.pcd``, ``.vtp``, ``.xyz``, ``.csv`` and others."""
-        import_module("scan3d.saving").save(self, path, truth=truth, overwrite=overwrite)
+        _LOADERS["saved"]().save(self, path, truth=truth, overwrite=overwrite)
 
     def to_pandas(self, truth: Any = None) -> pandas.DataFrame:
         """A `pandas.DataFrame` with a row for each contact.  Raises InputError if pandas is missing."""
-        return cast("pandas.DataFrame", import_module("scan3d.saving").to_pandas(self, truth))
+        table: pandas.DataFrame = _LOADERS["saved"]().to_pandas(self, truth)
+        return table
 
     def to_pyvista(self, truth: Any = None) -> pyvista.PolyData:
         """A `pyvista.PolyData` with normals, force, friction and all other columns as point data."""
-        return cast("pyvista.PolyData", import_module("scan3d.saving").to_pyvista(self, truth))
+        data: pyvista.PolyData = _LOADERS["saved"]().to_pyvista(self, truth)
+        return data
 
     def to_open3d(self, truth: Any = None) -> Any:
         """An `open3d.t.geometry.PointCloud` with the same columns.  Raises InputError if open3d can't be imported."""
-        return import_module("scan3d.saving").to_open3d(self, truth)
+        return _LOADERS["saved"]().to_open3d(self, truth)
