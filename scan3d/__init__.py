@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from scan3d.errors import InputError
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, write_recording
+    from scan3d.files.shapes import Shape
     from scan3d.laboratory.calibration_file import read_rig, write_rig
     from scan3d.laboratory.calibration_result import Calibration
     from scan3d.laboratory.importing import import_table
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from scan3d.recording import Recording
     from scan3d.results import Result, open, scan
     from scan3d.rods import Rod
-    from scan3d.saving import StoredCloud, load, save
+    from scan3d.saving import load, save
     from scan3d.session import Session
     from scan3d.steps import calibrate, compare, reconstruct, simulate, surface
 
@@ -52,7 +53,7 @@ _HOME = {
     "Result": "results",
     "Rod": "rods",
     "Session": "session",
-    "StoredCloud": "saving",
+    "Shape": "files.shapes",
     "batch": "batches",
     "calibrate": "steps",
     "compare": "steps",
@@ -83,7 +84,7 @@ __all__ = [
     "Result",
     "Rod",
     "Session",
-    "StoredCloud",
+    "Shape",
     "batch",
     "calibrate",
     "compare",

@@ -6,32 +6,33 @@ The formats are those of the commands.  pandas and open3d are imported only by t
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import trimesh
-from numpy.lib.recfunctions import append_fields, repack_fields
-from numpy.typing import NDArray
 
-from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.extras import import_open3d
-from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, listed, to_polydata, write_shape
-from scan3d.files.imports import read_cloud, stated_unit
+from scan3d.files.formats import (
+    CLOUD_ENDINGS,
+    SURFACE_ENDINGS,
+    listed,
+    read_cloud,
+    stated_unit,
+    to_polydata,
+    write_shape,
+)
 from scan3d.files.meshes import FORMATS, read_mesh
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.recordings import read_recording, sidecar, write_recording
-from scan3d.files.shapes import Shape
-from scan3d.files.tables import cloud_table, surface_table
+from scan3d.files.shapes import Shape, cloud_table, surface_table, table
 from scan3d.files.whole import check_pair
 from scan3d.geometry.distance import distances
 from scan3d.recording import Recording
-from scan3d.shown import Exported, Rows
-from scan3d.units import UNITS_M, Unit, unit_of, unit_symbol
+from scan3d.units import UNITS_M, Unit, unit_of
 
 if TYPE_CHECKING:
     import pandas
@@ -39,37 +40,7 @@ if TYPE_CHECKING:
 _Path = str | os.PathLike[str]
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class StoredCloud(Exported):
-    """The contacts in a file: a table of the part of a `Cloud` that the file's format holds.
-
-    Surfaces and certificates are made from the `Cloud` of a recording.
-    """
-
-    points: Array
-    """(n, 3)"""
-    normals: NDArray[np.floating[Any]]
-    """(n, 3) outward unit normals, NaN where unknown."""
-    columns: Mapping[str, NDArray[Any]]
-    """(n,) each: the other columns by name, as in ``cloud.ply``, such as ``force`` and ``friction``."""
-    unit: str
-    """Unit of all lengths."""
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def summary(self) -> Rows:
-        """Counts, size and columns."""
-        size = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
-        return [
-            ("contacts", str(len(self))),
-            ("size", " × ".join(f"{extent:.4g}" for extent in size) + f" {unit_symbol(self.unit)}"),
-            ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
-            ("columns", ", ".join(self.columns) or "none"),
-        ]
-
-
-_Thing: TypeAlias = "Cloud | StoredCloud | trimesh.Trimesh"
+_Thing: TypeAlias = "Cloud | Shape | trimesh.Trimesh"
 
 
 def save(
@@ -107,7 +78,7 @@ def _kind_of(recording: Recording) -> str:
     return str(recording.source.get("kind", ""))
 
 
-def load(path: _Path, *, unit: Unit | None = None) -> Recording | StoredCloud | trimesh.Trimesh:
+def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimesh.Trimesh:
     """What a file holds: a recording, a cloud, or a surface or another mesh.
 
     path
@@ -133,9 +104,7 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | StoredCloud | 
         return _mesh(path, unit)
     if ending in CLOUD_ENDINGS:
         shape = read_cloud(path, unit)
-        if shape.faces is None:
-            return StoredCloud(shape.points, shape.normals, shape.scalars, shape.unit)
-        return _surface(shape)
+        return shape if shape.faces is None else _surface(shape)
     if ending[1:] in FORMATS:
         return _mesh(path, unit)
     known = sorted({*CLOUD_ENDINGS, *SURFACE_ENDINGS, *(f".{name}" for name in FORMATS), PARQUET})
@@ -166,19 +135,14 @@ def _mesh(path: Path, unit: str | None) -> trimesh.Trimesh:
 def _surface(shape: Shape) -> trimesh.Trimesh:
     mesh = trimesh.Trimesh(shape.points, shape.faces, vertex_normals=shape.normals, process=False)
     mesh.units = shape.unit
-    mesh.vertex_attributes.update(shape.scalars)
+    mesh.vertex_attributes.update(shape.columns)
     return mesh
 
 
 def to_shape(what: _Thing, truth: trimesh.Trimesh | _Path | None = None, unit: str | None = None) -> Shape:
     """The table of a cloud or a surface, as `save` writes it."""
-    if isinstance(what, StoredCloud):
-        rows: Any = np.empty(len(what), [(name, "f8") for name in "xyz"] + [(f"n{name}", "f4") for name in "xyz"])
-        for number, name in enumerate("xyz"):
-            rows[name], rows[f"n{name}"] = what.points[:, number], what.normals[:, number]
-        for name, column in what.columns.items():
-            rows = append_fields(rows, name, column, usemask=False)
-        shape = Shape(rows, None, what.unit)
+    if isinstance(what, Shape):
+        shape = what
     elif isinstance(what, Cloud):
         shape = Shape(cloud_table(what), None, what.unit)
     elif isinstance(what, trimesh.Trimesh):
@@ -196,23 +160,15 @@ def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
         raise InputError(f"the surface is in {stated!r}; give its unit as one of {', '.join(UNITS_M)}")
     if unit not in (None, *UNITS_M):
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
-    bound = mesh.vertex_attributes.get("bound")
-    rows: Any = surface_table(mesh, np.zeros(len(mesh.vertices)) if bound is None else np.asarray(bound))
-    if bound is None:
-        rows = repack_fields(rows[[name for name in rows.dtype.names if name != "bound"]])
+    rows = surface_table(mesh, mesh.vertex_attributes.get("bound"))
     return Shape(rows, np.asarray(mesh.faces, np.int32), unit_of(mesh, unit))
 
 
 def _with_quality(shape: Shape, truth: trimesh.Trimesh | _Path) -> Shape:
     """The table with the distances of its points from the true body as the column ``quality``."""
     body = read_mesh(truth) if isinstance(truth, (str, os.PathLike)) else truth
-    distance, rows = distances(shape.points, body), shape.rows
-    if "quality" in (rows.dtype.names or ()):
-        rows = rows.copy()
-        rows["quality"] = distance
-    else:
-        rows = append_fields(rows, "quality", distance, usemask=False)
-    return Shape(rows, shape.faces, shape.unit)
+    columns = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
+    return replace(shape, rows=table(columns | {"quality": distances(shape.points, body)}))
 
 
 def to_pandas(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> pandas.DataFrame:
@@ -238,7 +194,7 @@ def to_open3d(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> Any
     target = geometry.PointCloud() if shape.faces is None else geometry.TriangleMesh()
     points = target.point if shape.faces is None else target.vertex
     points["positions"], points["normals"] = tensor(shape.points), tensor(shape.normals.astype(np.float64))
-    for name, column in shape.scalars.items():
+    for name, column in shape.columns.items():
         points[name] = tensor(column[:, None])
     if shape.faces is not None:
         target.triangle["indices"] = tensor(shape.faces)

@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply
 
 FORMATS = [("cloud", ending) for ending in CLOUD_ENDINGS] + [("surface", ending) for ending in SURFACE_ENDINGS]
@@ -159,7 +159,7 @@ def _right(program, folder, what, ending):
         right.append("normals")
     if "faces" in read and np.array_equal(_turned(index[read["faces"]]), _turned(true.faces)):
         right.append("faces")
-    for name, column in true.scalars.items():
+    for name, column in true.columns.items():
         unit = scale if name == "bound" else 1.0
         for key in (f"scalar {name}", f"scalar _{name.upper()}"):
             if key in read and np.allclose(read[key].ravel(), column[index] * unit, rtol=SAME, atol=0):

@@ -16,10 +16,9 @@ import trimesh
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.exports import POINT_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import POINT_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply, read_ply
-from scan3d.files.shapes import read_shape
-from scan3d.files.tables import surface_table
+from scan3d.files.shapes import read_shape, surface_table
 
 ROOT = Path(__file__).parents[1]
 MESHES = sorted(path for path in (ROOT / "meshes").iterdir() if path.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
@@ -66,9 +65,9 @@ def test_lengths_are_converted_and_nothing_else(folder, tmp_path, what, unit, fa
     after = read_shape(tmp_path / "a.ply")
     assert after.unit == unit
     assert after.points == pytest.approx(factor * before.points, rel=1e-15)
-    for name, column in before.scalars.items():
+    for name, column in before.columns.items():
         scale = factor if name in ("quality", "bound") else 1.0
-        assert np.allclose(after.scalars[name], scale * column, rtol=1e-6, atol=0, equal_nan=True)
+        assert np.allclose(after.columns[name], scale * column, rtol=1e-6, atol=0, equal_nan=True)
     assert np.array_equal(after.normals, before.normals, equal_nan=True)
     # the unit asked for is the recording's: nothing changes
     export(folder, tmp_path / "b.ply", what, unit="mm")
@@ -122,7 +121,7 @@ def colors_in(path):
 def test_colours_are_those_of_the_scalar_beside_them(folder, tmp_path, what, scalar, ending):
     export(folder, tmp_path / f"a{ending}", what, color=scalar)
     shape = read_shape(folder / f"{what}.ply")
-    values = shape.scalars[scalar].astype(float)
+    values = shape.columns[scalar].astype(float)
     if ending == ".glb":
         values = values[np.isfinite(shape.normals).all(axis=1)]
     known = np.isfinite(values)
@@ -136,8 +135,8 @@ def test_colours_are_those_of_the_scalar_beside_them(folder, tmp_path, what, sca
         rows, _, comments = read_ply(tmp_path / "a.ply")
         assert np.array_equal(rows[scalar], shape.rows[scalar], equal_nan=True)
         assert f"colour {scalar} from {low:.6g} to {values[known].max():.6g}, viridis" in comments
-        assert scalar in read_shape(tmp_path / "a.ply").scalars
-        assert "red" not in read_shape(tmp_path / "a.ply").scalars
+        assert scalar in read_shape(tmp_path / "a.ply").columns
+        assert "red" not in read_shape(tmp_path / "a.ply").columns
 
 
 # --- GLB ---
@@ -154,7 +153,7 @@ def test_a_cloud_in_glb_counts_the_points_that_it_leaves_out(folder, tmp_path, c
     assert np.allclose(arrays["POSITION"], np.stack([x, z, -y], axis=1), rtol=1e-6)
     nx, ny, nz = cloud.normals[kept].T
     assert np.allclose(arrays["NORMAL"], np.stack([nx, nz, -ny], axis=1), atol=1e-6)
-    assert np.allclose(arrays["_QUALITY"][:, 0], 1e-3 * cloud.scalars["quality"][kept], rtol=1e-6)
+    assert np.allclose(arrays["_QUALITY"][:, 0], 1e-3 * cloud.columns["quality"][kept], rtol=1e-6)
     assert "_FRICTION" in arrays  # known wherever there is a normal
     assert tree["materials"][0]["name"] == "scan3d cloud"
     assert main(["export", str(folder), "--to", str(tmp_path / "b.glb"), "--what", "cloud"]) == 0
@@ -225,9 +224,9 @@ def test_a_bag_of_ros_has_the_cloud_in_metres(folder, tmp_path):
     assert points.dtype == np.float32
     assert points == pytest.approx(1e-3 * cloud.points, rel=1e-6)
     assert np.array_equal(rows["normal_z"], cloud.rows["nz"], equal_nan=True)
-    assert rows["quality"] == pytest.approx(1e-3 * cloud.scalars["quality"])
-    assert np.array_equal(rows["force"], cloud.scalars["force"])
-    assert np.array_equal(rows["sweep"], cloud.scalars["sweep"])
+    assert rows["quality"] == pytest.approx(1e-3 * cloud.columns["quality"])
+    assert np.array_equal(rows["force"], cloud.columns["force"])
+    assert np.array_equal(rows["sweep"], cloud.columns["sweep"])
     packed = rows["rgb"].copy().view("<u4")
     export(folder, tmp_path / "a.ply", "cloud", color="force")
     assert np.array_equal(packed >> 16 & 255, read_ply(tmp_path / "a.ply")[0]["red"])
@@ -256,7 +255,7 @@ def test_names_of_scalars_that_cloudcompare_recognises(folder, tmp_path):
     rows, _, _ = read_ply(tmp_path / "a.ply")
     spatial = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"]
     cloud = read_shape(folder / "cloud.ply")
-    assert list(rows.dtype.names) == [*spatial, *(f"scalar_{name}" for name in cloud.scalars)]
+    assert list(rows.dtype.names) == [*spatial, *(f"scalar_{name}" for name in cloud.columns)]
     assert np.array_equal(rows["scalar_force"], cloud.rows["force"])
 
 

@@ -14,7 +14,7 @@ from other_programs import FORMATS, HERE, PROGRAMS
 
 from scan3d import InputError, pipeline
 from scan3d.cli import main
-from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply, read_ply
 from scan3d.files.shapes import read_shape
 
@@ -206,7 +206,7 @@ def test_a_glb_is_in_metres_and_names_its_unit(tmp_path, surface, unit, metres):
     read = trimesh.load_mesh(tmp_path / "a.glb", process=False)
     assert np.allclose(read.vertices, surface.points[:, [0, 2, 1]] * metres * [1, 1, -1], rtol=1e-6)
     bound = read.vertex_attributes["_BOUND"].ravel()
-    assert np.allclose(bound, surface.scalars["bound"] * metres, rtol=1e-6)
+    assert np.allclose(bound, surface.columns["bound"] * metres, rtol=1e-6)
 
 
 def test_a_glb_leaves_out_scalars_that_are_infinite(tmp_path, surface):
@@ -225,7 +225,7 @@ def test_a_vtp_keeps_every_bit(folder, tmp_path, cloud, surface):
         assert read.points.dtype == np.float64
         assert np.array_equal(read.points, shape.points)
         assert np.array_equal(read.point_data.active_normals, shape.normals)
-        for name, column in shape.scalars.items():
+        for name, column in shape.columns.items():
             assert read.point_data[name].dtype == column.dtype
             assert np.array_equal(read.point_data[name], column)
         assert list(read.field_data["unit"]) == ["mm"]

@@ -7,9 +7,9 @@ import trimesh
 from scipy.spatial import cKDTree
 
 import scan3d
-from scan3d.files.exports import export
+from scan3d.files.formats import export
 from scan3d.files.ply import ply
-from scan3d.files.tables import surface_table
+from scan3d.files.shapes import surface_table
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, kept_apart, representatives
 from tests.shapes import box, polytope

@@ -10,7 +10,7 @@ from small_scans import CUBE, EGG, FEW, scanned, scanned_folder
 
 import scan3d
 from scan3d.cli import main
-from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.whole import RECORDING, check_file, earlier_files
 from scan3d.scenes import read_folder
 

@@ -221,7 +221,7 @@ def test_a_long_body_is_cut_off_where_the_rods_do_not_reach(tmp_path):
 
 
 def of(recording):
-    from scan3d.files.tables import cloud_table
+    from scan3d.files.shapes import cloud_table
 
     return cloud_table(scan3d.reconstruct(recording), None)
 

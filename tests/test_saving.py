@@ -12,7 +12,7 @@ import trimesh
 from small_scans import CUBE, EGG
 
 import scan3d
-from scan3d.files.exports import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.geometry.distance import distances
 from scan3d.pictures import rendering
 
@@ -38,7 +38,7 @@ def test_a_cloud_comes_back(result, tmp_path, ending):
         cloud = cloud.select(np.isfinite(cloud.normals).all(axis=1))
     cloud.save(path, truth=CUBE)
     back = scan3d.load(path)
-    assert isinstance(back, scan3d.StoredCloud)
+    assert isinstance(back, scan3d.Shape)
     assert (len(back), back.unit) == (len(cloud), "mm")
     tolerance = SINGLE * 40 if ending == ".pcd" else 0
     assert np.abs(back.points - cloud.points).max() <= tolerance
@@ -57,7 +57,7 @@ def test_a_cloud_comes_back(result, tmp_path, ending):
     assert np.array_equal(scan3d.load(tmp_path / f"again{ending}").points, back.points)
     if ending not in (".csv", ".pcd"):
         assert (tmp_path / f"again{ending}").read_bytes() == path.read_bytes()
-    assert repr(back).startswith("StoredCloud\n  contacts ")
+    assert repr(back).startswith("Shape\n  contacts ")
     assert len(repr(back).splitlines()) <= 10
 
 

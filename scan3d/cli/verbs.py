@@ -320,7 +320,7 @@ def export(
     scalar_names
         names of the scalars of a .ply that this program shows by itself
     """
-    from scan3d.files.exports import export as export_shape
+    from scan3d.files.formats import export as export_shape
 
     written = export_shape(source, to, what, unit=unit, color=color, scalar_names=scalar_names, overwrite=overwrite)
     shape = f"{written['points']} contacts"

@@ -75,7 +75,7 @@ def packed_points(shape: Shape) -> NDArray[np.void]:
     if shape.colors is not None:
         red, green, blue = shape.colors.astype("<u4").T
         columns["rgb"] = (red << 16 | green << 8 | blue).view("<f4")
-    columns |= shape.scalars
+    columns |= shape.columns
     rows = np.empty(len(shape.rows), dtype=[(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     for name, column in columns.items():
         rows[name] = column

@@ -36,7 +36,7 @@ def glb(shape: Shape) -> bytes:
     if shape.colors is not None:
         opaque = np.column_stack([shape.colors, np.full(len(position), 255, np.uint8)])
         attributes["COLOR_0"] = buffers.add(opaque, _UNSIGNED_BYTE, "VEC4", _VERTICES, normalized=True)
-    for name, values in shape.scalars.items():
+    for name, values in shape.columns.items():
         column = values.astype("<f4")  # glTF has neither NaN nor infinity
         if np.isfinite(column).all():
             column = column * np.float32(scale if name in LENGTHS else 1.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,27 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array
+from scan3d.choices import SCALAR_NAMES
+from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.ply import read_ply
-from scan3d.units import UNITS_M
+from scan3d.shown import Exported, Rows
+from scan3d.units import UNITS_M, unit_symbol
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 POINT, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 LENGTHS = ("quality", "bound", "place_sd", "distance")
 """Scalars that are lengths, in the unit of the file."""
+_UNKNOWN_GREY = 154
 
 
-@dataclass(frozen=True)
-class Shape:
-    """A cloud or a surface as in a PLY file written by scan3d."""
+@dataclass(frozen=True, repr=False, eq=False)
+class Shape(Exported):
+    """A cloud or a surface as in a file: points, normals and further columns.
+
+    It is the part of a `Cloud` that the file's format holds; surfaces and certificates are made from the `Cloud` of a
+    recording.
+    """
 
     rows: NDArray[Any]
-    """(n,) structured: x, y, z, nx, ny, nz, in exports with colours red, green, blue, then the scalars."""
+    """(n,) structured: x, y, z, nx, ny, nz, in exports with colours red, green, blue, then the other columns."""
     faces: NDArray[np.int32] | None
     """(m, 3) corners of a surface's triangles, counterclockwise from outside; None for a cloud."""
     unit: str
+    """Unit of all lengths."""
     notes: tuple[str, ...] = ()
     """What else stands in the comments of the file."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
 
     @property
     def what(self) -> str:
@@ -42,8 +55,8 @@ class Shape:
         return np.stack([self.rows[name] for name in POINT], axis=1).astype(np.float64)
 
     @property
-    def normals(self) -> NDArray[np.float32]:
-        """(n, 3), NaN where unknown."""
+    def normals(self) -> NDArray[np.floating[Any]]:
+        """(n, 3) outward unit normals, NaN where unknown."""
         return np.stack([self.rows[name] for name in NORMAL], axis=1)
 
     @property
@@ -54,8 +67,8 @@ class Shape:
         return np.stack([self.rows[name] for name in COLOR], axis=1).astype(np.uint8)
 
     @property
-    def scalars(self) -> dict[str, NDArray[Any]]:
-        """(n,) each, by name."""
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """(n,) each: the other columns by name, such as ``force`` and ``friction``."""
         names = self.rows.dtype.names or ()
         return {name: np.ascontiguousarray(self.rows[name]) for name in names if name not in POINT + NORMAL + COLOR}
 
@@ -63,6 +76,59 @@ class Shape:
     def remarks(self) -> tuple[str, ...]:
         """Comments for the file: what it contains, its unit and its frame."""
         return f"scan3d {self.what}", f"unit {self.unit}", f"frame {FRAME}", *self.notes
+
+    def summary(self) -> Rows:
+        """Counts, size and columns."""
+        size = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
+        return [
+            ("contacts" if self.faces is None else "vertices", str(len(self))),
+            ("size", " × ".join(f"{extent:.4g}" for extent in size) + f" {unit_symbol(self.unit)}"),
+            ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
+            ("columns", ", ".join(self.columns) or "none"),
+        ]
+
+
+def table(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """Columns (n,) as a structured array."""
+    rows = np.empty(len(next(iter(columns.values()))), dtype=[(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
+
+
+def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
+    """Contacts as a structured array for `files.ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
+
+    Contacts of noisy data have two further columns, the standard deviations of their places and of their normals' angles.
+    Contacts of the spatial model lie in no slices; instead of the slice they have the rod's tangent and its bending angle.
+    """
+    columns: dict[str, NDArray[np.generic]] = {
+        **dict(zip("xyz", cloud.points.T, strict=True)),
+        **dict(zip(("nx", "ny", "nz"), cloud.normals.astype(np.float32).T, strict=True)),
+        "quality": np.full(len(cloud), np.nan) if quality is None else quality,
+        "phase": cloud.phase.astype(np.uint8),
+        "slice": cloud.slice,
+        "sweep": cloud.sweep,
+        "row": cloud.row,
+        "force": cloud.force_N,
+        "friction": cloud.friction.astype(np.float32),
+        "normal_source": cloud.normal_source.astype(np.uint8),
+    }
+    if cloud.place_sd is not None and cloud.normal_sd is not None:
+        columns["place_sd"] = cloud.place_sd.astype(np.float32)
+        columns["normal_sd"] = np.where(np.isfinite(cloud.normal_sd), cloud.normal_sd, np.nan).astype(np.float32)
+    if cloud.tangents is not None and cloud.bending_angle is not None:
+        del columns["slice"]
+        columns |= dict(zip(("tx", "ty", "tz"), cloud.tangents.astype(np.float32).T, strict=True))
+        columns["bending"] = cloud.bending_angle.astype(np.float32)
+    return table(columns)
+
+
+def surface_table(surface: Any, bound: Array | None) -> NDArray[np.void]:
+    """Vertices, their normals and the certified local bound (v,), unless it is None, as a structured array for `files.ply`."""
+    columns: dict[str, NDArray[Any]] = dict(zip(POINT, np.asarray(surface.vertices, dtype=np.float64).T, strict=True))
+    columns |= dict(zip(NORMAL, np.asarray(surface.vertex_normals).astype(np.float32).T, strict=True))
+    return table(columns if bound is None else columns | {"bound": np.asarray(bound).astype(np.float32)})
 
 
 def read_shape(path: str | Path) -> Shape:
@@ -80,3 +146,72 @@ def read_shape(path: str | Path) -> Shape:
             f"with one of {', '.join(UNITS_M)}"
         )
     return Shape(rows, faces, units[0])
+
+
+# --- as other programs want them ---
+
+
+def in_unit(shape: Shape, unit: str | None) -> Shape:
+    """The shape with all lengths in another unit; None keeps them.  Raises InputError for an unknown unit."""
+    if unit is None or unit == shape.unit:
+        return shape
+    if unit not in UNITS_M:
+        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    rows = shape.rows.copy()
+    for name in POINT + LENGTHS:
+        if name in (rows.dtype.names or ()):
+            rows[name] = rows[name] * (UNITS_M[shape.unit] / UNITS_M[unit])
+    return replace(shape, rows=rows, unit=unit)
+
+
+def colored(shape: Shape, scalar: str | None) -> Shape:
+    """The shape with red, green and blue by one of its scalars, which stays beside them; None leaves it as it is.
+
+    The scale goes from the smallest to the largest value that is known, from 0 for lengths and forces; values that are not
+    known are grey.  Raises InputError for a scalar that the shape does not have, or of which no value is known.
+    """
+    if scalar is None:
+        return shape
+    if scalar not in shape.columns:
+        raise InputError(f"there is no {scalar!r} to colour the {shape.what} by; it has {', '.join(shape.columns)}")
+    values = shape.columns[scalar].astype(np.float64)
+    known = np.isfinite(values)
+    if not known.any():
+        raise InputError(f"no value of {scalar} is known, by which the {shape.what} is to be coloured; choose another")
+    from matplotlib import colormaps
+
+    low = 0.0 if scalar in (*LENGTHS, "force") else float(values[known].min())
+    high = float(values[known].max())
+    fraction = (values[known] - low) / ((high - low) or 1.0)
+    rgb = np.full((len(values), 3), _UNKNOWN_GREY, dtype=np.uint8)
+    rgb[known] = np.round(255 * np.asarray(colormaps["viridis"](fraction))[:, :3]).astype(np.uint8)
+    columns: dict[str, NDArray[np.generic]] = {name: shape.rows[name] for name in POINT + NORMAL}
+    columns |= dict(zip(COLOR, rgb.T, strict=True)) | shape.columns
+    note = f"colour {scalar} from {low:.6g} to {high:.6g}, viridis"
+    return replace(shape, rows=table(columns), notes=(*shape.notes, note))
+
+
+def named_for(shape: Shape, program: str | None, scalar: str | None = None) -> Shape:
+    """The shape with scalars by the names that a program knows, one of `choices.SCALAR_NAMES`; None keeps them.
+
+    MeshLab shows one scalar, ``quality``: it becomes a copy of `scalar`, by default the force of a cloud and the bound of a
+    surface, and the column that had this name is then called ``distance``.  CloudCompare recognises scalars whose names begin
+    with ``scalar_``.  Raises InputError for another program, and for a scalar that the shape does not have.
+    """
+    if program is None:
+        return shape
+    if program not in SCALAR_NAMES:
+        raise InputError(f"names of scalars are known for {' and '.join(SCALAR_NAMES)}, got {program!r}")
+    spatial = {name: shape.rows[name] for name in shape.rows.dtype.names or () if name not in shape.columns}
+    if program == "cloudcompare":
+        return replace(
+            shape, rows=table(spatial | {f"scalar_{name}": values for name, values in shape.columns.items()})
+        )
+    shown = scalar or {"cloud": "force", "surface": "bound"}[shape.what]
+    if shown not in shape.columns:
+        raise InputError(
+            f"there is no {shown!r} for MeshLab to show; name one of {', '.join(shape.columns) or 'none'} with --color"
+        )
+    others = {"distance" if name == "quality" else name: values for name, values in shape.columns.items()}
+    # MeshLab reads it as a floating-point number only
+    return replace(shape, rows=table(spatial | {"quality": shape.columns[shown].astype(np.float64)} | others))

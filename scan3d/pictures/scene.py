@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
-from scan3d.files.tables import cloud_table
+from scan3d.files.shapes import cloud_table
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.recording import Recording
 
@@ -23,7 +23,7 @@ class Scene:
     name: str
     unit: str
     contacts: NDArray[Any] | None = None
-    """(n,) the columns of `files.tables.cloud_table`, or as many of them as a file has."""
+    """(n,) the columns of `files.shapes.cloud_table`, or as many of them as a file has."""
     surface: Any = None
     """The reconstructed surface, a `trimesh.Trimesh`."""
     bound: Array | None = None

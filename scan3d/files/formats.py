@@ -1,4 +1,4 @@
-"""Clouds and surfaces in the formats of other programs, by file ending.
+"""Clouds and surfaces in the formats of other programs, written and read back, by file ending.
 
 Points keep their world coordinates in the recording's unit, or in another one that is asked for; GLB and bags of ROS are in
 metres, and GLB has y up, by their specifications.  Normals and scalars are written where the format can contain them, unit and
@@ -7,8 +7,9 @@ frame where the format allows comments.  docs/files.md lists which program reads
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,22 @@ from numpy.typing import NDArray
 
 from scan3d.choices import EXPORTS
 from scan3d.errors import InputError
-from scan3d.files.adapting import colored, in_unit, named_for
+from scan3d.files import reading
 from scan3d.files.bags import packed_points, point_cloud_bag
 from scan3d.files.gltf import glb
 from scan3d.files.ply import ply
-from scan3d.files.shapes import FRAME, LENGTHS, NORMAL, POINT, Shape, read_shape
+from scan3d.files.shapes import (
+    FRAME,
+    LENGTHS,
+    NORMAL,
+    POINT,
+    Shape,
+    colored,
+    in_unit,
+    named_for,
+    read_shape,
+    table,
+)
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.units import UNITS_M
@@ -39,12 +51,7 @@ _SINGLE = (".stl", ".glb")
 # Formats in metres by their specification, those without a place for colours, and that whose names of scalars are chosen.
 _METRES, _COLORLESS, _NAMED = (".glb", ".mcap"), (".stl", ".xyz", ".xyzn"), ".ply"
 
-# Scalars that have a unit beside lengths: forces are in newtons.
-_FORCES = ("force",)
-# The layout of binary STL: 80 bytes of header, then one row per triangle.
-_STL_HEADER = 80
-# Decimals of a colour in OBJ: enough for the 256 steps of each component.
-_COLOR_DECIMALS = 4
+_UNIT = "|".join(UNITS_M)
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -246,7 +253,7 @@ def _xyzn(shape: Shape) -> bytes:
 
 def _csv(shape: Shape) -> bytes:
     names = shape.rows.dtype.names or ()
-    units = dict.fromkeys(POINT + LENGTHS, f"_{shape.unit}") | dict.fromkeys(_FORCES, "_N")
+    units = dict.fromkeys(POINT + LENGTHS, f"_{shape.unit}") | {"force": "_N"}
     header = ",".join(name + units.get(name, "") for name in names)
     return f"{header}\n".encode() + _lines(_columns(shape, names), ",")
 
@@ -261,7 +268,7 @@ def _stl(shape: Shape) -> bytes:
     # a triangle without area has no normal; STL then has zeros
     rows["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
     rows["corners"] = corners
-    header = f"scan3d surface, unit {shape.unit}, frame world, outward".encode().ljust(_STL_HEADER)
+    header = f"scan3d surface, unit {shape.unit}, frame world, outward".encode().ljust(80)
     return header + struct.pack("<I", len(rows)) + rows.tobytes()
 
 
@@ -270,7 +277,7 @@ def _obj(shape: Shape) -> bytes:
     _need_normals(shape, ".obj", "choose .stl or .ply")
     remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
     # after the point, as most programs read it, from 0 to 1
-    colors = [] if shape.colors is None else list(np.round(shape.colors.T / 255, _COLOR_DECIMALS))
+    colors = [] if shape.colors is None else list(np.round(shape.colors.T / 255, 4))
     corners = (map(str, column) for column in (shape.faces + 1).T)
     faces = (f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in zip(*corners, strict=True))
     return b"".join(
@@ -305,7 +312,7 @@ def to_polydata(shape: Shape) -> Any:
     data.point_data.active_normals_name = "Normals"
     if shape.colors is not None:
         data.point_data["RGB"] = shape.colors
-    for name, column in shape.scalars.items():
+    for name, column in shape.columns.items():
         data.point_data[name] = column
     data.set_active_scalars(None)
     data.field_data["scan3d"] = [shape.what]  # by which the file is recognised
@@ -327,7 +334,7 @@ _WRITERS = {
 }
 
 
-def _columns(shape: Shape, names: Iterable[str]) -> list[NDArray[Any]]:
+def _columns(shape: Shape, names: Sequence[str]) -> list[NDArray[Any]]:
     return [shape.rows[name] for name in names]
 
 
@@ -347,3 +354,109 @@ def _need_normals(shape: Shape, ending: str, instead: str) -> None:
 def listed(endings: tuple[str, ...]) -> str:
     """The endings in a sentence: ``.a, .b or .c``."""
     return f"{', '.join(endings[:-1])} or {endings[-1]}"
+
+
+# --- reading ---
+
+
+def read_cloud(path: str | Path, unit: str | None = None) -> Shape:
+    """The cloud, or of ``.vtp`` and ``.ply`` the surface, in a file of `CLOUD_ENDINGS`.
+
+    unit
+        of points that state none (``.xyz``, ``.xyzn``); for others None, or the unit that they state.
+
+    Raises InputError for other files, and for another unit than the file states.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"{path.name} is no cloud by its ending, which should be {listed(CLOUD_ENDINGS)}")
+    try:
+        reading.check_file(path, memory_per_byte=8)
+        rows, faces, stated = reader(path)
+    except OSError as error:
+        raise InputError(f"can't read {path}: {error.strerror or error}; check the path") from None
+    except (ValueError, KeyError, IndexError) as error:
+        raise InputError(
+            f"{path.name} is not a {path.suffix} file as scan3d writes it: {' '.join(str(error).split())}"
+        ) from None
+    if unit is not None and stated not in (None, unit):
+        raise InputError(f"{path.name} is in {stated}, as it states itself, and not in {unit}; leave the unit out")
+    return Shape(rows, faces, stated or unit or "mm")
+
+
+def stated_unit(path: Path) -> str | None:
+    """The unit that a mesh file states if scan3d has written it, or None."""
+    with open(path, "rb") as file:
+        head = file.read(1 << 12).decode(errors="replace")
+    if path.suffix.lower() == ".glb":
+        return "m"  # by its specification
+    match = re.search(rf"scan3d surface(?s:.*?)unit ({_UNIT})\b", head)
+    return match[1] if match else None
+
+
+_Read = tuple[NDArray[Any], NDArray[np.int32] | None, str | None]
+
+
+def _read_ply(path: Path) -> _Read:
+    shape = read_shape(path)
+    return shape.rows, shape.faces, shape.unit
+
+
+def _read_pcd(path: Path) -> _Read:
+    head, separator, body = path.read_bytes().partition(b"\nDATA binary\n")
+    lines = [line.split() for line in head.decode(errors="replace").splitlines()]
+    fields = next((line[1:] for line in lines if line[:1] == ["FIELDS"]), [])
+    unit = next((line[2] for line in lines if line[:2] == ["#", "unit"] and len(line) == 3), None)
+    if not separator or unit not in UNITS_M:
+        raise ValueError("its header has no unit, or no binary data follow")
+    values = np.frombuffer(body, "<f4").reshape(-1, len(fields))
+    return _table([re.sub("^normal_([xyz])$", r"n\1", name) for name in fields], values), None, unit
+
+
+def _read_csv(path: Path) -> _Read:
+    header = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
+    match = re.fullmatch(rf"x_({_UNIT})", header[0])
+    if match is None:
+        raise ValueError(f"its header begins with {header[0][:20]!r}, where x and a unit is expected, such as x_mm")
+    unit = match[1]
+    names = [re.sub(rf"_({unit}|N)$", "", name) for name in header]
+    return _table(names, np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)), None, unit
+
+
+def _read_xyz(path: Path) -> _Read:
+    values = np.loadtxt(path, ndmin=2)
+    if values.shape[1] not in (3, 6):
+        raise ValueError(f"it has {values.shape[1]} numbers in a line, where 3 or 6 are expected")
+    return _table([*POINT, *NORMAL][: values.shape[1]], values), None, None
+
+
+def _read_vtp(path: Path) -> _Read:
+    import pyvista
+
+    data = pyvista.read(path)
+    if "unit" not in data.field_data or "Normals" not in data.point_data:
+        raise ValueError("it states no unit, or has no normals")
+    columns = {name: np.asarray(column) for name, column in data.point_data.items() if name != "Normals"}
+    points = dict(zip(POINT, np.asarray(data.points, dtype=float).T, strict=True))
+    normals = dict(zip(NORMAL, np.asarray(data.point_data["Normals"]).T, strict=True))
+    faces = data.faces.reshape(-1, 4)[:, 1:].astype(np.int32) if data.faces.size else None
+    return table(points | normals | columns), faces, str(data.field_data["unit"][0])
+
+
+def _table(names: list[str], values: NDArray[Any]) -> NDArray[Any]:
+    """Rows of named columns; normals that the file does not hold are NaN."""
+    columns = dict(zip(names, values.T, strict=True))
+    unknown = dict.fromkeys(NORMAL, np.full(len(values), np.nan))
+    points = {name: columns.pop(name).astype(float) for name in POINT}
+    return table(points | unknown | columns)
+
+
+_READERS: dict[str, Callable[[Path], _Read]] = {
+    ".ply": _read_ply,
+    ".pcd": _read_pcd,
+    ".csv": _read_csv,
+    ".xyz": _read_xyz,
+    ".xyzn": _read_xyz,
+    ".vtp": _read_vtp,
+}
