@@ -447,9 +447,10 @@ def _read_vtp(path: Path) -> _Read:
 def _table(names: list[str], values: NDArray[Any]) -> NDArray[Any]:
     """Rows of named columns; normals that the file does not hold are NaN."""
     columns = dict(zip(names, values.T, strict=True))
-    unknown = dict.fromkeys(NORMAL, np.full(len(values), np.nan))
+    unknown = np.full(len(values), np.nan)
     points = {name: columns.pop(name).astype(float) for name in POINT}
-    return table(points | unknown | columns)
+    normals = {name: columns.pop(name, unknown).astype(np.float32) for name in NORMAL}
+    return table(points | normals | columns)
 
 
 _READERS: dict[str, Callable[[Path], _Read]] = {
