@@ -16,7 +16,6 @@ from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.files.declared import shortfall
 from scan3d.files.gltf import is_turned, z_up
 from scan3d.files.reading import check_file, dent_size
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_faces, outward_hull
@@ -228,11 +227,6 @@ def _read(path: Path) -> bytes:
 def _triangles(path: Path, data: bytes) -> tuple[Array, Index]:
     """Vertices (v, 3) and faces (t, 3) of all triangles in a file, without merging or dropping any."""
     kind = path.suffix[1:].lower()
-    lacking = shortfall(kind, data)
-    if lacking:
-        raise InputError(
-            f"{path.name} is cut off, damaged, or not {kind.upper()}: {lacking}; export or download it again"
-        )
     try:
         with warnings.catch_warnings():
             # On a broken number older versions of numpy only warn, and return the numbers before it, which are part of a
@@ -245,23 +239,38 @@ def _triangles(path: Path, data: bytes) -> tuple[Array, Index]:
     # trimesh's parsers raise various errors for foreign bytes: KeyError, IndexError, struct.error, MemoryError and others.
     except Exception as error:
         raise InputError(
-            f"{path.name} can't be read as {kind.upper()}: it is damaged or another kind of file; export it again"
+            f"{path.name} can't be read as {kind.upper()}: it is cut off, damaged or another kind of file; export or download "
+            "it again"
         ) from error
     if not all(np.isfinite(vertices).all() for vertices, _ in meshes):
         raise InputError(f"{path.name} has vertices that are NaN or infinite; repair or export it again")
-    if sum(len(faces) for _, faces in meshes) == 0:
+    held, declared = sum(len(faces) for _, faces in meshes), _declared_faces(kind, data)
+    if held < declared:
+        raise InputError(
+            f"{path.name} is cut off: it declares {declared} faces and holds {held}; export or download it again"
+        )
+    if held == 0:
         if kind == "ply" and re.search(rb"^element tristrips ", data.partition(b"end_header")[0], re.MULTILINE):
             raise InputError(
                 f"{path.name} has strips of triangles (its element tristrips), where single triangles are expected; "
                 "export the body as a triangle mesh, with faces instead of strips"
             )
         raise InputError(
-            f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, damaged, or not a "
+            f"{path.name} has no triangles, where a surface is expected: it is a cloud of points, cut off, damaged, or not a "
             f"{kind.upper()} file; export the body as a triangle mesh"
         )
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     faces = np.concatenate([faces + before for before, (_, faces) in zip(first, meshes, strict=False)])
     return np.concatenate([vertices for vertices, _ in meshes]), faces
+
+
+def _declared_faces(kind: str, data: bytes) -> int:
+    """Faces in the header of a PLY or OFF: of one in text that is cut off, trimesh would return a part of the body."""
+    pattern = {"ply": rb"(?m)^element face (\d{1,18})\b", "off": rb"\s*\w*OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d{1,18})\b"}.get(
+        kind
+    )
+    found = re.search(pattern, data[: 1 << 16]) if pattern else None
+    return int(found[1]) if found else 0
 
 
 def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:

@@ -61,15 +61,15 @@ def _meshes(folder, box):
     header = b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
     lists = b"property list uchar int vertex_indices\nend_header\n"
     files = {
-        "cut.stl": (stl[:-120], "declares 12 triangles and holds 9"),
-        "count.stl": (stl[:80] + struct.pack("<I", 4_000_000_000) + stl[84:], "declares 4000000000 triangles"),
-        "cut_text.stl": (box.export(file_type="stl_ascii").encode()[:-300], "does not end with 'endsolid'"),
+        "cut.stl": (stl[:-120], "cut off, damaged"),
+        "count.stl": (stl[:80] + struct.pack("<I", 4_000_000_000) + stl[84:], "cut off, damaged"),
+        "cut_text.stl": (box.export(file_type="stl_ascii").encode()[:-300], "cut off, damaged, or not a STL file"),
         "cut.off": ("\n".join(text.split("\n")[:-4]).encode(), "declares 12 faces and holds"),
-        "cut.ply": ((folder / "box.ply").read_bytes()[:-60], "declares 12 faces"),
-        "cut.glb": (glb[:-40], "declares"),
-        "faces.ply": (header + b"element face " + b"1" + b"0" * 30 + b"\n" + lists + b"\0" * 200, "faces, more than"),
+        "cut.ply": ((folder / "box.ply").read_bytes()[:-60], "cut off, damaged"),
+        "cut.glb": (glb[:-40], "cut off, damaged"),
+        "faces.ply": (header + b"element face " + b"1" + b"0" * 30 + b"\n" + lists + b"\0" * 200, "cut off, damaged"),
         "digits.ply": (header + b"element face " + b"9" * 5000 + b"\n" + lists + b"\0" * 200, "PLY"),
-        "accessor.glb": (_glb_with_count(glb, 100_000_000), "declares 100000000 elements"),
+        "accessor.glb": (_glb_with_count(glb, 100_000_000), "cut off, damaged"),
         "nan.off": (text.replace("-10.00000000", "nan", 1).encode(), "OFF"),
         "huge.off": (text.replace("-10.00000000", HUGE, 1).encode(), "NaN or infinite"),
         "index.off": (text.replace("3 ", "3 99 ", 1).encode(), "OFF"),
