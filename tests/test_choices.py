@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from scan3d import Plan, choices, surfaces
-from scan3d.files import exports
+from scan3d.files import formats
 from scan3d.settings import Settings
 from scan3d.units import UNITS_M
 
@@ -54,4 +54,4 @@ def test_settings_and_plan_accept_exactly_the_lists() -> None:
 
 def test_other_packages_hand_on_the_same_lists() -> None:
     assert surfaces.METHODS is choices.METHODS
-    assert tuple(exports._ENDINGS) == choices.EXPORTS
+    assert tuple(formats._ENDINGS) == choices.EXPORTS
