@@ -196,15 +196,17 @@ def perform_batch(
         for done, (run, outcome) in enumerate(_outcomes(missing, executor), start=before + 1):
             if outcome.error:
                 failures[run.name] = outcome
-            for notice in {*outcome.notices} - notices:
-                notify(notice)
-            notices.update(outcome.notices)
+            for notice in outcome.notices:
+                if notice not in notices:
+                    notify(notice)
+                notices.add(notice)
             progress(BatchProgress(done, len(runs), len(failures)))
         rows = tuple(_row(run, failures.get(run.name)) for run in runs)
         ranks = {name: None if row is None else row["run"] for name, row in _ranks(rows)._asdict().items()}
         result.put("summary.csv", _csv(rows))
         result.put("index.html", _page(folder, rows, ranks))
-        counts = {"runs": len(rows), "done": len(rows) - len(failures), "failed": len(failures)}
+        failed = sum(row["status"] == FAILED for row in rows)
+        counts = {"runs": len(rows), "done": len(rows) - failed, "failed": failed}
         versions = {"scan3d": version("scan3d")}
         result.commit({"schema": SCHEMA, "versions": versions, "counts": counts, **ranks, "runs": list(rows)})
     return Batch(folder, rows, len(missing))

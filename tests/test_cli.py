@@ -391,11 +391,13 @@ def test_bash_completes_commands_options_and_values(call, tmp_path):
         for name in COMMANDS:
             assert name in script, shell
         assert "clip-dent" in script
+    assert "compdef _cyclopts_scan3d scan3d" in call("completion", "zsh")[1]  # for `eval`
     (tmp_path / "bash").write_text(call("completion", "bash")[1])
     for words, offers in (
         (["scan3d", "sc"], {"scan"}),
         (["scan3d", "scan", "--sp"], {"--spacing"}),
         (["scan3d", "scan", "x.stl", "--spacing", ""], {"adaptive", "cosine", "uniform"}),
+        (["scan3d", "scan", "x.stl", "--hull", "--mo"], {"--model"}),
         (["scan3d", "completion", ""], set(SHELLS)),
     ):
         line = f"COMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _scan3d"

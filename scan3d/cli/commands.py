@@ -55,7 +55,11 @@ def completion(shell: Annotated[Shell, Parameter(metavar="SHELL")], /) -> int:
     shell
         for which
     """
-    print(app().generate_completion(prog_name="scan3d", shell=shell))
+    script = app().generate_completion(prog_name="scan3d", shell=shell)
+    if shell == "zsh":  # as a file of its own, which is loaded when it is needed, and by `eval`
+        script += 'if [[ $funcstack[1] == _scan3d ]]; then _cyclopts_scan3d "$@"; '
+        script += "else compdef _cyclopts_scan3d scan3d; fi"
+    print(script)
     return 0
 
 

@@ -62,7 +62,7 @@ class _Chosen:
     def given(self) -> dict[str, Any]:
         """Those of the command line."""
         values = {one.name: getattr(self, one.name) for one in fields(Settings)}
-        return {name: value for name, value in values.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None and value is not False}
 
     def chosen(self) -> Settings:
         """All settings.  Raises InputError as `scan3d.settings.settings`."""
@@ -70,7 +70,7 @@ class _Chosen:
 
 
 def _options() -> Any:
-    """A class with an option for each field of `Settings`, None where it is not given."""
+    """A class with an option for each field of `Settings`, None or False where it is not given."""
     kinds = get_type_hints(Settings)
     made: list[tuple[str, Any, Any]] = []
     for one in fields(Settings):
@@ -79,7 +79,10 @@ def _options() -> Any:
             help=one.metadata["meaning"], show_default=shown, allow_leading_hyphen=kinds[one.name] is str
         )
         kind = Number if kinds[one.name] is int else kinds[one.name]
-        made.append((one.name, Annotated[kind | None, parameter], field(default=None)))
+        if kind is bool:
+            made.append((one.name, Annotated[bool, parameter], False))
+        else:
+            made.append((one.name, Annotated[kind | None, parameter], field(default=None)))
     group = Group("Settings", help="The command line takes precedence over --config, and --config over the defaults.")
     return Parameter(name="*", group=group)(
         make_dataclass("Options", made, bases=(_Chosen,), namespace={"__module__": __name__}, frozen=True)
