@@ -35,6 +35,10 @@ class Move(IntEnum):
     RETRACT = 2
 
 
+MOVES = tuple(move.name.lower() for move in Move)
+"""Their names in files."""
+
+
 @dataclass(frozen=True, repr=False)
 class PoseList(Described):
     """Poses (n) of the clamp, in the order in which they are passed; straight lines and steady turns between them.

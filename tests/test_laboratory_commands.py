@@ -188,7 +188,7 @@ def test_of_parquet_recordings_with_moves_the_sweeps_are_read(tmp_path, moves):
         table["move"] = np.array(["fly", *moves[1:]], dtype=object)
         (tmp_path / "log.parquet").write_bytes(parquet_bytes(table))
         with pytest.raises(
-            InputError, match=r"log\.parquet has the move 'fly', expected one of approach, sweep, retract"
+            InputError, match=r"log\.parquet: row 1 has 'fly' in column 'move', where one of approach, sweep"
         ):
             scan3d.read_recording(tmp_path / "log.parquet")
 
@@ -203,7 +203,7 @@ def test_parquet_files_that_can_not_be_read(tmp_path, recording, monkeypatch):
         scan3d.read_recording(tmp_path / "log.parquet")
     columns = {name: np.zeros(2) for name in scan3d.files.recordings.COLUMNS} | {"qw": np.array(["a", "b"])}
     (tmp_path / "log.parquet").write_bytes(parquet_bytes(columns))
-    with pytest.raises(InputError, match=r"the column qw holds text such as 'a', where numbers are expected"):
+    with pytest.raises(InputError, match=r"log.parquet: row 1 has 'a' in column 'qw', which is no number"):
         scan3d.read_recording(tmp_path / "log.parquet")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     for call in (

@@ -247,7 +247,7 @@ def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
         ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0\n", "line 3 has 3 values, expected 4; it ends in column 3: is it cut off"),
         ("x0,f0x,f0y,m0z\n1,0,5,0,0\n", "line 2 has 5 values, expected 4; are there decimal commas"),
         ("x0_m,f0x,f0y,m0z\n1,0,0,0\n", "mixes dimensionless columns (f0x, f0y, m0z) with columns in SI units (x0_m)"),
-        ("x0,f0x,f0y,m0z\n", "has no row of data below line 1"),
+        ("x0,f0x,f0y,m0z\n", "a sweep needs two rows or more"),
         ("x0,f0x,f0y,m0z\n1,-1,1,1\n", "a sweep needs two rows or more, which tell the direction"),
         ("x0,f0x,f0y,m0z\n1,-1,1,1\n1,-1,1,1\n", "must decrease or increase"),
         ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0,0\n", "the sweep has no contact: of 2 of its 2 rows, nothing touches"),

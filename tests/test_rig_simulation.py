@@ -421,7 +421,7 @@ def test_a_recording_with_another_move_says_where(folder, tmp_path):
     for name in ("exact.csv", "exact.toml"):
         (tmp_path / name).write_text((folder / name).read_text().replace(",approach", ",fly", 1))
     with pytest.raises(
-        InputError, match=r"exact\.csv: line 2 has the move 'fly', expected one of approach, sweep, retract"
+        InputError, match=r"exact\.csv: line 2 has 'fly' in column 'move', where one of approach, sweep, retract"
     ):
         scan3d.read_recording(tmp_path / "exact.csv")
 
@@ -517,7 +517,7 @@ def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
     assert main([*run, *faults]) == 0
     # the poses are never overwritten
     assert main(["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(folder / "poses.csv")]) == 1
-    assert "is the list of poses that this run reads" in capsys.readouterr().err
+    assert "of the poses that this run reads" in capsys.readouterr().err
 
 
 def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):

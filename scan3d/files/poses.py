@@ -5,7 +5,6 @@ The TOML file has the rod, the speed, and how the poses were planned.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,11 @@ import numpy as np
 
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
-from scan3d.files.reading import check_file
 from scan3d.files.section import read_rod, read_section
 from scan3d.files.text import to_toml
+from scan3d.files.text_tables import read_table
 from scan3d.files.whole import Inputs, check_pair, write_together
-from scan3d.poses import SPEED_M_S, Move, PoseList
+from scan3d.poses import MOVES, SPEED_M_S, PoseList
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "move")
@@ -25,9 +24,6 @@ KIND = "plan of poses"
 """What the TOML file beside a list of poses says of its source."""
 # Number of the format of the TOML file.
 _SCHEMA = 1
-_MOVES = {move.name.lower(): move for move in Move}
-# Memory per byte of a table while it is read.
-_MEMORY_PER_BYTE = 12
 _YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
 _NANOSECONDS = 10**9
 
@@ -83,7 +79,7 @@ def header() -> str:
 
 
 def _to_csv(poses: PoseList) -> str:
-    names = {int(move): name for name, move in _MOVES.items()}
+    names = dict(enumerate(MOVES))
     numbers = np.concatenate([poses.position_m, poses.quaternion], axis=1).tolist()
     rows = zip(poses.sweep.tolist(), numbers, poses.move.tolist(), strict=True)
     return header() + "".join(f"{sweep},{','.join(map(repr, row))},{names[move]}\n" for sweep, row, move in rows)
@@ -91,7 +87,7 @@ def _to_csv(poses: PoseList) -> str:
 
 def to_yaml(poses: PoseList) -> str:
     """The poses as points with times, named as in trajectory_msgs/JointTrajectory and geometry_msgs/PoseStamped of ROS 2."""
-    names = {int(move): name for name, move in _MOVES.items()}
+    names = dict(enumerate(MOVES))
     lines = [f"{_YAML_HEADER}points:"]
     numbers = zip(poses.position_m.tolist(), poses.quaternion.tolist(), strict=True)
     for (position, turn), time, sweep, move in zip(
@@ -126,64 +122,27 @@ def read_poses(path: str | Path) -> PoseList:
     path = Path(path)
     if path.suffix != ".csv":
         raise InputError(f"poses are read from a .csv, got {path.name!r}; scan3d plan --out poses.csv writes one")
-    body = _rows(path)
-    try:
-        return PoseList(
-            sweep=np.array([_whole(path, number, row[0]) for number, row in body], dtype=np.int64),
-            position_m=np.array([[_number(path, number, k, row) for k in (1, 2, 3)] for number, row in body]),
-            quaternion=np.array([[_number(path, number, k, row) for k in (4, 5, 6, 7)] for number, row in body]),
-            move=np.array([_move(path, number, row[8]) for number, row in body], dtype=np.int8),
-            **_read_sidecar(sidecar(path)),
-        )
-    except InputError as error:
-        text = str(error)
-        raise InputError(text if text.startswith((path.name, sidecar(path).name)) else f"{path.name}: {text}") from None
-
-
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """The rows below the header, in the order of `COLUMNS`, with the numbers of their lines."""
-    try:
-        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
-        lines = list(enumerate(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()), start=1))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"can't read the poses {path}: {getattr(error, 'strerror', None) or error}") from None
-    names = [name.strip() for name in lines[0][1]] if lines else []
-    missing = [name for name in COLUMNS if name not in names]
+    table = read_table(path, what="poses")
+    missing = [name for name in COLUMNS if name not in table.names]
     if missing:
         raise InputError(
             f"{path.name} is not a list of poses: its header lacks {', '.join(missing)}; expected {','.join(COLUMNS)} "
             "(scan3d plan writes such a table)"
         )
-    order = [names.index(name) for name in COLUMNS]
-    body = [(number, row) for number, row in lines[1:] if row]
-    for number, row in body:
-        if len(row) != len(names):
-            raise InputError(f"{path.name}: line {number} has {len(row)} values, expected {len(names)}; is it cut off?")
-    if not body:
+    if not len(table):
         raise InputError(f"{path.name} has no poses: the bound is met, or the file is cut off")
-    return [(number, [row[k] for k in order]) for number, row in body]
-
-
-def _number(path: Path, line: int, column: int, row: list[str]) -> float:
+    sweep, *numbers, move = (table.names.index(name) for name in COLUMNS)
+    columns: dict[str, Any] = {
+        "sweep": table.whole_numbers(sweep),
+        "position_m": np.stack([table.numbers(column) for column in numbers[:3]], axis=1),
+        "quaternion": np.stack([table.numbers(column) for column in numbers[3:]], axis=1),
+        "move": table.words(move, MOVES),
+    }
+    known = _read_sidecar(sidecar(path))
     try:
-        return float(row[column])
-    except ValueError:
-        raise InputError(
-            f"{path.name}: line {line} has {row[column]!r} for {COLUMNS[column]}, where a number is expected"
-        ) from None
-
-
-def _whole(path: Path, line: int, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise InputError(f"{path.name}: line {line} has {text!r} for sweep, where a whole number is expected") from None
-
-
-def _move(path: Path, line: int, text: str) -> int:
-    if text.strip() not in _MOVES:
-        raise InputError(f"{path.name}: line {line} has the move {text!r}, expected one of {', '.join(_MOVES)}")
-    return _MOVES[text.strip()]
+        return PoseList(**columns, **known)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
 
 
 def _read_sidecar(path: Path) -> dict[str, Any]:

@@ -7,26 +7,22 @@ The TOML file contains the rod, the noise, what is not known exactly of a calibr
 
 from __future__ import annotations
 
-import csv
 import io
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.columns import numbers_of, plain_numbers
 from scan3d.files.parquet import ENDING as PARQUET
-from scan3d.files.parquet import parquet_bytes, read_columns
-from scan3d.files.reading import check_file
+from scan3d.files.parquet import parquet_bytes
 from scan3d.files.section import Section, read_rod, read_section
 from scan3d.files.text import to_toml
+from scan3d.files.text_tables import read_table
 from scan3d.files.whole import locate, source_kind, write_together
-from scan3d.poses import Move
+from scan3d.poses import MOVES, Move
 from scan3d.recording import Recording
 from scan3d.rigs import RigUncertainty
 from scan3d.units import UNITS_M
@@ -36,14 +32,10 @@ SIX_AXES = {"fz_N": "force_z_N", "mx_Nm": "moment_x_Nm", "my_Nm": "moment_y_Nm"}
 """The columns of six-axis data, and the fields of the recording that hold them."""
 TABLE = "table_height_m"
 """Name of the table's height in the TOML file."""
-# The column that says what the clamp does in a row, and its values.
-_MOVE, _MOVES = "move", tuple(move.name.lower() for move in Move)
-# Numbers of sweeps are smaller, so that they fit into 32 bits, as in the columns of a cloud.
-_SWEEP_LIMIT = 2**31
+# The column that says what the clamp does in a row.
+_MOVE = "move"
 # Number of the format of the TOML file.
 _SCHEMA = 1
-# Memory per byte of a table, of which a number takes eight bytes or more, while it is read.
-_MEMORY_PER_BYTE = 8
 # Rows from which a CSV file is written by pyarrow, if it is installed, five times as fast.  Both ways of writing give the same
 # bits when read; fewer rows are written in Python's notation of numbers on every machine.
 _MANY_ROWS = 50_000
@@ -147,7 +139,16 @@ def _csv(columns: Mapping[str, NDArray[Any]]) -> bytes:
 def read_recording(path: str | Path) -> Recording:
     """Read the table of a recording and its TOML file.  Raises InputError with the name of the file and the error in it."""
     path = Path(path)
-    table = _read_table(path)
+    table = read_table(locate(path), what="recording", name=path.name)
+    columns = _known_columns(path, table.names)
+    if _MOVE in table.names:
+        # a column without any sweep is not that of a rig: all rows are read
+        column = table.names.index(_MOVE)
+        if MOVES[Move.SWEEP] in table.text(column):
+            table = table.rows(np.flatnonzero(table.words(column, MOVES) == Move.SWEEP))
+    at = {name: table.names.index(name) for name in columns}
+    sweep = table.whole_numbers(at.pop("sweep"))
+    values = {name: table.numbers(column) for name, column in at.items()}
     meta = _read_sidecar(path)
     noise = meta.section("noise")
     force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
@@ -159,14 +160,14 @@ def read_recording(path: str | Path) -> Recording:
         "source": meta.notes("source"),
     }
     meta.finish(", and notes belong into [source]")
-    known |= {field: table[name] for name, field in SIX_AXES.items() if name in table}
+    known |= {field: values[name] for name, field in SIX_AXES.items() if name in values}
     try:
         return Recording(
-            sweep=_integers(table["sweep"]),
-            position_m=np.stack([table[name] for name in ("x_m", "y_m", "z_m")], axis=1),
-            quaternion=np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
-            force_N=np.stack([table["fx_N"], table["fy_N"]], axis=1),
-            moment_Nm=table["mz_Nm"],
+            sweep=sweep,
+            position_m=np.stack([values[name] for name in ("x_m", "y_m", "z_m")], axis=1),
+            quaternion=np.stack([values[name] for name in ("qw", "qx", "qy", "qz")], axis=1),
+            force_N=np.stack([values["fx_N"], values["fy_N"]], axis=1),
+            moment_Nm=values["mz_Nm"],
             noise_force_N=force,
             noise_moment_Nm=moment,
             noise_pose_m=pose,
@@ -176,72 +177,7 @@ def read_recording(path: str | Path) -> Recording:
         raise InputError(f"{path.name}: {error}") from None
 
 
-def _read_table(path: Path) -> dict[str, Array]:
-    """The columns (n,) that a recording needs, by name, and those of six axes if they are there; others are ignored.
-
-    Of a table with the column `move`, as a rig writes it, the rows of the move sweep are read.
-    """
-    try:
-        stored = locate(path)
-        check_file(stored, memory_per_byte=_MEMORY_PER_BYTE)
-        if path.suffix == PARQUET:
-            return _parquet_table(path, stored)
-        data = stored.read_bytes()
-        # spreadsheets write a byte order mark before the header
-        first = next(csv.reader([re.split(b"[\r\n]", data, maxsplit=1)[0].decode(encoding="utf-8-sig")]), [])
-        header = [name.strip() for name in first]
-        columns = _known_columns(path, header)
-        table = None if _MOVE in header else plain_numbers(data, len(header))
-        if table is not None:
-            return {name: table[:, header.index(name)] for name in columns}
-        text = io.StringIO(data.decode(encoding="utf-8-sig"), newline="")
-        lines = list(enumerate(csv.reader(text), start=1))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"can't read the recording {path}: {getattr(error, 'strerror', None) or error}") from None
-    body = [(number, line) for number, line in lines[1:] if line]
-    for number, line in body:
-        if len(line) != len(header):
-            raise InputError(
-                f"{path.name}: line {number} has {len(line)} values, expected {len(header)}; is it cut off?"
-            )
-    if _MOVE in header:
-        body = _sweeping(path, body, header.index(_MOVE))
-    return {name: numbers_of(path, name, header.index(name), body) for name in columns}
-
-
-def _sweeping(path: Path, body: list[tuple[int, list[str]]], column: int) -> list[tuple[int, list[str]]]:
-    """The rows in which the clamp sweeps; in the others it approaches or retracts.  Raises InputError for other moves.
-
-    A column without any sweep is not that of a rig: all rows are read.
-    """
-    if not any(line[column].strip() == _MOVES[Move.SWEEP] for _, line in body):
-        return body
-    for number, line in body:
-        if line[column].strip() not in _MOVES:
-            raise InputError(
-                f"{path.name}: line {number} has the move {line[column]!r}, expected one of {', '.join(_MOVES)}"
-            )
-    return [(number, line) for number, line in body if line[column].strip() == _MOVES[Move.SWEEP]]
-
-
-def _parquet_table(path: Path, stored: Path) -> dict[str, Array]:
-    """The columns of a Parquet file that a recording has."""
-    table = read_columns(stored)
-    columns = _known_columns(path, list(table))
-    for name in columns:
-        if table[name].dtype.kind != "f":
-            raise InputError(
-                f"{path.name}: the column {name} holds text such as {table[name][0]!r}, where numbers are expected"
-            )
-    moves = table[_MOVE].astype(str) if _MOVE in table else np.empty(0, dtype=str)
-    if (rows := moves == _MOVES[Move.SWEEP]).any():
-        if other := sorted(set(moves) - set(_MOVES)):
-            raise InputError(f"{path.name} has the move {str(other[0])!r}, expected one of {', '.join(_MOVES)}")
-        table = {name: table[name][rows] for name in columns}
-    return {name: table[name] for name in columns}
-
-
-def _known_columns(path: Path, header: list[str]) -> tuple[str, ...]:
+def _known_columns(path: Path, header: Sequence[str]) -> tuple[str, ...]:
     """The columns of a header that are read.  Raises InputError unless it has every column of a recording once."""
     missing = [name for name in COLUMNS if name not in header]
     if missing:
@@ -283,10 +219,3 @@ def _rig_of(section: Section) -> RigUncertainty:
     quantities, exact = section.texts("quantities"), section.texts("exact")
     with section.errors_named():
         return RigUncertainty(quantities, section.any("covariance", []), exact)
-
-
-def _integers(values: Array) -> NDArray[np.int64]:
-    invalid = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= _SWEEP_LIMIT)
-    if invalid.any():
-        raise InputError(f"the column sweep must hold whole numbers, got {values[np.argmax(invalid)]}")
-    return values.astype(np.int64)

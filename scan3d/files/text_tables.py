@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.parquet import read_columns
 from scan3d.files.reading import check_file
@@ -154,6 +154,42 @@ class Table:
             )
         return values
 
+    def whole_numbers(self, column: int, *, gaps: bool = False) -> NDArray[np.int64]:
+        """A column (n,) of whole numbers that fit into 32 bits, -1 in empty cells if `gaps` are allowed.  Raises InputError."""
+        values = self.numbers(column, gaps=gaps)
+        whole = np.where(np.isnan(values), -1.0, values)
+        bad = (whole != np.round(whole)) | (np.abs(whole) >= 2**31)
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InputError(
+                f"{self.place(row)} has {values[row]:g} in {self.title(column)}, where a whole number is expected"
+            )
+        return whole.astype(np.int64)
+
+    def words(self, column: int, known: Sequence[str]) -> NDArray[np.int8]:
+        """Which of the known words, in small letters, each cell (n,) of a column holds.  Raises InputError for another one."""
+        cells = np.char.lower(np.array(self.text(column), dtype=str))
+        found = np.full(len(cells), -1, dtype=np.int8)
+        for k, word in enumerate(known):
+            found[cells == word] = k
+        if (found < 0).any():
+            row = int(np.argmin(found))
+            raise InputError(
+                f"{self.place(row)} has {str(cells[row])!r} in {self.title(column)}, where one of {', '.join(known)} is "
+                "expected"
+            )
+        return found
+
+    def rows(self, rows: Index) -> Table:
+        """The table with some of its rows (k,), which increase."""
+        places = {column: (int(np.searchsorted(rows, row)), row, cell) for column, (row, cell) in self.wrong.items()}
+        return replace(
+            self,
+            columns=tuple(column[rows] for column in self.columns),
+            lines=None if self.lines is None else self.lines[rows],
+            wrong={column: (k, cell) for column, (k, row, cell) in places.items() if k < len(rows) and rows[k] == row},
+        )
+
 
 def read_table(path: str | Path, layout: Layout | None = None, what: str = "table", name: str = "") -> Table:
     """Read a text table as its layout says, or a Parquet file by its ending; messages call it `what` it is, and by its `name`.
@@ -196,7 +232,7 @@ def _first_lines(name: str, text: str) -> list[str]:
     if not any(line.strip() for line in lines):
         raise InputError(f"{name} is empty; expected a table with one row per sample")
     if "\0" in "".join(lines):
-        raise InputError(f"{name} is no text; expected a table as text or Parquet (.parquet), or a ROS bag")
+        raise InputError(f"{name} is no text; expected a table as text, or as Parquet (.parquet)")
     return lines
 
 
@@ -267,8 +303,10 @@ def _parsed(name: str, text: str, head: Head) -> Table:
             if bad is not None:
                 wrong.setdefault(k, (len(numbers) + bad[0], bad[1]))
         numbers += [number for number, _ in some]
-    if not parts:
+    if not parts and layout is not _OURS:
         raise InputError(f"{name} has no row of data below line {head.first - 1}; expected one row per sample")
+    parts = parts or [[np.empty(0)] for _ in head.names]
+    is_text = is_text or [False for _ in head.names]
     joined: list[NDArray[Any]] = [
         np.array(part, dtype=object) if words else np.concatenate(part)
         for part, words in zip(parts, is_text, strict=True)

@@ -15,11 +15,10 @@ from scan3d.errors import InputError
 from scan3d.files.reading import did_you_mean
 from scan3d.files.text_tables import Table
 from scan3d.laboratory.maps import Map, Orientation, Reference
-from scan3d.poses import Move
+from scan3d.poses import MOVES, Move
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
-_MOVES = tuple(move.name.lower() for move in Move)
 # Largest error of a quaternion's length, as in a recording.
 _QUATERNION_TOLERANCE = 1e-3
 # Names of columns that a message lists at most.
@@ -206,7 +205,9 @@ def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
     Sweeps with names are numbered as they appear; without numbers, each run of rows in which the robot sweeps is one.
     """
     columns = map.columns
-    sweeping = None if columns.move is None else _sweeping(table, map, columns.move)
+    sweeping = None
+    if columns.move is not None:
+        sweeping = table.words(_find(table, map, columns.move, "move")[0], MOVES) == Move.SWEEP
     if columns.sweep is None:
         return None if sweeping is None else runs_of(sweeping)
     column, _ = _find(table, map, columns.sweep, "sweep")
@@ -216,15 +217,7 @@ def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
         numbers = {"": -1} | {name: k for k, name in enumerate(dict.fromkeys(filter(None, names)))}
         sweep = np.array([numbers[name] for name in names], dtype=np.int64)
     else:
-        whole = np.where(np.isnan(values), -1.0, table.numbers(column, gaps=True))
-        bad = (whole != np.round(whole)) | (np.abs(whole) >= 2**31)
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise InputError(
-                f"{table.place(row)} has {values[row]:g} in {table.title(column)}, where the whole number of a sweep is "
-                "expected"
-            )
-        sweep = np.maximum(whole, -1.0).astype(np.int64)
+        sweep = np.maximum(table.whole_numbers(column, gaps=True), -1)
     return sweep if sweeping is None else np.where(sweeping, sweep, -1)
 
 
@@ -232,20 +225,6 @@ def runs_of(rows: Mask) -> NDArray[np.int64]:
     """Number (n,) of each run of rows (n,), -1 between runs."""
     starts = np.diff(np.concatenate([[False], rows]).astype(np.int8)) == 1
     return np.where(rows, np.cumsum(starts) - 1, -1)
-
-
-def _sweeping(table: Table, map: Map, reference: Reference) -> Mask:
-    """Whether the robot sweeps (n,)."""
-    column, _ = _find(table, map, reference, "move")
-    values = np.char.lower(np.array(table.text(column), dtype=str))
-    bad = ~np.isin(values, _MOVES)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(
-            f"{table.place(row)} has {str(values[row])!r} in {table.title(column)}, where one of {', '.join(_MOVES)} is "
-            "expected"
-        )
-    return np.asarray(values == _MOVES[Move.SWEEP])
 
 
 def stated_units(table: Table, column: int) -> Mapping[str, tuple[str, int | None]]:
