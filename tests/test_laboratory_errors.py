@@ -88,7 +88,6 @@ def test_the_table_by_hand_is_imported(tmp_path):
     ("rows", "sentence"),
     [
         (with_cell(7, "Fx", "o.5"), r"log\.csv: line 7 has 'o\.5' in column 'Fx', which is no number; correct the cell"),
-        (with_cell(2, "Fx", "err"), r"log\.csv: line 2 has 'err' in column 'Fx', which is no number"),
         (with_cell(7, "Fx", ""), r"line 7 has no value in column 'Fx'.*1 of 70 rows; .*missing = \"drop\" under \[table\]"),
         (with_cell(7, "x", "inf"), r"log\.csv: line 7 has inf in column 'x', where a finite number is expected"),
         ([*lines(), "0.7,1,2"], r"log\.csv: line 72 has 3 values, expected 14; it ends in column 3: is it cut off\?"),
@@ -137,10 +136,9 @@ def test_the_table_by_hand_is_imported(tmp_path):
         ),
         (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
         (column("Tz", lambda m: 1e3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
-        (column("Tz", lambda m: 1e-3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
         (lines(log() * np.where(np.isin(np.arange(14), [8, 9, 10]), 1e5, 1)), r"the largest force, .*check \[units\] force"),
     ],
-    ids=range(28),
+    ids=range(26),
 )  # fmt: skip
 def test_tables(tmp_path, rows, sentence):
     with pytest.raises(InputError, match=sentence) as error:

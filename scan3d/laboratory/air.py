@@ -21,27 +21,14 @@ SD_OVER_MAD = 1.4826
 _FEWEST = 5
 # Rounding, relative to the range of a channel.
 _ROUNDING = 1e-9
-# The zero is looked for within this fraction of the range of the forces, and of that of the moments.
-_NEAR = 0.02
 # Standard deviations of the noise that a row in the air may deviate, and standard errors from which a slope counts.
 _SIGMAS = 4.0
-# Rows among which the most frequent wrench is looked for, and windows in which it is followed.
-_SAMPLED, _WINDOWS = 1500, 60
-# Rows of single disturbances within a stretch at most, and fraction of a stretch that is left out at each of its ends, where
-# contact may begin below the noise.
-_DISTURBED, _MARGIN = 2, 0.05
 # A stretch is no air if its zero deviates from that between its neighbours by more than this many times the usual deviation.
 _OUTLYING = 6.0
-# Rows over which light contact is distinguished from noise by its mean, and standard deviations that the mean may deviate:
-# there are as many means as rows.
-_AVERAGED, _MEAN_SIGMAS = 15, 5.0
 # Deviations of the zero below this fraction of the noise do no harm.
 _HARMLESS = 0.3
-# Fraction of the rows in the air that the second pass must find again; stretches shorter than a fraction of the median one are
-# remains of contact, or hardly matter.
-_MOST, _SHORT = 0.8, 0.1
-# Rows from which statistics are taken, evenly spread, and different values below which a channel shows a converter's steps.
-_SOME, _FEW_VALUES = 20_000, 64
+# Rows from which statistics are taken, evenly spread.
+_SOME = 20_000
 
 Stretches = list[tuple[int, int]]
 """First row of each stretch, and the one after its last."""
@@ -118,7 +105,7 @@ def robust_sd(residuals: Array) -> Array:
     # steps of a converter make more than half of the residuals equal
     inside = absolute <= 3 * np.maximum(mad, SD_OVER_MAD * most)
     rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / np.maximum(inside.sum(axis=0), 1))
-    coarse = np.array([len(np.unique(column[:_SOME])) < _FEW_VALUES for column in residuals.T])
+    coarse = np.array([len(np.unique(column[:_SOME])) < 64 for column in residuals.T])
     return np.asarray(np.where((mad == 0) | coarse, rms, mad))
 
 
@@ -155,7 +142,7 @@ def find_air(wrench: Array, clock: Array, where: str) -> Stretches:
     stretches = _consistent(wrench, clock, _refined(wrench, clock, runs))
     again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
     # the second pass finds more, unless the zero drifts in a way that it does not follow
-    if sum(b - a for a, b in again) >= _MOST * sum(b - a for a, b in stretches):
+    if sum(b - a for a, b in again) >= 0.8 * sum(b - a for a, b in stretches):
         stretches = again
     if not stretches:
         raise InputError(
@@ -166,22 +153,22 @@ def find_air(wrench: Array, clock: Array, where: str) -> Stretches:
 
 
 def _scales(wrench: Array) -> Array:
-    """(c,) deviations within which a channel counts as near its zero: a fraction of the range, or the noise."""
+    """(c,) deviations within which a channel counts as near its zero: 2 % of the range, or the noise."""
     steps = np.abs(np.diff(wrench, axis=0)) if len(wrench) > 1 else np.zeros((1, wrench.shape[1]))
     # the quartile of |x| is 0.3186 standard deviations, and those of differences are √2 times as large
     noise = np.percentile(steps[:: max(1, len(steps) // _SOME)], 25, axis=0) / (0.3186 * np.sqrt(2))
     reach = np.ptp(wrench, axis=0)
     half = wrench.shape[1] // 2
     largest = np.repeat([reach[:half].max(), reach[half:].max()], half)
-    return np.asarray(np.maximum(_NEAR * largest, _SIGMAS * noise))
+    return np.asarray(np.maximum(0.02 * largest, _SIGMAS * noise))
 
 
 def _followed(scaled: Array, clock: Array) -> Array:
     """The zero (n, c) of a wrench in units of its scales, roughly: most frequent value, followed from window to window."""
-    some = scaled[np.linspace(0, len(scaled) - 1, min(len(scaled), _SAMPLED)).astype(np.intp)]
+    some = scaled[np.linspace(0, len(scaled) - 1, min(len(scaled), 1500)).astype(np.intp)]
     near = [(np.abs(some - row) <= 1).all(axis=1) for row in some]
     start = np.median(some[max(near, key=np.count_nonzero)], axis=0)
-    edges = np.linspace(0, len(scaled), min(_WINDOWS, len(scaled)) + 1).astype(np.intp)
+    edges = np.linspace(0, len(scaled), min(60, len(scaled)) + 1).astype(np.intp)
     windows = [scaled[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
     best = int(np.argmax([(np.abs(window - start) <= 1).all(axis=1).sum() for window in windows]))
     levels = np.empty((len(windows), scaled.shape[1]))
@@ -200,7 +187,7 @@ def _runs(near: Mask) -> Stretches:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(np.int8)))
     runs: Stretches = []
     for start, stop in edges.reshape(-1, 2).tolist():
-        if runs and start - runs[-1][1] <= _DISTURBED:
+        if runs and start - runs[-1][1] <= 2:
             runs[-1] = runs[-1][0], stop
         else:
             runs.append((start, stop))
@@ -208,8 +195,8 @@ def _runs(near: Mask) -> Stretches:
 
 
 def _trimmed(start: int, stop: int) -> tuple[int, int]:
-    """A stretch without its margins."""
-    margin = round(_MARGIN * (stop - start)) if stop - start > 2 * _FEWEST else 0
+    """A stretch without a twentieth at each of its ends, where contact may begin below the noise."""
+    margin = round((stop - start) / 20) if stop - start > 2 * _FEWEST else 0
     return start + margin, stop - margin
 
 
@@ -275,11 +262,12 @@ def _within_noise(wrench: Array, clock: Array, stretches: Stretches) -> Stretche
     slack = _OUTLYING * SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
     slack += _steps(wrench[first.rows])
     near = (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
-    if len(wrench) > _AVERAGED:
+    over = 15  # rows, by whose mean light contact is distinguished from noise
+    if len(wrench) > over:
         # where some of the rows are in contact, the mean says nothing about the others
-        mean = uniform_filter1d(deviation, _AVERAGED, axis=0, mode="nearest")
-        light = (np.abs(mean) > (_MEAN_SIGMAS / np.sqrt(_AVERAGED) + _HARMLESS) * first.noise + slack).any(axis=1)
-        crowded = uniform_filter1d(near.astype(np.float64), _AVERAGED, mode="nearest") > 1 - 0.5 / _AVERAGED
+        mean = uniform_filter1d(deviation, over, axis=0, mode="nearest")
+        light = (np.abs(mean) > (5 / np.sqrt(over) + _HARMLESS) * first.noise + slack).any(axis=1)
+        crowded = uniform_filter1d(near.astype(np.float64), over, mode="nearest") > 1 - 0.5 / over
         near &= ~(light & crowded)
     return [_trimmed(a, b) for a, b in _runs(near)]
 
@@ -293,7 +281,8 @@ def _consistent(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
     count: NDArray[np.int64] = np.array([b - a for a, b in stretches])
     inner = np.concatenate([wrench[a:b] - middle for (a, b), middle in zip(stretches, level, strict=True)])
     reach = np.ptp(wrench, axis=0) * _ROUNDING + _HARMLESS * robust_sd(inner)
-    kept = np.flatnonzero(count >= _SHORT * np.median(count))
+    # much shorter ones are remains of contact, or hardly matter
+    kept = np.flatnonzero(count >= 0.1 * np.median(count))
     while len(kept) >= 4:
         # from lines through two others: those on both sides, at the ends the next two
         index = np.arange(len(kept))

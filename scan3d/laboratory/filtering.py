@@ -9,25 +9,10 @@ from scipy.ndimage import maximum_filter1d
 
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
+from scan3d.laboratory.air import SD_OVER_MAD
 
-# Order of the Butterworth filter, which is applied forwards and backwards.  Higher, steps overshoot more; lower, more of the
-# noise above the limit is left.
-_ORDER = 2
 # Steps in time longer than this many median steps separate parts that are filtered separately.
 _GAP = 5.0
-# Time steps count as even if this fraction of them differs by less than half of the median.
-_EVEN = 0.95
-# Rows are blurred that the filter changes by so many standard deviations of what it takes away.  Larger, contacts next to snaps
-# are wrong; smaller, noise alone takes rows away.
-_BLURRED = 6.0
-# Change by the filter, relative to the largest force or moment, that is never too large: that of a log without noise.
-_NEGLIGIBLE = 1e-4
-# Median of the absolute values of Gaussian noise, in standard deviations.
-_MEDIAN_OF_GAUSSIAN = 0.6745
-# Largest limit of a low-pass, in rates.
-_HIGHEST = 0.45
-# Frequencies at which the response is averaged.
-_FREQUENCIES = 4096
 
 
 def sampling_rate(clock: Array, where: str) -> float:
@@ -39,10 +24,10 @@ def sampling_rate(clock: Array, where: str) -> float:
         if mean <= 0:
             raise InputError(f"{where}: [filter] needs the time of the rows; name its column as time under [columns]")
         return 1 / mean
-    if (np.abs(steps - median) < median / 2).mean() < _EVEN:
+    if np.percentile(np.abs(steps - median), 95) > median / 2:
         raise InputError(
             f"{where}: [filter] needs even time steps, and those of the table differ by more than half of their median of "
-            f"{median:.3g} s in {100 * (1 - _EVEN):.0f} % of the rows or more; leave [filter] out"
+            f"{median:.3g} s in 5 % of the rows or more; leave [filter] out"
         )
     return 1 / median
 
@@ -69,25 +54,25 @@ def blurred(values: Array, filtered: Array, clock: Array, limit_hz: float, rate:
 
     What the filter takes away is noise, but for these rows; slower than twice the limit, little of the noise is left in it.
     """
-    taken = low_pass(values - filtered, clock, min(2 * limit_hz, _HIGHEST * rate), rate, where)
-    noise = np.median(np.abs(taken), axis=0) / _MEDIAN_OF_GAUSSIAN
-    smallest = _NEGLIGIBLE * np.repeat([np.abs(values[:, :3]).max(), np.abs(values[:, 3:]).max()], 3)
-    changed = (np.abs(taken) > np.maximum(_BLURRED * noise, smallest)).any(axis=1)
+    taken = np.abs(low_pass(values - filtered, clock, min(2 * limit_hz, 0.45 * rate), rate, where))
+    noise = SD_OVER_MAD * np.median(taken, axis=0)
+    # in a log without noise all changes stand out: those below 1e-4 of the largest force or moment are no harm
+    smallest = 1e-4 * np.repeat([np.abs(values[:, :3]).max(), np.abs(values[:, 3:]).max()], 3)
+    changed = (taken > np.maximum(6 * noise, smallest)).any(axis=1)
     around = 2 * max(1, round(rate / limit_hz / 4)) + 1  # between the places where the change has its zeros
-    blurred: Mask = maximum_filter1d(changed, around)
-    return blurred
+    return np.asarray(maximum_filter1d(changed, around))
 
 
 def noise_factor(limit_hz: float, rate: float) -> float:
     """Standard deviation of white noise that the filter leaves, over that before it."""
-    _, response = signal.freqz_sos(_filter(limit_hz, rate), worN=_FREQUENCIES)
+    _, response = signal.freqz_sos(_filter(limit_hz, rate), worN=4096)
     # forwards and backwards: the amplitude is that of both
     return float(np.sqrt(np.mean(np.abs(response) ** 4)))
 
 
 def _filter(limit_hz: float, rate: float) -> Array:
-    sections: Array = signal.butter(_ORDER, limit_hz, fs=rate, output="sos")
-    return sections
+    # of the second order: of a higher one, steps overshoot more
+    return np.asarray(signal.butter(2, limit_hz, fs=rate, output="sos"))
 
 
 def parts(clock: Array, rate: float) -> list[tuple[int, int]]:

@@ -33,18 +33,13 @@ from scan3d.recording import Recording
 
 KIND = "import"
 """What the source of an imported recording is."""
-# Noise that is this many times as large as that of a white one would be after the filter is stated as it is found.
-_COLOURED = 1.3
-# Rounding of a turn, relative to the whole, and of a wrench from which its zero was taken off, relative to the largest one.
-_TURN_ROUNDING, _ROUNDING = 1e-12, 1e-13
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
-# Part of the largest force that is felt, and one that only contact has; part of the force out of the plane that is noteworthy.
-_FELT, _CONSIDERABLE, _OUT_OF_PLANE = 1e-3, 0.05, 0.05
-# Plausible ranges; a wrong unit makes them wrong by a factor of a thousand.  Travel of the clamp, and median travel of sweeps,
-# in rod lengths; largest force in EI/L², of which a rod whose contact has slid to a tenth of its length has a few hundred;
-# clamping moment over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
-_SMALLEST_RANGE = 0.02
+# A part of the largest force that only contact has, and that is noteworthy out of the plane.
+_CONSIDERABLE = 0.05
+# Plausible ranges; a wrong unit makes them wrong by a factor of a thousand.  Median travel of the sweeps in rod lengths;
+# largest force in EI/L², of which a rod whose contact has slid to a tenth of its length has a few hundred; clamping moment
+# over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
 _TRAVELS, _FORCES, _MOMENTS = (5e-3, 50.0), (1e-4, 2e3), (0.01, 2.0)
 
 
@@ -209,7 +204,7 @@ def convert(table: Table, map: Map) -> Imported:
     return Imported(recording, summary, log, clock, sensed.zero, sensed.air, wrench, position, sweep, kept)
 
 
-def felt(force_N: Array, noise_N: float, part: float = _FELT) -> Mask:
+def felt(force_N: Array, noise_N: float, part: float = 1e-3) -> Mask:
     """Rows (n,) whose force (n, k) stands out from the noise, and is more than a part of the largest one."""
     force = np.linalg.norm(force_N, axis=1)
     return np.asarray(force > max(FORCE_SIGMAS * noise_N, part * float(force.max(initial=0.0))))
@@ -253,7 +248,7 @@ def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
     wrench = log.wrench - air.zero
     # rows in which all channels are no more than rounding would count as forces
     largest = np.repeat([np.abs(log.wrench[:, :3]).max(), np.abs(log.wrench[:, 3:]).max()], 3)
-    nothing = np.asarray((np.abs(wrench) <= _ROUNDING * largest).all(axis=1))
+    nothing = np.asarray((np.abs(wrench) <= 1e-13 * largest).all(axis=1))
     return _Sensed(np.where(nothing[:, None], 0.0, wrench), air.zero, air.rows, stretches, air.noise, none)
 
 
@@ -273,7 +268,7 @@ def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> 
     notes: tuple[str, ...] = ()
     if sensed.air.any():
         found = np.where(sensed.noise > 0, robust_sd(wrench[sensed.air]), 0.0)
-        if (found > _COLOURED * left).any():
+        if (found > 1.3 * left).any():
             notes = ("the filter leaves more noise than it would of white noise; the noise found after it is stated",)
         left = np.maximum(left, found)
     return sensed._replace(wrench=wrench, noise=left, blurred=blurred, factor=factor, rate=rate, notes=notes)
@@ -286,7 +281,7 @@ def _clamp_wrench(wrench: Array, present: Mask, sensor: Frame, where: str) -> tu
     """
     matrix = wrench_matrix(sensor.turn, sensor.position_m)
     scale = np.abs(matrix).max(axis=1, keepdims=True)
-    needed = np.abs(matrix) > _TURN_ROUNDING * scale
+    needed = np.abs(matrix) > 1e-12 * scale  # less is rounding of the turn
     known: Mask = ~(needed & ~present).any(axis=1)
     for channel in (0, 1, 5):
         if not known[channel]:
@@ -365,7 +360,7 @@ def _recording(
 def _check_range(position_m: Array, map: Map, table: str) -> None:
     """Raise InputError if the clamp hardly moves, for the length of the rod."""
     reach = float(np.ptp(position_m, axis=0).max()) / map.rod.length_m
-    if reach < _SMALLEST_RANGE:
+    if reach < 0.02:
         raise InputError(
             f"{table}: the clamp moves over {reach:.3g} rod lengths only; check [units] length, [columns] position and [rod] "
             f"length_m of {map.name}"
@@ -439,7 +434,7 @@ def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[
         )
         if known[2] and touched.any():
             part = float(np.median(np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)))
-            if part > _OUT_OF_PLANE:
+            if part > _CONSIDERABLE:
                 text += f"; fz is {100 * part:.2g} % of the force in contact, and the planar model takes it for zero"
         notes.append(text)
     if map.air == "none" and map.noise_force_N is None:

@@ -18,40 +18,17 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.files.text_tables import Table
+from scan3d.laboratory.air import SD_OVER_MAD
 from scan3d.laboratory.logs import read_log
 from scan3d.laboratory.maps import Map
 
-# The clamp moves along an axis if a displacement, or a whole stroke, deviates from it by less than this, in radians.
-_ALONG, _STRAIGHT = 0.2, 0.1
 # Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
 _OVER_JITTER = 20.0
-# The usual motion is that of at least this fraction of the rows; motion this many times slower is still recognised.
-_USUAL, _SLOWER = 0.25, 16
-# Rows from which medians are taken, evenly spread.
-_SOME = 20_000
-# Errors of positions below this fraction of the rod's length do not count.
-_EXACT = 1e-9
-# A stroke is a sweep if it is at least this fraction of the rod's length, and has so many rows.
-_SHORTEST, _FEWEST = 0.02, 3
-# Strokes are one sweep if the clamp has moved by less than this fraction of the first one between them, or by the jitter.
-_PAUSED = 1e-3
-# A stroke is straight if its positions leave the line between its ends by no more than this fraction of its length.
-_OFF_LINE = 0.05
-# A stroke without contact is beside one with contact if their axes differ by less than this, and if its clamp is farther from
-# the body by less than this fraction of the rod's length; transfers out of the rod's reach would count as empty slices.
-_SAME_TURN, _RETRACTED = 0.02, 0.05
-# Rows of a stroke with contact at least, and their fraction.
-_HITS, _HIT_FRACTION = 3, 0.01
-# The clamp turns if its axes change by more than this many radians over a displacement, or per rod length of a stroke.
-_TURNING, _TURNS = 0.02, 0.2
-# Angle in radians to the x axis within which a sweep is along it, and the part of the sweeps that counts as most of them.
-_SWEEPS_ALONG, _MOST = 0.3, 0.5
-# Part of the rows in contact that sweeps found by motion hold at least; below the second one other readings are tried.
-_TOUCHING, _DOUBTFUL = 0.2, 0.7
-# Part of the rows in contact, or of the sweeps, that another reading must hold to be named.
-_NEARLY_ALL = 0.9
-# Rows of a table by which other readings are tried in doubt, about.
-_TRIED = 50_000
+# The clamp turns if its axes change by more than this many radians over a displacement.
+_TURNING = 0.02
+# Angle in radians to the x axis within which a sweep is along it, and the part of the sweeps, or of the rows in contact, that
+# another reading of the orientation must bring there to be named.
+_SWEEPS_ALONG, _NEARLY_ALL = 0.3, 0.9
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -75,14 +52,15 @@ def strokes(position: Array, quaternion: Array, length: float) -> Strokes:
     turned = np.linalg.norm(axes[np.minimum(np.arange(n) + lag, n - 1)] - axes, axis=1)
     turn_error = 4 * _error(axes)
     straight = (lag > 0) & (turned < _TURNING + turn_error)
-    direction = np.where(straight & (np.abs(along) > np.cos(_ALONG)), np.sign(along), 0).astype(np.int8)
+    direction = np.where(straight & (np.abs(along) > np.cos(0.2)), np.sign(along), 0).astype(np.int8)
     sweep = np.full(n, -1, dtype=np.int64)
     signs: list[bool] = []
     for start, stop, sign in _joined(_runs(direction, lag), position, jitter):
         travel = _travel(position[start:stop], axes[start], jitter)
         turn = np.linalg.norm(axes[stop - 1] - axes[start])
-        long = travel >= max(_SHORTEST * length, _OVER_JITTER * jitter) and stop - start >= _FEWEST
-        if long and turn <= _TURNS * travel / length + turn_error:
+        # shorter ones are turning points, and those that turn more lead to another side of the body
+        long = travel >= max(0.02 * length, _OVER_JITTER * jitter) and stop - start >= 3
+        if long and turn <= 0.2 * travel / length + turn_error:
             sweep[start:stop] = len(signs)
             signs.append(sign > 0)
     return Strokes(sweep, np.array(signs, dtype=bool))
@@ -95,25 +73,25 @@ def _travel(position: Array, axis: Array, jitter: float) -> float:
     """
     line = position[-1] - position[0]
     length = float(np.linalg.norm(line))
-    if length == 0 or abs(line @ axis) < np.cos(_STRAIGHT) * length:
+    if length == 0 or abs(line @ axis) < np.cos(0.1) * length:
         return 0.0
     off = np.linalg.norm(np.cross(position - position[0], line / length), axis=1).max()
-    return length if off <= _OFF_LINE * length + _OVER_JITTER / 4 * jitter else 0.0
+    return length if off <= 0.05 * length + _OVER_JITTER / 4 * jitter else 0.0
 
 
 def _error(values: Array) -> float:
     """Standard deviation of the errors of successive values (n, k), from their second differences."""
     if len(values) < 3:
         return 0.0
-    second = np.abs(np.diff(values, n=2, axis=0)[:: max(1, len(values) // _SOME)])
+    second = np.abs(np.diff(values, n=2, axis=0)[:: max(1, len(values) // 20_000)])
     # of three independent errors with the weights 1, -2, 1
-    return float(np.median(second, axis=0).max()) * 1.4826 / float(np.sqrt(6))
+    return float(np.median(second, axis=0).max()) * SD_OVER_MAD / float(np.sqrt(6))
 
 
 def _jitter(position: Array, length: float) -> float:
     """Standard deviation of the errors of positions (n, 3), by noise and by rounding; 0 if they count as exact."""
     error = float(np.hypot(_error(position), max(_encoder_step(column) for column in position.T)))
-    return error if error > _EXACT * length else 0.0
+    return error if error > 1e-9 * length else 0.0
 
 
 def _encoder_step(values: Array) -> float:
@@ -137,8 +115,8 @@ def _displacements(position: Array, jitter: float) -> tuple[NDArray[np.intp], Ar
         far = np.linalg.norm(step, axis=1) > _OVER_JITTER * jitter
         new = np.flatnonzero(far & (lag[:-window] == 0))
         lag[new], moved[new] = window, step[new]
-        if far.mean() >= _USUAL:
-            largest = min(largest, _SLOWER * window)
+        if far.mean() >= 0.25:  # the usual motion; 16 times slower motion is still recognised
+            largest = min(largest, 16 * window)
         window *= 2
     return lag, moved
 
@@ -169,7 +147,7 @@ def _joined(runs: list[tuple[int, int, int]], position: Array, jitter: float) ->
             between = position[min(last, start) - 1 : max(last, start) + 1]
             away = float(np.ptp(between, axis=0).max()) if len(between) else 0.0
             step = float(np.linalg.norm(position[min(start + 1, len(position) - 1)] - position[start]))
-            if start <= last or away <= max(_PAUSED * travel, 6 * jitter, 2 * step):
+            if start <= last or away <= max(1e-3 * travel, 6 * jitter, 2 * step):
                 joined[-1] = first, max(stop, last), sign
                 continue
         joined.append((start, stop, sign))
@@ -188,15 +166,15 @@ def without_transfers(
     numbers, first, last = _ends(sweep)
     place = np.searchsorted(numbers, sweep[sweep >= 0])
     hits, count = np.bincount(place, weights=touched[sweep >= 0]), np.bincount(place)
-    with_contact = (hits >= _HITS) & (hits >= _HIT_FRACTION * count)
+    with_contact = (hits >= 3) & (hits >= 0.01 * count)
     if not with_contact.any():
         return sweep, 0
     axes = Rotation.from_quat(quaternion[first], scalar_first=True).as_matrix()
     kept = with_contact.copy()
     for k in np.flatnonzero(~with_contact):
-        same = with_contact & (np.abs(axes - axes[k]).max(axis=(1, 2)) < _SAME_TURN)
+        same = with_contact & (np.abs(axes - axes[k]).max(axis=(1, 2)) < _TURNING)
         x, y = axes[k, :, 0], axes[k, :, 1]
-        reaches = position[first[k]] @ y >= position[first] @ y - _RETRACTED * length
+        reaches = position[first[k]] @ y >= position[first] @ y - 0.05 * length
         start, end = np.sort([position[first] @ x, position[last] @ x], axis=0)
         kept[k] = (same & reaches & (start <= end[k]) & (start[k] <= end)).any()
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
@@ -238,11 +216,13 @@ def check_directions(
     if map.directions == "both":
         known = np.minimum(known, np.pi - known)
     held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
-    if len(known) and (known < _SWEEPS_ALONG).mean() >= _MOST and held >= _TOUCHING:
-        if held >= _DOUBTFUL:
+    # retracts and strokes back hold contacts as well, but not most of them
+    holds = held >= 0.2
+    if len(known) and (known < _SWEEPS_ALONG).mean() >= 0.5 and holds:
+        if held >= 0.7:
             return []
         # some of the rows are enough, if none of the table was left out
-        step = max(1, len(table) // _TRIED) if len(table) == len(touched) else 1
+        step = max(1, len(table) // 50_000) if len(table) == len(touched) else 1
         some = table.rows(np.arange(0, len(table), step))
         right = _right_readings(some, map, touched[::step], _NEARLY_ALL)
         return [
@@ -255,13 +235,13 @@ def check_directions(
             f"{table.name}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
             f"{map.name}"
         )
-    if held < _TOUCHING:
+    if not holds:
         listed, axis = "in contact ", _usual_axis(np.where(touched, 0, -1), position, quaternion)
     else:
         listed = f"in {(known >= _SWEEPS_ALONG).sum()} of {len(known)} sweeps " if len(known) else ""
         axis = _usual_axis(sweep, position, quaternion)
     what = f"the clamp moves {listed}mostly along {axis} of its own frame, and not along -x as in a sweep"
-    right = _right_readings(table, map, touched, _MOST)
+    right = _right_readings(table, map, touched, 0.5)
     if right:
         advice = f"they would be along -x if {right[0]}: check [columns] orientation of {map.name}"
     elif axis == "+x":

@@ -17,16 +17,12 @@ from scan3d.pictures.sheet import FONT, WIDTH
 if TYPE_CHECKING:
     from scan3d.laboratory.one_sweep import SweepContacts
 
-# Error bars drawn at most: more merge into an area.
-_MOST_BARS = 60
 # Standard deviations of an error bar to each side: an expanded uncertainty with the coverage factor 2, about 95 %.
 _COVERAGE = 2.0
-# Contacts whose place is less certain than this many times the median do not determine the limits of the picture.
-_LIGHT = 4.0
-# Inches: height of the friction with its labels; lowest and highest contour.
-_FRICTION_HEIGHT, _LOWEST, _HIGHEST = 2.4, 1.4, 6.0
-# Room around the contacts, as a fraction of their extent, and the smallest range of the friction shown.
-_ROOM, _SMALLEST_FRICTION = 0.06, 0.1
+# Height of the friction with its labels, in inches.
+_FRICTION_HEIGHT = 2.4
+# Room around the contacts, as a fraction of their extent.
+_ROOM = 0.06
 
 
 def sweep_picture(found: SweepContacts, path: str | Path) -> None:
@@ -40,16 +36,17 @@ def sweep_figure(found: SweepContacts) -> Any:
     rod = found.sweep.rod
     scale, unit = (1e3 * rod.length_m, "mm") if rod else (1.0, "rod lengths")
     points, sd = scale * found.contacts.point, scale * found.point_sd
-    certain = found.touching & ~(found.errors.largest > _LIGHT * np.median(found.errors.largest[found.touching]))
+    # contacts at which the rod touched lightly do not determine the limits
+    certain = found.touching & ~(found.errors.largest > 4 * np.median(found.errors.largest[found.touching]))
     low, high = points[certain].min(axis=0), points[certain].max(axis=0)
     room = _ROOM * (float((high - low).max()) or 1.0)
-    height = float(np.clip(WIDTH * (high[1] - low[1] + 2 * room) / (high[0] - low[0] + 2 * room), _LOWEST, _HIGHEST))
+    height = float(np.clip(WIDTH * (high[1] - low[1] + 2 * room) / (high[0] - low[0] + 2 * room), 1.4, 6.0))
     figure = blank_figure(height + _FRICTION_HEIGHT)
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(height, _FRICTION_HEIGHT))
     chosen = np.flatnonzero(found.touching)
     bars = np.zeros(len(found.sweep), dtype=bool)
-    bars[chosen[evenly_chosen(len(chosen), _MOST_BARS)]] = found.noisy
+    bars[chosen[evenly_chosen(len(chosen), 60)]] = found.noisy  # more would merge into an area
     for text, phase, color, mark in (
         ("tip contact", planar.Phase.TIP, TIP, "o"),
         ("tangential contact", planar.Phase.TANGENTIAL, TANGENTIAL, "s"),
@@ -99,6 +96,6 @@ def _friction_axis(axes: Any, friction: Array) -> None:
         axes.text(0.5, 0.5, "no tangential contact", ha="center", transform=axes.transAxes, fontsize=FONT - 1)
         return
     median = float(np.median(friction))
-    half = max(float(np.abs(friction - median).max()) * (1 + 2 * _ROOM), _SMALLEST_FRICTION / 2)
+    half = max(float(np.abs(friction - median).max()) * (1 + 2 * _ROOM), 0.05)
     axes.axhline(median, color=INK, lw=0.8, ls="--", zorder=0)
     axes.set_ylim(median - half, median + half)
