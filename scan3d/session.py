@@ -17,8 +17,8 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
-from scan3d.planning.adaptive import next_heights
 from scan3d.planning.aims import further_directions, open_places
+from scan3d.planning.heights import next_heights
 from scan3d.planning.plan import Plan
 from scan3d.planning.rig import (
     Envelope,

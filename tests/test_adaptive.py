@@ -12,9 +12,8 @@ import scan3d
 from scan3d import InputError, Plan, Recording, Rod
 from scan3d.geometry.sections import extent_along, slice_polygons
 from scan3d.planning import next_heights
-from scan3d.planning.adaptive import SlabMemory
 from scan3d.planning.aims import base_fractions, first_directions
-from scan3d.planning.heights import BEYOND, first_heights
+from scan3d.planning.heights import BEYOND, SlabMemory, first_heights
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import enclosure
 

@@ -15,11 +15,14 @@ from scan3d.planning.heights import (
     FIRST_SLICES,
     cosine_gap,
     cosine_heights_left,
+    cuts_at,
+    evened,
     first_heights,
     heights,
     heights_at_gaps,
+    least_parts,
+    parts_within,
 )
-from scan3d.planning.sharing import cuts_at, evened, least_parts, parts_within
 
 
 def test_cosine_heights_are_chebyshevs_nodes():

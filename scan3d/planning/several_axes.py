@@ -21,41 +21,34 @@ from scan3d.bounds.cells import MOST_CROSSINGS, cells_of_cloud, crossings
 from scan3d.cloud import Cloud
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.support import inertia
-from scan3d.planning.adaptive import next_heights
-from scan3d.planning.heights import AT_VERTEX, CLOSEST, LEAST_OVERSHOOT, heights
+from scan3d.planning.heights import AT_ONCE, AT_VERTEX, CLOSEST, LEAST_OVERSHOOT, heights, next_heights
 from scan3d.planning.plan import Plan
-from scan3d.planning.sharing import AT_ONCE
 from scan3d.reconstruction.slices import SliceStack, stacks
 
-# Slices inside the body along each axis with which a scan along several axes starts.  More are placed without knowing the body;
-# with fewer, the first heights are chosen by loose bounds.
+# Slices inside the body along each axis with which a scan along several axes starts.
 FIRST_SLICES = 3
 # Fraction of the number of slices so far that is added in one round, of bodies that are bent nearly everywhere and of others.
-# Larger rounds need fewer evaluations, but choose more heights without knowing the contacts of the others.
 _GROWTH_OF_BENT, _GROWTH = 0.4, 0.2
 # Slices left over the number of a round up to which the round takes all of them.
 _LAST = 1.3
-# Gaps over the largest one of the cells whose corners are looked at for vertices, and their largest number.  More take longer.
+# Gaps over the largest one of the cells whose corners are looked at for vertices, and their largest number.  More take
+# longer.
 _WIDE, _MOST = 0.1, 200
-# Gaps below this fraction of the body's size are errors of exact contacts.  Larger, gaps remain that further slices would
-# close; smaller, slices are spent on rounding.
+# Gaps below this fraction of the body's size are errors of exact contacts.
 _NO_GAP = 1e-7
-# Distance of contacts from a plane in which they lie, over the body's size, and the slices in which a straight side of the body
-# has contacts.  Larger distances: bent sides count as straight; smaller: rounding makes straight sides bent.
+# Distance of contacts from a plane in which they lie, over the body's size, and the slices in which a straight side of the
+# body has contacts.
 _IN_PLANE, _SLICES_OF_SIDE = 1e-7, 3
 # Open cells over the slices left from which vertices are sliced along the axis with most slices, and from which all further
-# slices go along it, if this fraction of all slices is left.  Larger, the slices of bodies with very many vertices are spread
-# over the axes, which closes no gap; smaller, polytopes of few vertices are sliced along one axis only.
+# slices go along it, if this fraction of all slices is left.
 _CROWDED, _TOO_MANY, _EARLY = 0.6, 1.0, 0.5
 # Fraction of the wide gaps at vertices below which a body counts as bent nearly everywhere, and the open cells that it takes.
-# Larger, slices are spent along one axis where single cells are open; smaller, bent bodies are sliced cell by cell.
 _FEW_VERTICES, _FEW_CELLS = 0.1, 8
 # Heights of vertices that differ by less, over the body's size, are the same slice.
 _SAME_HEIGHT = 1e-6
 # Least sine of the angle between a slice and the surface.
 _STEEPEST = 1e-6
-# Factor by which another axis must do better than that with most slices.  Larger, the first choice stays; smaller, slices along
-# several axes divide the same strips.
+# Factor by which another axis must do better than that with most slices.
 _OTHER = 1.5
 # Gaps that differ by less, relative to them, are equal, so that rounding does not choose between axes.
 _ROUNDING = 1e-6

@@ -16,7 +16,6 @@ from scan3d.files.reading import to_float
 from scan3d.geometry.meshes import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.memory import check_memory
-from scan3d.planning.adaptive import SlabMemory, next_heights
 from scan3d.planning.aims import (
     FIRST_SWEEPS,
     MAX_SWEEPS,
@@ -28,7 +27,7 @@ from scan3d.planning.aims import (
     further_directions,
     positions,
 )
-from scan3d.planning.heights import BEYOND, first_heights, open_contours
+from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.reconstruction.contacts import GrowingContacts, contacts
