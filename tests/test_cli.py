@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import inspect
 import io
 import json
 import os
@@ -18,12 +19,13 @@ import numpy as np
 import pytest
 import trimesh
 
+import scan3d
 from scan3d import InputError, read_recording
 from scan3d.choices import SHELLS
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.pictures import rendering
-from scan3d.settings import Settings, settings
+from scan3d.settings import Given, Settings, settings
 
 MESHES = Path(__file__).parents[1] / "meshes"
 CUBE, EGG = MESHES / "cube.stl", MESHES / "egg.stl"
@@ -226,10 +228,10 @@ def test_a_failed_run_leaves_the_results_of_the_one_before(call, scanned, tmp_pa
         (["scna", CUBE], 'Unknown command "scna". Did you mean "scan".*; see \'scan3d --help\''),
         (["--hlep"], "Unknown command .*; see 'scan3d --help'"),
         (["scan"], "MESH is missing; see 'scan3d scan --help'"),
-        (["scan", CUBE], "--out is missing; see 'scan3d scan --help'"),
+        (["scan", CUBE], "--out is missing or has no value; see 'scan3d scan --help'"),
         (["scan", CUBE, CUBE, "--out", "out"], r"unexpected arguments: \S+cube\.stl; see"),
         (["scan", CUBE, "--out", "out", "--frictoin", "3"], "Unknown option: --frictoin. Did you mean --friction"),
-        (["scan", CUBE, "--out", "out", "--slices"], "--slices is missing; see"),
+        (["scan", CUBE, "--out", "out", "--slices"], "--slices is missing or has no value; see"),
         (["scan", CUBE, "--out", "out", "--hull", "true"], "unexpected arguments: true; see"),
         (["reconstruct", "log.csv"], "--out is missing: it names the folder for the results; see"),
         (["compare", CUBE], "SECOND is missing; see"),
@@ -599,6 +601,16 @@ def test_a_file_may_use_the_types_of_toml(tmp_path):
 def test_a_file_from_windows(tmp_path):
     (tmp_path / "a.toml").write_bytes("\ufeffslices = 5\r\n".encode())
     assert settings({}, tmp_path / "a.toml") == Settings(slices=5)
+
+
+def test_signatures_in_python_show_every_setting():
+    for function in (scan3d.scan, scan3d.batch):
+        shown = inspect.signature(function).parameters
+        assert "settings" not in shown
+        for setting in dataclasses.fields(Settings):
+            assert shown[setting.name].default == setting.default
+            assert setting.metadata["meaning"] in function.__doc__
+    assert list(Given.__annotations__) == [setting.name for setting in dataclasses.fields(Settings)]
 
 
 def test_settings_given_in_python():

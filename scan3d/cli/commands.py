@@ -152,7 +152,8 @@ def _in_words(error: Exception) -> str:
     if isinstance(error, UnusedCliTokensError):
         return f"unexpected arguments: {' '.join(error.unused_tokens or ())}"
     if type(error) is MissingArgumentError and error.argument is not None:
-        return f"{error.argument.name} is missing"
+        or_empty = " or has no value" if error.argument.name.startswith("--") else ""
+        return f"{error.argument.name} is missing{or_empty}"
     message = str(error)
     return message if message.endswith("...") else message.removesuffix(".")
 
