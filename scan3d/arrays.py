@@ -13,3 +13,10 @@ Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 Table = NDArray[np.void]
 """A structured array: one row per contact or vertex, one named column per quantity."""
+
+ROUNDING = 1e-12
+"""Rounding of sums of products, relative to them: a few thousand units in the last place."""
+NEGLIGIBLE = 1e-9
+"""Part of a body's size that counts as nothing: far above the rounding of hulls, and far below what touch can tell."""
+AT_ONCE = 4_000_000
+"""Entries of a matrix that are computed at once, which limits the memory."""

@@ -69,7 +69,7 @@ def test_a_slice_near_another_does_not_make_the_outer_body_larger():
 def test_heights_that_differ_within_a_slice_are_uncertain_by_their_spread():
     mesh = trimesh.creation.icosphere(3, 20.0)
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=16, sweeps=6))
-    assert enclosure(scan3d.reconstruct(recording)).stack.height_error == 0
+    assert enclosure(scan3d.reconstruct(recording)).slabs.stack.height_error == 0
     off = 1e-5 * np.random.default_rng(0).uniform(-1, 1, len(recording))
     measured = dataclasses.replace(recording, position_m=recording.position_m + off[:, None] * [0.0, 0.0, 1.0])
     bounds = enclosure(scan3d.reconstruct(measured))

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import QhullError
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.bounds.constraints import exact_error, tangent_planes
 from scan3d.bounds.slabs import secants
 from scan3d.cloud import Cloud
@@ -40,17 +40,13 @@ _MOST_AXES = 6
 # Rounds in which the half-spaces are added that cut off most of a cell's corners, and those of contacts in the cell with which
 # it is begun.
 _ROUNDS, _FIRST = 20, 30
-# Depth, over the body's size, of cuts that count, and of what counts as strictly inside.
-_DEPTH = 1e-9
 # Depth of a point inside a cell, over the cell's half thickness, that serves Qhull without a search for a better one, and steps
 # from the contacts of a cell towards the middle of the body at which such a point is sought.
 _INSIDE, _STEPS = 1e-6, np.array([0.5, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4])
-# Coordinates of corners, in half thicknesses of the cell, that count as infinite, and the offset of a dual facet that does.
-_FAR, _ZERO_OFFSET = 1e6, 1e-12
+# Coordinates of corners, in half thicknesses of the cell, that count as infinite.
+_FAR = 1e6
 # Determinant of three axes that span space.
 _SPANNING = 0.02
-# Cosine of the angle between a slice's normal in its plane and a supporting plane's below which the slope is rounding.
-_PARALLEL = 1e-9
 _SIGNS = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij")).reshape(3, 8).T
 
 
@@ -204,11 +200,11 @@ class _Arrangement:
         """Codes of the cells across faces of which something is left that is not strictly inside the inner body."""
         reached = []
         finite = bool(np.isfinite(corners).all())
-        outside = corners[np.isfinite(signed) & (signed >= -_DEPTH * self._size)]
+        outside = corners[np.isfinite(signed) & (signed >= -NEGLIGIBLE * self._size)]
         for k, i in enumerate(self._number(code).tolist()):
             levels, along = self._levels[k], outside @ self._axes[k]
             # cells beside end slices reach beyond their planes
-            near = _DEPTH * min(levels[i + 1] - levels[i], self._size) + 2 * self._half.off
+            near = NEGLIGIBLE * min(levels[i + 1] - levels[i], self._size) + 2 * self._half.off
             touched = (along <= levels[i] + near).any(), (along >= levels[i + 1] - near).any()
             for touches, step in zip(touched, (-1, 1), strict=True):
                 if 0 <= i + step < len(levels) - 1 and (touches or not finite):
@@ -243,7 +239,7 @@ class _Arrangement:
             beyond = corners @ planes[:, :3].T + planes[:, 3]
             if not rounds_done and closed and (beyond.min(axis=0, initial=np.inf) > 0).any():
                 return _nothing()
-            worst = beyond.argmax(axis=1)[beyond.max(axis=1) > _DEPTH * self._size] if len(planes) else chosen
+            worst = beyond.argmax(axis=1)[beyond.max(axis=1) > NEGLIGIBLE * self._size] if len(planes) else chosen
             if rounds_done and not len(np.setdiff1d(worst, chosen)):
                 break
             chosen = np.union1d(chosen, worst)
@@ -264,7 +260,7 @@ class _Arrangement:
         for row, k in enumerate(self._bounded):
             if np.isfinite(high[k] - low[k]):
                 middle[row] = (low[k] + high[k]) / 2
-                half[row] = max((high[k] - low[k]) / 2, _ZERO_OFFSET * self._size)
+                half[row] = max((high[k] - low[k]) / 2, ROUNDING * self._size)
         inverse = np.linalg.inv(self._frame)
         return inverse @ middle, inverse * half, np.concatenate([upper, lower])
 
@@ -303,7 +299,7 @@ class _Arrangement:
                 found = half_space_intersection(np.column_stack([normals, -offset]), inside)
         except (QhullError, ValueError):
             return open_
-        if not (found.dual_equations[:, 3] < -_ZERO_OFFSET).all() or not np.abs(found.intersections).max() < _FAR:
+        if not (found.dual_equations[:, 3] < -ROUNDING).all() or not np.abs(found.intersections).max() < _FAR:
             return open_
         return origin + found.intersections @ scale.T, found.dual_facets
 
@@ -386,7 +382,7 @@ def _slopes(ends: Array, outward: Array, along: Array) -> Array:
     ends = ends / np.linalg.norm(ends, axis=2)[:, :, None]
     level, rise = np.einsum("nej,nj->ne", ends, outward), np.einsum("nej,nj->ne", ends, along)
     with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = np.sort(np.where(level > _PARALLEL, -rise / level, -np.copysign(np.inf, rise)), axis=1)
+        slopes = np.sort(np.where(level > NEGLIGIBLE, -rise / level, -np.copysign(np.inf, rise)), axis=1)
     # contacts whose arcs are not known are confined by the slices next to theirs only
     unknown: Mask = np.asarray(np.isnan(ends).any(axis=(1, 2)))
     return np.where(unknown[:, None], [-np.inf, np.inf], slopes)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index
 from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
@@ -23,17 +23,8 @@ from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import support_values
 from scan3d.geometry.vectors import highest
 
-# A surface this close to its convex hull, relative to the diagonal, is certified in the same manner as its hull, and the
-# distance between the two is added to the bound.
-_CONVEX = 1e-9
-# How far Qhull's facets may lie from the hull by rounding, relative to the diagonal: some thousand units in the last place.
-_OF_HULL = 1e-12
 # Corners of the outer body that are measured at once.
 _CORNERS_AT_ONCE = 2048
-# Products of directions and apexes that are computed at once.
-_PRODUCTS = 4_000_000
-# Rounding of heights, relative to them.
-_ROUNDING = 1e-12
 
 
 class Certificate(NamedTuple):
@@ -60,8 +51,8 @@ def certificate(bounds: Enclosure, surface: Any, *, convex: bool = False) -> Cer
     """
     vertices = np.asarray(surface.vertices)
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    deviation = _OF_HULL * diagonal if convex else distance_to_hull(surface)
-    if deviation > _CONVEX * diagonal:
+    deviation = ROUNDING * diagonal if convex else distance_to_hull(surface)
+    if deviation > NEGLIGIBLE * diagonal:
         local = np.abs(nearest(vertices, bounds.inner)[0])
         return Certificate(compare(surface, bounds.inner).upper + bounds.bound, local + bounds.bound)
     bound, local = _of_convex(bounds, surface)
@@ -131,7 +122,7 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
 def _are_open(directions: Directions, normals: Array) -> Index:
     """Numbers of the normals (n, 3) in whose directions nothing bounds the body."""
     apexes, is_open = directions
-    blocks = np.array_split(normals, 1 + len(normals) * len(apexes) // _PRODUCTS)
+    blocks = np.array_split(normals, 1 + len(normals) * len(apexes) // AT_ONCE)
     return np.flatnonzero(is_open[np.concatenate([(block @ apexes.T).argmax(axis=1) for block in blocks])])
 
 
@@ -139,7 +130,7 @@ def _within_slabs(corners: Array, slabs: SlabCorners, vertices: Array, normals: 
     """The bounds (v,) by each vertex' own slab and the direction of its normal (v, 3) in the slices' planes."""
     frame, levels = slabs.stack.frame, np.array([-np.inf, *slabs.stack.heights, np.inf])
     heights = vertices @ frame[2]
-    rounding = _ROUNDING * float(np.abs(heights).max())
+    rounding = ROUNDING * float(np.abs(heights).max())
     level = normals - (normals @ frame[2])[:, None] * frame[2]
     size = np.linalg.norm(level, axis=1)
     level = np.where(size[:, None] > 0, level / np.where(size > 0, size, 1.0)[:, None], frame[0])

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import ROUNDING, Array, Index, Mask
 from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import applicable, cells_of_cloud, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
@@ -61,8 +61,6 @@ _FEW_FACETS = 500
 _WIDENED = (0.25, 2.0)
 # The enclosure by cells is used if its bound is below this fraction of that by slabs, since it takes several times as long.
 _TIGHTER = 0.95
-# Rounding of volumes, relative to them.
-_ROUNDING = 1e-12
 # Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
 # A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
@@ -238,7 +236,7 @@ def _volume_within(body: Any, distance: float) -> float:
     edges = np.linalg.norm(np.diff(body.vertices.view(np.ndarray)[body.face_adjacency_edges], axis=1)[:, 0], axis=1)
     curvature = float((edges * body.face_adjacency_angles).sum()) / 2
     volume = body.volume + distance * (body.area + distance * (curvature + 4 / 3 * np.pi * distance))
-    return float(volume) * (1 + _ROUNDING)
+    return float(volume) * (1 + ROUNDING)
 
 
 def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
@@ -394,7 +392,7 @@ def _of_stack(
     gap[bounded] = np.maximum(distance, 0.0)
     margin, excess = errors
     within = shrunk(inner, excess) if excess else inner
-    least = 0.0 if within is None else within.volume * (1 - _ROUNDING)
+    least = 0.0 if within is None else within.volume * (1 - ROUNDING)
     number = np.repeat(np.arange(len(parts)), [len(part.corners) for part in parts])
     kind, straight = np.concatenate([part.kind for part in parts]), np.concatenate([part.straight for part in parts])
     return Enclosure(
@@ -403,7 +401,7 @@ def _of_stack(
         gap=gap,
         bound=max(float(gap.max()), excess) + margin,
         margin=margin,
-        volume=(least, max(sum(part.volume for part in parts), least) * (1 + _ROUNDING)),
+        volume=(least, max(sum(part.volume for part in parts), least) * (1 + ROUNDING)),
         confidence=confidence,
         excess=excess + margin,
         reach=margin,

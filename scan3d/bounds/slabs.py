@@ -33,31 +33,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.geometry.distance import locator
 from scan3d.geometry.polytopes import half_space_intersection, volume_about
 from scan3d.geometry.triangles import distance_to, dot, longest_first
 from scan3d.reconstruction.slices import Slice, SliceStack
 
-# Corners this close to a slice's plane, relative to the slab's thickness, lie in it: far above the rounding of Qhull.
-_IN_PLANE = 1e-9
 # Errors of heights that two slices lie apart at least for a secant between them; at 2 its slope is infinite.
 _APART = 4.0
 # Slices on each side of a slab that bound it where they are uncertain: the nearest may have few contacts, or light ones.
 _ANCHORS = 4
-# Corners farther than this many widths of the slices, and offsets of dual facets that count as zero, belong to half-spaces that
-# do not close but for rounding.
-_FAR, _ZERO_OFFSET = 1e6, 1e-12
-# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's, and by the
-# rounding of a support function, relative to it.
-_STRAIGHT, _ROUNDING = 0.03, 1e-12
+# Corners farther than this many widths of the slices belong to half-spaces that do not close but for rounding.
+_FAR = 1e6
+# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's.
+_STRAIGHT = 0.03
 # Where between its two planes a point inside a slab past an end slice is sought, as fractions of the thickness from the
 # slice: the middle is best conditioned, and a pointed cap leaves room near the slice only.
 _INNER_FRACTIONS = (0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-8)
 # A point is nearest to a face if its distance from the face is that from the face's plane, but for rounding.
-_SAME, _ROUNDING_OF_DISTANCE = 1e-9, 1e-14
-# A hull whose volume is less than this fraction of its area times its size is left to the search that knows how to handle it.
-_THINNEST = 1e-9
+_ROUNDING_OF_DISTANCE = 1e-14
 # Corners times faces up to which the corners are held against the planes of all faces, whose time grows with their product.
 _FEW = 1_000_000
 
@@ -148,7 +142,7 @@ def _slab(stack: SliceStack, i: int, margin: float, *, volumes: bool) -> Slab:
         return unbounded
     corners, facets, volume = intersection
     # corners in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body is narrower
-    on_low, on_high = (np.abs(corners[:, 2] - z) <= _IN_PLANE * thickness for z in (low, high))
+    on_low, on_high = (np.abs(corners[:, 2] - z) <= NEGLIGIBLE * thickness for z in (low, high))
     in_plane = (on_low & (i >= 2)) | (on_high & (above is not None) & (i + 1 < count))
     on_end = (on_low & (i == 1)) | (on_high & (above is not None) & (i + 1 == count))
     kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
@@ -262,7 +256,7 @@ def _intersection(
     except (QhullError, ValueError):
         return None
     # the intersection is bounded only if the inner point lies inside the hull of the dual points
-    if not (intersection.dual_equations[:, 3] < -_ZERO_OFFSET).all():
+    if not (intersection.dual_equations[:, 3] < -ROUNDING).all():
         return None
     corners, facets = intersection.intersections, intersection.dual_facets
     if np.abs(corners[:, :2]).max() > _FAR:
@@ -303,7 +297,7 @@ def _goes_on_straight(behind: tuple[Slice, ...], beyond: Slice | None) -> Mask:
         for a, b in ((behind[0], behind[1]), (behind[1], behind[2]), (behind[0], beyond or behind[1]))
     )
     rounding = (
-        _ROUNDING
+        ROUNDING
         * np.abs(behind[0].value).max(initial=0.0)
         / min(abs(a.height - b.height) for a, b in pairwise(behind[:3]))
     )
@@ -343,7 +337,7 @@ class SlabGaps:
         self._size = float(np.ptp(points, axis=0).max())
         points = (points - self._middle) / self._size
         qhull = ConvexHull(points)
-        if not qhull.volume > _THINNEST * qhull.area:
+        if not qhull.volume > NEGLIGIBLE * qhull.area:
             raise QhullError
         number = np.repeat(np.arange(len(levels)), [len(level) for level in levels])[qhull.simplices]
         lowest, highest = number.min(axis=1), number.max(axis=1)
@@ -399,7 +393,7 @@ class SlabGaps:
         height = np.take_along_axis(heights, best[:, None], axis=1)[:, 0]
         distance = distance_to(points, self._triangles[faces[best]])
         on_hull = height <= (_ROUNDING_OF_DISTANCE if within else -np.inf)
-        above = (height > 0) & (distance <= (1 + _SAME) * height + _ROUNDING_OF_DISTANCE)
+        above = (height > 0) & (distance <= (1 + NEGLIGIBLE) * height + _ROUNDING_OF_DISTANCE)
         return np.where(on_hull, 0.0, distance), above | on_hull
 
 

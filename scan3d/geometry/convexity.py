@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
 from scan3d.geometry.distance import bounding_box, welded
 from scan3d.geometry.triangles import (
     areas,
@@ -59,14 +59,14 @@ _ROUNDING = 8
 _MISSING_TURN, _COORDINATES = 1e-6, 1e-15
 # Largest product s R of the proof above: larger bounds are of no use.
 _LARGEST_EXCESS = 0.1
-CONVEX_DEPTH = 1e-9
+CONVEX_DEPTH = NEGLIGIBLE
 """A surface less deep than this below its hull counts as convex: such depths are rounding."""
 NEAR_CONVEX_DEPTH = 1e-4
 """A surface with more faces deeper than this than can be examined counts as not convex."""
 # Depth of a face below which it is not examined further where only the distance to the hull is wanted.
 _PRECISION = 1e-10
-# Distances between faces and planes that are computed for one surface at most, and at once, which limits time and memory.
-_MAX_DISTANCES, _DISTANCES_AT_ONCE = 200_000_000, 4_000_000
+# Distances between faces and planes that are computed for one surface at most, which limits the time.
+_MAX_DISTANCES = 200_000_000
 # Largest fraction of the full solid angle that may lack a surface, and its rounding, which is added to it in an open surface.
 _MAX_HOLE, _HOLE_ROUNDING = 1e-6, 1e-14
 DENT_TOLERANCE = 1e-5
@@ -293,7 +293,7 @@ def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[
     if depth[order[trials - 1 :]].max(initial=0.0) > NEAR_CONVEX_DEPTH:
         return unbounded
     deepest = order[:trials][depth[order[:trials]] > precision]
-    for part in np.array_split(deepest, 1 + len(deepest) * len(planes) // _DISTANCES_AT_ONCE):
+    for part in np.array_split(deepest, 1 + len(deepest) * len(planes) // AT_ONCE):
         depths = planes[:, 3] - middles[part] @ planes[:, :3].T
         chosen[part], depth[part] = depths.argmin(axis=1), depths.min(axis=1)
     return planes[chosen], (3 * max(float(depth.max()), 0.0) + hole) * big_r / r

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import ROUNDING, Array, Index
 from scan3d.errors import InputError
 from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import (
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 TRIED_FACES = 4
 """Faces that `Search.near` tries for each point: more take longer; with fewer, the face that is found is more often not the
 nearest one, and the bounds that rest on it are wider."""
-# Rounding of distances at unit size, with room to spare.
-_ROUNDING = 1e-12
 # Points whose nearest ones are sought at once.
 _QUERIES = 100_000
 # Largest coordinate, and the inverse of the smallest extent.
@@ -163,7 +161,7 @@ class Search:
         distance = distance_to(points, self._corners[face])
         for rank in range(1, len(ranks)):
             least = to_middle[:, rank] - self._radii[faces[:, rank]]
-            nearer = np.flatnonzero(least <= distance + _ROUNDING)  # the others are farther than the one that is known
+            nearer = np.flatnonzero(least <= distance + ROUNDING)  # the others are farther than the one that is known
             trial = distance_to(points[nearer], self._corners[faces[nearer, rank]])
             best = trial < distance[nearer]
             distance[nearer[best]], face[nearer[best]] = trial[best], faces[nearer[best], rank]

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.geometry.convexity import against_hull, prepare_facets
 from scan3d.geometry.distance import Search
 from scan3d.geometry.triangles import distance_to, halve, row_minima
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 ROUNDING = 1e-15
 # The bounds are not improved further where their difference is less than this fraction of the distance, or less than this
 # number of diagonals.
-RELATIVE_GAP, ABSOLUTE_GAP = 1e-3, 1e-9
+RELATIVE_GAP = 1e-3
 # Largest number of triangles that are split in one direction.
 MAX_SPLITS = 40_000
 # Triangles that are split at once.
@@ -177,7 +177,7 @@ def _split(source: Body, target: Body, near: Index, vertices: Side, upper: float
         return row_minima(values.max(axis=2), faces)
 
     def gap() -> float:
-        return max(RELATIVE_GAP * lower, ABSOLUTE_GAP)
+        return max(RELATIVE_GAP * lower, NEGLIGIBLE)
 
     if upper - lower <= gap():
         return Side(lower, point, upper)

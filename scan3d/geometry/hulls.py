@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
 from scan3d.geometry.convexity import outward_faces
 from scan3d.geometry.distance import nearest
@@ -15,8 +15,6 @@ from scan3d.geometry.merging import representatives, without_unused
 from scan3d.geometry.triangles import mirrored_faces
 from scan3d.geometry.vectors import highest
 
-# Points whose root mean square distance from a plane is less than this fraction of their extent span no body.
-_FLATTEST = 1e-9
 # A hull whose volume is less than this fraction of its area times the points' extent is one of points in a plane or on a line,
 # up to rounding, which is larger far from the origin.
 _THINNEST = 1e-12
@@ -40,7 +38,7 @@ def hull(points: Array) -> Any:
         try:
             qhull = ConvexHull(scaled)
         except QhullError:
-            if np.linalg.svd(scaled - scaled.mean(axis=0), compute_uv=False)[-1] < _FLATTEST * np.sqrt(len(scaled)):
+            if np.linalg.svd(scaled - scaled.mean(axis=0), compute_uv=False)[-1] < NEGLIGIBLE * np.sqrt(len(scaled)):
                 raise
             qhull = ConvexHull(scaled, qhull_options="Qt Q12")  # many nearly coplanar points make wide facets
         rounding = 4 * np.finfo(float).eps * float(np.abs(points).max()) / size

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
 from scan3d.geometry.triangles import dot
 from scan3d.geometry.vectors import across
 
@@ -17,8 +17,6 @@ from scan3d.geometry.vectors import across
 _FAR = 2.0
 # Rounds in which planes are added where they cut the polytope, and the number of vertices that are cut in one of them.
 _ROUNDS, _AT_ONCE = 20, 500
-# Depth of a cut, in sizes of the body, that is rounding.
-_SHALLOW = 1e-9
 # Points that a plane face has at least.
 _FACE_POINTS = 6
 # Groups of facets that are tried at most, those with the largest facets first.
@@ -83,18 +81,18 @@ def clipped(vertices: Array, planes: Array) -> Array:
     """Vertices (w, 3) of what planes (k, 4) leave of the hull of points (v, 3); the points themselves if none cuts it."""
     heights = (vertices @ planes[:, :3].T).max(axis=0) - planes[:, 3]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    cutting = planes[heights > _SHALLOW * size]
+    cutting = planes[heights > NEGLIGIBLE * size]
     middle = vertices.mean(axis=0)
     # planes that pass the middle by show a hull that lies outside of them for the most part
-    if not len(cutting) or (cutting[:, :3] @ middle > cutting[:, 3] - _SHALLOW * size).any():
+    if not len(cutting) or (cutting[:, :3] @ middle > cutting[:, 3] - NEGLIGIBLE * size).any():
         return vertices
     equations = ConvexHull(vertices).equations
-    return cut_polytope(np.column_stack([equations[:, :3], -equations[:, 3]]), cutting, middle, size, _SHALLOW * size)
+    return cut_polytope(np.column_stack([equations[:, :3], -equations[:, 3]]), cutting, middle, size, NEGLIGIBLE * size)
 
 
 def _deepest_cuts(vertices: Array, planes: Array) -> tuple[Index, Array]:
     """For each vertex (v,) the plane beyond which it lies farthest, and how far."""
-    blocks = np.array_split(vertices, 1 + len(vertices) * len(planes) // 4_000_000)
+    blocks = np.array_split(vertices, 1 + len(vertices) * len(planes) // AT_ONCE)
     found = [(block @ planes[:, :3].T - planes[:, 3]) for block in blocks]
     plane = np.concatenate([depth.argmax(axis=1) for depth in found])
     return plane, np.concatenate([depth.max(axis=1) for depth in found])

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import NEGLIGIBLE, Array, Index
 
 if TYPE_CHECKING:
     import trimesh
 
 # Rounding of a rotated coordinate, relative to its size.
 _ROUNDING = 8 * np.finfo(np.float64).eps
-# Largest error of a rotation's rows from orthonormality.
-_ORTHONORMAL = 1e-9
 
 
 def slice_frame(axis: Array) -> Array:
@@ -56,7 +54,7 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     Raises ValueError unless the rotation's rows are orthonormal and the heights have the shape (n,).
     """
     rotation, heights = np.asarray(rotation, np.float64), np.asarray(heights, np.float64)
-    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ORTHONORMAL):
+    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=NEGLIGIBLE):
         raise ValueError(f"rotation must be (3, 3) with orthonormal rows, but it is {rotation.tolist()}")
     if heights.ndim != 1:
         raise ValueError(f"heights must be (n,), but their shape is {heights.shape}")

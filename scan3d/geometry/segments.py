@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Mask
 
 # Segments that are tested at once, so that the intermediate arrays stay small.
 _AT_ONCE = 128
-# Depth, relative to the segment's length, below which a segment does not count as meeting the body.
-_ROUNDING = 1e-9
 
 
 def segments_meet(body: Any, start: Array, along: Array, length: float, distance: float = 0.0) -> Mask:
@@ -25,7 +23,7 @@ def segments_meet(body: Any, start: Array, along: Array, length: float, distance
     Faces that are moved outwards enclose, at edges, more than the points that are so near.
     """
     normals, corner = np.asarray(body.face_normals), np.asarray(body.triangles)[:, 0]
-    offset = (normals * corner).sum(axis=1) + distance - _ROUNDING * length
+    offset = (normals * corner).sum(axis=1) + distance - NEGLIGIBLE * length
     middle, reach = body.bounds.mean(axis=0), float(np.linalg.norm(body.extents)) / 2 + distance
     nearest = np.clip(((middle - start) * along).sum(axis=1), 0.0, length)
     near = np.linalg.norm(start + nearest[:, None] * along - middle, axis=1) < reach + distance

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import NEGLIGIBLE, Array, Index
 from scan3d.geometry.hulls import hull_near
 from scan3d.geometry.vectors import across, unit
 
@@ -41,8 +41,6 @@ _NOISY_CONTACTS = 20_000
 # Rounds in which the normals follow the fit. Each improves them by a factor of ten or more and takes as long as the first; with
 # fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
-# Extents of points in their narrowest over their widest direction below which they span no body.
-_FLAT = 1e-9
 # Steps in which directions follow the fit, and the damping of a step.
 _TURNS, _DAMPING = 3, 0.8
 # Steps of noisy contacts, whose normals may be wrong by more than a right angle at first.
@@ -314,7 +312,7 @@ def inertia(points: Array) -> tuple[Array, Array]:
         qhull = ConvexHull(points - middle)
     except QhullError:
         extents = np.linalg.svd(points - middle, compute_uv=False)
-        if len(extents) < 3 or extents[2] < _FLAT * extents[0]:
+        if len(extents) < 3 or extents[2] < NEGLIGIBLE * extents[0]:
             raise
         # moved by rounding where very many points in one plane make Qhull fail
         qhull = ConvexHull(points - middle, qhull_options="QJ")

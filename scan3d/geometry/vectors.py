@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan3d.arrays import Array
-
-# Products computed at once.
-_PRODUCTS = 4_000_000
+from scan3d.arrays import AT_ONCE, Array
 
 
 def unit(vectors: Array) -> Array:
@@ -31,5 +28,5 @@ def across(normals: Array) -> tuple[Array, Array]:
 
 def highest(points: Array, directions: Array) -> Array:
     """(d,) the largest products of points (n, 3) with each of the directions (d, 3): the support function of their hull."""
-    blocks = np.array_split(directions, 1 + len(points) * len(directions) // _PRODUCTS)
+    blocks = np.array_split(directions, 1 + len(points) * len(directions) // AT_ONCE)
     return np.concatenate([(block @ points.T).max(axis=1) for block in blocks])

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
@@ -39,8 +39,6 @@ _FEWEST = 4
 # Standard deviation of a plane's turn in one step, in radians. It keeps planes whose contacts lie on a line from turning about
 # it.
 _TURN = 0.3
-# Part of the normal equations that is rounding.
-_ROUNDING = 1e-12
 # Largest tangent of a turn in one step.
 _LARGEST_TURN = 0.5
 # Squared misfit from which on a contact is an outlier, where the median of the squared misfits is that of Gaussian errors.
@@ -60,8 +58,6 @@ _BLOCK = 4000
 # A vertex counts where each of its planes has contacts within this many median distances between neighbouring contacts; other
 # vertices are drawn half way to the contacts.
 _NEAR = 8.0
-# Depth, in sizes of the body, at which a vertex lies on a plane.
-_ON_PLANE = 1e-9
 
 
 class Contacts(NamedTuple):
@@ -198,7 +194,7 @@ def _fitted(contacts: Contacts, normals: Array, group: Index) -> tuple[Planes, I
     local = _local(contacts.points - centre[group], normals, group)
     flat, height = local[:, :2], local[:, 2]
     matrix = _sums(group, weight, flat[:, :, None] * flat[:, None], count)
-    ridge = 1 / _TURN**2 + _ROUNDING * np.trace(matrix, axis1=1, axis2=2)
+    ridge = 1 / _TURN**2 + ROUNDING * np.trace(matrix, axis1=1, axis2=2)
     matrix += ridge[:, None, None] * np.eye(2)
     slope = np.linalg.solve(matrix, _sums(group, weight, flat * height[:, None], count)[..., None])[..., 0]
     slope *= (np.minimum(size := np.linalg.norm(slope, axis=1), _LARGEST_TURN) / np.maximum(size, 1e-300))[:, None]
@@ -268,7 +264,7 @@ def _body(cloud: Cloud, points: Array, planes: Planes) -> Any:
     group = planes.highest(points)[:, 0]
     feet = points - planes.heights(points, group)[:, None] * planes.normals[group]
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    feet = feet[planes.heights(feet, planes.highest(feet)[:, 0]) <= _ON_PLANE * size]
+    feet = feet[planes.heights(feet, planes.highest(feet)[:, 0]) <= NEGLIGIBLE * size]
     touched = hull(feet)
     inside = touched.vertices.view(np.ndarray).mean(axis=0)
     faces = np.concatenate([np.column_stack([planes.normals, planes.offsets]), _limits(cloud)])
@@ -300,7 +296,7 @@ def _limits(cloud: Cloud) -> Array:
 def _shown(vertices: Array, planes: Planes, points: Array, group: Index, near: float) -> Mask:
     """Whether each of the planes through vertices (v, 3) has contacts within a distance of the vertex."""
     heights = vertices @ planes.normals.T - planes.offsets
-    vertex, plane = np.nonzero(np.abs(heights) <= _ON_PLANE * np.linalg.norm(np.ptp(points, axis=0)))
+    vertex, plane = np.nonzero(np.abs(heights) <= NEGLIGIBLE * np.linalg.norm(np.ptp(points, axis=0)))
     shown = np.ones(len(vertices), dtype=bool)
     for number in np.unique(plane):
         of_plane = vertex[plane == number]
