@@ -255,7 +255,7 @@ def test_wrong_usage(call, tmp_path, monkeypatch, arguments, sentence):
     ("table", "sentence"),
     [
         (None, r"can't read the recording .*log\.csv: No such file or directory"),
-        ("", r"log\.csv is not a recording: its header lacks"),
+        ("", r"log\.csv is empty"),
         ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm\n0,0,0,0,1,0,0,0,0,0,0\n", "the recording has no contact"),
     ],
 )
