@@ -198,6 +198,7 @@ def test_commands_take_the_depth_and_say_what_was_filled(dimpled, tmp_path, caps
     assert main(["scan", str(dimpled), "--out", str(tmp_path / "x"), "--clip-dents"]) == 2
 
 
+@pytest.mark.trust
 def test_batches_keep_both_distances(dimpled, tmp_path, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     few = dict(sweeps=4, samples=8, method="hull")

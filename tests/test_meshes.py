@@ -46,20 +46,13 @@ VOLUMES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_the_script_makes_the_files_beside_it(tmp_path):
     run = subprocess.run([sys.executable, SCRIPT, tmp_path], capture_output=True, text=True, check=True)
     assert run.stdout.split() == [str(tmp_path / file.name) for file in FILES]
     assert {file.name for file in tmp_path.iterdir()} == {file.name for file in FILES}
     for file in FILES:
         assert (tmp_path / file.name).read_bytes() == file.read_bytes(), file.name
-
-
-def test_all_five_formats_occur_and_the_files_stay_small():
-    assert {file.suffix for file in FILES} == {".glb", ".obj", ".off", ".ply", ".stl"}
-    sizes = [file.stat().st_size for file in FILES]
-    assert max(sizes) <= 1.5e6
-    assert sum(sizes) <= 6e6
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
@@ -131,13 +124,6 @@ def test_the_pebble_has_no_symmetry():
     for signs in itertools.product((1, -1), repeat=3):
         mirrored = np.max(directions * signs @ corners.T, axis=1)
         assert signs == (1, 1, 1) or np.max(np.abs(mirrored - support)) > 0.01 * pebble.scale, signs
-
-
-def test_finer_meshes_are_convex_too():
-    mesh = make_meshes.make("ellipsoid", subdivisions=100)
-    assert len(mesh.faces) == 80_000
-    assert mesh.is_watertight
-    assert mesh.is_convex
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():

@@ -1,0 +1,625 @@
+"""Heights of the slices: by a rule, or asked for by rigs that are not the simulation, along one axis and several."""
+
+import functools
+import itertools
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import planar
+import scan3d
+from scan3d import InputError, Plan, Recording, Rod
+from scan3d.geometry.sections import extent_along, slice_polygons
+from scan3d.planning import next_heights
+from scan3d.planning.aims import base_fractions, first_directions
+from scan3d.planning.heights import (
+    BEYOND,
+    FIRST_SLICES,
+    SlabMemory,
+    cosine_gap,
+    cosine_heights_left,
+    cuts_at,
+    evened,
+    first_heights,
+    heights,
+    heights_at_gaps,
+    least_parts,
+    open_contours,
+    parts_within,
+)
+from scan3d.planning.several_axes import FIRST_SLICES as FIRST_TOGETHER
+from scan3d.planning.several_axes import first_heights_together, next_slices
+from scan3d.reconstruction.contacts import contacts
+from scan3d.simulation import scan as simulated
+from scan3d.simulation.scan import AxisScan
+from scan3d.surfaces import Gap, enclosure
+
+
+def test_cosine_heights_are_chebyshevs_nodes():
+    # the textbook's: the roots of the polynomial, which is cos(n arccos x)
+    levels = heights(-1.0, 1.0, Plan(slices=9, spacing="cosine"))
+    assert np.all(np.diff(levels) > 0)
+    roots = np.sort(np.polynomial.chebyshev.chebroots([0] * 9 + [1]))
+    assert levels == pytest.approx(roots, abs=1e-12)
+
+
+def test_uniform_heights_are_the_middles_of_equal_slabs():
+    assert heights(10.0, 20.0, Plan(slices=5, spacing="uniform")) == pytest.approx([11, 13, 15, 17, 19], rel=1e-15)
+
+
+@pytest.mark.parametrize("spacing", ["cosine", "uniform"])
+@pytest.mark.parametrize("slices", [1, 2, 64])
+def test_heights_lie_inside_the_body_and_symmetric(spacing, slices):
+    levels = heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
+    assert len(levels) == slices
+    assert np.all((levels > -3) & (levels < 7))
+    assert levels + levels[::-1] == pytest.approx(np.full(slices, 4.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("spacing", ["cosine", "uniform", "adaptive"])
+@pytest.mark.parametrize("slices", [1, 4, 64])
+def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
+    levels = first_heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
+    beyond = (levels < -3) | (levels > 7)
+    assert beyond.sum() == 2
+    assert levels[beyond].sum() == pytest.approx(4.0)
+    assert np.all((levels[~beyond] > -3) & (levels[~beyond] < 7))
+    assert (~beyond).sum() == (min(FIRST_SLICES, slices) if spacing == "adaptive" else slices)
+
+
+def test_adaptive_spacing_begins_with_some_of_the_heights_of_cosine_spacing():
+    first, all_of_them = (first_heights(-3.0, 7.0, Plan(slices=40, spacing=rule)) for rule in ("adaptive", "cosine"))
+    assert np.isin(first, all_of_them).all()
+    known = first[:-2]
+    while len(further := cosine_heights_left(known, np.full(len(known) - 1, 99), 40)):
+        assert len(further) <= len(known) - 1
+        known = np.sort(np.concatenate([known, further]))
+    assert known == pytest.approx(np.sort(all_of_them[:-2]), abs=1e-12)
+    rest = cosine_heights_left(first[:-2], np.full(len(first) - 3, 99), 40, at_once=True)
+    assert np.sort(np.concatenate([first[:-2], rest])) == pytest.approx(known, abs=1e-12)
+    # slabs that are narrow enough are not divided, and those that need few parts get all heights at once
+    heights_within = cosine_heights_left(first[:-2], np.array([1, 1, 2, 4, 1, 1, 1]), 40)
+    assert np.histogram(heights_within, first[:-2])[0].tolist() == [0, 0, 1, 3, 0, 0, 0]
+    assert parts_within(np.array([0.5, 1.0, 3.9, 4.1, np.inf]), 1.0).tolist() == [1, 1, 2, 3, 2**31 - 1]
+    assert parts_within(np.ones(1), 0.0).tolist() == [2**31 - 1]
+
+
+def test_heights_at_gaps_are_those_of_the_worst_corners():
+    known = np.array([-0.1, 0.2, 0.5, 0.8, 1.1])
+    slab, corners = np.array([1, 1, 2, 2]), np.array([0.3, 0.4, 0.6, 0.7])
+    gaps, creases = np.array([1.0, 3.0, 2.0, 0.5]), np.ones((4, 2), dtype=bool)
+    # one height per slab, the slab with the widest gap first
+    assert heights_at_gaps(known, slab, corners, gaps, creases, 4).tolist() == [0.4, 0.6]
+    assert heights_at_gaps(known, slab, corners, gaps, creases, 1).tolist() == [0.4]
+    assert len(heights_at_gaps(known, slab, corners, np.zeros(4), creases, 4)) == 0
+    # a corner on an end slice gives no height; the new slice is between the end slice and the empty one
+    on_end = heights_at_gaps(known, np.array([1]), known[1:2], np.ones(1), creases[:1], 4)
+    assert on_end == pytest.approx([0.35])
+    # not where slices stand close enough
+    close = np.array([0.0, 0.5, 0.5 + 1e-8, 1.0])
+    assert len(heights_at_gaps(close, np.array([1]), np.array([0.5]), np.ones(1), creases[:1], 4)) == 0
+
+
+def gaps_between(thickness, curvature=2.0):
+    """Distances of the corners in which the secants of each slab's neighbours meet, from the chord between its slices.
+
+    The contour is a parabola; beyond the end slices its tangents take the place of secants.
+    """
+    at = np.concatenate([[0.0], np.cumsum(thickness)])
+    height, chords = -curvature * at**2 / 2, np.diff(-curvature * at**2 / 2) / thickness
+    below, above = np.concatenate([[0.0], chords[:-1]]), np.concatenate([chords[1:], [-curvature * at[-1]]])
+    corner = (height[1:] - height[:-1] + below * at[:-1] - above * at[1:]) / (below - above)
+    line = height[:-1] + below * (corner - at[:-1])
+    return line - (height[:-1] + chords * (corner - at[:-1]))
+
+
+@pytest.mark.parametrize("thickness", [[1.0], [1.0, 1.0, 1.0], [1.0, 3.0, 0.5, 0.5, 2.0], [0.1, 1.0, 10.0]])
+def test_even_gaps_of_a_parabola_are_those_of_its_curvature(thickness):
+    thickness = np.array(thickness)
+    assert evened(gaps_between(thickness)) == pytest.approx(thickness**2, rel=1e-3)
+    assert evened(1e-30 * gaps_between(thickness)) == pytest.approx(1e-30 * thickness**2, rel=1e-3)
+
+
+def test_even_gaps_of_slabs_without_gaps_are_none():
+    assert evened(np.zeros(3)) == pytest.approx(np.zeros(3), abs=1e-150)
+    # a slab without a gap bounds its neighbours as tangents do
+    assert evened(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(2.0)
+    assert len(evened(np.empty(0))) == 0
+
+
+def test_even_gaps_along_a_sphere_are_cut_as_by_cosine_spacing():
+    levels = heights(-3.0, 7.0, Plan(slices=9, spacing="cosine"))
+    known = np.concatenate([[-3.0 - (levels[0] + 3.0)], levels[[0, 4, 8]], [7.0 + (7.0 - levels[-1])]])
+    cuts = cuts_at(known, np.array([1, 2]), np.ones(2), np.array([[0.25], [0.5], [0.75]]))
+    assert cuts.T.ravel() == pytest.approx(levels[[1, 2, 3, 5, 6, 7]])
+
+
+def test_a_bent_slab_is_cut_by_the_density_of_slices():
+    """The density over the angle is 10 and 20/3 in the middles of two slabs, and linear between them."""
+    angles = np.linspace(0.5, 1.1, 3)
+    known = 5 - 5 * np.cos(np.concatenate([[-angles[0]], [angles[0]], angles[1:], [np.pi]]))
+    # so that the ends of the body are at the angles 0 and pi
+    known[0], known[-1] = -known[1], 20 - known[3]
+    cuts = cuts_at(known, np.array([1, 2]), np.array([3.0, 2.0]), np.array([[0.25], [0.5]]))
+    for column, low, ends in zip(cuts.T, angles, ((10, 25 / 3), (25 / 3, 20 / 3)), strict=False):
+        for cut, below in zip(column, (0.25, 0.5), strict=True):
+            u = (math.acos(1 - cut / 5) - low) / 0.3
+            assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(below * sum(ends) / 2)
+    # where the neighbour's density is not known, the density is constant
+    alone = cuts_at(known, np.array([1, 2]), np.array([3.0, np.nan]), np.array([[0.5]]))[0, 0]
+    assert math.acos(1 - alone / 5) == pytest.approx(0.65)
+
+
+def test_bent_slabs_are_halved_and_creases_cut_at_their_corners():
+    known = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
+    slab, corners, gaps = np.array([1, 2]), np.array([0.24, 0.66]), np.array([9.0, 4.0])
+    bent, creased = np.zeros((2, 2), dtype=bool), np.ones((2, 2), dtype=bool)
+    halves = heights_at_gaps(known, slab, corners, gaps, bent, 3)
+    assert (known[1:3] < halves).all()
+    assert (halves < known[2:4]).all()
+    assert heights_at_gaps(known, slab, corners, gaps, creased, 3) == pytest.approx([0.24, 0.66])
+    # of both, the wider one comes first, and gaps within the tolerance none
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1) == pytest.approx(halves[:1])
+    assert len(heights_at_gaps(known, slab, corners, gaps, bent, 3, 5.0)) == 1
+
+
+def test_a_slab_bent_all_around_gets_all_heights_of_the_parts_that_make_the_largest_gap_least():
+    known = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
+    slab, corners, bent = np.array([1, 2]), np.array([0.3, 0.7]), np.zeros((2, 2), dtype=bool)
+    angles = np.arccos(1 - 2 * known[1:-1])
+    third = (1 - np.cos(angles[0] + (angles[1] - angles[0]) * np.array([1, 2]) / 3)) / 2
+    half = (1 - np.cos(angles[1:].mean())) / 2
+    # with three slices left, one slab gets three parts and the other two; the density of slices is nearly the same in both
+    gaps = np.array([1.0, 0.999])
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 3, left=3) == pytest.approx([*third, half], rel=1e-3)
+    # a round gets whole slabs, but no more heights than are left
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1, left=3) == pytest.approx(third, rel=1e-3)
+    assert len(heights_at_gaps(known, slab, corners, gaps, bent, 1, left=1)) == 1
+    # a slab that needs more parts is cut into two, where five of eleven parts are below
+    fifth = (1 - np.cos(angles[0] + (angles[1] - angles[0]) * 5 / 11)) / 2
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1, left=19) == pytest.approx([fifth], rel=1e-3)
+    # a tolerance that two parts meet is not divided further
+    assert heights_at_gaps(known, slab, corners, gaps, bent, 1, 0.4, left=3) == pytest.approx([1 - half], rel=1e-3)
+    # a slab that is straight somewhere is cut in two, and a quarter of the slices is kept for it
+    slab, corners, gaps = np.array([1, 1, 2]), np.array([0.3, 0.31, 0.7]), np.array([1.0, 0.5, 0.999])
+    straight = np.array([[False, False], [True, False], [False, False]])
+    assert heights_at_gaps(known, slab, corners, gaps, straight, 1, left=3) == pytest.approx([1 - half], rel=1e-3)
+
+
+def test_parts_are_shared_so_that_the_largest_gap_is_least():
+    """The numbers of parts by trying all of them."""
+    gaps = np.array([1.0, 0.2, 3.0, 0.0])
+    for left in range(7):
+        parts, gap = least_parts(gaps, left)
+        every = np.array(list(itertools.product(range(1, left + 2), repeat=4)))
+        allowed = every[(every - 1).sum(axis=1) <= left]
+        assert (parts - 1).sum() <= left
+        assert gap == pytest.approx((gaps / allowed**2).max(axis=1).min())
+        assert (gaps / parts**2).max() == pytest.approx(gap)
+    # the third has its two parts, and five slices are left for the others
+    assert least_parts(gaps, 6, np.array([9, 9, 2, 9]))[0].tolist() == [5, 2, 2, 1]
+    assert least_parts(np.zeros(2), 3) == (pytest.approx([1, 1]), 0.0)
+
+
+@pytest.mark.parametrize("slices", [8, 13, 64])
+def test_the_gap_of_cosine_spacing_is_that_of_its_slabs(slices):
+    """Each slab's gap falls with the square of the number of parts into which the nodes divide it."""
+    nodes = heights(-3.0, 7.0, Plan(slices=slices, spacing="cosine"))
+    known = nodes[np.unique(np.linspace(0, slices - 1, 8).round().astype(int))]
+    parts = np.diff(np.flatnonzero(np.isin(nodes, known)))
+    gaps = np.linspace(1.0, 2.0, len(known) - 1)
+    assert cosine_gap(known * (1 + 1e-9), gaps, slices) == pytest.approx((gaps / parts**2).max())
+
+
+def test_an_unknown_end_is_sliced_in_the_middle():
+    known = np.array([0.0, 1.0, 2.0, 3.0])
+    for corner, middle in ((0.0, 0.5), (3.0, 2.5)):
+        slab, creases = np.array([0 if corner == 0 else 2]), np.zeros((1, 2), dtype=bool)
+        assert heights_at_gaps(known, slab, np.array([corner]), np.ones(1), creases, 4) == pytest.approx([middle])
+
+
+# --- by the contacts along one axis ---
+
+GEM = Path(__file__).parents[1] / "meshes" / "gem.glb"
+ROD = Rod.of_length(0.06)
+PLAN = Plan(slices=24, spacing="adaptive", sweeps=6, samples=20, friction=0.2, rod=ROD)
+
+
+class Rig:
+    """A rig that sweeps a body in horizontal slices, written by hand on `planar` alone, and logs in metres."""
+
+    def __init__(self, mesh, plan):
+        self.mesh, self.plan = mesh, plan
+        self.length = plan.rod.length_m * 1e3
+        self.heights, self.columns = [], []
+
+    def sweep(self, heights):
+        for height in map(float, heights):
+            self.heights.append(height)
+            (polygon,) = slice_polygons(self.mesh, np.eye(3), [height])
+            for angle in first_directions(self.plan):
+                self._sweep_from(angle, polygon, height)
+
+    def _sweep_from(self, angle, polygon, height):
+        # the clamp's x and y axes as rows; the base line lies below the middle of the contour's box, at the clearance
+        turn = np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+        n = self.plan.samples
+        if len(polygon):
+            middle = (polygon.min(axis=0) + polygon.max(axis=0)) / 2
+            away = ((polygon - middle) @ turn[1]).min() - self.plan.clearance * self.length
+            origin = middle + away * turn[1]
+            contour = planar.Polygon((polygon - origin) @ turn.T / self.length)
+            (swept,) = planar.sweep_all([contour], [self.plan.friction], shares=base_fractions(n))
+            x0, wrench = swept.x0, np.nan_to_num(np.stack([swept.f0x, swept.f0y, swept.m0z]))
+        else:
+            origin, x0, wrench = np.zeros(2), np.linspace(0.5, -0.5, n), np.zeros((3, n))
+        place = np.column_stack([origin + self.length * x0[:, None] * turn[0], np.full(n, height)])
+        half = (angle - np.pi / 2) / 2  # the turn about z that brings the world's y axis to the rod's direction
+        quaternion = np.tile([np.cos(half), 0.0, 0.0, np.sin(half)], (n, 1))
+        self.columns.append((np.full(n, len(self.columns)), place * 1e-3, quaternion, wrench))
+
+    def recording(self):
+        sweep, place, quaternion, wrench = zip(*self.columns, strict=True)
+        fx, fy, mz = np.concatenate(wrench, axis=1)
+        rod = self.plan.rod
+        return Recording(
+            sweep=np.concatenate(sweep),
+            position_m=np.concatenate(place),
+            quaternion=np.concatenate(quaternion),
+            force_N=np.stack([fx, fy], axis=1) * rod.bending_stiffness_Nm2 / rod.length_m**2,
+            moment_Nm=mz * rod.bending_stiffness_Nm2 / rod.length_m,
+            rod=rod,
+        )
+
+
+def scanned_by_rig(mesh, plan):
+    """The rig after a scan, and the bound of the enclosure, over the contacts' diagonal, before every question."""
+    rig, bounds, memory = Rig(mesh, plan), [], SlabMemory()
+    rig.sweep(first_heights(*extent_along(mesh, [0, 0, 1]), plan))
+    while True:
+        cloud = contacts(rig.recording())
+        bounds.append(enclosure(cloud).bound / np.linalg.norm(np.ptp(cloud.points, axis=0)))
+        heights = next_heights(cloud, plan, memory=memory)
+        if not len(heights):
+            return rig, bounds
+        rig.sweep(heights)
+
+
+@pytest.fixture(scope="module")
+def gem():
+    return scan3d.load_mesh(GEM)
+
+
+@pytest.fixture(scope="module")
+def first_cloud(gem):
+    """The contacts in the first slices of an adaptive scan."""
+    rig = Rig(gem, PLAN)
+    rig.sweep(first_heights(*extent_along(gem, [0, 0, 1]), PLAN))
+    return contacts(rig.recording())
+
+
+@pytest.mark.trust
+def test_a_rig_is_given_the_heights_of_the_simulation(gem):
+    rig, bounds = scanned_by_rig(gem, PLAN)
+    simulated = contacts(scan3d.simulate(gem, PLAN))
+    assert len(rig.heights) == len(simulated.slice_height) == PLAN.slices + BEYOND
+    # heights of vertices found by touch: to rounding in sections of unit size, larger where slices are close
+    assert np.sort(rig.heights) == pytest.approx(np.sort(simulated.slice_height), abs=1e-6 * gem.scale)
+    assert bounds[-1] < 0.2 * bounds[0]
+
+
+@pytest.mark.trust
+def test_of_a_smooth_body_that_is_known_well_all_heights_that_are_left_are_swept_at_once():
+    egg = scan3d.load_mesh(GEM.with_name("egg.stl"))
+    numbers = []
+    for tolerance in (0.0, 1e-9):
+        plan = Plan(**{**vars(PLAN), "slices": 64, "tolerance": tolerance})
+        rig, memory, done = Rig(egg, plan), SlabMemory(), []
+        heights = first_heights(*extent_along(egg, [0, 0, 1]), plan)
+        while len(heights):
+            rig.sweep(heights)
+            done.append(len(rig.heights))
+            heights = next_heights(contacts(rig.recording()), plan, memory=memory)
+        numbers.append(done)
+        assert done[-1] == plan.slices + BEYOND
+    # with a tolerance slabs are halved, so that the scan may stop earlier
+    assert len(numbers[0]) == 4 < len(numbers[1])
+
+
+def test_a_rig_stops_where_the_bound_meets_the_tolerance(gem):
+    rig, bounds = scanned_by_rig(gem, Plan(**{**vars(PLAN), "tolerance": 0.03}))
+    assert 10 <= len(rig.heights) < PLAN.slices
+    assert bounds[-1] <= 0.03
+    assert min(bounds[:-1]) > 0.03
+
+
+def test_the_memory_changes_no_answer(first_cloud):
+    memory = SlabMemory()
+    plain = next_heights(first_cloud, PLAN)
+    assert len(plain) > 0
+    assert np.array_equal(next_heights(first_cloud, PLAN, memory=memory), plain)
+    assert set(memory.gaps) == set(memory.slabs) != set()
+    # filled, it is used, and gives the same
+    assert np.array_equal(next_heights(first_cloud, PLAN, memory=memory), plain)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_of_a_prism_along_the_axis_only_the_ends_are_sliced(turned):
+    """Rounding of its gaps decides nothing: between the first slices nothing is left to be found."""
+    mesh = trimesh.creation.box((40, 30, 50))
+    if turned:
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(0.7, (0, 0, 1)))
+    plan = Plan(slices=24, sweeps=4, samples=16)
+    heights = np.sort(contacts(scan3d.simulate(mesh, plan)).slice_height)
+    first = np.sort(first_heights(-25, 25, plan))
+    inside = heights[(heights > first[1] + 1e-9) & (heights < first[-2] - 1e-9)]
+    np.testing.assert_allclose(inside, first[2:-2])
+    assert len(heights) > len(first)
+
+
+def test_no_heights_without_slices_left(first_cloud):
+    done = len(first_cloud.slice_height)
+    assert len(next_heights(first_cloud, PLAN, left=0)) == 0
+    assert len(next_heights(first_cloud, PLAN, left=-1)) == 0
+    assert len(next_heights(first_cloud, Plan(slices=done - BEYOND, spacing="adaptive"))) == 0
+    assert len(next_heights(first_cloud, Plan(slices=done - BEYOND + 1, spacing="adaptive"))) == 1
+    assert len(next_heights(first_cloud, PLAN, left=1)) == 1
+
+
+@pytest.fixture(scope="module")
+def three_axes(gem):
+    return contacts(scan3d.simulate(gem, Plan(slices=4, axis="xyz", sweeps=4, samples=12)))
+
+
+def test_of_several_axes_one_must_be_given(three_axes):
+    message = (
+        "next heights are chosen along one axis, and the cloud has contacts in slices along "
+        "(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0); give one of them as axis, got None"
+    )
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        next_heights(three_axes, PLAN)
+
+
+def test_an_axis_without_slices_is_refused(three_axes, first_cloud):
+    with pytest.raises(InputError, match=r"give one of them as axis, got \(1\.0, 1\.0, 0\.0\)$"):
+        next_heights(three_axes, PLAN, axis=np.array([1.0, 1.0, 0.0]))
+    with pytest.raises(InputError, match=r"slices along \(0\.0, 0\.0, 1\.0\); give .* got \(1\.0, 0\.0, 0\.0\)$"):
+        next_heights(first_cloud, PLAN, axis=np.array([1.0, 0.0, 0.0]))
+
+
+def test_the_axis_that_is_given_is_the_one_that_is_sliced(three_axes, gem):
+    for axis in np.eye(3):
+        heights = next_heights(three_axes, PLAN, axis=3.0 * axis, left=3)  # of any length
+        low, high = extent_along(gem, axis)
+        known = three_axes.slice_height[three_axes.slice_axis @ axis > 0.5]
+        assert 1 <= len(heights) <= 3
+        # the lowest and the highest of the known slices are empty
+        assert np.all((heights > known.min()) & (heights < known.max()))
+        assert np.all((heights > low) & (heights < high))
+
+
+# --- along several axes ---
+
+TURN = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
+POLYTOPE = trimesh.convex.convex_hull(np.random.default_rng(3).normal(size=(20, 3)) * [12, 9, 7])
+ELLIPSOID = trimesh.convex.convex_hull(trimesh.creation.icosphere(5).vertices * [20, 14, 9] @ TURN)
+CORNERS = np.array([[np.cos(a), np.sin(a)] for a in 2 * np.pi * np.arange(80) / 80])
+FRUSTUM = trimesh.convex.convex_hull(
+    np.concatenate([np.column_stack([r * CORNERS, np.full(80, h)]) for r, h in ((15, 0), (6, 25))]) @ TURN
+)
+MESHES = {"polytope": POLYTOPE, "ellipsoid": ELLIPSOID, "frustum": FRUSTUM}
+
+
+@functools.cache
+def cloud_of(name, slices, axes, **settings):
+    return contacts(scan3d.simulate(MESHES[name], Plan(slices=slices, axis=axes, samples=32, **settings)))
+
+
+def relative_bound(name, slices, axes):
+    return enclosure(cloud_of(name, slices, axes)).bound / np.linalg.norm(MESHES[name].extents)
+
+
+def slices_along(cloud, axis):
+    """Number of slices along an axis, in which something was touched or not."""
+    return int((cloud.slice_axis @ axis > 0.5).sum())
+
+
+@pytest.mark.parametrize("slices", [1, 5])
+def test_all_axes_together_get_the_slices_of_the_plan(slices):
+    cloud = cloud_of("polytope", slices, "xyz", sweeps=6)
+    assert len(cloud.slice_height) == 3 * (slices + BEYOND)
+    assert all(slices_along(cloud, axis) >= min(slices, FIRST_TOGETHER) + BEYOND for axis in np.eye(3))
+
+
+def test_two_axes_share_their_slices():
+    cloud = cloud_of("ellipsoid", 12, "xz", sweeps=6)
+    assert len(cloud.slice_height) == 2 * (12 + BEYOND)
+    assert slices_along(cloud, np.array([0.0, 1.0, 0.0])) == 0
+
+
+@pytest.mark.trust
+def test_a_polytope_is_found_exactly():
+    """To 1e-6 of the diagonal by 16 slices along each of three axes: 5.7e-7, and 4.5e-6 by 48 along one axis."""
+    assert relative_bound("polytope", 16, "xyz") < 1e-6
+    assert relative_bound("polytope", 16, "xyz") < 0.5 * relative_bound("polytope", 48, "z")
+
+
+@pytest.mark.trust
+def test_a_smooth_body_is_bounded_nearly_as_well_as_along_one_axis():
+    """The slices beside the first ones go along one axis: (63 / 57)² = 1.22 times the gap of all along one."""
+    assert relative_bound("ellipsoid", 21, "xyz") < 1.3 * relative_bound("ellipsoid", 63, "z")
+
+
+@pytest.mark.trust
+def test_a_body_of_very_many_vertices_is_sliced_along_one_axis():
+    """More vertices than slices: all slices beside the first ones and few others go along one axis, as with smooth bodies."""
+    cloud = cloud_of("frustum", 21, "xyz")
+    most = max(slices_along(cloud, axis) for axis in np.eye(3))
+    assert most >= 50
+    assert relative_bound("frustum", 21, "xyz") < 1.5 * relative_bound("frustum", 64, "z")
+    # all slices of the plan are swept, none more
+    assert len(cloud.slice_height) == 3 * (21 + BEYOND)
+
+
+def test_the_axis_of_all_further_slices_is_told():
+    """With more open cells than slices left, early in the scan."""
+    cloud = cloud_of("ellipsoid", 5, "xyz", sweeps=6)
+    further = next_slices(cloud, Plan(slices=11, axis="xyz"), 18)
+    assert further.slices == []
+    assert np.abs(np.eye(3) - further.alone).max(axis=1).min() < 1e-12
+    assert next_slices(cloud, Plan(slices=99, axis="xyz"), 300).alone is None
+
+
+@pytest.mark.slow
+def test_a_tolerance_ends_the_scan():
+    plan = Plan(slices=30, axis="xyz", samples=32, sweeps=6, tolerance=5e-3)
+    cloud = contacts(scan3d.simulate(POLYTOPE, plan))
+    size = np.linalg.norm(np.ptp(cloud.points, axis=0))
+    assert len(cloud.slice_height) < 3 * 30
+    assert enclosure(cloud).bound <= plan.tolerance * size
+
+
+def test_the_plan_is_deterministic():
+    cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
+    plan = Plan(slices=10, axis="xyz")
+    first, second = next_slices(cloud, plan, 9).slices, next_slices(cloud, plan, 9).slices
+    assert len(first) == len(second) > 0
+    for (axis, levels), (again, same) in zip(first, second, strict=True):
+        assert (axis == again).all()
+        assert (levels == same).all()
+
+
+def test_further_slices_lie_in_the_body_and_are_new():
+    cloud = cloud_of("ellipsoid", 5, "xyz", sweeps=6)
+    further = next_slices(cloud, Plan(slices=9, axis="xyz"), 12).slices
+    assert 0 < sum(len(levels) for _, levels in further) <= 12
+    for axis, levels in further:
+        low, high = extent_along(ELLIPSOID, axis)
+        known = cloud.slice_height[cloud.slice_axis @ axis > 0.5]
+        assert ((levels > low) & (levels < high)).all()
+        assert np.abs(levels[:, None] - known).min() > 1e-6 * (high - low)
+
+
+def test_no_slices_are_left():
+    cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
+    assert next_slices(cloud, Plan(slices=5, axis="xyz"), 0).slices == []
+    assert next_slices(cloud, Plan(slices=50, axis="xyz", tolerance=1.0), 50).slices == []
+
+
+def test_contacts_that_span_no_body_are_refused():
+    cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
+    with pytest.raises(InputError):
+        next_slices(cloud.select(np.arange(3)), Plan(slices=5, axis="xyz"), 5)
+
+
+@pytest.mark.parametrize("slices", [1, 3, 21])
+def test_the_first_heights_are_some_of_those_of_one_axis(slices):
+    plan = Plan(slices=slices, axis="xyz")
+    first = first_heights_together(-2.0, 4.0, plan)
+    few = min(slices, FIRST_TOGETHER)
+    assert len(first) == few + BEYOND
+    nodes = 1 - 3 * np.cos(np.pi * (np.arange(3 * slices - 2 * few) + 0.5) / (3 * slices - 2 * few))
+    assert np.abs(first[:few, None] - nodes).min(axis=1).max() < 1e-12
+    assert first[-2] < -2.0
+    assert first[-1] > 4.0
+
+
+@pytest.mark.slow
+def test_noisy_contacts_are_planned_axis_by_axis():
+    cloud = cloud_of("ellipsoid", 9, "xyz", noise=1e-3)
+    assert [slices_along(cloud, axis) for axis in np.eye(3)] == [9 + BEYOND] * 3
+
+
+# --- contours that need more contacts ---
+
+FOLDER = Path(__file__).parents[1] / "meshes"
+FEW_SAMPLES = {"slices": 60, "samples": 10, "friction": (0.0, 0.4)}
+
+
+def scanned(name, **settings):
+    body = scan3d.load_mesh(FOLDER / name)
+    return scan3d.simulate(body, scan3d.Plan(**FEW_SAMPLES, **settings))
+
+
+def samples_of_sweeps(recording):
+    return np.bincount(recording.sweep)
+
+
+def relative_gaps(recording):
+    """The largest gaps of all slices' contours, and of all, over the diagonal of the contacts."""
+    cloud = scan3d.reconstruct(recording)
+    bounds, diagonal = enclosure(cloud), np.linalg.norm(np.ptp(cloud.points, axis=0))
+    return bounds.part(Gap.CONTACTS) / diagonal, bounds.bound / diagonal
+
+
+def test_contours_are_swept_again_until_they_are_known_within_the_tolerance():
+    recording = scanned("gem.glb", tolerance=4e-3)
+    assert set(samples_of_sweeps(recording)) > {10}
+    assert relative_gaps(recording)[1] < 4e-3
+    without = scanned("gem.glb")
+    assert set(samples_of_sweeps(without)) == {10}
+    assert relative_gaps(without)[0] > 4e-3
+
+
+def test_the_slices_with_wide_gaps_are_named():
+    cloud = scan3d.reconstruct(scanned("gem.glb"))
+    diagonal = np.linalg.norm(np.ptp(cloud.points, axis=0))
+    every, largest = open_contours(cloud, 0.0)
+    some, again = open_contours(cloud, 0.5 * largest / diagonal)
+    none, _ = open_contours(cloud, 1.01 * largest / diagonal)
+    assert largest == again
+    assert len(none) == 0 < len(some) < len(every)
+    assert set(some) <= set(every) <= set(cloud.slice_height)
+
+
+def test_gaps_that_more_samples_do_not_close_are_left(monkeypatch):
+    asked = []
+
+    def noisy(cloud, tolerance):
+        heights, _ = open_contours(cloud, tolerance)
+        asked.append(len(heights))
+        return heights, 1.0
+
+    monkeypatch.setattr(simulated, "open_contours", noisy)
+    recording = scanned("gem.glb", tolerance=4e-3)
+    # the samples are doubled once, and then directions are sought as long as there are any
+    assert max(samples_of_sweeps(recording)) == 20
+    assert len(asked) < 12
+
+
+# Corners of a wing's section.
+WING = [
+    [-89, -557], [-12, -306], [131, 313], [131, 319], [132, 320], [132, 321], [131, 331], [129, 350], [125, 359], [106, 339],
+    [94, 320], [59, 235], [-61, -98], [-138, -321], [-209, -541], [-203, -603], [-198, -613], [-186, -623], [-172, -627],
+    [-154, -623], [-117, -597], [-93, -566],
+]  # fmt: skip
+
+
+def test_contours_of_which_the_rods_tip_alone_touched_a_part_are_swept_from_further_directions(monkeypatch):
+    """No normal is measured there, so that more samples do not help."""
+    corners = np.array(WING, dtype=float)
+    ends = [np.column_stack([corners, np.full(len(corners), z)]) for z in (0.0, 600.0)]
+    body = trimesh.convex.convex_hull(np.concatenate(ends))
+    plan = scan3d.Plan(slices=6, samples=16, tolerance=1e-4, friction=(0.0, 0.4))
+    recording = scan3d.simulate(body, plan)
+    assert relative_gaps(recording)[0] < 1e-4
+    monkeypatch.setattr(AxisScan, "sweep_further", lambda *_: False)
+    without = scan3d.simulate(body, plan)
+    assert relative_gaps(without)[0] > 2e-4
+    assert recording.sweep.max() > without.sweep.max()
+
+
+@pytest.mark.trust
+def test_contours_are_known_before_close_slices_are_chosen():
+    """The gaps between contacts would make the secants between close slices steep, so that hundreds of slices were needed."""
+    body = scan3d.load_mesh(FOLDER / "capsule.stl")
+    plan = scan3d.Plan(slices=200, samples=16, tolerance=1e-3)
+    recording = scan3d.simulate(body, plan)
+    assert relative_gaps(recording)[1] < 1e-3
+    assert len(np.unique(scan3d.reconstruct(recording).slice_height.round(6))) < 80
+    assert max(samples_of_sweeps(recording)) <= 16 * 16
