@@ -517,7 +517,7 @@ def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
     assert main([*run, *faults]) == 0
     # the poses are never overwritten
     assert main(["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(folder / "poses.csv")]) == 1
-    assert "is the list of poses that this run reads" in capsys.readouterr().err
+    assert "that this run reads, which is never overwritten" in capsys.readouterr().err
 
 
 def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):
