@@ -90,6 +90,14 @@ def browser_path():
     return chromium()
 
 
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """The folder of a small scan of an egg, without pictures, beside its mesh."""
+    from small_scans import scanned_folder
+
+    return scanned_folder(tmp_path_factory.mktemp("egg"))
+
+
 @pytest.fixture
 def read_ply():
     """A reader of binary PLY of the tests' own: (vertices as a structured array, faces (m, 3) or None, comments)."""

@@ -17,7 +17,8 @@ function listenToPointers() {
   const down = new Map();
   let moved = 0, waiting = 0;
   canvas.onpointerdown = e => {
-    canvas.setPointerCapture(e.pointerId); canvas.focus(); down.set(e.pointerId, [e.clientX, e.clientY]); moved = 0;
+    canvas.classList.remove("keys"); canvas.focus(); canvas.setPointerCapture(e.pointerId);
+    down.set(e.pointerId, [e.clientX, e.clientY]); moved = 0;
   };
   canvas.onpointermove = e => {
     const last = down.get(e.pointerId), now = [e.clientX, e.clientY];
@@ -60,6 +61,7 @@ function listenToKeys() {
     Object.assign(keys, {",": () => step(0, -1), ".": () => step(0, 1), "[": () => step(-1, 0), "]": () => step(1, 0),
       p: () => play(), m: markContact});
   }
+  canvas.onkeyup = () => canvas.classList.add("keys");  // the frame that says where keys go; after Tab as well
   canvas.onkeydown = e => {
     if (e.ctrlKey || e.altKey || e.metaKey) return;
     const way = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[e.key];

@@ -1,0 +1,510 @@
+"""Pictures: their size, resolution, camera and letters in every format, and what is seen in each view."""
+
+import base64
+import io
+import re
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+import trimesh
+from image_checks import fraction_of_color, of_color, pixels
+from PIL import Image
+from small_scans import CUBE, EGG, scanned, scanned_in_space
+
+import scan3d
+from scan3d import memory
+from scan3d.choices import CAMERAS
+from scan3d.files.shapes import cloud_table
+from scan3d.pictures import figures, rendering, shading, views
+from scan3d.pictures.canvas import Canvas
+from scan3d.pictures.charts import histograms, reactions
+from scan3d.pictures.parts import shown_surface
+from scan3d.pictures.sheet import Camera, Sheet, sheet
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return scanned(EGG)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return scanned(CUBE)
+
+
+# --- size, resolution and camera ---
+
+
+@pytest.mark.parametrize(
+    ("size", "dpi", "inches"),
+    [
+        (None, None, (7.0, None)),
+        ("85mm", None, (85 / 25.4, None)),
+        (" 8.5 X 6 CM ", 600, (85 / 25.4, 60 / 25.4)),
+        ("3.5×2.5in", 300, (3.5, 2.5)),
+        ("240x180pt", 300, (240 / 72, 2.5)),
+        ("1200x900px", 300, (4.0, 3.0)),
+        ("3.x2.in", 200, (3.0, 2.0)),
+        ("5x3.5cm", 200, (50 / 25.4, 35 / 25.4)),
+    ],
+)
+def test_sizes(size, dpi, inches):
+    given = sheet(size, dpi)
+    assert given.width == pytest.approx(inches[0])
+    assert given.height == (None if inches[1] is None else pytest.approx(inches[1]))
+    assert given.dpi == (dpi or 200)
+
+
+def test_letters_are_those_of_a_column_and_keep_to_what_journals_ask_for():
+    assert [sheet(size).font for size in (None, "85mm", "300mm")] == [12, 8, 12]
+    assert sheet("150mm").font == pytest.approx(12 * 150 / 25.4 / 7)
+    # points and lines are in proportion to letters, whatever the resolution
+    assert sheet("85mm", 600).scale == pytest.approx(3 * sheet("85mm", 200).scale)
+    assert Sheet().scale == 1
+
+
+SIZE = "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .*such as 85mm or 85x60mm, got '"
+DPI = "a whole number of dots per inch from 50 to 2400, such as 300, got"
+CAMERA = r"a camera is front, back, .* iso, or AZIMUTH,ELEVATION in degrees .*, got '"
+LIMITS = "a picture is at least 50 mm wide and 35 mm high, and at most 2540 mm, got "
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        *[
+            ({"size": size}, SIZE)
+            for size in ("85", "85 60", "85x60", "x60mm", "85x60x40mm", "-85mm", "85em", "", "1mm.")
+        ],
+        *[({"size": size}, f"{LIMITS}'{size}'") for size in ("10mm", "85x10mm", "0x0mm", "3000mm")],
+        ({"size": "100px"}, f"{LIMITS}'100px' at 200 dpi"),
+        *[({"dpi": dpi}, DPI) for dpi in (0, -300, 49, 2401, "fine", "", "300.5", 1e400, float("nan"), int)],
+        ({"dpi": 2400}, "at most 8192 pixels along a side, and this one would have 16800; choose a smaller size"),
+        *[
+            ({"camera": camera}, CAMERA)
+            for camera in ("", "above", "30", "30,", "30,91", "361,0", "30,20,0", "30,20,1000")
+        ],
+        *[({"camera": camera}, CAMERA) for camera in ("30,20,1,1", "nan,0", "top,,2", "top,1,1")],
+    ],
+)
+def test_what_no_picture_can_have(options, sentence):
+    with pytest.raises(scan3d.InputError, match=sentence):
+        sheet(**options)
+
+
+def test_pictures_that_need_too_much_memory(monkeypatch):
+    monkeypatch.setattr(memory, "memory_bytes", lambda: 10**8)
+    with pytest.raises(
+        scan3d.InputError, match=r"a picture of 4200 x 3150 pixels needs about .* choose a smaller size"
+    ):
+        sheet(dpi=600)
+
+
+def test_cameras_have_names_or_angles():
+    assert sheet().camera is None
+    assert sheet(camera=" -60 , 25.5, 1.5").camera == Camera(-60, 25.5, 1.5)
+    assert sheet(camera="Top,2").camera == Camera(-90, 90, 2)
+    seen_from = {
+        "front": (0, -1, 0), "back": (0, 1, 0), "left": (-1, 0, 0), "right": (1, 0, 0), "top": (0, 0, 1), "bottom": (0, 0, -1),
+        "iso": np.array([1, -1, 1]) / np.sqrt(3),
+    }  # fmt: skip
+    assert set(seen_from) == set(CAMERAS)
+    for name, direction in seen_from.items():
+        np.testing.assert_allclose(sheet(camera=name).camera.toward, direction, atol=1e-15)
+
+
+@pytest.mark.parametrize("azimuth", [-90.0, 0.0, 37.0, 300.0])
+@pytest.mark.parametrize("elevation", [-90.0, -20.0, 0.0, 60.0, 90.0])
+def test_a_camera_stands_upright(azimuth, elevation):
+    camera = Camera(azimuth, elevation)
+    toward, up = np.array(camera.toward), np.array(camera.up)
+    assert np.linalg.norm([toward, up], axis=1) == pytest.approx(1)
+    assert toward @ up == pytest.approx(0, abs=1e-15)
+    assert up[2] == pytest.approx(np.cos(np.deg2rad(elevation)), abs=1e-15)
+    # to the right the picture has a horizontal direction
+    assert np.cross(up, toward)[2] == pytest.approx(0, abs=1e-15)
+
+
+@pytest.mark.rendering
+def test_cameras_see_the_sides_of_a_box(cube, tmp_path):
+    """A box of 60 by 30 by 15 mm; from each side its outline has the proportions of that side."""
+    scene = replace(
+        cube, surface=trimesh.creation.box((60, 30, 15)), truth=None, bound=None, contacts=None, recording=None
+    )
+    for camera, proportion in {"front": 60 / 15, "left": 30 / 15, "bottom": 60 / 30}.items():
+        views.picture(scene, tmp_path / "a.png", "surface", sheet=sheet("100x75mm", 100, camera))
+        body = (np.abs(pixels(tmp_path / "a.png")[:220, 10:] - 255) > 20).any(axis=2)
+        wide, high = (np.ptp(np.flatnonzero(body.any(axis=axis))) + 1 for axis in (0, 1))
+        assert wide / high == pytest.approx(proportion, rel=0.04), camera
+
+
+@pytest.mark.rendering
+def test_the_camera_sees_all_of_any_body():
+    rng = np.random.default_rng(3)
+    for size in ([80, 4, 4], [4, 4, 80], [1e-3, 1e-3, 1e-3], [1e4, 1, 1]):
+        corners = (rng.integers(0, 2, (64, 3)) - 0.5) * size + [1000, -20, 3]
+        canvas = Canvas(corners)
+        across = canvas.aim(1000, 700)
+        seen = (
+            (corners - canvas.plotter.camera.focal_point) @ np.stack([canvas.right, canvas.up], axis=1) / across * 1000
+        )
+        canvas.plotter.close()
+        assert np.abs(seen[:, 0]).max() <= 500
+        assert np.abs(seen[:, 1]).max() <= 350
+        assert max(np.ptp(seen[:, 0]) / 1000, np.ptp(seen[:, 1]) / 700) > 0.9
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (-20.0, -20.0, 19.3)])
+def test_points_that_differ_by_rounding_are_seen_as_one(point):
+    canvas = Canvas(np.array([point, np.multiply(point, 1 + 2e-16)]))
+    assert (canvas.size, len(canvas.corners)) == (1.0, 1)
+    canvas.add_points(canvas.corners, shading.TIP, 7)
+    assert 0 < fraction_of_color(canvas.image(64, 64)[0], shading.TIP, 60) < 0.5
+    canvas.plotter.close()
+
+
+# --- formats ---
+
+
+def fonts(pdf):
+    """The kinds of fonts in the bytes of a .pdf whose objects are not compressed, and whether they are embedded as TrueType."""
+    kinds = set(re.findall(rb"/Subtype /(Type0|Type1|Type3|TrueType|CIDFontType\d)", pdf))
+    return {kind.decode() for kind in kinds}, b"/FontFile2" in pdf
+
+
+def test_letters_of_a_pdf_are_truetype(egg, tmp_path):
+    views.picture(egg, tmp_path / "a.pdf", "histogram")
+    assert fonts((tmp_path / "a.pdf").read_bytes()) == ({"Type0", "CIDFontType2"}, True)
+    # by its own default matplotlib writes others, which this test would find
+    with matplotlib.rc_context({"pdf.fonttype": 3}):
+        views.figure(egg, "histogram").savefig(tmp_path / "b.pdf")
+    assert "Type3" in fonts((tmp_path / "b.pdf").read_bytes())[0]
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("dpi", [100, 600])
+def test_sizes_and_the_raster_of_the_body(egg, tmp_path, dpi):
+    given = sheet("85x60mm", dpi, "top")
+    for ending in ("png", "pdf", "svg"):
+        views.picture(egg, tmp_path / f"a.{ending}", "surface", sheet=given)
+    width, height = round(85 / 25.4 * dpi), round(60 / 25.4 * dpi)
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.size == (width, height)
+        assert image.info["dpi"] == pytest.approx((dpi, dpi), abs=0.1)
+    pdf, svg = (tmp_path / "a.pdf").read_bytes(), (tmp_path / "a.svg").read_text()
+    box = [float(number) for number in re.search(rb"/MediaBox \[ ([^\]]*) \]", pdf)[1].split()]
+    points = pytest.approx([72 * width / dpi, 72 * height / dpi], abs=0.01)
+    assert box[2:] == points
+    assert [float(re.search(rf'<svg[^>]* {side}="([\d.]+)pt"', svg)[1]) for side in ("width", "height")] == points
+    # an .svg needs nothing: letters are shapes, and smaller in a browser, pixels are averaged
+    assert "<text" not in svg
+    assert "pixelated" not in svg
+    assert all(link.startswith(("#", "data:image/png;base64,")) for link in re.findall(r'href="([^"]*)', svg))
+    # the body is an image in the resolution asked for, as large in both, and not resampled: as in the .png
+    # (beside that of the colour bar)
+    found = re.findall(r"<image [^>]*data:image/png;base64,([^\"]*)\"", svg, flags=re.DOTALL)
+    with Image.open(io.BytesIO(base64.b64decode(max(found, key=len)))) as image:
+        body = np.asarray(image.convert("RGB")).astype(int)
+    assert body.shape[0] in map(int, re.findall(rb"/Height (\d+)", pdf))
+    assert body.shape[1] in map(int, re.findall(rb"/Width (\d+)", pdf))
+    assert 0.5 * height < body.shape[0] < height
+    assert 0.6 * width < body.shape[1] < width
+    png = pixels(tmp_path / "a.png")
+    inked = (body < 250).any(axis=2)
+    rows, columns = np.flatnonzero(inked.any(axis=1)), np.flatnonzero(inked.any(axis=0))
+    part = body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    whole = (png < 250).any(axis=2)
+    top = np.flatnonzero(whole[:, : body.shape[1]].any(axis=1))[0]
+    left = np.flatnonzero(whole[top : top + part.shape[0] // 2, : body.shape[1]].any(axis=0))[0]
+    np.testing.assert_array_equal(png[top : top + part.shape[0], left : left + part.shape[1]], part)
+
+
+@pytest.mark.rendering
+def test_the_same_scene_gives_the_same_file(egg, tmp_path):
+    for kind in ("png", "pdf", "svg"):
+        for name in ("a", "b"):
+            views.picture(egg, tmp_path / f"{name}.{kind}", "cloud", sheet=sheet("85mm", 100))
+        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+    with pytest.raises(scan3d.InputError, match=r"a picture is written as \.png, \.pdf or \.svg, got 'x\.bmp'"):
+        views.picture(egg, tmp_path / "x.bmp")
+
+
+# --- parts of a picture do not overlap ---
+
+VIEWS = ("cloud", "surface", "compare", "explain", "histogram", "forces")
+SIZES = (None, "70x55mm", "85x60mm", "200x50mm", "60x200mm")
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize(
+    ("view", "size"),
+    [
+        pytest.param(view, size, marks=[] if (i + k) % 2 else pytest.mark.trust)
+        for i, view in enumerate(VIEWS)
+        for k, size in enumerate(SIZES)
+    ],
+)
+def test_no_part_of_a_picture_is_cut_off_or_written_over(view, size):
+    scene = scanned_in_space() if size == "85x60mm" else scanned(EGG)
+    scene = replace(scene, truth=scene.surface) if scene.truth is None else scene
+    with figures.quiet():
+        figure = views.figure(scene, view, "phase" if size == "200x50mm" else "force", sheet(size, 100))
+        figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()
+    width, height = figure.canvas.get_width_height()
+    texts = [text for text in figure.findobj(matplotlib.text.Text) if text.get_visible() and text.get_text().strip()]
+    hidden = out_of_sight(figure)
+    texts = [text for text in texts if id(text) not in hidden]
+    boxes = [text.get_window_extent(renderer) for text in texts]
+    assert len(boxes) > 3
+    for text, box in zip(texts, boxes, strict=True):
+        assert min(box.x0, box.y0) > -0.5, text
+        assert box.x1 < width + 0.5, text
+        assert box.y1 < height + 0.5, text
+    for k, (text, box) in enumerate(zip(texts, boxes, strict=True)):
+        for other, rest in zip(texts[:k], boxes[:k], strict=True):
+            assert not overlap(box, rest), (text, other)
+    # nothing is written on an image of a body, nor another image
+    images = [image.axes.get_window_extent(renderer) for axes in figure.axes for image in axes.images]
+    assert len(images) == {"histogram": 0, "forces": 0, "compare": 2}.get(view, 1)
+    for k, image in enumerate(images):
+        assert not [text for text, box in zip(texts, boxes, strict=True) if overlap(image, box)]
+        assert not any(overlap(image, rest) for rest in images[:k])
+        bars = [axes.get_window_extent(renderer) for axes in figure.axes if axes.collections and not axes.images]
+        assert not any(overlap(image, bar) for bar in bars)
+
+
+def out_of_sight(figure):
+    """The labels of ticks outside of the limits of their axis, which are not drawn."""
+    found = set()
+    for axis in [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]:
+        drawn = {id(tick) for tick in axis._update_ticks()}
+        ticks = [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+        found |= {id(label) for tick in ticks if id(tick) not in drawn for label in (tick.label1, tick.label2)}
+    return found
+
+
+def overlap(one, other):
+    """Whether two boxes overlap by more than the half pixel to which images are placed, or than letters' descenders."""
+    across = min(one.x1, other.x1) - max(one.x0, other.x0)
+    along = min(one.y1, other.y1) - max(one.y0, other.y0)
+    return across > 1 and along > 1
+
+
+def test_titles_are_wrapped_into_lines_of_about_one_length():
+    title = "bending out of the sweep's plane in °"
+    assert figures.wrapped(title, 7, Sheet()) == title
+    assert figures.wrapped(title, 3, Sheet()) == "bending out of the\nsweep's plane in °"
+    assert figures.wrapped("certified bound in um", 0.1, Sheet()) == "certified\nbound\nin µm"
+    assert figures.wrapped("5 %", 1, Sheet()) == "5 %"
+
+
+def test_the_scale_is_a_round_length():
+    lengths = {1.0: 1.0, 1.99: 1.0, 2.0: 2.0, 4.9: 2.0, 7.0: 5.0, 0.03: 0.02}
+    assert [figures.nice(length) for length in lengths] == pytest.approx([*lengths.values()])
+
+
+@pytest.mark.rendering
+def test_the_axes_are_below_the_body_whatever_the_zoom(egg):
+    filled = []
+    for camera in ("300,25,4", "300,25,0.3"):
+        figure = views.figure(egg, "surface", sheet=sheet("85x60mm", 100, camera))
+        axes = next(axes for axes in figure.axes if axes.images)
+        strip = next(axes for axes in figure.axes if any(text.get_text() == "x" for text in axes.texts))
+        assert strip.get_position().y1 <= axes.get_position().y0 + 1 / figure.canvas.get_width_height()[1]
+        assert strip.get_position().x0 == pytest.approx(axes.get_position().x0)
+        filled.append((axes.images[0].get_array() < 250).any(axis=2).mean())
+    # what is zoomed in fills the image, what is zoomed out a small part of it
+    assert filled[0] > 0.9
+    assert filled[1] < 0.1
+    with pytest.raises(
+        scan3d.InputError, match="a picture of 50 x 35 mm has no room for the body beside its labels; choose"
+    ):
+        views.figure(egg, "explain", sheet=sheet("50x35mm"))
+
+
+# --- what is seen ---
+
+
+def draw(scene, path, view, color="force"):
+    views.picture(scene, path, view, color, sheet(None, 100))
+    image = pixels(path)
+    assert image.shape[1] == 700  # 7 inches
+    # on white paper
+    assert (image[:10] == 255).all()
+    assert (image[:, :3] == 255).all()
+    return image
+
+
+def bar_of(image):
+    """(rows, 3) the colours along the middle of the colour bar, the tallest thing at the right, inside of its frame."""
+    right = image[:, 550:]
+    inked = (right < 200).any(axis=2).sum(axis=0)
+    sides = np.flatnonzero(inked > 0.9 * inked.max())
+    bar = right[:, (sides[0] + sides[-1]) // 2]
+    colored = np.flatnonzero(np.ptp(bar, axis=1) > 20)
+    return bar[colored[0] : colored[-1] + 1]
+
+
+@pytest.mark.rendering
+def test_the_surface_by_its_deviation(cube, tmp_path):
+    image = draw(cube, tmp_path / "surface.png", "surface")
+    # the hull's lid, in the picture's middle, lies farthest inside; its sides in the true ones
+    middle = image[75:500, 100:450]
+    assert fraction_of_color(middle, "#053061", 25) > 0.1
+    assert fraction_of_color(middle, "#b2182b", 40) == 0
+    grey = np.ptp(middle, axis=2) < 12
+    assert (grey & (middle.mean(axis=2) < 245)).mean() > 0.3
+    # the bar goes from dark blue through white to dark red, symmetrically
+    bar = bar_of(image)
+    assert bar[0] == pytest.approx([103, 0, 31], abs=40)
+    assert bar[-1] == pytest.approx([5, 48, 97], abs=40)
+    assert bar[len(bar) // 2] == pytest.approx([247, 247, 247], abs=12)
+
+
+@pytest.mark.rendering
+def test_the_surface_by_its_bound(egg, tmp_path):
+    # as asked for, or where there is no truth
+    for scene, view in ((egg, "bound"), (replace(egg, truth=None), "surface")):
+        image = draw(scene, tmp_path / "bound.png", view)
+        # sequential: from pale yellow to dark blue
+        bar = bar_of(image)
+        assert bar[0] == pytest.approx([8, 29, 88], abs=40)
+        assert bar[-1] == pytest.approx([255, 255, 217], abs=40)
+        assert fraction_of_color(image[:, :545], "#225ea8", 60) > 0.01
+    plain = draw(replace(egg, truth=None, bound=None), tmp_path / "plain.png", "surface")
+    assert (plain[:, 575:] == 255).all()  # no bar
+    assert 0.1 < (plain < 250).all(axis=2).mean() < 0.7
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("color", ["phase", "friction", "bending"])
+def test_the_cloud_by_its_colours(egg, tmp_path, color):
+    image = draw(scanned_in_space() if color == "bending" else egg, tmp_path / "cloud.png", "cloud", color)
+    body = image[:, :545]
+    if color == "phase":
+        assert fraction_of_color(body, shading.TANGENTIAL, 60) > 2e-3
+        assert fraction_of_color(body, shading.TIP, 60) > 5e-5
+    else:
+        assert (np.ptp(body, axis=2) > 60).mean() > 2e-3
+        # viridis from yellow to violet, or from red to blue
+        top, bottom = bar_of(image)[[2, -3]]
+        assert top[0] > bottom[0]
+        assert top[2] < bottom[2]
+    # normals stick out of the body
+    assert fraction_of_color(body, shading.NORMAL, 60) > 1e-3
+
+
+@pytest.mark.rendering
+def test_truth_and_reconstruction_side_by_side(cube):
+    left, right = (axes.images[0].get_array().astype(int) for axes in views.figure(cube, "compare").axes if axes.images)
+    assert fraction_of_color(left, "#053061", 25) == 0
+    assert fraction_of_color(right, "#053061", 25) > 0.05
+    # by the same camera: the outlines agree
+    bodies = [(np.abs(half - 255).max(axis=2) > 12) for half in (left, right)]
+    assert (bodies[0] != bodies[1]).mean() < 0.02
+    assert bodies[0].mean() > 0.2
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
+def test_the_view_that_explains(make, tmp_path):
+    image = draw(make(), tmp_path / "explain.png", "explain")
+    upper, legend = image[:-75], image[-75:]
+    for color in (shading.BODY, shading.ROD, shading.INK):
+        assert fraction_of_color(upper, color, 60) > 1e-3
+    assert fraction_of_color(upper, shading.TANGENTIAL, 60) > 4e-4
+    assert (legend < 128).all(axis=2).mean() > 0.005
+
+
+@pytest.mark.rendering
+def test_a_long_body_is_cut_off_where_the_rods_do_not_reach(cube, tmp_path):
+    tall = trimesh.creation.cylinder(3, 120, sections=24)
+    recording = scan3d.simulate(tall, scan3d.Plan(slices=4, sweeps=4, samples=12))
+    contacts = cloud_table(scan3d.reconstruct(recording), None)
+    scene = replace(cube, truth=tall, surface=tall, contacts=contacts, recording=recording)
+    image = draw(scene, tmp_path / "a.png", "explain")
+    # its ends are seen: faces in the colour of the body, and white paper above
+    assert of_color(image, shading.BODY, 60).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "sentence"),
+    [
+        ({}, dict(view="rainbow"), "view must be one of cloud, surface, bound, .*, histogram, forces, got 'rainbow'"),
+        (
+            dict(contacts=None),
+            dict(view="cloud"),
+            "cube has no contacts to show; it has a surface: give the view surface",
+        ),
+        (dict(surface=None), dict(view="surface"), "cube has no surface to show; it has a cloud: give the view cloud"),
+        (dict(truth=None), dict(view="compare"), "the true body of cube is not known, .*: give --truth MESH"),
+        (dict(bound=None), dict(view="bound"), "the bound of cube is not known; show a scan's folder"),
+        (dict(recording=None), dict(view="explain"), "cube has no recording, which rods are drawn from"),
+        (dict(recording=None), dict(view="forces"), "cube has no recording, whose reactions the view forces shows"),
+        (dict(surface=None), dict(view="histogram"), "cube has no surface, whose deviation and bound the view"),
+        (
+            dict(truth=None, bound=None),
+            dict(view="histogram"),
+            "neither the deviation nor the bound of cube is known, .*",
+        ),
+        ({}, dict(view="forces", sheet=sheet(camera="top")), "the view forces shows no body, so that it has no camera"),
+    ],
+)
+def test_views_that_the_scene_can_not_give(cube, tmp_path, monkeypatch, change, options, sentence):
+    monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
+    with pytest.raises(scan3d.InputError, match=sentence):
+        views.picture(replace(cube, **change), tmp_path / "x.png", **options)
+    assert not list(tmp_path.iterdir())
+
+
+# --- histograms and forces ---
+
+
+def test_a_histogram_counts_area(egg):
+    deviation, bound = histograms(egg, Sheet()).axes
+    assert deviation.get_xlabel().replace("\n", " ") == "signed deviation in mm"
+    assert bound.get_xlabel().replace("\n", " ") == "certified bound in mm"
+    mesh, signed, local = shown_surface(egg)
+    for axes, values in ((deviation, signed), (bound, local)):
+        shares, edges, _ = axes.patches[0].get_data()
+        assert shares.sum() == pytest.approx(100)
+        # by facets, whose mean is nearly that of their vertices
+        expected = (values[mesh.faces].mean(axis=1) * mesh.area_faces).sum() / mesh.area
+        assert (shares @ (edges[1:] + edges[:-1]) / 2) / 100 == pytest.approx(expected, abs=edges[1] - edges[0])
+        assert edges[0] <= values.min() + 1e-9
+        assert edges[-1] >= values.max() - 1e-9
+    median = float(re.match(r"median (−?[\d.]+)", deviation.get_title())[1].replace("−", "-"))
+    assert signed.min() < median < signed.max()
+
+
+def test_histograms_of_unknown_values_of_small_ones_and_of_one(egg):
+    vertices = egg.surface.vertices
+    half = np.where(vertices[:, 2] > np.median(vertices[:, 2]), np.inf, egg.bound)
+    (axes,) = histograms(replace(egg, truth=None, bound=half), Sheet()).axes
+    unknown = float(re.search(r"unknown on (\d+) %", axes.get_title().replace("\n", " "))[1])
+    assert axes.patches[0].get_data()[0].sum() == pytest.approx(100 - unknown, abs=1)
+    assert 20 < unknown < 80
+    for factor, label in ((1.0, "in mm"), (1e-6, "10^{-")):  # small ones have a power in their unit
+        near = egg.surface.copy()
+        near.vertices = vertices * (1 + factor * 1e-2)
+        (axes,) = histograms(replace(egg, bound=None).against(near), Sheet()).axes
+        assert label in axes.get_xlabel()
+        assert "signed distance from the other surface" in axes.get_xlabel().replace("\n", " ")
+    (axes,) = histograms(replace(egg, truth=None, bound=np.zeros(len(vertices))), Sheet()).axes
+    shares, edges, _ = axes.patches[0].get_data()
+    assert (edges[0], edges[-1], shares[0]) == (0, 1, pytest.approx(100))
+    assert axes.get_title() == "median 0, 90 % from 0 to 0"
+
+
+def test_forces_of_three_and_of_six_axes(egg):
+    for scene, count in ((egg, 3), (scanned_in_space(), 6)):
+        figure = views.figure(scene, "forces", sheet=sheet("120x90mm"))
+        panels = [axes for axes in figure.axes if axes.lines]
+        assert len(panels) == count
+        assert all(axes.get_title(loc="left") for axes in panels)
+        assert figure.get_size_inches() == pytest.approx([120 / 25.4, 90 / 25.4], abs=0.01)
+    assert [axes.get_title(loc="left") for axes in reactions(egg.recording).axes[:3]] == [*figures.REACTION_LABELS]

@@ -1,0 +1,458 @@
+"""A scene, read from files, in parts, colours and words: what is seen is what was scanned."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from small_scans import CUBE, EGG, scanned, scanned_in_space
+from spatial_scans import SEMI_AXES
+
+import planar
+import scan3d
+from scan3d import scenes
+from scan3d.cli import main, show
+from scan3d.files.ply import ply
+from scan3d.pictures import shading
+from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
+from scan3d.pictures.scene import contact_sentence, of_cloud, out_of_plane_deg
+from scan3d.report import key_figures
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return scanned(EGG)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return scanned(CUBE)
+
+
+@pytest.fixture(scope="module")
+def ellipsoid():
+    return scanned_in_space()
+
+
+# --- files ---
+
+
+def test_a_folder_is_shown_as_it_was_scanned(folder):
+    scene = show.read_scene(folder, None, False, "mm")
+    assert (scene.name, scene.unit) == ("egg", "mm")
+    assert scene.truth.extents == pytest.approx(scan3d.load_mesh(EGG).extents)
+    log = scan3d.read_recording(folder / "recording.csv")
+    assert np.array_equal(scene.recording.force_N, log.force_N)
+    assert np.array_equal(scene.points, scan3d.reconstruct(log).points)
+    assert len(scene.bound) == len(scene.surface.vertices)
+    assert dict(scene.key_figures)["contacts"] == str(len(scene.points))
+    # a recording alone gives the same, but for the truth
+    alone = show.read_scene(folder / "recording.csv", None, False, "mm")
+    assert np.array_equal(alone.points, scene.points)
+    assert np.asarray(alone.surface.vertices) == pytest.approx(np.asarray(scene.surface.vertices))
+    assert alone.bound == pytest.approx(scene.bound, rel=1e-6)
+    assert alone.truth is None
+
+
+def test_a_stored_scan_in_space_has_all_that_its_pictures_need(ellipsoid, tmp_path, no_pictures):
+    scan3d.write_recording(ellipsoid.recording, tmp_path / "recording.csv")
+    assert main(["reconstruct", str(tmp_path / "recording.csv"), "--out", str(tmp_path), "--quiet"]) == 0
+    read, report = scenes.read_folder(tmp_path, "mm")
+    assert report["model"] == "spatial"
+    cloud = scan3d.reconstruct(read.recording)
+    assert read.column("slice") is None
+    assert "slices" not in dict(read.key_figures)
+    assert read.column("bending") == pytest.approx(cloud.bending_angle, abs=1e-6)
+    tangents = np.stack([read.column(f"t{axis}") for axis in "xyz"], axis=1)
+    assert tangents == pytest.approx(cloud.tangents, abs=1e-6)
+    sweep = shown_sweep(read)
+    assert sweep.contact == pytest.approx(cloud.centre_points[cloud.sweep == sweep.number], abs=1e-9 * read.diagonal)
+
+
+def test_the_truth_is_found_beside_the_folder_unless_it_has_changed(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    report = scenes.read_report(folder)
+    assert Path(scenes.find_truth(folder, report)).samefile(folder.parent / "egg.stl")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    for body, found in ((None, None), (CUBE, None), (EGG, "parts/egg.stl")):
+        if body:
+            (tmp_path / "parts" / "egg.stl").write_bytes(body.read_bytes())
+        assert scenes.find_truth(tmp_path / "elsewhere", report) == found
+    assert scenes.find_truth(tmp_path / "elsewhere", {}) is None
+
+
+def strings(value):
+    if isinstance(value, dict):
+        value = [*value, *value.values()]
+    return [text for item in value for text in strings(item)] if isinstance(value, list) else [str(value)]
+
+
+def test_a_report_names_no_place_outside_its_folder(folder):
+    report = scenes.read_report(folder)
+    assert report["mesh"]["file"] == report["source"]["mesh"] == "egg.stl"
+    words = strings(dict(report))
+    assert len(words) > 100
+    assert not [word for word in words if ".." in word or "/" in word.replace("Hausdorff/", "") or "\\" in word]
+
+
+def test_plys_and_meshes(folder, tmp_path):
+    cloud, surface = (show.read_scene(folder / f"{name}.ply", None, False, "in") for name in ("cloud", "surface"))
+    assert cloud.unit == surface.unit == "mm"  # as the files say
+    assert cloud.surface is None
+    assert surface.contacts is None
+    assert len(surface.bound) == len(surface.surface.vertices)
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    trimesh.PointCloud(points).export(tmp_path / "foreign.ply")
+    foreign = show.read_scene(tmp_path / "foreign.ply", None, False, "in")
+    assert foreign.unit == "in"
+    assert foreign.points == pytest.approx(points, rel=1e-6)
+    scan3d.load_mesh(CUBE).export(tmp_path / "mesh.ply", encoding="ascii")
+    for path in (CUBE, tmp_path / "mesh.ply"):
+        mesh = show.read_scene(path, str(EGG), False, "mm")
+        assert mesh.surface.extents == pytest.approx([40.0, 40.0, 40.0])
+        assert mesh.truth is not None
+
+
+def test_contacts_in_one_plane_are_still_shown(folder, tmp_path):
+    log = scan3d.read_recording(folder / "recording.csv")
+    rows = log.sweep == np.unique(log.sweep)[5]
+    columns = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
+    scan3d.write_recording(replace(log, **{name: getattr(log, name)[rows] for name in columns}), tmp_path / "one.csv")
+    scene = show.read_scene(tmp_path / "one.csv", None, False, "mm")
+    assert scene.surface is None
+    assert len(scene.points) > 3
+
+
+XYZ = [(name, "f8") for name in "xyz"]
+
+
+@pytest.mark.parametrize(
+    ("files", "shown", "sentence"),
+    [
+        ({}, "nothing", "there is no .*nothing; show a scan's folder, a recording"),
+        ({}, ".", "holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'"),
+        ({"report.json": b"[1]"}, ".", "is not a report: expected a JSON object; run the scan again"),
+        ({"report.json": b"{"}, ".", "can't read .*report.json: .*; run the scan again"),
+        (
+            {"cloud.ply": ply(np.zeros(3, XYZ), np.array([[0, 1, 2]]))},
+            ".",
+            "cloud.ply does not hold what its name says",
+        ),
+        (
+            {"a.ply": ply(np.zeros(3, [("force", "f8")]))},
+            "a.ply",
+            "a.ply has no points: expected the columns x, y and z",
+        ),
+        ({"a.ply": ply(np.full(3, np.nan, XYZ))}, "a.ply", "a.ply has no points, or points that are not numbers"),
+        (
+            {"a.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n"},
+            "a.ply",
+            "can't read .*a.ply: .*; expected a PLY of points or triangles",
+        ),
+    ],
+)
+def test_files_that_can_not_be_shown(tmp_path, capsys, files, shown, sentence):
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    assert main(["show", str(tmp_path / shown), "--html", str(tmp_path / "page.html")]) == 1
+    assert re.search(sentence, capsys.readouterr().err)
+    assert not (tmp_path / "page.html").exists()
+
+
+# --- slices, paths and rods ---
+
+
+def test_slices_are_closed_lines_through_their_contacts(egg):
+    slice_of_contact, drawn = egg.column("slice"), outlines(egg)
+    assert [number for _, number in drawn] == sorted(set(slice_of_contact))
+    for outline, number in drawn:
+        points = egg.points[slice_of_contact == number]
+        assert np.array_equal(outline[0], outline[-1])
+        assert len(outline) == len(points) + 1
+        assert np.ptp(outline[:, 2]) < 1e-9
+        # in order: the egg's slices are circles, and a polygon in any other order is far longer
+        length = np.linalg.norm(np.diff(outline, axis=0), axis=1).sum()
+        assert length <= np.pi * np.ptp(outline[:, 0]) * 1.05
+
+
+def test_paths_of_contacts_are_broken_where_the_rod_leaves_the_body(ellipsoid):
+    row, sweep = ellipsoid.column("row"), ellipsoid.column("sweep")
+    paths = contact_paths(ellipsoid)
+    assert {number for _, number in paths} <= set(sweep)
+    for line, number in paths:
+        mine = np.flatnonzero(sweep == number)
+        index = [mine[np.argmin(np.linalg.norm(ellipsoid.points[mine] - point, axis=1))] for point in line]
+        assert (np.diff(row[index]) == 1).all()
+    assert max(np.linalg.norm(np.diff(line, axis=0), axis=1).max() for line, _ in paths) < 0.2 * ellipsoid.diagonal
+
+
+def check_lengths(sweep, scene):
+    """The rod has its length, and starts along the clamp's y axis."""
+    along = [np.linalg.norm(np.diff(lines, axis=1), axis=2).sum(axis=1) for lines in (sweep.curved, sweep.straight)]
+    assert sum(along) == pytest.approx(np.full(len(sweep.base), 1e3 * scene.recording.rod.length_m), rel=1e-6)
+    start = sweep.curved[:, 1] - sweep.curved[:, 0]
+    assert (start @ sweep.axes[1] > 0.999 * np.linalg.norm(start, axis=1)).all()
+
+
+def test_rods_touch_where_the_contacts_are_in_whatever_order_these_are(egg):
+    number = shown_sweep(egg).number
+    for scene in (egg, replace(egg, contacts=egg.contacts[np.random.default_rng(5).permutation(len(egg.contacts))])):
+        sweep = shown_sweep(scene, number, points=2000)
+        assert sweep.contact == pytest.approx(scene.points[scene.column("sweep") == number], abs=1e-9 * egg.diagonal)
+        check_lengths(sweep, egg)
+    assert (np.diff(shown_sweep(egg).base @ shown_sweep(egg).axes[0]) < 0).all()
+
+
+def test_rods_in_space_touch_where_the_contacts_are(ellipsoid):
+    cloud, sides = scan3d.reconstruct(ellipsoid.recording), set()
+    for number in np.unique(cloud.sweep)[::3]:
+        sweep, rows = shown_sweep(ellipsoid, number, points=2000), cloud.sweep == number
+        assert sweep.slice is None
+        assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
+        check_lengths(sweep, ellipsoid)
+        # past a tangential contact the rod goes straight on along its tangent, and stays outside of the body
+        tangential = cloud.phase[rows] == planar.Phase.TANGENTIAL
+        rest = np.diff(sweep.straight, axis=1)[tangential, 0]
+        rest /= np.linalg.norm(rest, axis=1, keepdims=True)
+        assert rest == pytest.approx(cloud.tangents[rows][tangential], abs=1e-6)
+        semi_axes = np.array(SEMI_AXES) * 50  # mm
+        assert (np.linalg.norm(sweep.rods.reshape(-1, 3) / semi_axes, axis=1) > 1.0).all()
+        # rods that bend downward are seen from below
+        up = np.sign(((sweep.contact - sweep.base) @ sweep.axes[2]).mean())
+        assert np.sign(sweep_direction(sweep) @ sweep.axes[2]) == up
+        sides.add(up)
+    assert sides == {-1.0, 1.0}
+
+
+def test_clamps_may_turn_during_a_sweep(ellipsoid):
+    recording, number = ellipsoid.recording, shown_sweep(ellipsoid).number
+    # turned about the world's z axis, as far as the sample's number says; contacts turn about the clamps
+    turns = Rotation.from_rotvec(np.outer(1e-3 * np.arange(len(recording)), [0, 0, 1]))
+    quaternion = (turns * Rotation.from_quat(recording.quaternion, scalar_first=True)).as_quat(scalar_first=True)
+    turned = replace(recording, quaternion=quaternion)
+    cloud = scan3d.reconstruct(turned)
+    sweep = shown_sweep(of_cloud(cloud, recording=turned), number)
+    rows = cloud.sweep == number
+    assert sweep.turns == pytest.approx(turned.axes()[cloud.row[rows]])
+    assert not np.allclose(sweep.turns[0], sweep.turns[-1])
+    assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
+
+
+def test_rods_of_noisy_recordings_stay_near_the_body():
+    noisy = scanned(CUBE, noise=1e-3)
+    sweep = shown_sweep(noisy)
+    assert len(sweep.base) == (noisy.column("sweep") == sweep.number).sum()
+    assert np.linalg.norm(np.ptp(sweep.curved.reshape(-1, 3), axis=0)) < 10 * noisy.diagonal
+    noisy = scanned_in_space(noise=(1e-3, 1e-3))
+    cloud, sweep = scan3d.reconstruct(noisy.recording), shown_sweep(noisy)
+    assert sweep.contact == pytest.approx(cloud.centre_points[cloud.sweep == sweep.number], abs=1e-9 * noisy.diagonal)
+
+
+def test_the_most_informative_sweep_lies_in_the_middle_and_has_distant_contacts(cube):
+    sweep = shown_sweep(cube)
+    assert abs(sweep.contact[0, 2]) < 10  # of ±20
+    assert np.linalg.norm(np.ptp(sweep.contact, axis=0)) > 35
+
+
+def without_rows(scene):
+    return replace(scene, contacts=scene.contacts[[name for name in scene.contacts.dtype.names if name != "row"]])
+
+
+def with_shorter_recording(scene):
+    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
+    half = {name: getattr(scene.recording, name)[: len(scene.recording) // 2] for name in names}
+    return replace(scene, recording=replace(scene.recording, **half))
+
+
+def with_another_recording(scene):
+    return replace(scene, recording=scanned(EGG, sweeps=7).recording)
+
+
+@pytest.mark.parametrize("change", [without_rows, with_shorter_recording, with_another_recording])
+def test_contacts_that_do_not_come_from_the_recording(egg, change):
+    message = "the contacts of egg do not belong to its recording, which rods are drawn from: reconstruct it again"
+    with pytest.raises(scan3d.InputError, match=message):
+        shown_sweep(change(egg))
+
+
+def test_sweeps_that_can_not_be_shown(egg, ellipsoid):
+    with pytest.raises(scan3d.InputError, match="sweep 4711 has no contact; choose one of the 48"):
+        shown_sweep(egg, 4711)
+    with pytest.raises(scan3d.InputError, match="egg has no recording, which rods are drawn from"):
+        shown_sweep(replace(egg, recording=None))
+    flat = replace(ellipsoid.recording, **dict.fromkeys(("force_z_N", "moment_x_Nm", "moment_y_Nm")))
+    with pytest.raises(scan3d.InputError, match="the contacts of ellipsoid do not belong to its recording"):
+        shown_sweep(replace(ellipsoid, recording=flat))
+
+
+# --- the surface ---
+
+
+def test_the_deviation_is_looked_up_inside_large_facets(cube):
+    mesh, deviation, bound = shown_surface(cube)
+    assert mesh.edges_unique_length.max() <= cube.diagonal / 60 * (1 + 1e-9)
+    assert mesh.volume == pytest.approx(cube.surface.volume)
+    # the hull of the contacts lies inside: its lid below the cube's, its sides in the cube's
+    lid = mesh.vertices[:, 2] > mesh.vertices[:, 2].max() - 1e-6
+    inner = lid & (np.abs(mesh.vertices[:, :2]).max(axis=1) < 15)
+    assert deviation[inner] == pytest.approx(mesh.vertices[inner, 2] - 20, abs=1e-6)
+    assert deviation.max() < 1e-9
+    # at old vertices the bound is unchanged, and elsewhere it lies between those of old vertices
+    old = np.linalg.norm(mesh.vertices[:, None] - cube.surface.vertices, axis=2)
+    same = np.argwhere(old < 1e-9)
+    assert bound[same[:, 0]] == pytest.approx(cube.bound[same[:, 1]], abs=1e-6)
+    assert cube.bound.min() - 1e-6 <= bound.min() <= bound.max() <= cube.bound.max() + 1e-6
+
+
+def test_the_distance_from_another_surface_is_signed_and_exact(cube):
+    """Of a box in a larger one, in a dented one and in one whose facets are turned inside out."""
+    side = np.ptp(cube.surface.vertices, axis=0)[0]
+    inner = trimesh.creation.box([side] * 3)
+    for factor in (0.5, 2.0):
+        other = trimesh.creation.box([factor * side] * 3)
+        for shape in (other, trimesh.Trimesh(other.vertices, other.faces[:, ::-1], process=False)):
+            mesh, distance, _ = shown_surface(replace(cube, surface=inner, bound=None).against(shape))
+            inside = np.abs(mesh.vertices).max(axis=1) - factor * side / 2
+            facing = np.sort(np.abs(mesh.vertices), axis=1)[:, 1] < 0.2 * side  # opposite the middles of faces
+            np.testing.assert_allclose(distance[facing], inside[facing], atol=1e-9 * side)
+            assert (distance > 0).all() if factor < 1 else (distance < 0).all()
+
+
+# --- colours ---
+
+
+def test_colours_of_bounds_between_vertices_are_on_the_scale(cube):
+    """Values are interpolated, not colours: a mixture of pale and dark need not be a colour of the scale."""
+    bound = np.where(cube.surface.vertices[:, 0] > 0, 0.4, 0.0)
+    mesh, shaded = shading.shade_surface(replace(cube, bound=bound, truth=None), "bound")
+    assert mesh.volume == pytest.approx(cube.surface.volume)
+    assert (shaded.norm.vmin, shaded.norm.vmax) == (0.0, 0.4)
+    colors = {tuple(color) for color in shaded.rgb}
+    scale = shading.shade(np.linspace(0, 1, 256), "", 0, 1, map="YlGnBu").rgb
+    assert colors <= {tuple(color) for color in scale}
+    assert len(colors) > 30
+
+
+def test_a_body_found_exactly_is_not_shown_in_colours(cube):
+    exact = replace(cube, surface=cube.truth)
+    _, shaded = shading.shade_surface(exact)
+    assert (shaded.rgb.min(axis=1) > 240).all()
+    assert shaded.norm.vmax == pytest.approx(1e-9 * exact.diagonal)
+
+
+def test_colours_are_those_of_their_scales(egg):
+    friction = shading.shade_contacts(egg, "friction")
+    tip = egg.column("phase") == planar.Phase.TIP
+    assert tip.any()
+    assert (friction.rgb[tip] == [154, 154, 154]).all()  # unknown: grey
+    low, high = np.nanargmin(egg.column("friction")), np.nanargmax(egg.column("friction"))
+    assert friction.rgb[low] == pytest.approx([68, 1, 84], abs=1)  # viridis
+    assert friction.rgb[high] == pytest.approx([253, 231, 37], abs=1)
+    force = shading.shade_contacts(egg, "force")
+    assert (force.norm.vmin, force.norm.vmax) == (0.0, pytest.approx(1e3 * egg.column("force").max()))
+
+
+def test_the_bending_out_of_the_plane(ellipsoid):
+    shaded = shading.shade_contacts(ellipsoid, "bending")
+    assert shaded.title == "bending out of the sweep's plane in °"
+    assert shaded.norm.vmin == -shaded.norm.vmax  # symmetric
+    # a rod that bends to the clamp's z by as much as along the sweep bends 45° out of the plane
+    angle = np.rad2deg(np.arcsin(np.sin(scan3d.reconstruct(ellipsoid.recording).bending_angle)))
+    assert shaded.norm.vmax == pytest.approx(np.abs(angle).max(), rel=1e-6)
+    assert 45 < shaded.norm.vmax <= 90
+    # blue below the plane and red above it
+    red, blue = shaded.rgb[:, 0].astype(int), shaded.rgb[:, 2].astype(int)
+    assert (red > blue)[angle > 5].all()
+    assert (blue > red)[angle < -5].all()
+    # it is small for rods that bend backward
+    angles = np.deg2rad([0.0, 30.0, 90.0, 150.0, 180.0, -170.0, -90.0, -10.0])
+    assert out_of_plane_deg(angles) == pytest.approx([0, 30, 90, 30, 0, -10, -90, -10], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "color", "sentence"),
+    [
+        (None, "error", "the error of the contacts of cube is not known; known are phase, force, friction"),
+        (None, "bending", "the bending of the contacts of cube is not known; known are phase"),
+        (["x", "y", "z"], "force", "the force of the contacts of cube is not known; its file has points only"),
+        (None, "taste", "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
+    ],
+)
+def test_colours_that_a_cloud_does_not_know(cube, columns, color, sentence):
+    contacts = cube.contacts.copy()
+    contacts["quality"] = np.nan
+    with pytest.raises(scan3d.InputError, match=sentence):
+        shading.shade_contacts(replace(cube, contacts=contacts[columns] if columns else contacts), color)
+
+
+# Linear red, green and blue as they are seen without one kind of cones (G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A
+# Physiologically-based Model for Simulation of Color Vision Deficiency, IEEE TVCG 15, 2009, severity 1).
+SEEN = {
+    "all": np.eye(3),
+    "no red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "no blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+
+
+def lab(color, seen):
+    """(3,) the colour "#rrggbb" in CIELAB, as it is seen."""
+    srgb = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    linear = (np.array(seen) @ linear).clip(0, 1)
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ linear
+    x, y, z = np.cbrt(xyz / [0.9505, 1.0, 1.089])
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def least_difference(colors):
+    """The smallest distance in CIELAB of two of some colours for any kind of sight."""
+    seen = [[lab(color, matrix) for color in colors] for matrix in SEEN.values()]
+    return min(np.linalg.norm(a - b) for found in seen for k, a in enumerate(found) for b in found[:k])
+
+
+def test_what_must_be_told_apart_is_so_by_the_colour_blind():
+    # red and green of one lightness, which this test is to find
+    assert least_difference(("#b2182b", "#3a6f1f")) < 20
+    for colors in (
+        (shading.TANGENTIAL, shading.TIP, shading.UNKNOWN, shading.NORMAL),
+        (shading.ROD, shading.TANGENTIAL, shading.BODY, shading.INK),
+        shading.REACTION_COLORS,
+        shading.ON_DEVIATION,
+        (shading.ROD, shading.BOUND),
+    ):
+        assert least_difference(colors) > 15, colors
+
+
+# --- words ---
+
+
+def test_key_figures_are_those_of_the_report(folder):
+    report = json.loads((folder / "report.json").read_text())
+    shown = dict(key_figures(report))
+    for name in ("contacts", "slices", "sweeps"):
+        assert shown[name] == str(report["counts"][name])
+    assert shown["Hausdorff distance"].startswith(f"{report['hausdorff']['two_sided']:.3g} mm (")
+    assert shown["size"] == "42.31 × 42.31 × 56 mm"
+    # without the truth
+    assert "Hausdorff distance" not in dict(key_figures({**report, "hausdorff": None}))
+
+
+def test_the_sentence_of_a_contact(egg, ellipsoid):
+    contact = int(np.flatnonzero(egg.column("phase") == planar.Phase.TANGENTIAL)[0])
+    sentence = contact_sentence(egg, contact)
+    assert sentence.startswith(f"contact {contact}: ({egg.points[contact][0]:.6g}, ")
+    for part in ("mm, sweep 0, slice 0, tangential contact, force ", " mN, friction 0.", "normal ("):
+        assert part in sentence
+    points_only = replace(egg, contacts=egg.contacts[["x", "y", "z"]])
+    assert contact_sentence(points_only, 0) == "contact 0: ({:.6g}, {:.6g}, {:.6g}) mm".format(*egg.points[0])
+    angle = scan3d.reconstruct(ellipsoid.recording).bending_angle
+    contact = int(np.argmax(np.abs(np.sin(angle))))
+    sentence = contact_sentence(ellipsoid, contact)
+    assert f", bending {np.rad2deg(np.arcsin(np.sin(angle[contact]))):.1f}° out of the sweep's plane" in sentence
+    assert "slice" not in sentence
