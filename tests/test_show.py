@@ -1,57 +1,64 @@
-"""The command `show`: it writes what it is asked for, and without a renderer everything else."""
+"""The command `show` and the window: what it writes, what it refuses, and without a renderer everything else."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 from image_checks import pixels
-from small_scans import CUBE, FEW, scanned_folder
+from small_scans import CUBE, EGG, FEW, scanned, scanned_in_space
 from without_renderer import MISSING, hidden_renderer
 
-from scan3d.cli import main, show
-from scan3d.pictures import rendering, views
+import scan3d
+from scan3d.cli import show
+from scan3d.pictures import movie, rendering, shading, window
+from scan3d.pictures.scene import contact_sentence
+from scan3d.scenes import other_surface
 
 COMMAND = Path(sys.executable).with_name("scan3d")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return scanned_folder(tmp_path_factory.mktemp("show"))
+@pytest.fixture
+def shown(folder, call):
+    """A function that shows a folder: (exit code, stdout, stderr)."""
+    return lambda *options: call("show", folder, *options)
 
 
 @pytest.mark.rendering
-@pytest.mark.slow
-def test_show_writes_what_it_is_asked_for(folder, tmp_path, capsys):
-    picture, page = tmp_path / "a.png", tmp_path / "a.html"
-    assert main(["show", str(folder), "--screenshot", str(picture), "--html", str(page), "--view", "compare"]) == 0
-    printed = capsys.readouterr()
-    assert printed.out == f"written to {page}\nwritten to {picture}\n"
-    assert printed.err == ""
-    assert page.read_bytes().startswith(b"<!DOCTYPE html>")
-    assert (pixels(picture) < 128).any()
-    assert main(["show", str(folder / "cloud.ply"), "--screenshot", str(picture), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"shown": "cloud", "files": [str(picture)]}
+def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown, call):
+    picture, page = tmp_path / "a.svg", tmp_path / "a.html"
+    options = ["--size", "85x60mm", "--dpi", "150", "--camera", "-60,25", "--view", "compare"]
+    assert shown("--screenshot", picture, "--html", page, *options) == (
+        0, f"written to {page}\nwritten to {picture}\n", "",
+    )  # fmt: skip
+    assert page.read_bytes() == (folder / "view.html").read_bytes()
+    scan3d.open(folder).plot(size="85x60mm", dpi=150, camera="-60,25", view="compare", path=tmp_path / "b.svg")
+    assert picture.read_bytes() == (tmp_path / "b.svg").read_bytes()
+    code, out, _ = call("show", folder / "cloud.ply", "--screenshot", tmp_path / "a.png", "--json")
+    assert (code, json.loads(out)) == (0, {"shown": "cloud", "files": [str(tmp_path / "a.png")]})
 
 
-@pytest.mark.slow
-def test_the_page_of_a_folder_is_that_of_its_scan(folder, tmp_path):
-    assert main(["show", str(folder), "--html", str(tmp_path / "again.html"), "--quiet"]) == 0
-    assert (tmp_path / "again.html").read_bytes() == (folder / "view.html").read_bytes()
+@pytest.mark.rendering
+@pytest.mark.parametrize(("options", "same_as"), [(("--color", "phase"), "cloud"), ((), "surface")])
+def test_a_colour_shows_the_contacts(folder, tmp_path, shown, monkeypatch, options, same_as):
+    """Without a view: the contacts if their colour is named, else the surface."""
+    drawn = []
+    monkeypatch.setattr("scan3d.pictures.drawing.draw", lambda _, jobs: drawn.append(jobs) or [b""])
+    assert shown("--screenshot", tmp_path / "a.png", *options)[0] == 0
+    (((_, keywords),),) = drawn
+    assert keywords["view"] == same_as
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (("--view", "bound"), "--view says what a picture shows: give --screenshot FILE as well"),
-        (("--view", "bound", "--html", "x.html"), "--view says what a picture shows: give --screenshot FILE as well"),
         (
             ("--color", "phase", "--html", "x.html"),
-            "--color is for a picture or the window: give --screenshot FILE as well",
-        ),
-        (
-            ("--color", "phase", "--movie", "x.gif"),
             "--color is for a picture or the window: give --screenshot FILE as well",
         ),
         (
@@ -59,26 +66,70 @@ def test_the_page_of_a_folder_is_that_of_its_scan(folder, tmp_path):
             "--color is that of the contacts in the view cloud: leave it out with --view bound",
         ),
         (("--movie-of", "growth", "--html", "x.html"), "--movie-of says what a movie shows: give --movie FILE as well"),
+        (("--size=85mm", "--html", "x.html"), "--size is that of a picture: give --screenshot FILE as well"),
+        (("--dpi=300", "--html", "x.html"), "--dpi is that of a picture: give --screenshot FILE as well"),
+        (
+            ("--size", "85", "--screenshot", "x.png"),
+            "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .* got '85'",
+        ),
+        (("--camera", "-60,95", "--screenshot", "x.png"), "a camera is front, back, .* got '-60,95'"),
+        (
+            ("--against", "b", "--truth", "c", "--screenshot", "x.png"),
+            "--against takes another surface in the place of the",
+        ),
+        (
+            ("--against", "b", "--view", "explain", "--screenshot", "x.png"),
+            "--against compares surfaces: give the view surf",
+        ),
+        (
+            ("--against", "b", "--color", "force", "--screenshot", "x.png"),
+            "--against compares surfaces: give the view surf",
+        ),
+        (("--against", "b", "--movie", "x.gif"), "--against is for a picture, a page or the window: leave out --movie"),
     ],
 )
-def test_options_that_would_change_nothing(folder, tmp_path, monkeypatch, capsys, options, sentence):
+def test_wrong_options_are_one_sentence(tmp_path, monkeypatch, shown, options, sentence):
     monkeypatch.chdir(tmp_path)
-    assert main(["show", str(folder), *options]) == 2
-    assert capsys.readouterr() == ("", f"scan3d: {sentence}; see 'scan3d show --help'\n")
+    code, out, err = shown(*options)
+    assert (code, out) == (2, "")
+    assert re.fullmatch(rf"scan3d: {sentence}.*; see 'scan3d show --help'\n", err)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.rendering
-@pytest.mark.parametrize(("options", "same_as"), [(("--color", "phase"), "cloud"), ((), "surface")])
-@pytest.mark.slow
-def test_a_colour_shows_the_contacts(folder, tmp_path, options, same_as):
-    """Without a view: the contacts if their colour is named, else the surface."""
-    written = tmp_path / "written.png"
-    assert main(["show", str(folder), "--screenshot", str(written), "--quiet", *options]) == 0
-    expected = tmp_path / "expected.png"
-    scene = show.read_scene(folder, None, False, "mm")
-    views.picture(scene, expected, same_as, "phase")
-    assert written.read_bytes() == expected.read_bytes()
+@pytest.mark.parametrize(
+    ("what", "name", "sentence"),
+    [
+        ("movie", "x.avi", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
+        ("movie", "x.mp4", "an .mp4 needs the package imageio-ffmpeg"),
+        ("screenshot", "x.bmp", r"a picture is written as \.png, \.pdf or \.svg, got 'x\.bmp'"),
+    ],
+)
+def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, call, what, name, sentence):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    monkeypatch.setattr(show, "read_scene", None)  # calling it would fail in another way
+    code, _, err = call("show", "x", f"--{what}", tmp_path / name)
+    assert code == 1
+    assert re.search(sentence, err)
+
+
+def test_a_movie_that_fails_leaves_no_file(tmp_path, monkeypatch, call):
+    def fails(*_):
+        raise scan3d.InputError("no")
+
+    monkeypatch.setattr(movie, "movie", fails)
+    assert call("show", CUBE, "--movie", tmp_path / "x.gif") == (1, "", "scan3d: no\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_charts_need_no_renderer_and_have_no_camera(tmp_path, shown, no_pictures):
+    for view, ending in (("forces", "svg"), ("histogram", "png")):
+        file = tmp_path / f"{view}.{ending}"
+        assert shown("--view", view, "--screenshot", file, "--size", "90x70mm")[0] == 0
+        assert file.stat().st_size > 2000
+        code, _, err = shown("--view", view, "--screenshot", tmp_path / "b.png", "--camera", "top")
+        assert code == 1
+        assert f"the view {view} shows no body, so that it has no camera: leave the camera out" in err
+    assert shown("--screenshot", tmp_path / "a.svg") == (1, "", f"scan3d: {rendering.NO_RENDERER}\n")
 
 
 @pytest.mark.parametrize("missing", MISSING)
@@ -102,3 +153,101 @@ def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missin
     assert (done.returncode, done.stderr) == (1, f"scan3d: {rendering.NO_RENDERER}\n")
     assert page.exists()
     assert not (tmp_path / "picture.png").exists()
+
+
+# --- differences ---
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+def test_the_difference_of_two_results(folder, tmp_path, shown, call):
+    picture, other = tmp_path / "difference.png", tmp_path / "other"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendering, "can_render", lambda: False)
+        recording = folder / "recording.csv"
+        assert call("reconstruct", recording, "--out", other, "--method", "hull", "--quiet")[0] == 0
+    assert shown("--screenshot", picture, "--html", tmp_path / "a.html", "--against", other)[0] == 0
+    assert "signed distance from the other surface in mm" in (tmp_path / "a.html").read_text()
+    # in Python the same
+    result = scan3d.open(folder)
+    images = [result.plot(against=given) for given in (scan3d.open(other), other / "surface.ply")]
+    for image in images:
+        np.testing.assert_array_equal(pixels(picture), np.asarray(image))
+    assert result.plot(against=EGG, view="histogram").size == (1400, round(1400 / 2.3))
+
+
+def test_units_of_the_other_surface(folder, tmp_path):
+    mesh = trimesh.creation.box((1, 1, 1))
+    mesh.export(tmp_path / "box.stl")
+    assert other_surface(tmp_path / "box.stl", "mm", "in").extents == pytest.approx([25.4] * 3)
+    assert other_surface(mesh, "mm").extents == pytest.approx([1] * 3)
+    mesh.units = "m"
+    assert other_surface(mesh, "mm").extents == pytest.approx([1000] * 3)
+    assert other_surface(folder, "m").extents == pytest.approx(scan3d.open(folder).surface.extents / 1000)
+
+
+def test_what_has_no_surface_to_compare_with(folder, tmp_path, shown):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("none")
+    wrong = [
+        (tmp_path / "missing", r"there is no .*missing to compare the surface with: expected a scan's folder"),
+        (tmp_path / "empty", r"empty holds no scan: expected cloud\.ply or surface\.ply in it"),
+        (
+            tmp_path / "notes.txt",
+            r"notes\.txt has no surface to compare with: expected a scan's folder, or a surface or mes",
+        ),
+        (folder / "cloud.ply", r"cloud\.ply has no surface to compare with, but contacts only"),
+        (folder / "recording.csv", r"recording\.csv has no surface to compare with"),
+    ]
+    for path, sentence in wrong:
+        code, _, err = shown("--screenshot", tmp_path / "a.png", "--against", path)
+        assert code == 1
+        assert re.search(sentence, err)
+    for other, sentence in (
+        (3, "there is no surface in a int: expected"),
+        (trimesh.Trimesh(), "the other surface has no tri"),
+    ):
+        with pytest.raises(scan3d.InputError, match=sentence):
+            scan3d.open(folder).plot(against=other)
+
+
+# --- the window ---
+
+
+@pytest.mark.rendering
+@pytest.mark.parametrize("spatial", [False, True])
+def test_the_window(spatial):
+    scene, sentences = scanned_in_space() if spatial else scanned(EGG), []
+    built = window.Window(scene, sentences.append, "bending" if spatial else "phase", off_screen=True)
+    try:
+        lines = ["contact paths"] if spatial else ["slices"]
+        truth = [] if spatial else ["truth"]
+        assert list(built.layers) == ["surface", *truth, "contacts", "normals", *lines, "rods"]
+        visible = {name: all(actor.GetVisibility() for actor in actors) for name, actors in built.layers.items()}
+        assert visible == {name: name in ("surface", "contacts") for name in built.layers}
+        assert all(built.layers.values())
+        built.switch("rods", True)
+        assert built.layers["rods"][0].GetVisibility()
+        for color in ("bending" if spatial else "phase", "force"):
+            assert np.array_equal(built.contacts["rgb"], shading.shade_contacts(scene, color).rgb)
+            built.paint("force")
+        built.pick(scene.points[17])
+        built.pick(scene.points[17] + 100.0)
+        assert sentences == [contact_sentence(scene, 17)]
+    finally:
+        built.plotter.close()
+
+
+def test_without_a_display_there_is_no_window(shown, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(window.sys, "platform", "linux")
+    window.can_open.cache_clear()
+    try:
+        assert shown() == (1, "", f"scan3d: {window.NO_DISPLAY}\n")
+        with pytest.raises(
+            scan3d.InputError, match="there is no display to open a window on; write a picture with --scr"
+        ):
+            window.open_window(scanned(EGG), print)
+    finally:
+        window.can_open.cache_clear()
