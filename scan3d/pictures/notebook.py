@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import base64
-import functools
 import html
 import io
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +32,6 @@ from scan3d.units import UNITS_M, Unit, unit_of
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
-
-# Pictures in tables are reduced by this factor, to 700 pixels: the width of a notebook's column.
-_REDUCTION = 2
 
 
 def plot(
@@ -90,13 +87,6 @@ def plot(
                 "the picture of a comparison shows no body, so that it has no camera: leave the camera out"
             )
         return _written(lambda: charts.distances(what, drawn), path)
-    _check(truth, against, unit)
-    default, scene = _shown(what, truth, view, unit)
-    return scene_image(scene, view or default, color or "force", drawn, against=against, path=path, overwrite=overwrite)
-
-
-def _check(truth: Any, against: Any, unit: str | None) -> None:
-    """Raises InputError for bodies that are no meshes, and for unknown units."""
     import trimesh
 
     for name, body in (("truth", truth), ("against", against)):
@@ -106,33 +96,33 @@ def _check(truth: Any, against: Any, unit: str | None) -> None:
             )
     if unit not in (None, *UNITS_M):
         raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    default, scene = _shown(what, truth, view, unit)
+    return scene_image(scene, view or default, color or "force", drawn, against=against, path=path, overwrite=overwrite)
 
 
 def _shown(what: Any, truth: Any, view: str | None, unit: str | None) -> tuple[str, Scene]:
     """The view in which a result is drawn by default, and its scene."""
     import trimesh
 
-    if isinstance(what, Recording):
-        reads_contacts = view not in (None, "forces")
-        return "forces", _scene(what, truth) if reads_contacts else Scene("the recording", what.unit, recording=what)
-    if isinstance(what, Cloud):
-        return "cloud", _scene(what, truth)
-    if isinstance(what, trimesh.Trimesh):
-        return "surface", Scene("the surface", unit_of(what, unit), surface=what, truth=truth)
-    raise InputError(
-        f"only a recording, a cloud, a surface (trimesh.Trimesh) or a comparison can be plotted, got a {type(what).__name__}"
-    )
-
-
-def _scene(result: Recording | Cloud, truth: Any) -> Scene:
     from scan3d.geometry.distance import distances
     from scan3d.reconstruction import reconstruct
 
-    recording = result if isinstance(result, Recording) else None
-    cloud = result if isinstance(result, Cloud) else reconstruct(result)
+    if isinstance(what, trimesh.Trimesh):
+        return "surface", Scene("the surface", unit_of(what, unit), surface=what, truth=truth)
+    if isinstance(what, Recording):
+        default, scene = "forces", Scene("the recording", what.unit, truth=truth, recording=what)
+        if view in (None, "forces"):
+            return default, scene
+        cloud = reconstruct(what)
+    elif isinstance(what, Cloud):
+        default, scene, cloud = "cloud", Scene("the cloud", what.unit, truth=truth), what
+    else:
+        raise InputError(
+            f"only a recording, a cloud, a surface (trimesh.Trimesh) or a comparison can be plotted, "
+            f"got a {type(what).__name__}"
+        )
     error = None if truth is None else distances(cloud.points, truth)
-    return of_cloud(cloud, error, name="the cloud" if recording is None else "the recording", truth=truth,
-                    recording=recording)  # fmt: skip
+    return default, replace(scene, contacts=of_cloud(cloud, error).contacts)
 
 
 def scene_image(
@@ -162,44 +152,31 @@ def _check_place(path: str | os.PathLike[str], overwrite: bool) -> None:
 
 def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Image:
     """The image of a figure, which is also written to a path if there is one."""
+    from PIL import Image as Pillow
+
     with quiet():
         figure = draw()
         if path is not None:
             with atomic(Path(path), "path") as place:
                 save(figure, place)
-        return _image(figure)
-
-
-def _image(figure: Any) -> Image:
-    from PIL import Image
-
-    with quiet():
         figure.canvas.draw()
-        return Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy())
+        return Pillow.fromarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy())
 
 
 # --- tables ---
 
 
-@functools.singledispatch
-def to_html(result: Any) -> str:
-    """A table in HTML of a recording, a cloud or a comparison, with a small picture where one can be drawn."""
-    raise InputError(f"only a recording, a cloud or a comparison has a table, got a {type(result).__name__}")
-
-
-@to_html.register
-def _recording_html(recording: Recording) -> str:
-    """What the recording states of itself and its source, with the reactions."""
-    rows = [*recording.summary(), *((f"source: {name}", str(value)) for name, value in recording.source.items())]
-    return _html("Recording", rows, _small(plot(recording)))
-
-
-@to_html.register
-def _cloud_html(cloud: Cloud) -> str:
-    """What the cloud states of itself, with a picture where one can be rendered."""
-    if len(cloud) and rendering.can_render():
-        return _html("Cloud", cloud.summary(), _small(plot(cloud)))
-    return _html("Cloud", cloud.summary(), note=None if rendering.can_render() else rendering.NO_RENDERER)
+def to_html(result: Recording | Cloud | Comparison) -> str:
+    """A table in HTML of what a result states of itself, with a small picture where one can be drawn."""
+    title, rows = type(result).__name__, result.summary()
+    if isinstance(result, Comparison):
+        return _html(title, rows, note=f"Lengths in {UNKNOWN_UNIT}; in brackets, of the mesh's diagonal.")
+    if isinstance(result, Recording):
+        rows = [*rows, *((f"source: {name}", str(value)) for name, value in result.source.items())]
+        return _html(title, rows, _small(plot(result)))
+    if not rendering.can_render():
+        return _html(title, rows, note=rendering.NO_RENDERER)
+    return _html(title, rows, _small(plot(result)) if len(result) else "")
 
 
 def scene_html(title: str, rows: Rows, scene: Scene) -> str:
@@ -207,13 +184,6 @@ def scene_html(title: str, rows: Rows, scene: Scene) -> str:
     if rendering.can_render():
         return _html(title, rows, _small(scene_image(scene, "cloud" if scene.surface is None else "surface", "force")))
     return _html(title, rows, note=rendering.NO_RENDERER)
-
-
-@to_html.register
-def _comparison_html(comparison: Comparison) -> str:
-    """The distances in the meshes' unit and in % of the mesh's diagonal."""
-    note = f"Lengths in {UNKNOWN_UNIT}; in brackets, of the mesh's diagonal."
-    return _html("Comparison", comparison.summary(), note=note)
 
 
 def _html(title: str, rows: Rows, picture: str = "", note: str | None = None) -> str:
@@ -227,8 +197,8 @@ def _html(title: str, rows: Rows, picture: str = "", note: str | None = None) ->
 
 
 def _small(image: Image) -> str:
-    """An <img> that contains a picture, reduced."""
-    small, file = image.reduce(_REDUCTION), io.BytesIO()
+    """An <img> that contains a picture, reduced to 700 pixels, the width of a notebook's column."""
+    small, file = image.reduce(2), io.BytesIO()
     small.save(file, "PNG", optimize=True)
     data = base64.b64encode(file.getvalue()).decode()
     return f'<img width="{small.width}" height="{small.height}" alt="" src="data:image/png;base64,{data}">'

@@ -13,7 +13,13 @@ function escape() {
   marks.points = []; marks.hovered = -1; picked.hidden = true; redraw();
 }
 
-function listenToPointers() {
+function step(sweeps, samples) {  // from the present sample
+  play(false); switchPlayer(true);
+  goTo(player.sweep + sweeps, player.sample - player.starts[player.sweep] + samples);
+}
+
+function listen() {
+  // mouse and fingers
   const down = new Map();
   let moved = 0, waiting = 0;
   canvas.onpointerdown = e => {
@@ -45,14 +51,8 @@ function listenToPointers() {
   canvas.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-0.0012 * e.deltaY)); }, {passive: false});
   canvas.oncontextmenu = e => e.preventDefault();
   canvas.ondblclick = reset;
-}
 
-function step(sweeps, samples) {  // from the present sample
-  play(false); switchPlayer(true);
-  goTo(player.sweep + sweeps, player.sample - player.starts[player.sweep] + samples);
-}
-
-function listenToKeys() {
+  // keys
   const keys = {"+": () => zoom(1.2), "=": () => zoom(1.2), "-": () => zoom(1 / 1.2), 0: reset, s: save, Escape: escape};
   for (const axis of "xyz") keys[axis] = () => along(axis);
   if (player) {
@@ -71,9 +71,8 @@ function listenToKeys() {
     else return;
     e.preventDefault(); redraw();
   };
-}
 
-function listenToControls() {
+  // buttons, boxes and sliders
   byId("cut-axis").onchange = byId("cut-at").oninput = byId("cut-flip").onchange = redraw;
   byId("measure").onclick = () => measuring(); byId("save").onclick = save; byId("reset").onclick = reset;
   for (const button of document.querySelectorAll("[data-along]")) button.onclick = () => along(button.dataset.along);
@@ -102,7 +101,7 @@ panel.open = window.innerWidth > narrow && window.innerHeight > 500;
 if (gl) {
   data.layers.forEach(prepare);
   if (player) preparePlayer();
-  controls(); listenToPointers(); listenToKeys(); listenToControls(); draw();
+  controls(); listen(); draw();
 } else {
   picked.hidden = false; picked.textContent = "This browser does not support WebGL 2, which this page needs.";
 }

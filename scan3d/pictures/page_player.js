@@ -17,16 +17,7 @@ function preparePlayer() {
   dock.hidden = false;
 }
 
-function lastUpTo(rising, value) {  // the number of the last of some rising values that is not larger
-  let low = 0, high = rising.length - 1;
-  while (low < high) {
-    const middle = (low + high + 1) >> 1;
-    if (rising[middle] <= value) low = middle; else high = middle - 1;
-  }
-  return low;
-}
-
-const sweepOf = k => lastUpTo(player.starts, k);
+const sweepOf = k => player.starts.findLastIndex(start => start <= k);
 const shownSample = () => player.preview >= 0 ? player.preview : player.sample;
 
 function goTo(sweep, sample) {  // to a sample of a sweep, both counted from 0
@@ -95,7 +86,7 @@ function elasticLine(fx, fy, m) {
 }
 
 function clampAxes(k) {  // x, y and z of the clamp at a sample, in the world
-  const turn = 9 * lastUpTo(player.turned, k);
+  const turn = 9 * player.turned.findLastIndex(from => from <= k);  // the clamp keeps its orientation until the next one
   return [0, 3, 6].map(axis => [...player.turns.subarray(turn + axis, turn + axis + 3)]);
 }
 
