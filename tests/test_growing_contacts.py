@@ -44,17 +44,10 @@ def test_parts_have_the_contacts_of_the_whole(recording):
 
 def test_slices_that_prove_no_end_are_judged_by_all_contacts_so_far(recording):
     grown = GrowingContacts()
+    with pytest.raises(NoContactError, match=r"^there is no contact yet$"):
+        grown.cloud()
     # an empty slice and one with contacts bound nothing; with the others the empty slices prove the ends
     grown.add(of_slices(recording, (7, 3)))
     assert grown.cloud().unresolved.sum() == 1
     grown.add(of_slices(recording, (0, 1, 2, 4, 5, 6, 8)))
     assert grown.cloud().unresolved is None
-
-
-def test_without_contact_there_is_no_cloud(recording):
-    grown = GrowingContacts()
-    with pytest.raises(NoContactError, match=r"^there is no contact yet$"):
-        grown.cloud()
-    grown.add(of_slices(recording, (7,)))
-    with pytest.raises(NoContactError, match=r"^there is no contact yet$"):
-        grown.cloud()

@@ -1,7 +1,5 @@
 """Normals of smooth bodies and of bodies with edges, against the bodies' own formulas."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
@@ -148,22 +146,8 @@ def test_the_slices_nearby_give_the_slopes_that_all_slices_give(many_slices, mon
     assert 0 < np.nanmax(np.abs(np.concatenate(differences))) < 1e-4
 
 
-def test_slices_far_away_do_not_matter_so_that_a_slice_takes_the_same_time_among_many(many_slices):
-    middle = len(many_slices.slices) // 2
-    near = slice(middle - NEIGHBOURS, middle + NEIGHBOURS + 1)
-    assert all(section.closed for section in many_slices.slices[near])
-    alone = height_slopes(replace(many_slices, slices=many_slices.slices[near]))[NEIGHBOURS]
-    assert np.array_equal(alone.tangential, height_slopes(many_slices)[middle].tangential)
-
-
 def test_support_functions_evaluated_together_are_those_of_each_slice(many_slices):
     closed = [section for section in many_slices.slices if section.closed]
     angle = np.linspace(-7, 7, 200)
     together = SupportFunctions(closed).at(angle, 3, 9)
     assert np.array_equal(together, [section.support(angle) for section in closed[3:9]])
-
-
-def test_one_slice_alone_has_no_slope():
-    slopes = height_slopes(one_stack(house(), slices=1))
-    assert len(slopes) == 1
-    assert all(np.isnan(part).all() for part in slopes[0])

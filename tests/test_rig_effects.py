@@ -150,17 +150,6 @@ def test_the_bound_allows_for_the_calibration(flat, egg):
     assert too_small >= 1
 
 
-@pytest.mark.slow
-def test_it_grows_with_the_uncertainty_and_the_confidence(flat):
-    sizes = []
-    for scale in (1e-3, 0.3, 1.0):
-        cloud = touched(dataclasses.replace(flat, rig=typical(scale, six=False)))
-        sizes.append(enclosure(cloud).bound)
-    assert enclosure(without(cloud)).bound < sizes[0] < sizes[1] < sizes[2]
-    assert enclosure(cloud, confidence=0.5).bound < sizes[2] < enclosure(cloud, confidence=0.999).bound
-    assert enclosure(cloud, margin=0.0).bound == enclosure(without(cloud), margin=0.0).bound
-
-
 def test_a_rig_without_any_error_is_exact(flat):
     nothing = RigUncertainty((), [], ("length_m",))
     one, other = (enclosure(touched(dataclasses.replace(flat, rig=rig))) for rig in (nothing, None))

@@ -112,14 +112,6 @@ def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
         assert section.support(ANGLES) == pytest.approx(exact, abs=2e-3 * a)
 
 
-def test_the_steiner_point_of_a_slice_moves_with_it():
-    """The Steiner point of a centrally symmetric slice is its centre."""
-    mesh = trimesh.creation.cylinder(8.0, 40.0, sections=200)
-    mesh.apply_translation((3.0, -5.0, 0.0))
-    for section in one_stack(mesh, slices=3).slices:
-        assert section.steiner_point() == pytest.approx([3.0, -5.0], abs=1e-3)
-
-
 # --- slices with few normals ---
 
 
@@ -144,22 +136,6 @@ def test_the_steiner_point_of_a_slice_moves_with_it():
 def test_a_slice_is_closed_if_its_normals_leave_no_gap_of_half_a_turn(degrees, closed):
     section = dataclasses.replace(slice_of(rectangle(1.0), 0.0), angle=np.radians(np.sort(np.array(degrees, float))))
     assert section.closed == closed
-
-
-def test_with_one_normal_the_support_is_bounded_from_below_only():
-    """The edge from (3, -1) to (3, 2): beside its normal no support line bounds the slice, and the contacts do from below."""
-    section = slice_of([(3, -1), (3, 2), (0, 0)], 0.0, edges=[0])
-    assert len(section.angle) == 1
-    assert section.support(np.zeros(1)) == pytest.approx([3.0])
-    support = section.support(ANGLES)
-    assert np.isfinite(support).all()
-    ends = np.array([(3.0, -1.0), (3.0, 2.0)])
-    assert (support >= (NORMALS @ ends.T).max(axis=1) - 1e-12).all()
-    # next to the edge's normal it follows the contact at the end of the edge on that side
-    step = 1e-4
-    assert section.support(np.array([step, -step])) == pytest.approx([3 + 2 * step, 3 + step], abs=1e-6)
-    # Hermite's cubic over a whole turn, with the slopes 2 and -1 at its ends, above the contacts' support there
-    assert section.support(np.array([np.pi / 2])) == pytest.approx([3 + 2 * np.pi * (2 * 9 / 64 + 3 / 64)])
 
 
 def test_with_all_normals_the_support_is_that_of_the_polygon():

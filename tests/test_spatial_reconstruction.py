@@ -11,7 +11,7 @@ import planar
 import scan3d
 from scan3d.cloud import NormalSource
 from scan3d.errors import InputError
-from scan3d.reconstruction import NoContactError
+from scan3d.reconstruction import NoContactError, radius_errors
 from scan3d.spatial.normals import angles
 
 FEW = {"directions": 4, "heights": 5}  # too few contacts for a fit
@@ -232,3 +232,15 @@ def test_under_noise_centre_points_and_tangents_have_errors_as_stated(few):
     assert 0.4 < np.sqrt(np.mean((moved / cloud.centre_sd) ** 2)) < 1.5
     # the rod's radius adds the errors of the normals
     assert (cloud.place_sd >= cloud.centre_sd).all()
+
+
+def test_what_the_radius_leaves_covers_the_errors():
+    recording, points, normals = recorded((0.0, 0.4), diameter=0.01, substeps=1, **FEW)
+    cloud = scan3d.reconstruct(recording)
+    found = radius_errors(cloud)
+    unknown = np.isnan(cloud.normals[:, 0])
+    error = np.linalg.norm(cloud.points - (points - cloud.rod_radius * normals)[cloud.row], axis=1)
+    assert found.moved == cloud.rod_radius > 0
+    assert found.unknown_normals == unknown.sum() > 0
+    assert np.percentile(error[unknown], 95) < 1.5 * found.left_unknown
+    assert np.percentile(error[~unknown], 95) < found.left
