@@ -45,8 +45,6 @@ check: lint fast ## lint and fast: what to run before a commit
 
 trust: .venv/installed ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
 	$(PYTEST) -m trust $(ARGS)
-	$(PYTEST) tests/test_robustness.py tests/test_merging.py tests/test_misuse.py tests/test_whole.py \
-		tests/test_confidence.py tests/test_consistency.py tests/test_bound_properties.py $(ARGS)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.kills --kills 100
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.bounds --count $(FUZZ)
