@@ -251,16 +251,19 @@ GOOD = "0,0,0,0,1,0,0,0,sweep\n0,-1,0,0,1,0,0,0,sweep\n"
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "its header lacks sweep, x_m, y_m, z_m, qw, qx, qy, qz, move; expected sweep,x_m"),
+        ("", "p.csv is empty; expected a table"),
         ("HEAD", "p.csv has no poses"),
-        ("HEAD" + GOOD + "0,1,2\n", "p.csv: line 4 has 3 values, expected 9; is it cut off"),
-        ("HEAD" + GOOD.replace("-1", "here"), "p.csv: line 3 has 'here' for x_m, where a number is expected"),
-        ("HEAD" + GOOD.replace("0,-1", "a,-1"), "p.csv: line 3 has 'a' for sweep, where a whole number"),
-        ("HEAD" + GOOD.replace("-1", "nan"), "p.csv: poses: position_m is not a number in row 2"),
+        ("HEAD" + GOOD + "0,1,2\n", "p.csv: line 4 has 3 values, expected 9; it ends in column 3: is it cut off"),
+        ("HEAD" + GOOD.replace("-1", "here"), "p.csv: line 3 has 'here' in column 'x_m', which is no number"),
+        ("HEAD" + GOOD.replace("0,-1", "a,-1"), "p.csv: line 3 has 'a' in column 'sweep', which is no number"),
+        (
+            "HEAD" + GOOD.replace("-1", "nan"),
+            "p.csv: line 3 has no value in column 'x_m', where a finite number is expected",
+        ),
         ("HEAD" + GOOD.replace("1,0,0,0,sweep", "2,0,0,0,sweep"), "unit quaternions .* that of row 1 has the length 2"),
         (
             "HEAD" + GOOD.replace("sweep\n", "fly\n", 1),
-            "line 2 has the move 'fly', expected one of approach, sweep, retract",
+            "line 2 has 'fly' in column 'move', where one of approach, sweep, retract is expected",
         ),
         ("HEAD" + GOOD + "1,0,0,0,1,0,0,0,sweep\n", "sweep 1 has 1 rows of the move sweep"),
         ("HEAD" + GOOD + GOOD.replace("0,", "1,", 1) + "0,0,0,0,1,0,0,0,retract\n", "do not stand together|has 1 rows"),
@@ -338,7 +341,7 @@ def test_the_command_keeps_files_of_others(tmp_path, capsys):
     (tmp_path / "p.csv").write_text("mine")
     assert main([*arguments, str(tmp_path / "p.csv")]) == 1
     assert (tmp_path / "p.csv").read_text() == "mine"
-    assert "can't be recognised as written by scan3d; give --overwrite" in capsys.readouterr().err
+    assert "can't be recognised as a plan of poses by scan3d; give --overwrite" in capsys.readouterr().err
     assert main([*arguments, str(tmp_path / "p.csv"), "--overwrite"]) == 0
     assert main([*arguments, str(tmp_path / "p.txt")]) == 1
     assert "poses are written as .csv, or as .yaml" in capsys.readouterr().err

@@ -421,7 +421,8 @@ def test_a_recording_with_another_move_says_where(folder, tmp_path):
     for name in ("exact.csv", "exact.toml"):
         (tmp_path / name).write_text((folder / name).read_text().replace(",approach", ",fly", 1))
     with pytest.raises(
-        InputError, match=r"exact\.csv: line 2 has the move 'fly', expected one of approach, sweep, retract"
+        InputError,
+        match=r"exact\.csv: line 2 has 'fly' in column 'move', where one of approach, sweep, retract is expected",
     ):
         scan3d.read_recording(tmp_path / "exact.csv")
 

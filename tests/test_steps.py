@@ -118,6 +118,7 @@ def test_the_help_of_a_plan_has_every_parameter_and_choice():
 def test_the_types_of_choices_are_those_of_the_lists():
     assert typing.get_args(units.Unit) == tuple(units.UNITS_M)
     lists = {name: values for name, values in vars(choices).items() if name.isupper()}
+    assert set(lists.pop("NOT_CONVEX")) < set(choices.METHODS)
     types = {name: typing.get_args(kind) for name, kind in vars(choices).items() if typing.get_origin(kind)}
     assert sorted(lists.values()) == sorted(types.values())
 

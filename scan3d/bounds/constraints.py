@@ -16,6 +16,7 @@ from scipy.special import chdtri
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
+from scan3d.geometry import hulls
 from scan3d.geometry.arcs import Arcs, arcs_at
 from scan3d.geometry.hulls import edges_of
 from scan3d.geometry.support import inertia
@@ -122,10 +123,17 @@ class Tangents(NamedTuple):
 
 
 def tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> Tangents:
-    """The supporting planes of a cloud with errors (n,) of its places, and of its tangents in radians."""
+    """The supporting planes of a cloud with errors (n,) of its places, and of its tangents in radians.
+
+    Raises InputError for contacts that span no body.
+    """
     assert cloud.centre_points is not None
     assert cloud.tangents is not None
-    centre, shape = inertia(cloud.centre_points)
+    try:
+        centre, shape = inertia(cloud.centre_points)
+    except QhullError:
+        hulls.hull(cloud.centre_points)  # raises InputError, which says why
+        raise
     to_frame = np.linalg.inv(shape)
     points, tangents = (cloud.centre_points - centre) @ to_frame, unit(cloud.tangents @ to_frame)
     rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
