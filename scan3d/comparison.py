@@ -101,8 +101,8 @@ def compare(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> Comparison:
 def compare_all(
     surface: trimesh.Trimesh, inner: trimesh.Trimesh, points: Array, mesh: trimesh.Trimesh
 ) -> tuple[Comparison, float, Array]:
-    """`compare` of a surface with a mesh, `hausdorff_distance` of a second surface of about their size from the mesh, and the
-    distances (n,) of points (n, 3) from the mesh.
+    """`compare` of a surface with a mesh, the Hausdorff distance of a second surface of about their size from the mesh, which
+    takes a fraction of the time, and the distances (n,) of points (n, 3) from the mesh.
 
     The mesh, which may have millions of faces, is prepared once for all.
     """
@@ -153,12 +153,6 @@ def _compared(bodies: tuple[Body, Body], centre: Array, scale: float, diagonal: 
         normal_p95_deg=_quantile(np.concatenate(angles), weight, 0.95),
         volume_error=bodies[0].volume / bodies[1].volume - 1 if bodies[1].volume else np.nan,
     )
-
-
-def hausdorff_distance(surface: trimesh.Trimesh, mesh: trimesh.Trimesh) -> float:
-    """`Comparison.hausdorff` alone, which takes a fraction of the time of `compare`.  Raises InputError as `compare`."""
-    bodies, _, scale, _ = _prepared(surface, mesh)
-    return _distance(bodies) * scale
 
 
 def _distance(bodies: tuple[Body, Body]) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
 
 from scan3d.choices import METHODS, Method, Model, Spacing
 from scan3d.errors import InputError, UsageError
-from scan3d.files.reading import did_you_mean, read_toml, to_float
+from scan3d.files.reading import dent_size, did_you_mean, read_toml, to_float
 from scan3d.rods import parse_rod
 from scan3d.units import Unit
 
@@ -225,24 +225,6 @@ def _typed(source: str, name: str, value: Any, kind: type) -> Any:
     if type(value) is not kind:
         raise InputError(f"{source}: {name} must be {_KINDS[kind]}, got {value!r}")
     return value
-
-
-def dent_size(given: float | str) -> tuple[float, float]:
-    """A depth of dents in the mesh's unit, and one relative to the diagonal of its bounding box: one of them is given.
-
-    Raises InputError for what is neither a number nor a percentage, and for negative ones.
-    """
-    number, percent, rest = str(given).strip().partition("%")
-    try:
-        size = float(number)
-    except ValueError:
-        size = -1.0
-    if rest or not 0 <= size < float("inf"):
-        raise InputError(
-            "clip_dent must be a depth in the mesh's unit, such as 0.1, or a part of its diagonal, such as 0.05%; "
-            f"got {given!r}"
-        )
-    return (0.0, size / 100) if percent else (size, 0.0)
 
 
 def _friction(text: str) -> float | tuple[float, float]:

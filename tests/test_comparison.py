@@ -11,7 +11,7 @@ from brute_force import EXACT, certified
 from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
 from scan3d import comparison
-from scan3d.comparison import SAMPLES, compare, compare_all, hausdorff_distance
+from scan3d.comparison import SAMPLES, compare, compare_all
 from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 
@@ -50,7 +50,7 @@ def test_units_do_not_matter(pair, scale):
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
 def test_the_hausdorff_distance_alone_is_that_of_the_comparison(pair):
     surface, mesh = pair
-    assert hausdorff_distance(surface, mesh) == compare(surface, mesh).hausdorff
+    assert compare_all(surface, surface, np.zeros((1, 3)), mesh)[1] == compare(surface, mesh).hausdorff
 
 
 def test_a_comparison_of_a_surface_an_inner_body_and_points_is_that_of_each_alone():
@@ -58,7 +58,7 @@ def test_a_comparison_of_a_surface_an_inner_body_and_points_is_that_of_each_alon
     points = np.random.default_rng(0).normal(size=(500, 3))
     both, of_inner, of_points = compare_all(surface, inner, points, mesh)
     assert str(both) == str(compare(surface, mesh))
-    assert of_inner == pytest.approx(hausdorff_distance(inner, mesh), rel=1e-12)
+    assert of_inner == pytest.approx(compare(inner, mesh).hausdorff, rel=1e-12)
     assert of_points == pytest.approx(distances(points, mesh), abs=1e-14 * mesh.scale)
 
 
@@ -209,7 +209,7 @@ def test_what_cannot_be_compared_is_refused(mesh, words):
     with pytest.raises(InputError, match=f"the mesh should .*{words}"):
         compare(cube(), mesh)
     with pytest.raises(InputError, match=f"the mesh should .*{words}"):
-        hausdorff_distance(cube(), mesh)
+        compare_all(cube(), cube(), np.zeros((1, 3)), mesh)
 
 
 @pytest.mark.parametrize("apart", [1e18, 1e25, 1e33])

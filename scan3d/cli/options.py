@@ -11,9 +11,6 @@ from cyclopts import Group, Parameter, Token
 
 from scan3d.settings import Settings, settings
 
-if TYPE_CHECKING:
-    pass
-
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
     """A whole number: cyclopts would take 4.5 as 4."""
