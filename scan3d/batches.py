@@ -27,7 +27,8 @@ from urllib.parse import quote
 from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
-from scan3d.files.reading import read_small, read_toml
+from scan3d.files.reading import read_small
+from scan3d.files.section import read_section
 from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, unchanged
 from scan3d.processes import undone_if_ended
 from scan3d.results import Result
@@ -429,13 +430,7 @@ def _meant(name: str) -> list[Path]:
 
 def read_grid(path: str | os.PathLike[str]) -> Grid:
     """The combinations of a TOML file; see `combinations`.  Raises InputError for a file that can't be read, and as there."""
-    try:
-        data = read_toml(Path(path))
-    except OSError as error:
-        raise InputError(f"can't read the grid {path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not a TOML file of a grid: {error}") from None
-    return combinations(data, str(path))
+    return combinations(read_section(path, "grid", name=str(path)).data, str(path))
 
 
 def combinations(data: Mapping[str, Any], source: str = "the grid") -> Grid:

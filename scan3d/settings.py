@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
 
 from scan3d.choices import METHODS, Method, Model, Spacing
 from scan3d.errors import InputError, UsageError
-from scan3d.files.reading import dent_size, did_you_mean, read_toml, to_float
+from scan3d.files.reading import dent_size, did_you_mean, to_float
+from scan3d.files.section import read_section
 from scan3d.rods import parse_rod
 from scan3d.units import Unit
 
@@ -162,7 +163,7 @@ def varied_settings(
 
     Raises InputError as `settings`, and for values of the grid; UsageError for a setting that is given and in the grid.
     """
-    file = (str(config), {} if config is None else _read(config))
+    file = (str(config), {} if config is None else read_section(config, "settings", name=str(config)).data)
     _merged(file)
     try:
         _merged((source, given))
@@ -200,15 +201,6 @@ def _merged(*layers: tuple[str, Mapping[str, Any]]) -> Settings:
     if merged.tolerance > 0 and not any("slices" in values for _, values in layers):
         return replace(merged, slices=SLICES_FOR_TOLERANCE)
     return merged
-
-
-def _read(path: str | Path) -> dict[str, Any]:
-    try:
-        return read_toml(path)
-    except OSError as error:
-        raise InputError(f"can't read the settings {path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not a TOML file of settings: {error}") from None
 
 
 def _typed(source: str, name: str, value: Any, kind: type) -> Any:

@@ -202,7 +202,7 @@ def test_a_grid_is_the_product_of_its_lists(tmp_path):
     ("text", "sentence"),
     [
         (None, r"can't read the grid .*grid\.toml: No such file"),
-        ("slices = ", r"grid\.toml is not a TOML file of a grid: "),
+        ("slices = ", r"grid\.toml is not a TOML file: "),
         ("", r"grid\.toml has no settings; expected lists of values"),
         ("slices = []", r"grid\.toml: the list of values for slices is empty"),
         ("[a.b]\nslices = [1]", r"grid\.toml: \[a\.b\] is a table in a table"),

@@ -156,8 +156,8 @@ def test_invalid_settings(call, tmp_path, arguments, sentence):
         ("whole", r"whole\.toml: slices must be a whole number, got 3\.5"),
         ("flag", r"flag\.toml: hull must be true or false, got 1"),
         ("text", r"text\.toml: rod must be text, got True"),
-        ("broken", r"broken\.toml is not a TOML file of settings: .*line 1"),
-        ("binary", r"binary\.toml is not a TOML file of settings: .*utf-8"),
+        ("broken", r"broken\.toml is not a TOML file: .*line 1"),
+        ("binary", r"binary\.toml is not a TOML file: .*utf-8"),
         ("value", r"friction must be a number >= 0"),
     ],
 )

@@ -260,15 +260,15 @@ def simulate_rig(
     from scan3d.files.meshes import load_mesh
     from scan3d.files.poses import read_poses
     from scan3d.files.raw_logs import check_log, map_path
-    from scan3d.files.reading import read_toml
     from scan3d.files.recordings import check_path, sidecar
+    from scan3d.files.section import read_section
     from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
     from scan3d.simulation.faults import read_faults
 
     chosen = options.chosen()
     plan = chosen.plan()
-    given = {*options.given(), *(read_toml(options.config) if options.config else ())}
+    given = {*options.given(), *(read_section(options.config, "settings").data if options.config else ())}
     check_path(out)
     inputs = {"mesh": mesh, "list of poses": poses_file, "file of faults": faults_file}
     inputs |= {"TOML file of the poses": sidecar(poses_file), "file of settings": options.config}
@@ -533,15 +533,16 @@ def import_(
         with folder(written.parent):
             before = [read_recording(after)] if after else []
             write_recording(joined([*before, imported.recording]), written, overwrite=True)  # checked above
-    header, rows = _first_rows(source, imported)
-    facts = _facts(imported)
+    rows, facts = _first_rows(source, imported), _facts(imported)
     if page:
-        write_atomic(page, _page(imported, facts, header, rows), "--html")
+        from scan3d.pictures.import_page import import_page
+
+        write_atomic(page, import_page(imported, facts, rows), "--html")
     paths = {"recording": str(written) if written else None, "page": str(page) if page else None}
     places = [("written to", path) for path in paths.values() if path]
     text = table(f"{imported.summary.table}, imported", [*facts, *places])
     if dry_run:
-        text += "\n\n" + _aligned(header, rows)
+        text += "\n\n" + _aligned(rows)
     print_result(output, dataclasses.asdict(imported.summary) | paths, text)
     for note in imported.summary.notes:
         say(f"note: {note}")
@@ -562,38 +563,36 @@ def _guess(raw: Path, map_file: Path | None, overwrite: bool, output: Output) ->
     return print_result(output, {"map": str(path), "open": list(guess.open)}, text)
 
 
-def _aligned(header: list[str], rows: list[list[str]]) -> str:
-    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
+def _aligned(rows: list[list[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
-        printable("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
-        for row in [header, *rows]
+        printable("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))) for row in rows
     )
 
 
-def _first_rows(raw: Table, imported: Imported) -> tuple[list[str], list[list[str]]]:
-    """The first rows of the recording, with the rows of the table that they come from."""
+def _first_rows(raw: Table, imported: Imported) -> list[list[str]]:
+    """The first rows of the recording, with the rows of the table that they come from, below the names of the columns."""
     recording, log = imported.recording, imported.log
-    header = ["row", "fx", "fy", "fz", "mx", "my", "mz", "", "sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
-    header += ["fx_N", "fy_N", "mz_Nm"]
-    rows = []
+    names = "row fx fy fz mx my mz  sweep x_m y_m z_m qw qx qy qz fx_N fy_N mz_Nm"
+    rows = [names.split(" ")]
     for k in range(min(_FIRST, len(recording))):
         source = int(imported.kept[k])
-        shown = [f"{value:.4g}" for value in log.wrench[source]]
-        pose = [*recording.position_m[k], *recording.quaternion[k]]
-        made = [*recording.force_N[k], recording.moment_Nm[k]]
         row = int(log.row[source])
-        line = str(row + 1 if raw.lines is None else raw.lines[row])
+        pose, made = (
+            [*recording.position_m[k], *recording.quaternion[k]],
+            [*recording.force_N[k], recording.moment_Nm[k]],
+        )
         rows.append(
             [
-                line,
-                *shown,
+                str(row + 1 if raw.lines is None else raw.lines[row]),
+                *(f"{value:.4g}" for value in log.wrench[source]),
                 "→",
                 str(recording.sweep[k]),
                 *(f"{value:.4f}" for value in pose),
                 *(f"{value:.4g}" for value in made),
             ]
         )
-    return header, rows
+    return rows
 
 
 def _facts(imported: Imported) -> list[tuple[str, str]]:
@@ -627,25 +626,3 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     noise = f"{1e3 * done.noise_force_N:.3g} mN and {1e6 * done.noise_moment_Nm:.3g} mN mm, standard deviations"
     filtered = "" if done.noise_factor == 1 else f"; the filter leaves {done.noise_factor:.2g} of white noise"
     return [*rows, ("noise", noise + filtered)]
-
-
-def _page(imported: Imported, facts: list[tuple[str, str]], header: list[str], rows: list[list[str]]) -> bytes:
-    from scan3d.pictures.import_page import ImportView, import_page
-
-    return import_page(
-        ImportView(
-            name=imported.summary.table,
-            clock=imported.clock - imported.clock[0],
-            clock_label="row" if imported.log.time_s is None else "time in s",
-            raw=imported.log.wrench,
-            zero=imported.zero,
-            air=imported.air,
-            converted=imported.wrench,
-            sweep=imported.sweep,
-            position_mm=imported.position_m * 1e3,
-            facts=facts,
-            notes=imported.summary.notes,
-            header=header,
-            rows=rows,
-        )
-    )

@@ -6,6 +6,7 @@ Each message names the file, the table and the entry, and says what was expected
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -161,7 +162,7 @@ class Section:
         return tuple(value)
 
 
-def read_section(path: str | Path, what: str, advice: str = "", name: str = "") -> Section:
+def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name: str = "") -> Section:
     """The whole of a TOML file; messages name the file as it is, or by `name`.
 
     Raises InputError with `what` the file is if it can't be read, and with the clause `advice` if it is not there.

@@ -52,12 +52,8 @@ Inputs = Mapping[str, str | os.PathLike[str] | None]
 
 # The folder whose files are complete and to be moved, and the beginning of the names of what is being written.
 _COMPLETE, _WORK = ".scan3d-complete", ".scan3d-work"
-# Seconds after which work of another machine, whose processes are not seen from here, counts as left behind.
-_DAY_S = 86400.0
 # Bytes at the beginning and at the end of a file in which the name of the program is looked for: headers are shorter.
 _LOOKED_AT = 1 << 12
-# Columns by which a table is recognised: places, and what comes first beside them.
-_COLUMNS = 4
 _ASK = "give --overwrite (overwrite=True) to replace it, or choose another place with"
 
 
@@ -79,7 +75,8 @@ class Replacement:
         """Add a file, which appears in the folder with all others."""
         with in_a_sentence(self.folder / name, self.option):
             self._work.mkdir(exist_ok=True)
-            _write(self._work / name, data)
+            (self._work / name).write_bytes(data)
+            _flush(self._work / name)
         self._sha256[name] = hashlib.sha256(data).hexdigest()
 
     def commit(self, report: Mapping[str, Any]) -> dict[str, Any]:
@@ -154,7 +151,7 @@ def atomic(path: str | Path, option: str = "--out") -> Iterator[Path]:
         yield work
         _flush(work)
         os.replace(work, path)
-        _flush_folder(path.parent)
+        _flush(path.parent)
 
 
 def write_atomic(path: str | Path, data: bytes, option: str = "--out") -> None:
@@ -170,7 +167,8 @@ def write_together(path: Path, files: Mapping[str, bytes], option: str = "--out"
         for name, data in files.items():
             if (path.parent / name).is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), name)
-            _write(work / name, data)
+            (work / name).write_bytes(data)
+            _flush(work / name)
         _replace(work, path.parent)
 
 
@@ -236,24 +234,23 @@ def clean(place: Path) -> None:
     """Finish and remove what killed runs have left in a folder, never the work of one that is running."""
     finish(place)
     with suppress(OSError):
-        for name in os.listdir(place):
-            if name.startswith(_WORK) and _is_left(place / name):
-                _remove(place / name)
+        for work in place.glob(f"{_WORK}-*"):
+            if _is_left(work):
+                _remove(work)
 
 
 def _is_left(work: Path) -> bool:
     """Whether the process that made a work folder has ended; on another machine, whether nothing came for a day."""
-    machine, _, rest = work.name.removeprefix(f"{_WORK}-").partition("-")
-    number = rest.partition("-")[0]
-    if machine == _machine() and number.isdecimal() and os.name != "nt":
-        try:
-            os.kill(int(number), 0)
-        except ProcessLookupError:
-            return True
-        except (OSError, OverflowError):
-            pass
-        return False
-    return time.time() - work.stat().st_mtime > _DAY_S
+    machine, number = work.name.removeprefix(f"{_WORK}-").split("-")[:2]
+    if machine != _machine() or os.name == "nt":
+        return time.time() - work.stat().st_mtime > 86400
+    try:
+        os.kill(int(number), 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:  # it runs, for another user
+        pass
+    return False
 
 
 def _machine() -> str:
@@ -270,7 +267,7 @@ def _remove(work: Path) -> None:
 
 def _replace(work: Path, place: Path) -> None:
     """Let the files of a work folder appear in the folder: all, or none."""
-    _flush_folder(work)
+    _flush(work)
     try:
         while True:
             try:
@@ -280,7 +277,7 @@ def _replace(work: Path, place: Path) -> None:
                 if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.EACCES) or not _is_waiting(place):
                     raise
             _move(place)  # that of another run, which has just ended or was killed
-        _flush_folder(place)
+        _flush(place)
         _move(place)
     except BaseException:  # after the rename the new files shall be there also for those who list the folder
         finish(place)
@@ -300,7 +297,7 @@ def _move(place: Path) -> None:
             _remove_obsolete(place, SCAN if name == SCAN.report else BATCH)
         with suppress(FileNotFoundError):  # another process has moved it
             os.replace(complete / name, place / name)
-    _flush_folder(place)
+    _flush(place)
     with suppress(OSError):  # another run has just come
         complete.rmdir()
 
@@ -313,25 +310,17 @@ def _remove_obsolete(place: Path, kind: Kind) -> None:
             (place / name).unlink(missing_ok=True)
 
 
-def _write(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-    _flush(path)
-
-
 def _flush(path: Path) -> None:
-    """Wait until a file is on the disk."""
-    with open(path, "r+b") as file:
-        os.fsync(file.fileno())
-
-
-def _flush_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk, where the operating system can do that."""
-    if os.name == "nt":
+    """Wait until a file, or the names in a folder, are on the disk; not every system can do that for a folder."""
+    is_folder = path.is_dir()
+    if is_folder and os.name == "nt":
         return
-    handle = os.open(path, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR)
     try:
-        with suppress(OSError):
-            os.fsync(handle)
+        os.fsync(handle)
+    except OSError:
+        if not is_folder:
+            raise
     finally:
         os.close(handle)
 
@@ -462,14 +451,11 @@ def check_file(path: str | Path, inputs: Inputs, overwrite: bool, option: str, c
 
 
 def _is_ours(path: Path, contents: bytes) -> bool:
-    """Whether a file bears the name of the program at its beginning or at its end, where all writers put it.
-
-    CSV has no place for it: a table is recognised by its first columns, which are those of the new contents.
-    """
+    """Whether a file bears the name of the program at its beginning or its end; CSV, which has no place for it, its columns."""
     with open(path, "rb") as file:
         begin = file.read(_LOOKED_AT)
         if path.suffix.lower() == ".csv":
-            return begin.split(b",")[:_COLUMNS] == contents.split(b",", _COLUMNS)[:_COLUMNS]
+            return begin.split(b",")[:4] == contents.split(b",", 4)[:4]
         file.seek(max(len(begin), os.path.getsize(path) - _LOOKED_AT))
         return b"scan3d" in begin + file.read(_LOOKED_AT)
 
@@ -482,7 +468,8 @@ def check_pair(
     for file in (sidecar, Path(path)):
         _check_single(file, inputs, option)
         if file.exists() and not overwrite and source_kind(sidecar) != kind:
-            raise InputError(f"{file} can't be recognised as a {kind} by scan3d; {_ASK} {option}")
+            one = f"an {kind}" if kind[:1] in "aeiou" else f"a {kind}"
+            raise InputError(f"{file} can't be recognised as {one} by scan3d; {_ASK} {option}")
 
 
 def source_kind(sidecar: Path) -> str | None:

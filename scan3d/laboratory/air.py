@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from scan3d.arrays import Array, Mask
@@ -19,14 +18,10 @@ from scan3d.errors import InputError
 SD_OVER_MAD = 1.4826
 # Rows of a stretch at least.
 _FEWEST = 5
-# Rounding, relative to the range of a channel.
-_ROUNDING = 1e-9
 # Standard deviations of the noise that a row in the air may deviate, and standard errors from which a slope counts.
 _SIGMAS = 4.0
-# A stretch is no air if its zero deviates from that between its neighbours by more than this many times the usual deviation.
-_OUTLYING = 6.0
-# Deviations of the zero below this fraction of the noise do no harm.
-_HARMLESS = 0.3
+# Rounding, relative to the range of a channel.
+_ROUNDING = 1e-9
 # Rows from which statistics are taken, evenly spread.
 _SOME = 20_000
 
@@ -46,55 +41,44 @@ class Air(NamedTuple):
 
 
 def tare(wrench: Array, clock: Array, stretches: Stretches) -> Air:
-    """The zero of a wrench (n, c) at times (n,) by its stretches in the air, which follow one another."""
-    scale = np.ptp(wrench, axis=0) + np.abs(wrench).max(axis=0) * _ROUNDING
+    """The zero of a wrench (n, c) at times (n,) by its stretches in the air, which follow one another.
+
+    Each gives one knot in its middle, or two at its ends where the zero drifts by more than the noise within it.
+    """
+    rounding = _ROUNDING * np.ptp(wrench, axis=0)
     knots, levels, residuals, rows = [], [], [], np.zeros(len(wrench), dtype=bool)
     for start, stop in stretches:
-        time, values, kept = _line(clock[start:stop], wrench[start:stop], scale)
-        knots += time
-        levels += values
+        time, values = clock[start:stop], wrench[start:stop]
+        middle, level = float(time.mean()), values.mean(axis=0)
+        away = (time - middle)[:, None]
+        spread = float((away**2).sum()) or np.inf
+        slope = (away * values).sum(axis=0) / spread
+        error = np.sqrt(((values - level - slope * away) ** 2).sum(axis=0) / max(len(time) - 2, 1) / spread)
+        drifts = (np.abs(slope) > _SIGMAS * error) & (np.abs(slope) * np.ptp(time) > rounding)
+        slope = np.where(drifts & (len(time) >= _FEWEST), slope, 0.0)
+        ends = [float(time[0]), float(time[-1])] if slope.any() else [middle]
+        knots += ends
+        levels += [level + slope * (end - middle) for end in ends]
+        kept = values - level - slope * away
         residuals.append(kept - np.median(kept, axis=0))
         rows[start:stop] = True
     noise = robust_sd(np.concatenate(residuals))
-    zero = _interpolated(clock, np.array(knots), np.array(levels))
-    return Air(zero, np.where(noise > _ROUNDING * scale, noise, 0.0), rows)
+    return Air(_interpolated(clock, np.array(knots), np.array(levels)), np.where(noise > rounding, noise, 0.0), rows)
 
 
 def _interpolated(clock: Array, at: Array, level: Array) -> Array:
     """Levels (k, c) at times (k,) interpolated at the times of a log; beyond them continued, as far as they reach at most."""
-    first, last = at[0], at[-1]
-    reach = last - first
-    # through the level a quarter of the log away: that of a neighbour may be too close to give a slope
-    for end, near, inner in ((clock[0], first, first + reach / 4), (clock[-1], last, last - reach / 4)):
-        away = abs(float(end - near))
-        if 0 < away <= reach / 4:
-            known = np.array([np.interp([near, inner], at, column) for column in level.T])
-            beyond = known[:, 0] + (known[:, 0] - known[:, 1]) * away / (reach / 4)
-            place = 0 if end < near else len(at)
-            at, level = np.insert(at, place, end), np.insert(level, place, beyond, axis=0)
-    return np.stack([np.interp(clock, at, column) for column in level.T], axis=1)
-
-
-def _line(time: Array, values: Array, scale: Array) -> tuple[list[float], list[Array], Array]:
-    """The knots of the zero within a stretch, their values, and the residuals (m, c) of its rows.
-
-    There is one knot in the middle, or two at the ends if the zero drifts within the stretch.
-    """
-    middle = float(time.mean())
-    centred = time - middle
-    spread = float((centred**2).sum())
-    level = values.mean(axis=0)
-    if spread == 0 or len(time) < _FEWEST:
-        return [middle], [level], values - level
-    slope = (centred[:, None] * values).sum(axis=0) / spread
-    residual = values - level - slope * centred[:, None]
-    error = np.sqrt((residual**2).sum(axis=0) / (len(time) - 2) / spread)
-    counts = (np.abs(slope) > _SIGMAS * error) & (np.abs(slope) * np.ptp(time) > _ROUNDING * scale)
-    if not counts.any():
-        return [middle], [level], values - level
-    slope = np.where(counts, slope, 0.0)
-    ends = [float(time[0]), float(time[-1])]
-    return ends, [level + slope * (end - middle) for end in ends], values - level - slope * centred[:, None]
+    quarter = (at[-1] - at[0]) / 4
+    known, levels = at, level
+    for place, end, inner in ((0, clock[0], at[0] + quarter), (-1, clock[-1], at[-1] - quarter)):
+        away = abs(float(end - at[place]))
+        if 0 < away <= quarter:
+            # through the level a quarter of the log away: that of a neighbour may be too close to give a slope
+            other = np.array([np.interp(inner, at, column) for column in level.T])
+            where = place % (len(known) + 1)
+            known = np.insert(known, where, end)
+            levels = np.insert(levels, where, level[place] + (level[place] - other) * away / quarter, axis=0)
+    return np.stack([np.interp(clock, known, column) for column in levels.T], axis=1)
 
 
 def robust_sd(residuals: Array) -> Array:
@@ -132,14 +116,10 @@ def find_air(wrench: Array, clock: Array, where: str) -> Stretches:
 
     Raises InputError if there is no such stretch.
     """
-    channels = np.ptp(wrench, axis=0) > 0
-    near = np.ones(len(wrench), dtype=bool)
     scale = _scales(wrench)
-    if channels.any():
-        scaled = wrench[:, channels] / scale[channels]
-        near = (np.abs(scaled - _followed(scaled, clock)) <= 1).all(axis=1)
-    runs = [run for run in _runs(near) if _is_level(wrench[run[0] : run[1]], scale)]
-    stretches = _consistent(wrench, clock, _refined(wrench, clock, runs))
+    near: Mask = np.asarray((np.abs(wrench - _followed(wrench, clock, scale)) <= scale).all(axis=1))
+    runs = _runs(near)
+    stretches = _consistent(wrench, clock, _refined(wrench, clock, runs, scale))
     again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
     # the second pass finds more, unless the zero drifts in a way that it does not follow
     if sum(b - a for a, b in again) >= 0.8 * sum(b - a for a, b in stretches):
@@ -163,19 +143,19 @@ def _scales(wrench: Array) -> Array:
     return np.asarray(np.maximum(0.02 * largest, _SIGMAS * noise))
 
 
-def _followed(scaled: Array, clock: Array) -> Array:
-    """The zero (n, c) of a wrench in units of its scales, roughly: most frequent value, followed from window to window."""
-    some = scaled[np.linspace(0, len(scaled) - 1, min(len(scaled), 1500)).astype(np.intp)]
-    near = [(np.abs(some - row) <= 1).all(axis=1) for row in some]
+def _followed(wrench: Array, clock: Array, scale: Array) -> Array:
+    """The zero (n, c) of a wrench, roughly: its most frequent value, followed from window to window."""
+    some = wrench[np.linspace(0, len(wrench) - 1, min(len(wrench), 1500)).astype(np.intp)]
+    near = [(np.abs(some - row) <= scale).all(axis=1) for row in some]
     start = np.median(some[max(near, key=np.count_nonzero)], axis=0)
-    edges = np.linspace(0, len(scaled), min(60, len(scaled)) + 1).astype(np.intp)
-    windows = [scaled[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    best = int(np.argmax([(np.abs(window - start) <= 1).all(axis=1).sum() for window in windows]))
-    levels = np.empty((len(windows), scaled.shape[1]))
+    edges = np.linspace(0, len(wrench), min(60, len(wrench)) + 1).astype(np.intp)
+    windows = [wrench[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    best = int(np.argmax([(np.abs(window - start) <= scale).all(axis=1).sum() for window in windows]))
+    levels = np.empty((len(windows), len(scale)))
     for order in (range(best, len(windows)), range(best, -1, -1)):
         level = start
         for k in order:
-            inside = windows[k][(np.abs(windows[k] - level) <= 1).all(axis=1)]
+            inside = windows[k][(np.abs(windows[k] - level) <= scale).all(axis=1)]
             level = np.median(inside, axis=0) if len(inside) >= _FEWEST else level
             levels[k] = level
     middle = clock[(edges[:-1] + edges[1:] - 1) // 2]
@@ -200,48 +180,42 @@ def _trimmed(start: int, stop: int) -> tuple[int, int]:
     return start + margin, stop - margin
 
 
-def _is_level(values: Array, scale: Array) -> bool:
-    """Whether a wrench (m, c) hardly changes from the first to the last quarter, other than in contact."""
-    quarter = max(1, len(values) // 4)
-    change = np.abs(np.median(values[-quarter:], axis=0) - np.median(values[:quarter], axis=0))
-    return bool((change <= scale).all())
+def _refined(wrench: Array, clock: Array, runs: Stretches, scale: Array) -> Stretches:
+    """The runs without the rows at their ends that deviate from a line by more than the noise of all runs.
 
-
-def _refined(wrench: Array, clock: Array, runs: Stretches) -> Stretches:
-    """The runs without the rows at their ends that deviate from a line by more than the noise of all runs."""
-    if not runs:
-        return []
+    Runs that rise by more than the scale (c,) are contact.
+    """
     lines = [_from_line(clock[a:b], wrench[a:b]) for a, b in runs]
-    noise = np.median([SD_OVER_MAD * np.median(np.abs(line), axis=0) for line in lines], axis=0)
+    level = [(start, line) for (start, _), (line, rise) in zip(runs, lines, strict=True) if (rise <= scale).all()]
+    if not level:
+        return []
+    noise = np.median([SD_OVER_MAD * np.median(line, axis=0) for _, line in level], axis=0)
     inner = np.concatenate([wrench[a:b] for a, b in runs])
     limit = _SIGMAS * noise + _steps(inner) + _ROUNDING * np.abs(wrench).max(axis=0)
     found = []
-    for (start, _), line in zip(runs, lines, strict=True):
-        parts = _runs((np.abs(line) <= limit).all(axis=1))
+    for start, line in level:
+        parts = _runs((line <= limit).all(axis=1))
         if parts:
             first, last = max(parts, key=lambda part: part[1] - part[0])
             found.append(_trimmed(start + first, start + last))
     return found
 
 
-def _from_line(time: Array, values: Array) -> Array:
-    """The residuals (m, c) from a line through the medians of both halves, fitted again to the rows close to it."""
+def _from_line(time: Array, values: Array) -> tuple[Array, Array]:
+    """The distances (m, c) from a line that most rows lie on, and by how much (c,) these rise from quarter to quarter."""
     some = slice(None, None, max(1, len(time) // (_SOME // 10)))
-    t, v = time[some], values[some]
+    t, v = time[some] - time.mean(), values[some]
     half = len(t) // 2
-    span = float(np.median(t[-half:]) - np.median(t[:half]))
     rise = np.median(v[-half:], axis=0) - np.median(v[:half], axis=0)
-    slope = rise / span if span > 0 else np.zeros(v.shape[1])
-    middle = float(t.mean())
-    level = np.median(v - slope * (t - middle)[:, None], axis=0)
+    slope = rise / (float(np.median(t[-half:]) - np.median(t[:half])) or np.inf)
+    level = np.median(v - slope * t[:, None], axis=0)
     for _ in range(3):
-        residual = np.abs(v - level - slope * (t - middle)[:, None])
-        kept = (residual <= _SIGMAS * SD_OVER_MAD * np.median(residual, axis=0)).all(axis=1)
+        away = np.abs(v - level - slope * t[:, None])
+        kept = (away <= _SIGMAS * SD_OVER_MAD * np.median(away, axis=0)).all(axis=1)
         if kept.sum() < _FEWEST or np.ptp(t[kept]) == 0:
             break
-        middle = float(t[kept].mean())
-        slope, level = np.polyfit(t[kept] - middle, v[kept], 1)
-    return np.asarray(values - level - slope * (time - middle)[:, None])
+        slope, level = np.polyfit(t[kept], v[kept], 1)
+    return np.abs(values - level - slope * (time - time.mean())[:, None]), 1.5 * np.abs(rise)
 
 
 def _steps(values: Array) -> Array:
@@ -259,44 +233,42 @@ def _within_noise(wrench: Array, clock: Array, stretches: Stretches) -> Stretche
     first = tare(wrench, clock, stretches)
     deviation = wrench - first.zero
     level = np.array([np.median(deviation[a:b], axis=0) for a, b in stretches])
-    slack = _OUTLYING * SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
+    slack = 6 * SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
     slack += _steps(wrench[first.rows])
     near = (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
     over = 15  # rows, by whose mean light contact is distinguished from noise
     if len(wrench) > over:
         # where some of the rows are in contact, the mean says nothing about the others
         mean = uniform_filter1d(deviation, over, axis=0, mode="nearest")
-        light = (np.abs(mean) > (5 / np.sqrt(over) + _HARMLESS) * first.noise + slack).any(axis=1)
+        light = (np.abs(mean) > 1.6 * first.noise + slack).any(axis=1)
         crowded = uniform_filter1d(near.astype(np.float64), over, mode="nearest") > 1 - 0.5 / over
         near &= ~(light & crowded)
     return [_trimmed(a, b) for a, b in _runs(near)]
 
 
 def _consistent(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
-    """The stretches whose zero agrees with that between their neighbours."""
+    """The stretches whose zero agrees with that between two others: those on both sides, at the ends the next two."""
     if len(stretches) < 4:
         return stretches
     level = np.array([np.median(wrench[a:b], axis=0) for a, b in stretches])
     time = np.array([clock[a:b].mean() for a, b in stretches])
-    count: NDArray[np.int64] = np.array([b - a for a, b in stretches])
+    count = np.array([b - a for a, b in stretches])
     inner = np.concatenate([wrench[a:b] - middle for (a, b), middle in zip(stretches, level, strict=True)])
-    reach = np.ptp(wrench, axis=0) * _ROUNDING + _HARMLESS * robust_sd(inner)
+    harmless = np.ptp(wrench, axis=0) * _ROUNDING + 0.3 * robust_sd(inner) + np.finfo(float).tiny
     # much shorter ones are remains of contact, or hardly matter
     kept = np.flatnonzero(count >= 0.1 * np.median(count))
     while len(kept) >= 4:
-        # from lines through two others: those on both sides, at the ends the next two
-        index = np.arange(len(kept))
-        before, after = index - 1, index + 1
+        before, after = np.arange(len(kept)) - 1, np.arange(len(kept)) + 1
         before[[0, -1]], after[[0, -1]] = (1, len(kept) - 2), (2, len(kept) - 3)
         t, v = time[kept], level[kept]
         span = t[after] - t[before]
         part = ((t - t[before]) / np.where(span == 0, 1.0, span))[:, None]
         deviation = np.abs(v - v[before] - part * (v[after] - v[before]))
-        usual = SD_OVER_MAD * np.median(deviation, axis=0)
         # shorter stretches have less certain zeros
         variance = np.maximum(np.median(count[kept]) / count[kept], 1.0)
         weight = np.sqrt((variance + variance[before] + variance[after]) / 3)[:, None]
-        excess = (deviation / (_OUTLYING * usual * weight + reach + np.finfo(float).tiny)).max(axis=1)
+        usual = SD_OVER_MAD * np.median(deviation, axis=0)
+        excess = (deviation / (6 * usual * weight + harmless)).max(axis=1)
         if excess.max() <= 1:
             break
         kept = np.delete(kept, int(np.argmax(excess)))
