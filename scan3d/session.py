@@ -15,7 +15,6 @@ from scan3d.bounds import Certificate, Gap
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.planning.aims import further_directions, open_places
 from scan3d.planning.heights import next_heights
@@ -202,7 +201,7 @@ class Session(Described):
 
     def _further_slices(self, sweeps: int) -> list[Sweep]:
         """Sweeps of new slices, and of slices that their contacts leave open."""
-        space, clearance = self.plan.space(), self.plan.resolved_clearance()
+        space = self.plan.space()
         count = max(1, sweeps // _SIDES)
         left = _LEFT_PER_HEIGHT * count
         heights = next_heights(self.cloud, Plan(slices=left + round(_PER_HEIGHT * count)), left=left)
@@ -214,8 +213,7 @@ class Session(Described):
             for angle in 2 * np.pi * np.arange(_SIDES) / _SIDES
         ]
         chosen += self._open_directions(sweeps)
-        frame = slice_frame(np.array([0.0, 0.0, 1.0]))
-        return [slice_sweep(self.plan, space, angle, z, clearance, frame) for angle, z in sorted(chosen)]
+        return [slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]
 
     def _open_directions(self, sweeps: int) -> list[tuple[float, float]]:
         """At most `sweeps` directions and heights that close what the contacts of slices leave open, if that is much."""
@@ -241,10 +239,10 @@ class Session(Described):
 
     def _aimed(self, sweeps: int) -> list[Sweep]:
         """Sweeps aimed at the places that the contacts in space leave open."""
-        space, clearance = self.plan.space(), self.plan.resolved_clearance()
+        space = self.plan.space()
         random = np.random.default_rng([self._seed, 7, len(self._recordings)])
         target, normal = open_places(self.cloud.points / space.length, self.cloud.normals, _SPARE * sweeps)
-        lines = lines_to(target * space.length, normal, space, clearance, random)[:sweeps]
+        lines = lines_to(target * space.length, normal, space, random)[:sweeps]
         return [line.sweep(self.plan.samples) for line in lines]
 
 

@@ -111,7 +111,10 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, name, sentence):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--friction", "-0.1"], r"friction must be a number >= 0 or a rising range LOW:HIGH of such, got -0\.1"),
+        (
+            ["--friction", "-0.1"],
+            r"friction must be a number >= 0 or a rising range LOW:HIGH of such, at most 100, got -0\.1",
+        ),
         (["--friction", "0:0.2:0.4"], r"friction must be a number, such as 0\.3, or a range .*; got '0:0\.2:0\.4'"),
         (["--friction", "ice"], "friction must be a number, .*; got 'ice'"),
         (["--slices", "0"], "slices must be a whole number of at least 1, got 0"),
@@ -129,8 +132,8 @@ def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, name, sentence):
         (["--axis", "1,,0"], "axis must be x, y, z or three numbers, such as 1,1,0; got '1,,0'"),
         (["--rod", "gold:1x100"], "a rod is 'auto' or MATERIAL:DIAMETERxLENGTH .*; got 'gold:1x100'"),
         (["--tolerance", "-1"], r"tolerance must be a number >= 0, got -1\.0"),
-        (["--clearance", "1.5"], r"clearance must lie between 0 and 1 rod lengths, got 1\.5"),
-        (["--noise", "-1"], r"noise must be a number >= 0, got -1\.0"),
+        (["--clearance", "1.5"], r"clearance must lie between 1e-06 and 1 rod lengths, got 1\.5"),
+        (["--noise", "-1"], r"noise must be a number >= 0 and at most 1, got -1\.0"),
         (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),
         (["--method", "magic"], 'Invalid value "magic" for --method. Choose from: "auto", "hull"'),
     ],

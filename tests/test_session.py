@@ -69,14 +69,14 @@ def test_further_sweeps_keep_clear_as_the_planned_ones_do(egg, model):
     session = Session("cylinder:60x60", model=model, slices=6, samples=33)
     session.tell(recorded(egg, session.ask()))
     poses, space = session.ask(8), session.plan.space()
-    fattened = space.envelope.points()[:, None] + 0.999 * space.margin * sphere_directions(200).T
+    fattened = space.points[:, None] + 0.999 * space.margin * sphere_directions(200).T
     axes, position = poses.axes(), 1000 * poses.position_m
     touches = steps_touch(hull(fattened.reshape(-1, 3)), position, axes, space.length, 0.0)
     sweeping = (poses.move[:-1] == Move.SWEEP) & (poses.move[1:] == Move.SWEEP)
     assert not touches[~sweeping].any()
     tips = position + space.length * axes[:, 1]
     assert min(position[:, 2].min(), tips[:, 2].min()) > space.floor - 1e-9
-    assert segments_meet(hull(space.envelope.points()), position, axes[:, 1], space.length).any()
+    assert segments_meet(hull(space.points), position, axes[:, 1], space.length).any()
 
 
 @pytest.mark.slow

@@ -86,21 +86,20 @@ class Plan:
             check_whole("sweeps", self.sweeps, 1)
         for name, known in (("model", MODELS), ("spacing", SPACINGS), ("unit", UNITS_M)):
             check_choice(name, getattr(self, name), known)
+        low, high = self.friction_range
+        if not 0 <= low <= high <= LARGEST_FRICTION:
+            raise InputError(
+                f"friction must be a number >= 0 or a rising range LOW:HIGH of such, at most {LARGEST_FRICTION:g}, "
+                f"got {self.friction}"
+            )
         if not (_is_finite(self.tolerance) and self.tolerance >= 0):
             raise InputError(f"tolerance must be a number >= 0, got {self.tolerance}")
-        low, high = self.friction_range
-        if not 0 <= low <= high:
-            raise InputError(f"friction must be a number >= 0 or a rising range LOW:HIGH of such, got {self.friction}")
-        if high > LARGEST_FRICTION:
-            raise InputError(f"friction must be at most {LARGEST_FRICTION:g}, got {self.friction}")
-        if not (_is_finite(self.noise) and self.noise >= 0):
-            raise InputError(f"noise must be a number >= 0, got {self.noise}")
-        if not (_is_finite(self.clearance) and 0 < self.clearance < 1):
-            raise InputError(f"clearance must lie between 0 and 1 rod lengths, got {self.clearance}")
-        if self.clearance < SMALLEST_CLEARANCE:
-            raise InputError(f"clearance must be at least {SMALLEST_CLEARANCE:g} rod lengths, got {self.clearance}")
-        if not (_is_finite(self.noise) and self.noise <= LARGEST_NOISE):
-            raise InputError(f"noise must be at most {LARGEST_NOISE:g}, got {self.noise}")
+        if not (_is_finite(self.clearance) and SMALLEST_CLEARANCE <= self.clearance < 1):
+            raise InputError(
+                f"clearance must lie between {SMALLEST_CLEARANCE:g} and 1 rod lengths, got {self.clearance}"
+            )
+        if not (_is_finite(self.noise) and 0 <= self.noise <= LARGEST_NOISE):
+            raise InputError(f"noise must be a number >= 0 and at most {LARGEST_NOISE:g}, got {self.noise}")
         if self.rod is not None and not isinstance(self.rod, Rod):
             raise InputError(f"rod must be a scan3d.Rod or None, got {self.rod!r}")
         self.axes()
@@ -128,19 +127,20 @@ class Plan:
 
     def axes(self) -> Array:
         """Unit normals (k, 3) of the slices."""
-        given = [_AXES.get(letter, ()) for letter in self.axis] if isinstance(self.axis, str) else [self.axis]
+        letters = self.axis if isinstance(self.axis, str) else ""
         try:
-            vectors = [np.asarray(vector, dtype=float) for vector in given]
-        except (TypeError, ValueError, OverflowError):
-            vectors = []
-        valid = all(v.shape == (3,) and np.isfinite(v).all() and v.any() for v in vectors)
-        if not vectors or not valid or (len(set(self.axis)) < len(self.axis) and isinstance(self.axis, str)):
+            given: list[Any] = [_AXES[letter] for letter in letters]
+            vectors = np.array(given or [self.axis], dtype=float)
+        except (KeyError, TypeError, ValueError, OverflowError):
+            vectors = np.empty(0)
+        valid = vectors.ndim == 2 and vectors.shape[1] == 3 and np.isfinite(vectors).all() and vectors.any(axis=1).all()
+        if not valid or len(set(letters)) < len(letters):
             raise InputError(
                 f"axis must be x, y, z, several of them such as xyz, or a vector of three numbers that is not zero, "
                 f"got {self.axis!r}"
             )
-        scaled = [vector / np.abs(vector).max() for vector in vectors]  # so that squares are numbers of a computer
-        return np.array([vector / np.linalg.norm(vector) for vector in scaled])
+        vectors /= np.abs(vectors).max(axis=1, keepdims=True)  # so that squares are numbers of a computer
+        return np.array([vector / np.linalg.norm(vector) for vector in vectors])
 
 
 def _is_finite(value: object) -> bool:

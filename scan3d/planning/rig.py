@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -52,8 +53,6 @@ _LINES_PER_SLICE = 0.6
 _DIRECTIONS = 6
 # Bytes that a pose takes while it is planned, and poses between two sweeps.
 _MEMORY_PER_POSE, _POSES_BETWEEN = 420, 6
-# Digits to which lengths in messages are rounded up.
-_DIGITS = 3
 # Corners of the polygon and of the polyhedron that stand for a circle and a sphere, around which they lie: by 0.1 % and 1 %.
 _AROUND, _ON_SPHERE = 72, 600
 _COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
@@ -164,9 +163,15 @@ class Sweep(NamedTuple):
 class Space(NamedTuple):
     """Where a clamp with a rod may go, lengths in the user's unit."""
 
-    envelope: Envelope
+    points: Array
+    """(n, 3) in whose hull the body lies."""
     length: float
     """Of the rod."""
+    clearance: float
+    """Of the clamp from the body along the rod in a sweep."""
+    beyond: float
+    """How far the clamp goes on past the body, so that even a bent rod has come off it: a contact at least the clearance in
+    front of the clamp and at most a rod length away from it lies no farther back."""
     margin: float
     """Distance that the rod keeps from the bounding body when it does not sweep."""
     floor: float
@@ -174,7 +179,7 @@ class Space(NamedTuple):
 
     def behind(self, along: Array) -> float:
         """Coordinate along the direction `along` (3,) of a rod behind which its tip is clear of the bounding body."""
-        return float((self.envelope.points() @ along).min()) - self.margin
+        return float((self.points @ along).min()) - self.margin
 
 
 @dataclass(frozen=True)
@@ -240,7 +245,7 @@ class RigPlan:
             needed = self.around.width / 2 / (1 - self.clearance)
             raise InputError(
                 f"a rod of {length:.4g} {unit} doesn't reach the axis of {self.around} from a clearance of "
-                f"{self.clearance:g} rod lengths; choose a rod of at least {_up(needed):g} {unit}, or less clearance"
+                f"{self.clearance:g} rod lengths; choose a rod of at least {1.01 * needed:.3g} {unit}, or less clearance"
             )
         if self.max_force_N is None:
             return self.clearance
@@ -261,13 +266,15 @@ class RigPlan:
         floor = self.floor
         if floor is None:
             floor = max(_FLOOR * self.around.height, _FLOOR_DIAMETERS * rod.diameter_m / metres)
-        return Space(self.around, length, min(_MARGIN, self.resolved_clearance()) * length, floor)
-
-
-def _up(value: float) -> float:
-    """A number rounded up to a few digits."""
-    step = 10.0 ** (math.floor(math.log10(value)) + 1 - _DIGITS)
-    return math.ceil(value / step) * step
+        clearance = self.resolved_clearance()
+        return Space(
+            self.around.points(),
+            length,
+            clearance * length,
+            math.sqrt(1 - clearance**2) * length,
+            min(_MARGIN, clearance) * length,
+            floor,
+        )
 
 
 def plan_poses(plan: RigPlan) -> PoseList:
@@ -301,8 +308,8 @@ def _check_size(plan: RigPlan) -> None:
 def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
     """Sweeps, numbered from `first`, with their approaches and retracts, as a list of poses."""
     space, metres = plan.space(), UNITS_M[plan.unit]
-    path = joined(sweeps, space, first)
-    _check_workspace(plan, path.position, path.sweep)
+    number, position, axes, move = map(np.array, zip(*_poses(sweeps, space, first), strict=True))
+    _check_workspace(plan, position, number)
     source: dict[str, Any] = {
         "around": str(plan.around),
         "clearance": plan.resolved_clearance(),
@@ -314,11 +321,11 @@ def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
         if value is not None:
             source[name] = str(value) if isinstance(value, Envelope) else value
     return PoseList(
-        sweep=path.sweep.astype(np.int64),
-        position_m=path.position * metres,
+        sweep=number.astype(np.int64),
+        position_m=position * metres,
         # scipy wants the clamp's axes as columns
-        quaternion=Rotation.from_matrix(np.swapaxes(path.axes, 1, 2)).as_quat(canonical=True, scalar_first=True),
-        move=path.move.astype(np.int8),
+        quaternion=Rotation.from_matrix(np.swapaxes(axes, 1, 2)).as_quat(canonical=True, scalar_first=True),
+        move=move.astype(np.int8),
         rod=plan.resolved_rod(),
         speed_m_s=plan.speed * metres,
         model=plan.model,
@@ -327,33 +334,24 @@ def pose_list(sweeps: list[Sweep], plan: RigPlan, first: int = 0) -> PoseList:
     )
 
 
-def overtravel(clearance: float) -> float:
-    """How far a clamp goes on past a body, in rod lengths, so that even a bent rod has come off it.
-
-    A contact at least `clearance` in front of the clamp and at most a rod length away from it lies no farther back.
-    """
-    return math.sqrt(1 - clearance**2)
-
-
 def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
     """Horizontal sweeps: all heights from one side, then from the next."""
-    clearance, frame = plan.resolved_clearance(), slice_frame(np.array([0.0, 0.0, 1.0]))
     inside = first_heights(space.floor, plan.around.height, Plan(slices=plan.slices, spacing="cosine"))
     heights = np.concatenate([inside[:-2], inside[-1:]])  # none below the table
+    sides = plan.sweeps or _SIDES
     return [
-        swept
-        for number, angle in enumerate(2 * np.pi * np.arange(plan.sweeps or _SIDES) / (plan.sweeps or _SIDES))
-        for swept in (slice_sweep(plan, space, angle, z, clearance, frame) for z in heights[:: 1 - 2 * (number % 2)])
+        slice_sweep(plan, space, float(angle), z)
+        for number, angle in enumerate(2 * np.pi * np.arange(sides) / sides)
+        for z in heights[:: 1 - 2 * (number % 2)]
     ]
 
 
-def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, clearance: float, frame: Array) -> Sweep:
+def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float) -> Sweep:
     """The sweep at a height with the rod in a direction, past the whole bounding body."""
-    outline = plan.around.outline()
-    line = base_line(outline, angle, clearance * space.length)
+    outline, frame = plan.around.outline(), slice_frame(np.array([0.0, 0.0, 1.0]))
+    line = base_line(outline, angle, space.clearance)
     across = (outline - line.origin) @ line.axes[0]
-    end = across.min() - space.margin - overtravel(clearance) * space.length
-    x0 = np.linspace(across.max() + space.margin, end, plan.samples)
+    x0 = np.linspace(across.max() + space.margin, across.min() - space.margin - space.beyond, plan.samples)
     return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))
 
 
@@ -370,45 +368,31 @@ def _check_workspace(plan: RigPlan, position: Array, sweep: Index) -> None:
         )
 
 
-class Path(NamedTuple):
-    """Poses of all sweeps and of the paths between them."""
-
-    sweep: Index
-    position: Array
-    axes: Array
-    """(n, 3, 3)"""
-    move: Index
+_Pose = tuple[int, Array, Array, int]
+"""Number of the sweep, place (3,) and axes (3, 3) of the clamp, and `Move`."""
 
 
-def joined(sweeps: list[Sweep], space: Space, first: int = 0) -> Path:
+def _poses(sweeps: list[Sweep], space: Space, first: int) -> Iterator[_Pose]:
     """All sweeps, each with its approach before it and its retract after it; numbered from `first`."""
-    parts: list[tuple[int, Array, Array, Move]] = []
     previous: tuple[Array, Array] | None = None
     for number, (position, axes) in enumerate(sweeps, start=first):
-        back = space.behind(axes[1])
-        start = _drawn_back(position[0], axes, back, space)
+        start, end = (_drawn_back(position[k], axes, space) for k in (0, -1))
         if previous is not None:
-            places, turns = _turn(previous, (start, axes), space)
-            parts += [(number, place, turn, Move.APPROACH) for place, turn in zip(places, turns, strict=True)]
-        parts.append((number, start, axes, Move.APPROACH))
-        parts += [(number, place, axes, Move.SWEEP) for place in position]
-        end = _drawn_back(position[-1], axes, back, space)
-        parts.append((number, end, axes, Move.RETRACT))
+            yield from (
+                (number, place, turned, Move.APPROACH) for place, turned in _turn(previous, (start, axes), space)
+            )
+        yield number, start, axes, Move.APPROACH
+        yield from ((number, place, axes, Move.SWEEP) for place in position)
+        yield number, end, axes, Move.RETRACT
         previous = end, axes
-    return Path(
-        sweep=np.array([part[0] for part in parts]),
-        position=np.array([part[1] for part in parts]),
-        axes=np.array([part[2] for part in parts]),
-        move=np.array([int(part[3]) for part in parts]),
-    )
 
 
-def _drawn_back(place: Array, axes: Array, back: float, space: Space) -> Array:
+def _drawn_back(place: Array, axes: Array, space: Space) -> Array:
     """The place of a clamp that is drawn back along its rod, until the tip is behind the supporting plane."""
-    return np.asarray(place - max(place @ axes[1] + space.length - back, 0.0) * axes[1])
+    return np.asarray(place - max(place @ axes[1] + space.length - space.behind(axes[1]), 0.0) * axes[1])
 
 
-def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) -> tuple[list[Array], list[Array]]:
+def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) -> list[tuple[Array, Array]]:
     """Places and axes at which the clamp turns on its path from one pose, drawn back, to another; none if it need not."""
     (_, before), (_, after) = start, end
     old, new = before[1], after[1]
@@ -416,28 +400,21 @@ def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) ->
     across = np.cross(old, new)
     sine = float(np.linalg.norm(across))
     if sine < _SAME and cosine > 0:
-        return [], []
+        return []
     if cosine < _OPPOSITE:
         # both rods are nearly level, and no place lies behind both planes: a quarter of a turn first
         halfway = start[0], before @ Rotation.from_rotvec([0.0, 0.0, np.pi / 2]).as_matrix().T
-        parts = [_turn(start, halfway, space), _turn(halfway, end, space)]
-        return [place for places, _ in parts for place in places], [axes for _, turns in parts for axes in turns]
-    points = space.envelope.points()
-    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+        return _turn(start, halfway, space) + _turn(halfway, end, space)
+    middle = (space.points.max(axis=0) + space.points.min(axis=0)) / 2
     # the place lies a rod length behind both planes
     depth = max(middle @ along - space.behind(along) for along in (old, new)) + space.length
     place = middle - depth / (1 + cosine) * (old + new)
-    lowest = min(0.0, old[2], new[2], *(_between(old, new)[:, 2]))
+    part = np.linspace(0, 1, 33)[:, None]
+    between = (1 - part) * old + part * new
+    lowest = min(0.0, float((between[:, 2] / np.linalg.norm(between, axis=1)).min()))
     place[2] = max(place[2], space.floor - space.length * lowest)
     turned = before @ Rotation.from_rotvec(across / sine * np.arctan2(sine, cosine)).as_matrix().T
-    return [place, place, place], [before, turned, after]
-
-
-def _between(old: Array, new: Array) -> Array:
-    """Unit vectors (n, 3) on the shorter arc from one to another."""
-    part = np.linspace(0, 1, 33)[:, None]
-    mixed = (1 - part) * old + part * new
-    return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+    return [(place, axes) for axes in (before, turned, after)]
 
 
 class Line(NamedTuple):
@@ -453,50 +430,29 @@ class Line(NamedTuple):
         return Sweep(self.start + fraction * (self.end - self.start), self.axes)
 
 
-class _From(NamedTuple):
-    """What the lines of one direction have in common."""
+def _base(space: Space, along: Array) -> Array:
+    """The place (3,) of a clamp whose rod points along a direction at the middle of the body, with the clearance from it."""
+    middle = space.points.mean(axis=0)
+    depth = (space.points @ along).min() - space.clearance
+    return np.asarray(middle + (depth - middle @ along) * along)
 
-    space: Space
-    points: Array
-    """(n, 3) in whose hull the body lies."""
-    along: Array
-    """(3,) of the rod, which points down."""
-    clearance: float
-    """Of the clamp from the body along the rod, in the user's unit."""
-    beyond: float
-    """How far the clamp goes on past the body."""
-    body: Any
-    """A convex `trimesh.Trimesh`, the hull of the points."""
 
-    def base(self) -> Array:
-        """The place of a clamp whose rod points at the middle of the body, with the clearance from it."""
-        middle = self.points.mean(axis=0)
-        depth = (self.points @ self.along).min() - self.clearance
-        return np.asarray(middle + (depth - middle @ self.along) * self.along)
+def _line(space: Space, along: Array, spread: Array, x: Array, offset: float) -> Line:
+    """The line against the direction `x` of the clamp, at an offset along `spread`, drawn back as the table demands.
 
-    def line(self, spread: Array, x: Array, offset: float) -> Line:
-        """The line against the direction `x` of the clamp, at an offset along `spread`, drawn back as the table demands."""
-        space, base = self.space, self.base()
-        high, low = self._extent(spread, x, offset)
-        origin = base + (offset - base @ spread) * spread
-        ends = (high + space.margin, low - space.margin - self.beyond)
-        start, end = (origin + (value - origin @ x) * x for value in ends)
-        lowest_point = min(start[2], end[2]) + space.length * self.along[2]
-        raised = max(space.floor - lowest_point, 0.0) / -self.along[2]
-        axes = np.stack([x, self.along, np.cross(x, self.along)])
-        return Line(start - raised * self.along, end - raised * self.along, axes)
-
-    def reaches(self, line: Line) -> bool:
-        """Whether the straight rod enters the body by a part of its length somewhere on the line."""
-        places = line.sweep(_PLACES_ALONG).position
-        along = np.broadcast_to(self.along, places.shape)
-        return bool(segments_meet(self.body, places, along, (1 - _LEAST) * self.space.length).any())
-
-    def _extent(self, spread: Array, moved: Array, offset: float) -> tuple[float, float]:
-        """Largest and smallest coordinate along `moved` of the body near a line at an offset along `spread`."""
-        at = offset + self.space.margin * np.linspace(-1, 1, _PLACES)
-        across, along = self.points @ spread, self.points @ moved
-        return -_lowest(across, -along, at), _lowest(across, along, at)
+    The rod points down, along the direction `along`.
+    """
+    base = _base(space, along)
+    at = offset + space.margin * np.linspace(-1, 1, _PLACES)
+    across, moved = space.points @ spread, space.points @ x
+    high, low = -_lowest(across, -moved, at), _lowest(across, moved, at)
+    origin = base + (offset - base @ spread) * spread
+    ends = (high + space.margin, low - space.margin - space.beyond)
+    start, end = (origin + (value - origin @ x) * x for value in ends)
+    lowest_point = min(start[2], end[2]) + space.length * along[2]
+    raised = max(space.floor - lowest_point, 0.0) / -along[2]
+    axes = np.stack([x, along, np.cross(x, along)])
+    return Line(start - raised * along, end - raised * along, axes)
 
 
 def _lowest(x: Array, y: Array, at: Array) -> float:
@@ -515,48 +471,48 @@ def _rasters(plan: RigPlan, space: Space) -> list[Sweep]:
     rod would hit the table is drawn back along the rod; one that then does not reach the body is left out.
     """
     count = plan.sweeps or max(2, round(_LINES_PER_SLICE * plan.slices))
-    points, clearance = space.envelope.points(), plan.resolved_clearance()
-    distances, body = _distances(clearance, space), hull(points)
+    body = hull(space.points)
     lines = []
-    for direction in icosahedron():
-        if direction[2] <= 0:
+    for along in -icosahedron():
+        if along[2] >= 0:
             continue
-        side = _From(space, points, -direction, *distances, body)
-        level = np.cross([0.0, 0.0, 1.0], side.along)
+        level = np.cross([0.0, 0.0, 1.0], along)
         level /= np.linalg.norm(level)
-        slope = np.cross(side.along, level)
-        widths = [float(np.ptp(points @ axis)) for axis in (level, slope)]
-        first = _lines(side, level, slope, max(1, round(count * widths[0] / sum(widths))))
-        lines += first + _lines(side, slope, level, max(1, count - len(first)))
+        slope = np.cross(along, level)
+        widths = [float(np.ptp(space.points @ axis)) for axis in (level, slope)]
+        first = _lines(space, body, along, level, slope, max(1, round(count * widths[0] / sum(widths))))
+        lines += first + _lines(space, body, along, slope, level, max(1, count - len(first)))
     return [line.sweep(plan.samples) for line in lines]
 
 
-def _distances(clearance: float, space: Space) -> tuple[float, float]:
-    """In the user's unit: of the clamp from the body, and how far it goes on past it, for a clearance in rod lengths."""
-    return clearance * space.length, overtravel(clearance) * space.length
+def _lines(space: Space, body: Any, along: Array, spread: Array, moved: Array, number: int) -> list[Line]:
+    """`number` lines in the direction `moved`, every other one backwards, next to each other in the direction `spread`.
 
-
-def _lines(side: _From, spread: Array, moved: Array, number: int) -> list[Line]:
-    """`number` lines in the direction `moved`, every other one backwards, next to each other in the direction `spread`."""
-    place, base, space = side.points @ spread, side.base(), side.space
+    Only those are kept on which the straight rod enters the body, a convex `trimesh.Trimesh`, by a part of its length.
+    """
+    place, base = space.points @ spread, _base(space, along)
     lowest = place.min()
     if spread[2] > 0 and moved[2] == 0:
         # lower lines would have to be drawn back too far
-        tip = base[2] + space.length * side.along[2] - (base @ spread) * spread[2]
-        lowest = max(lowest, (space.floor + _RAISED * space.length * side.along[2] - tip) / spread[2])
+        tip = base[2] + space.length * along[2] - (base @ spread) * spread[2]
+        lowest = max(lowest, (space.floor + _RAISED * space.length * along[2] - tip) / spread[2])
     offsets = lowest + cosine_fractions(number) * (place.max() - lowest)
-    lines = [side.line(spread, -moved if k % 2 else moved, offset) for k, offset in enumerate(offsets)]
-    return [line for line in lines if side.reaches(line)]
+    lines = []
+    for k, offset in enumerate(offsets):
+        line = _line(space, along, spread, -moved if k % 2 else moved, offset)
+        places = line.sweep(_PLACES_ALONG).position
+        rods = np.broadcast_to(along, places.shape)
+        if segments_meet(body, places, rods, (1 - _LEAST) * space.length).any():
+            lines.append(line)
+    return lines
 
 
-def lines_to(targets: Array, normals: Array, space: Space, clearance: float, random: np.random.Generator) -> list[Line]:
+def lines_to(targets: Array, normals: Array, space: Space, random: np.random.Generator) -> list[Line]:
     """Lines to places (k, 3) of a body's surface with outward normals (k, 3), as by `aims.aimed`, for a body on a table.
 
-    The rod lies across the normal and comes down on the place along it; the clearance is in rod lengths.  Places to which no
-    such line leads from above the table are left out.
+    The rod lies across the normal and comes down on the place along it.  Places to which no such line leads from above the
+    table are left out.
     """
-    points = space.envelope.points()
-    distances, body = _distances(clearance, space), hull(points)
     lines = []
     for target, normal in zip(targets, normals, strict=True):
         first, second = across(normal)
@@ -565,7 +521,7 @@ def lines_to(targets: Array, normals: Array, space: Space, clearance: float, ran
             if along[2] > -_LEVEL:
                 continue
             spread = np.cross(normal, along)
-            line = _From(space, points, along, *distances, body).line(spread, normal, float(target @ spread))
+            line = _line(space, along, spread, normal, float(target @ spread))
             if (target - line.start) @ along <= (1 - _LEAST) * space.length:
                 lines.append(line)
                 break
