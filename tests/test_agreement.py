@@ -14,7 +14,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
-from scan3d.reconstruction import agreement, contradictions
+from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.recording import joined
@@ -36,7 +36,7 @@ def remarks(recording):
         cloud = scan3d.reconstruct(recording) if recording.six_axis else contacts(recording)
     except InputError:
         return ["no contact"]
-    return [warning.code for warning in contradictions(recording, cloud)]
+    return [warning.code for warning in checked(recording, cloud).contradictions]
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def test_a_second_contact_is_a_moment_along_the_force(right, undiagnosed):
 
 def test_six_axes_read_as_planar_say_how_wrong_that_is(right, undiagnosed):
     cloud = scan3d.reconstruct(right, model="planar")
-    warning = next(w for w in contradictions(right, cloud) if w.code == "out-of-plane")
+    warning = next(w for w in checked(right, cloud).contradictions if w.code == "out-of-plane")
     assert "choose the spatial model" in warning.message
     force, _ = right.wrench()
     felt = np.linalg.norm(force, axis=1) > 0
@@ -134,7 +134,7 @@ def test_six_axes_read_as_planar_say_how_wrong_that_is(right, undiagnosed):
 def test_a_planar_recording_with_six_axes_may_be_read_as_planar(egg):
     zero = np.zeros(len(egg))
     recording = replace(egg, force_z_N=zero, moment_x_Nm=zero, moment_y_Nm=zero)
-    assert contradictions(recording, scan3d.reconstruct(recording, model="planar")) == []
+    assert checked(recording, scan3d.reconstruct(recording, model="planar")).contradictions == []
 
 
 # --- right recordings ---

@@ -11,7 +11,7 @@ import planar
 import scan3d
 from scan3d.bounds import allowed, certificate, enclosure, sigmas
 from scan3d.pipeline import analyse
-from scan3d.reconstruction import contradictions
+from scan3d.reconstruction import checked
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.errors import effects, torsion_sd, with_rig_errors
 from scan3d.report import summary
@@ -191,12 +191,12 @@ def test_errors_of_the_calibration_are_no_contradiction(flat, space):
     """Exact touches of a rig that is off by what is stated: without the statement they contradict the convex body."""
     found = with_rig(flat, typical(six=False), 1)
     cloud = touched(found)
-    assert "beyond-tangent" in {warning.code for warning in contradictions(found, without(cloud))}
-    assert not contradictions(found, cloud)
+    assert "beyond-tangent" in {warning.code for warning in checked(found, without(cloud)).contradictions}
+    assert not checked(found, cloud).contradictions
     found = with_rig(space, typical(), 1)
     cloud = touched(found)
-    assert "moment-about-rod" in {warning.code for warning in contradictions(found, without(cloud))}
-    assert not contradictions(found, cloud)
+    assert "moment-about-rod" in {warning.code for warning in checked(found, without(cloud)).contradictions}
+    assert not checked(found, cloud).contradictions
 
 
 def test_torsion_is_that_of_finite_changes(space):

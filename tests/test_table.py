@@ -14,7 +14,7 @@ from scan3d import InputError
 from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cli import main
 from scan3d.geometry.hulls import hull
-from scan3d.reconstruction import checked, contradictions
+from scan3d.reconstruction import checked
 from scan3d.session import Session
 from scan3d.simulation.rig import simulate_rig, standing
 from scan3d.surfaces import certificate, enclosure, surface
@@ -122,11 +122,11 @@ def test_the_table_closes_contacts_in_space(seed, radius):
 
 def test_contacts_below_the_table_contradict_it(recording):
     cloud = scan3d.reconstruct(recording)
-    assert contradictions(recording, cloud) == []
+    assert checked(recording, cloud).contradictions == []
     lowest = float(cloud.points[:, 2].min())
     # on the table, up to rounding
     on_it = dataclasses.replace(recording, table_m=lowest / 1000)
-    assert contradictions(on_it, scan3d.reconstruct(on_it)) == []
+    assert checked(on_it, scan3d.reconstruct(on_it)).contradictions == []
     assert enclosure(scan3d.reconstruct(on_it)).bound >= convex_hausdorff(enclosure(cloud).inner, body(3)) - 2 * lowest
     above = dataclasses.replace(recording, table_m=0.02)
     found = checked(above, scan3d.reconstruct(above))
@@ -139,7 +139,7 @@ def test_contacts_below_the_table_contradict_it(recording):
 def test_contacts_in_space_below_the_table_contradict_it():
     plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3)
     recording = dataclasses.replace(scan3d.simulate(body(4), plan), table_m=0.0)
-    assert contradictions(recording, scan3d.reconstruct(recording)) == []
+    assert checked(recording, scan3d.reconstruct(recording)).contradictions == []
     above = dataclasses.replace(recording, table_m=0.001)
     found = checked(above, scan3d.reconstruct(above))
     assert [warning.code for warning in found.contradictions] == ["below-table"]
@@ -155,7 +155,7 @@ def test_noise_below_the_table_is_no_contradiction():
     for sigmas, codes in ((3.0, []), (20.0, ["below-table"])):
         table = (heights[lowest] + sigmas * cloud.centre_sd[lowest]) / 1000
         on_table = dataclasses.replace(recording, table_m=float(table))
-        assert [found.code for found in contradictions(on_table, scan3d.reconstruct(on_table))] == codes
+        assert [found.code for found in checked(on_table, scan3d.reconstruct(on_table)).contradictions] == codes
 
 
 def test_a_session_refuses_another_table(recording):

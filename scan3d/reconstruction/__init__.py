@@ -1,8 +1,9 @@
 """The first half of step 2: from a recording, simulated or measured, to contacts with the normals of the surface."""
 
-from scan3d.reconstruction.agreement import Checked, Contradiction, cause_of_no_contact, checked, contradictions
+from scan3d.reconstruction.agreement import Checked, Contradiction, cause_of_no_contact, checked
+from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import radius_errors, reconstruct
-from scan3d.reconstruction.diagnosis import Diagnosis, diagnose
+from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import NoContactError
 
 __all__ = [
@@ -12,7 +13,6 @@ __all__ = [
     "NoContactError",
     "cause_of_no_contact",
     "checked",
-    "contradictions",
     "diagnose",
     "radius_errors",
     "reconstruct",

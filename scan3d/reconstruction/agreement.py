@@ -3,10 +3,7 @@
 The tests use the recording alone.  Each has a threshold that correct recordings do not reach, whatever the body, the friction,
 the noise that they state and the digits that they keep; errors of signs, axes, units, scales, offsets and times usually do.
 
-In the plane, contacts do not lie beyond the tangent at a contact of the same slice.  In space two residuals of the six
-reactions vanish for a single force at the rod's centre line: the moment about the rod's axis, up to friction across a rod of
-finite radius, and the moment along the force.  Contacts of a convex body lie on their hull, and the rod's tangents at
-tangential contacts pass outside it.
+What is compared are the misfits of `misfits`; further tests look at the poses, the table and the model alone.
 """
 
 from __future__ import annotations
@@ -14,17 +11,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array
 from scan3d.cloud import Cloud, Tilt
+from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import Readings, readings, without_normals
-from scan3d.reconstruction.diagnosis import Diagnosis, diagnose, middle_of_lines
+from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import FORCE_SIGMAS, NoContactError, spread, torsion_sd, with_rig_errors
-from scan3d.reconstruction.slices import Slice, SliceStack, stacks
+from scan3d.reconstruction.misfits import ROUNDING, against_single_force, beyond_tangents, depths_in_hull
+from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
+from scan3d.spatial import inverse
 
 BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
@@ -33,15 +32,10 @@ _DISTURBED = 0.02
 # A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel, which a
 # robot's path may.
 _OFF_LINE = 0.05
-# Rounding of a contact's place, in rod lengths, with the steps of fine converters that too few numbers show, and of residuals,
-# relative to force times moment.  Most faults are a hundred times larger.
-_ROUNDING = 1e-7
 # Probability that noise makes a correct recording exceed the allowed distances.
 _FALSE_ALARM = 1e-5
-# Standard deviations by which the contacts of both models may differ by noise, and that noise explains in single residuals.
-_OUT_OF_PLANE_SIGMAS, _SIGMAS = 6.0, 5.0
-# Lines and points of a slice that are compared at most; contacts and tangents in space, and contacts of the hull.
-_IN_SLICE, _IN_SPACE, _HULL = 1500, 1000, 4000
+# Contacts, tangents, and contacts of the hull that are compared at most.
+_COMPARED = 1500
 
 
 class Contradiction(NamedTuple):
@@ -53,6 +47,14 @@ class Contradiction(NamedTuple):
     """The number that the test found, as the message says."""
 
 
+# What a test that looks for one fault alone has found: code and unit of the fault, and the fault in words.
+_CAUSES = {
+    "sweep-direction": ("poses", "deg", "the poses are wrong: {}"),
+    "out-of-plane": ("planar-model", "", "the model is wrong: choose the spatial model"),
+    BELOW_TABLE: ("table", "", "the table is wrong: {}"),
+}
+
+
 class Checked(NamedTuple):
     """How a recording agrees with the model."""
 
@@ -62,42 +64,28 @@ class Checked(NamedTuple):
     """The likeliest fault; None if it agrees."""
 
 
-def contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
-    """The contradictions between a recording, its contacts and the model; an empty list if there is none."""
-    return checked(recording, cloud).contradictions
-
-
 def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
+    alone, diagnosis = _below_table(cloud), None
     if cloud.model == "spatial":
-        single, found = _below_table(cloud), _in_space(recording, cloud)
-        diagnosis = diagnose(recording, "spatial") if found else _of_single_test(single)
-        cause = f"; {diagnosis.message}" if found and diagnosis else ""
-        return Checked([each._replace(message=each.message + cause) for each in found] + single, diagnosis)
-    single = _off_line(recording) + _out_of_plane(recording, cloud) + _below_table(cloud)
-    found, diagnosis = _in_slices(recording, cloud), _of_single_test(single)
-    if found and diagnosis is None:
-        diagnosis = diagnose(recording, "planar")
+        found = _in_space(recording, cloud)
+    else:
+        alone = _off_line(recording) + _out_of_plane(recording, cloud) + alone
+        found = _in_slices(recording, cloud)
+    if alone:
+        first = alone[0]
+        code, unit, cause = _CAUSES[first.code]
+        diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
+    if found and (diagnosis is None or cloud.model == "spatial"):
+        diagnosis = diagnose(recording, cloud.model)
         found = [each._replace(message=f"{each.message}; {diagnosis.message}") for each in found]
-    return Checked(single + found, diagnosis)
+    return Checked(alone + found if cloud.model == "planar" else found + alone, diagnosis)
 
 
 def cause_of_no_contact(recording: Recording) -> str:
     """What is likeliest to be wrong with a recording that has no contact, as the end of a sentence; "" if nothing is found."""
     diagnosis = diagnose(recording, "spatial" if recording.six_axis else "planar")
     return "" if diagnosis.fault in ("unknown", "second-contact") else f"; {diagnosis.message}"
-
-
-def _of_single_test(found: list[Contradiction]) -> Diagnosis | None:
-    """The fault that a test has found which looks for this fault alone."""
-    for code, message, value in found:
-        if code == "sweep-direction":
-            return Diagnosis("poses", value, "deg", 1.0, f"most likely the poses are wrong: {message}")
-        if code == "out-of-plane":
-            return Diagnosis("planar-model", value, "", 1.0, "most likely the model is wrong: choose the spatial model")
-        if code == BELOW_TABLE:
-            return Diagnosis("table", value, "", 1.0, f"most likely the table is wrong: {message}")
-    return None
 
 
 def _kappa(count: int) -> float:
@@ -147,49 +135,28 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
     between the secants to the neighbouring slices, is allowed for, and end slices are left out.
     """
     off, turned = _by_calibration(cloud)
-    rounding = _ROUNDING * cloud.rod_length + 2 * (cloud.pose_error + off)
-    worst = 0.0, rounding
+    systematic = 2 * (cloud.pose_error + off)
+    worst = 0.0, ROUNDING * cloud.rod_length + systematic
     for stack in stacks(cloud):
         for number, slice_ in enumerate(stack.slices):
             if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
                 continue
-            lines, points = spread(slice_.tangential, _IN_SLICE), spread(np.arange(len(slice_.rows)), _IN_SLICE)
+            lines, points = spread(slice_.tangential, _COMPARED), spread(np.arange(len(slice_.rows)), _COMPARED)
             if not len(lines):
                 continue
-            place, normals = slice_.points[lines], slice_.normals[np.searchsorted(slice_.tangential, lines)]
-            beyond = normals @ slice_.points[points].T - (normals * place).sum(axis=1)[:, None]
-            allowed = np.full(beyond.shape, rounding)
+            normals, noise = slice_.normals[np.searchsorted(slice_.tangential, lines)], None
+            if cloud.covariance is not None and cloud.normal_sd is not None:
+                frame = stack.frame[:2]
+                covariance = np.einsum("ij,njk,lk->nil", frame, cloud.covariance[slice_.rows], frame)
+                noise = covariance, cloud.normal_sd[slice_.rows]
+            misfit = beyond_tangents(slice_.points, lines, normals, points, noise, _kappa(len(cloud)), cloud.rod_length)
+            allowed = misfit.explained + systematic
             if turned:
                 allowed += turned * float(np.linalg.norm(np.ptp(slice_.points, axis=0)))
             if cloud.tilt is not None:
                 allowed += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
-            if cloud.covariance is not None and cloud.normal_sd is not None:
-                allowed += _by_noise(cloud, stack, slice_, lines, points, normals)
-            ratio = beyond / allowed
-            i = np.unravel_index(np.argmax(ratio), ratio.shape)
-            if ratio[i] > worst[0] / worst[1]:
-                worst = float(beyond[i]), float(allowed[i])
+            worst = max(worst, misfit._replace(explained=allowed).worst(), key=lambda pair: pair[0] / pair[1])
     return worst
-
-
-def _by_noise(cloud: Cloud, stack: SliceStack, slice_: Slice, lines: Index, points: Index, normals: Array) -> Array:
-    """(k, n) how far points of a slice can lie beyond lines with normals (k, 2), by noise of both."""
-    assert cloud.covariance is not None
-    assert cloud.normal_sd is not None
-    kappa, rows = _kappa(len(cloud)), slice_.rows
-    covariance = np.einsum("ij,njk,lk->nil", stack.frame[:2], cloud.covariance[rows], stack.frame[:2])
-    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
-    along = tangents @ slice_.points[points].T - (tangents * slice_.points[lines]).sum(axis=1)[:, None]
-    tilt = kappa * cloud.normal_sd[rows[lines]][:, None]
-    quadratic = np.stack([normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
-    entries = np.stack([covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]], axis=1)
-    spread_of = kappa * np.sqrt(np.maximum(quadratic @ entries[points].T, 0.0))
-    own = kappa * np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
-    reach = kappa * np.sqrt(entries[:, 0] + entries[:, 2])
-    pairs = reach[lines][:, None] + reach[points]
-    # and errors of the second order
-    allowed: Array = spread_of + own + tilt * (np.abs(along) + pairs) + pairs**2 / cloud.rod_length
-    return allowed
 
 
 def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
@@ -211,20 +178,19 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     known = readings(recording)
     felt = int(known.felt.sum())
     without = 1 - int((known.touching | known.light).sum()) / felt if felt else 0.0
-    contacts, rows = known.found, cloud.row
-    f = np.linalg.norm(contacts.force[rows], axis=1)
-    m = 2 * contacts.q[rows] * np.sqrt(f)
-    torsion, skew = np.abs(contacts.torsion[rows]), np.abs(contacts.skew[rows])
-    sigma_f, sigma_m = known.noise
-    # friction across the rod acts at the rod's radius
-    explained = _SIGMAS * sigma_m + _ROUNDING * (m + f) + cloud.rod_radius / cloud.rod_length * f
+    rows, kappa = cloud.row, _kappa(len(cloud))
+    of_rows = inverse.SpatialContacts(**{name: column[rows] for name, column in vars(known.found).items()})
+    force, moment = (part[rows] for part in recording.reactions(six_axis=True))
+    radius = cloud.rod_radius / cloud.rod_length
+    about_rod, along_force = against_single_force(force, moment, of_rows, known.noise, kappa, radius)
+    by_rig: Array | float = 0.0
     if (rig := cloud.calibration) is not None:
-        explained = explained + rig.factor(_FALSE_ALARM) * torsion_sd(recording, cloud.row)
-    twisted = float((torsion > explained).mean())
-    skewed = float((skew > _SIGMAS * np.hypot(f * sigma_m, m * sigma_f) + _ROUNDING * f * (m + f)).mean())
+        by_rig = rig.factor(_FALSE_ALARM) * torsion_sd(recording, rows) / np.hypot(moment[:, 0], moment[:, 2])
+    twisted = float((about_rod.found > about_rod.explained + by_rig).mean())
+    skewed = float((along_force.found > along_force.explained).mean())
     found = _without_contact(without)
     if skewed > _DISTURBED:
-        angle = np.degrees(np.arcsin(np.minimum(skew / (f * np.hypot(m, torsion)), 1.0)))
+        angle = np.degrees(np.arcsin(np.minimum(along_force.found / np.hypot(1.0, about_rod.found), 1.0)))
         largest = float(np.percentile(angle, 95))
         text = (
             f"force and moment are up to {largest:.2g}° off the perpendicular, in {100 * skewed:.2g} % of the contacts by more "
@@ -232,7 +198,7 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
         )
         found.append(Contradiction("moment-along-force", text, largest))
     if twisted > _DISTURBED:
-        largest = float(np.percentile(torsion / m, 95))
+        largest = float(np.percentile(about_rod.found, 95))
         text = (
             f"the moment about the rod's axis is up to {largest:.2g} of the clamping moment, in {100 * twisted:.2g} % of the "
             "contacts more than noise, rounding and friction across the rod allow: a bent rod, or a misaligned sensor"
@@ -250,17 +216,9 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
 
 def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
     """The depth of a contact or a tangent in the hull of the contacts, and the allowed depth, where their ratio is largest."""
-    rounding = _ROUNDING * cloud.rod_length + 2 * cloud.pose_error
     points, tangents = cloud.centre_points, cloud.tangents
     assert points is not None
     assert tangents is not None
-    of_hull = spread(np.arange(len(points)), _HULL)
-    middle = points.mean(axis=0)
-    try:
-        hull = ConvexHull(points[of_hull] - middle)
-    except (QhullError, ValueError):
-        return 0.0, rounding
-    outward, offset = hull.equations[:, :3], hull.equations[:, 3]
     place, turn = np.zeros(len(points)), np.zeros(len(points))
     if known.error is not None and cloud.place_sd is not None:
         kappa = _kappa(len(points))
@@ -268,31 +226,19 @@ def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
     if (rig := cloud.calibration) is not None:
         factor = rig.factor(_FALSE_ALARM)
         place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
-    of_facet = place[of_hull][hull.simplices].max(axis=1)
-
-    def worst(rows: Index, arm: Array) -> tuple[float, float]:
-        """Depth and allowed depth of places (k,) on the tangents of contacts, at an arm (k,) from them."""
-        below = -(points[rows] + arm[:, None] * tangents[rows] - middle) @ outward.T - offset
-        facet = below.argmin(axis=1)
-        depth = below[np.arange(len(rows)), facet]
-        # and errors of the second order
-        both = place[rows] + of_facet[facet]
-        allowed = rounding + both + turn[rows] * np.abs(arm) + both**2 / cloud.rod_length
-        i = int(np.argmax(depth / allowed)) if len(rows) else -1
-        return (float(depth[i]), float(allowed[i])) if i >= 0 else (0.0, rounding)
-
-    some = spread(np.arange(len(points)), _IN_SPACE)
-    lines = spread(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _IN_SPACE)
-    arm = middle_of_lines(-(points[lines] - middle) @ outward.T - offset, tangents[lines] @ outward.T)
-    pairs = worst(some, np.zeros(len(some))), worst(lines, arm)
-    return max(pairs, key=lambda pair: pair[0] / pair[1])
+    some = spread(np.arange(len(points)), _COMPARED)
+    lines = spread(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _COMPARED)
+    misfit = depths_in_hull(points, some, some, lines, tangents, (place, turn), cloud.rod_length)
+    if misfit is None:
+        return 0.0, 1.0
+    return misfit._replace(explained=misfit.explained + 2 * cloud.pose_error).worst()
 
 
 def _below_table(cloud: Cloud) -> list[Contradiction]:
     """Whether contacts lie below the table, farther than noise and rounding allow; an empty list if they do not."""
     if cloud.table is None:
         return []
-    allowed = np.full(len(cloud), _ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
+    allowed = np.full(len(cloud), ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
     if (rig := cloud.calibration) is not None:
         allowed += rig.factor(_FALSE_ALARM) * rig.place_sd
     if cloud.centre_points is not None:  # of a rod that touches the body from below the table
@@ -348,7 +294,7 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     lost = 1 - len(here) / len(spatial)
     distance = np.linalg.norm(cloud.points[here] - spatial.points[there], axis=1)
     error = float(np.percentile(distance, 95)) if len(here) else np.inf
-    allowed = _ROUNDING * cloud.rod_length + _OUT_OF_PLANE_SIGMAS * spatial.noise
+    allowed = ROUNDING * cloud.rod_length + _kappa(len(cloud)) * spatial.noise
     allowed += _by_calibration(with_rig_errors(spatial, recording))[0]
     if lost <= _DISTURBED and error <= allowed:
         return []

@@ -1,0 +1,143 @@
+"""How far contacts are from those of a convex body, and six reactions from those of a single force.
+
+These misfits need no true body, and vanish for a right recording.  Whether a recording agrees with the model (`agreement`), and
+which fault explains that it does not (`diagnosis`), is told by them alone.  Each comes with what errors explain of it:
+
+- in the plane, how far contacts of a slice lie beyond the tangent at one of them;
+- in space, the two residuals of six reactions (S4), which vanish for a single force at the rod's centre line: the moment about
+  the rod, up to friction across a rod of finite radius, and the moment along the force;
+- in space, how deep contacts, and the rod's tangents at contacts, lie in the hull of all contacts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from scan3d.arrays import Array, Index
+from scan3d.spatial import inverse
+
+ROUNDING = 1e-7
+"""Rounding of a contact's place, in rod lengths, with the steps of fine converters that too few numbers show, and of the
+residuals of a wrench.  Most faults are a hundred times larger."""
+
+
+class Misfit(NamedTuple):
+    """A misfit and what noise and rounding explain of it, arrays of one shape."""
+
+    found: Array
+    explained: Array
+
+    def worst(self) -> tuple[float, float]:
+        """The misfit, and what explains it, where their ratio is largest."""
+        i = np.unravel_index(np.argmax(self.found / self.explained), self.found.shape)
+        return float(self.found[i]), float(self.explained[i])
+
+
+def beyond_tangents(
+    points: Array,
+    lines: Index,
+    normals: Array,
+    some: Index,
+    noise: tuple[Array, Array] | None,
+    sigmas: float,
+    length: float,
+) -> Misfit:
+    """How far (k, m) `some` contacts of a slice lie beyond the tangents at others.
+
+    points, lines, normals
+        (n, 2) contacts in the slice's plane; (k,) the numbers of those with tangents, and (k, 2) the outward normals there.
+    noise, sigmas
+        covariances (n, 2, 2) of the contacts and standard deviations (n,) of the tangents' angles, None for exact ones; and how
+        many standard deviations count as explained.
+    length
+        the rod's, in the unit of the points.
+    """
+    place = points[lines]
+    beyond = normals @ points[some].T - (normals * place).sum(axis=1)[:, None]
+    explained = np.full(beyond.shape, ROUNDING * length)
+    if noise is not None:
+        covariance, turn_sd = noise
+        tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+        along = tangents @ points[some].T - (tangents * place).sum(axis=1)[:, None]
+        quadratic = np.stack([normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
+        entries = np.stack([covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]], axis=1)
+        others = np.sqrt(np.maximum(quadratic @ entries[some].T, 0.0))
+        own = np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
+        reach = sigmas * np.sqrt(entries[:, 0] + entries[:, 2])
+        pairs = reach[lines][:, None] + reach[some]
+        # the last summand is of the second order
+        explained += sigmas * (others + own + turn_sd[lines][:, None] * (np.abs(along) + pairs)) + pairs**2 / length
+    return Misfit(beyond, explained)
+
+
+def against_single_force(
+    force: Array,
+    moment: Array,
+    found: inverse.SpatialContacts,
+    noise: tuple[float, float],
+    sigmas: float,
+    radius: float,
+) -> tuple[Misfit, Misfit]:
+    """The moment about the rod and that along the force (n,), both over the clamping moment, of reactions (n, 3) as `found`.
+
+    All is dimensionless; `radius` is the rod's, at which friction across it acts.
+    """
+    f, m = np.linalg.norm(force, axis=1), np.hypot(moment[:, 0], moment[:, 2])
+    sigma_f, sigma_m = noise
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rounding = ROUNDING * (1 + f / m)
+        about_rod = Misfit(np.abs(found.torsion) / m, sigmas * sigma_m / m + radius * f / m + rounding)
+        along_force = Misfit(np.abs(found.skew) / (f * m), sigmas * np.hypot(sigma_m / m, sigma_f / f) + rounding)
+    return about_rod, along_force
+
+
+def depths_in_hull(
+    points: Array,
+    of_hull: Index,
+    some: Index,
+    lines: Index,
+    tangents: Array,
+    errors: tuple[Array, Array],
+    length: float,
+) -> Misfit | None:
+    """Depths (m + k,) of `some` contacts, and of the tangents at others, in the hull of contacts; None if that is no body.
+
+    points, of_hull, tangents
+        (n, 3) contacts at the rod's centre line, those (h,) of which the hull is made, and the rod's tangents (n, 3).
+    errors
+        (n,) largest errors of the places and of the tangents, in radians.
+    length
+        the rod's, in the unit of the points.
+    """
+    place, turn = errors
+    middle = points.mean(axis=0)
+    try:
+        hull = ConvexHull(points[of_hull] - middle)
+    except (QhullError, ValueError):
+        return None
+    outward, offset = hull.equations[:, :3], hull.equations[:, 3]
+    rows, arm = np.concatenate([some, lines]), np.zeros(len(some) + len(lines))
+    height, slope = -(points[rows] - middle) @ outward.T - offset, tangents[rows] @ outward.T
+    arm[len(some) :] = _middle_of_lines(height[len(some) :], slope[len(some) :])
+    below = height - arm[:, None] * slope
+    facet = below.argmin(axis=1)
+    both = place[rows] + place[of_hull][hull.simplices].max(axis=1)[facet]
+    # the last summand is of the second order
+    explained = ROUNDING * length + both + turn[rows] * np.abs(arm) + both**2 / length
+    return Misfit(below[np.arange(len(rows)), facet], explained)
+
+
+def _middle_of_lines(height: Array, slope: Array) -> Array:
+    """(n,) places along lines, in the middle of their part within a hull, or where they are nearest to it.
+
+    `height` (n, f) are the depths of their points below the hull's facets, `slope` (n, f) how fast they fall along the lines.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = height / slope
+        first = np.where(slope < 0, crossing, -np.inf).max(axis=1)
+        last = np.where(slope > 0, crossing, np.inf).min(axis=1)
+        arm = (first + last) / 2
+    return np.where(np.isfinite(arm), arm, 0.0)
