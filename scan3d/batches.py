@@ -29,7 +29,7 @@ from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
 from scan3d.files.reading import read_small
 from scan3d.files.section import read_section
-from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, unchanged
+from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.processes import undone_if_ended
 from scan3d.results import Result
 from scan3d.results import open as open_scan
@@ -278,8 +278,7 @@ def _runs(
 
 def _sha256(path: Path) -> str | None:
     try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() if path.is_file() else None
+        return sha256(path) if path.is_file() else None
     except (OSError, ValueError):
         return None
 

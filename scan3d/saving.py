@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import trimesh
 
+from scan3d.choices import one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.extras import import_open3d
 from scan3d.files.formats import (
     CLOUD_ENDINGS,
     SURFACE_ENDINGS,
-    listed,
     read_cloud,
     stated_unit,
     to_polydata,
@@ -108,7 +108,7 @@ def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimes
     if ending[1:] in FORMATS:
         return _mesh(path, unit)
     known = sorted({*CLOUD_ENDINGS, *SURFACE_ENDINGS, *(f".{name}" for name in FORMATS), PARQUET})
-    raise InputError(f"can't load {path.name}: expected a file ending in {listed(tuple(known))}")
+    raise InputError(f"can't load {path.name}: expected a file ending in {one_of(known)}")
 
 
 def _is_cloud_table(path: Path) -> bool:

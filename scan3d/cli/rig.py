@@ -138,11 +138,7 @@ def plan(
         "seconds": seconds,
         "clearance": clearance,
         "largest_force_N": largest,
-        "rod": {
-            "length_m": used.length_m,
-            "bending_stiffness_Nm2": used.bending_stiffness_Nm2,
-            "diameter_m": used.diameter_m,
-        },
+        "rod": dataclasses.asdict(used),
     }
     text = (
         f"{data['sweeps']} sweeps with {data['rows']} poses, {seconds / 60:.0f} minutes, for a rod of "

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.choices import EXPORTS
+from scan3d.choices import EXPORTS, one_of
 from scan3d.errors import InputError
 from scan3d.files import reading
 from scan3d.files.bags import packed_points, point_cloud_bag
@@ -35,6 +35,7 @@ from scan3d.files.shapes import (
     read_shape,
     table,
 )
+from scan3d.files.text import rows_as_text
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.units import UNITS_M
@@ -90,7 +91,7 @@ def export(
     if shape.what not in contents:
         raise InputError(
             f"{source.name} contains a {shape.what}, but a {contents[0]} is needed; a {shape.what} can be written as "
-            f"{listed(_ENDINGS[shape.what])}, and the folder of a scan has both"
+            f"{one_of(_ENDINGS[shape.what])}, and the folder of a scan has both"
         )
     shape = named_for(colored(in_unit(shape, unit), color), scalar_names, color)
     return write_shape(shape, to, {"source": source}, contents, overwrite=overwrite)
@@ -130,7 +131,7 @@ def write_shape(
     if shape.what not in contents:
         raise InputError(
             f"a {shape.what} can't be written as {ending}, which holds a {contents[0]}; a {shape.what} can be written as "
-            f"{listed(_ENDINGS[shape.what])}"
+            f"{one_of(_ENDINGS[shape.what])}"
         )
     before = len(shape.rows)
     if shape.faces is not None:
@@ -180,12 +181,12 @@ def _contents(ending: str, what: str | None) -> list[str]:
     if not contents:
         raise InputError(
             f"can't export to files {f'ending in {ending!r}' if ending else 'without an ending'}: a cloud can be written as "
-            f"{listed(POINT_ENDINGS)}, a surface as {listed(SURFACE_ENDINGS)}"
+            f"{one_of(POINT_ENDINGS)}, a surface as {one_of(SURFACE_ENDINGS)}"
         )
     if what is None:
         return contents
     if what not in contents:
-        raise InputError(f"{ending} cannot contain a {what}; a {what} can be written as {listed(_ENDINGS[what])}")
+        raise InputError(f"{ending} cannot contain a {what}; a {what} can be written as {one_of(_ENDINGS[what])}")
     return [what]
 
 
@@ -241,21 +242,21 @@ def _pcd(shape: Shape) -> bytes:
 
 
 def _xyz(shape: Shape) -> bytes:
-    return _lines(_columns(shape, POINT), " ")
+    return rows_as_text(_columns(shape, POINT), " ")
 
 
 def _xyzn(shape: Shape) -> bytes:
     _need_normals(
         shape, ".xyzn", "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which allow missing normals"
     )
-    return _lines(_columns(shape, POINT + NORMAL), " ")
+    return rows_as_text(_columns(shape, POINT + NORMAL), " ")
 
 
 def _csv(shape: Shape) -> bytes:
     names = shape.rows.dtype.names or ()
     units = dict.fromkeys(POINT + LENGTHS, f"_{shape.unit}") | {"force": "_N"}
     header = ",".join(name + units.get(name, "") for name in names)
-    return f"{header}\n".encode() + _lines(_columns(shape, names), ",")
+    return f"{header}\n".encode() + rows_as_text(_columns(shape, names), ",")
 
 
 def _stl(shape: Shape) -> bytes:
@@ -283,8 +284,8 @@ def _obj(shape: Shape) -> bytes:
     return b"".join(
         [
             remarks,
-            _lines([*_columns(shape, POINT), *colors], " ", "v "),
-            _lines(_columns(shape, NORMAL), " ", "vn "),
+            rows_as_text([*_columns(shape, POINT), *colors], " ", "v "),
+            rows_as_text(_columns(shape, NORMAL), " ", "vn "),
             "".join(faces).encode(),
         ]
     )
@@ -338,22 +339,11 @@ def _columns(shape: Shape, names: Sequence[str]) -> list[NDArray[Any]]:
     return [shape.rows[name] for name in names]
 
 
-def _lines(columns: list[NDArray[Any]], separator: str, start: str = "") -> bytes:
-    """Text of columns (n,), with as few digits as are needed to read the same bits back."""
-    rows = zip(*(map(str, column) for column in columns), strict=True)
-    return "".join(f"{start}{separator.join(row)}\n" for row in rows).encode()
-
-
 def _need_normals(shape: Shape, ending: str, instead: str) -> None:
     normals = shape.normals
     missing = int((~(np.linalg.norm(normals, axis=1) > 0)).sum())
     if missing:
         raise InputError(f"{missing} of {len(normals)} points have no normal, which {ending} requires; {instead}")
-
-
-def listed(endings: tuple[str, ...]) -> str:
-    """The endings in a sentence: ``.a, .b or .c``."""
-    return f"{', '.join(endings[:-1])} or {endings[-1]}"
 
 
 # --- reading ---
@@ -370,7 +360,7 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Shape:
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise InputError(f"{path.name} is no cloud by its ending, which should be {listed(CLOUD_ENDINGS)}")
+        raise InputError(f"{path.name} is no cloud by its ending, which should be {one_of(CLOUD_ENDINGS)}")
     try:
         reading.check_file(path, memory_per_byte=8)
         rows, faces, stated = reader(path)

@@ -5,6 +5,7 @@ The TOML file has the rod, the speed, and how the poses were planned.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
+from scan3d.files.recordings import sidecar
 from scan3d.files.section import read_rod, read_section
-from scan3d.files.text import to_toml
+from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import Inputs, check_pair, write_together
 from scan3d.poses import MOVES, SPEED_M_S, PoseList
@@ -26,11 +28,6 @@ KIND = "plan of poses"
 _SCHEMA = 1
 _YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
 _NANOSECONDS = 10**9
-
-
-def sidecar(path: str | Path) -> Path:
-    """Path of the TOML file that belongs to a list of poses."""
-    return Path(path).with_suffix(".toml")
 
 
 def check_poses(path: str | Path, overwrite: bool, inputs: Inputs | None = None) -> None:
@@ -57,18 +54,10 @@ def write_header(poses: PoseList, path: str | Path) -> None:
 
 
 def _write(path: Path, text: str, poses: PoseList) -> None:
-    meta: dict[str, Any] = {
-        "schema": _SCHEMA,
-        "unit": poses.unit,
-        "model": poses.model,
-        "speed_m_s": poses.speed_m_s,
-    }
+    meta: dict[str, Any] = {"schema": _SCHEMA, "unit": poses.unit}
+    meta |= {"model": poses.model, "speed_m_s": poses.speed_m_s}
     if poses.rod is not None:
-        meta["rod"] = {
-            "length_m": poses.rod.length_m,
-            "bending_stiffness_Nm2": poses.rod.bending_stiffness_Nm2,
-            "diameter_m": poses.rod.diameter_m,
-        }
+        meta["rod"] = asdict(poses.rod)
     meta["source"] = {**poses.source, "kind": KIND}
     write_together(path, {sidecar(path).name: to_toml(meta).encode(errors="replace"), path.name: text.encode()})
 
@@ -79,10 +68,8 @@ def header() -> str:
 
 
 def _to_csv(poses: PoseList) -> str:
-    names = dict(enumerate(MOVES))
-    numbers = np.concatenate([poses.position_m, poses.quaternion], axis=1).tolist()
-    rows = zip(poses.sweep.tolist(), numbers, poses.move.tolist(), strict=True)
-    return header() + "".join(f"{sweep},{','.join(map(repr, row))},{names[move]}\n" for sweep, row, move in rows)
+    columns = [poses.sweep, *poses.position_m.T, *poses.quaternion.T, np.array(MOVES)[poses.move]]
+    return header() + rows_as_text(columns).decode()
 
 
 def to_yaml(poses: PoseList) -> str:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.recordings import TABLE, recording_files, sidecar
+from scan3d.files.recordings import TABLE, recording_files
 from scan3d.files.text import to_toml
 from scan3d.files.whole import Inputs, check_path, write_together
-from scan3d.poses import Move
+from scan3d.poses import MOVES
 from scan3d.recording import Recording
 
 RAW_COLUMNS = (
@@ -54,14 +54,7 @@ def check_log(path: str | Path, inputs: Inputs, overwrite: bool) -> None:
 def write_exact_log(recording: Recording, time_s: Array, move: NDArray[np.int8], path: str | Path) -> None:
     """Write a recording with the columns `t_s` and `move`; readers take the rows of the move sweep only."""
     path = Path(path)
-    files = recording_files(recording, path.name)
-    header, *lines = files[path.name].decode().splitlines()
-    names = {int(kind): kind.name.lower() for kind in Move}
-    rows = zip(lines, time_s.tolist(), move.tolist(), strict=True)
-    text = "".join(f"{line},{time!r},{names[kind]}\n" for line, time, kind in rows)
-    write_together(
-        path, {sidecar(path).name: files[sidecar(path).name], path.name: f"{header},t_s,move\n{text}".encode()}
-    )
+    write_together(path, recording_files(recording, path.name, {"t_s": time_s, "move": np.array(MOVES)[move]}))
 
 
 def write_log(

@@ -7,8 +7,8 @@ The TOML file contains the rod, the noise, what is not known exactly of a calibr
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from scan3d.errors import InputError
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.parquet import parquet_bytes
 from scan3d.files.section import Section, read_rod, read_section
-from scan3d.files.text import to_toml
+from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import locate, source_kind, write_together
 from scan3d.poses import MOVES, Move
@@ -36,9 +36,6 @@ TABLE = "table_height_m"
 _MOVE = "move"
 # Number of the format of the TOML file.
 _SCHEMA = 1
-# Rows from which a CSV file is written by pyarrow, if it is installed, five times as fast.  Both ways of writing give the same
-# bits when read; fewer rows are written in Python's notation of numbers on every machine.
-_MANY_ROWS = 50_000
 
 
 def sidecar(path: str | Path) -> Path:
@@ -69,71 +66,32 @@ def write_recording(recording: Recording, path: str | Path, *, overwrite: bool =
     write_together(path, recording_files(recording, path.name))
 
 
-def recording_files(recording: Recording, name: str) -> dict[str, bytes]:
-    """The two files of a recording by name, of which `name` is that of the table."""
-    rod = {"length_m": recording.rod.length_m, "bending_stiffness_Nm2": recording.rod.bending_stiffness_Nm2}
+def recording_files(
+    recording: Recording, name: str, further: Mapping[str, NDArray[Any]] | None = None
+) -> dict[str, bytes]:
+    """The two files of a recording by name, of which `name` is that of the table, with `further` columns (n,)."""
+    values = [recording.sweep, *recording.position_m.T, *recording.quaternion.T, *recording.force_N.T]
+    columns = dict(zip(COLUMNS, [*values, recording.moment_Nm], strict=True))
+    rod = asdict(recording.rod)
     if recording.six_axis:
-        rod["diameter_m"] = recording.rod.diameter_m
-    columns = _columns(recording)
-    table = parquet_bytes(columns) if Path(name).suffix == PARQUET else _csv(columns)
-    meta = {
-        "schema": _SCHEMA,
-        "unit": recording.unit,
-        **({} if recording.table_m is None else {TABLE: recording.table_m}),
-        "rod": rod,
-        "noise": _noise_section(recording),
-        **_rig_section(recording.rig),
-        "source": dict(recording.source),
-    }
+        columns |= {name: getattr(recording, field) for name, field in SIX_AXES.items()}
+    else:
+        del rod["diameter_m"]
+    columns |= further or {}
+    noise = {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm}
+    meta: dict[str, Any] = {"schema": _SCHEMA, "unit": recording.unit}
+    if recording.table_m is not None:
+        meta[TABLE] = recording.table_m
+    meta |= {"rod": rod, "noise": noise | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})}
+    if recording.rig is not None:
+        known = recording.rig
+        meta["rig"] = {"quantities": known.names, "covariance": known.covariance.tolist(), "exact": known.exact}
+    meta["source"] = dict(recording.source)
+    if Path(name).suffix == PARQUET:
+        table = parquet_bytes(columns)
+    else:
+        table = f"{','.join(columns)}\n".encode() + rows_as_text(columns.values())
     return {sidecar(name).name: to_toml(meta).encode(errors="replace"), name: table}
-
-
-def _noise_section(recording: Recording) -> dict[str, float]:
-    known = {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm}
-    return known | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})
-
-
-def _rig_section(rig: RigUncertainty | None) -> dict[str, Any]:
-    if rig is None:
-        return {}
-    return {"rig": {"quantities": rig.names, "covariance": rig.covariance.tolist(), "exact": rig.exact}}
-
-
-def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
-    """The columns (n,) of the table of a recording by name."""
-    values = [
-        recording.sweep,
-        *recording.position_m.T,
-        *recording.quaternion.T,
-        *recording.force_N.T,
-        recording.moment_Nm,
-    ]
-    names: tuple[str, ...] = COLUMNS
-    if recording.six_axis:
-        values += [getattr(recording, field) for field in SIX_AXES.values()]
-        names = (*COLUMNS, *SIX_AXES)
-    return dict(zip(names, values, strict=True))
-
-
-def _csv(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """A table as CSV; numbers have all digits."""
-    header = ",".join(columns) + "\n"
-    sweep, *others = columns.values()
-    if len(sweep) >= _MANY_ROWS:
-        try:
-            import pyarrow
-            from pyarrow import csv as arrow_csv
-        except ImportError:
-            pass
-        else:
-            stream = io.BytesIO(header.encode())
-            stream.seek(0, io.SEEK_END)
-            options = arrow_csv.WriteOptions(include_header=False, quoting_style="none")
-            arrow_csv.write_csv(pyarrow.table(dict(columns)), stream, options)
-            return stream.getvalue()
-    table = np.stack(others, axis=1).tolist()
-    lines = [f"{number}," + ",".join(map(repr, row)) for number, row in zip(sweep.tolist(), table, strict=True)]
-    return (header + "\n".join(lines) + "\n").encode()
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -1,15 +1,16 @@
-"""JSON and TOML of plain values."""
+"""JSON and TOML of plain values, and tables as text."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import NoneType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 def to_json(data: Mapping[str, Any]) -> bytes:
@@ -27,6 +28,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, (str, int, float, NoneType)) else str(value)
+
+
+def rows_as_text(columns: Iterable[NDArray[Any]], separator: str = ",", start: str = "") -> bytes:
+    """Lines of columns (n,), with as few digits as are needed to read the same bits back."""
+    # numpy writes float32 with fewer digits, Python the others faster
+    cells = (map(str, column if column.dtype == np.float32 else column.tolist()) for column in columns)
+    return "".join(f"{start}{separator.join(row)}\n" for row in zip(*cells, strict=True)).encode()
 
 
 def to_toml(data: Mapping[str, Any]) -> str:

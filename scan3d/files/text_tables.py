@@ -8,7 +8,6 @@ by a `Layout`, because a table that is read wrongly without a message costs more
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,6 +23,7 @@ from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.parquet import read_columns
 from scan3d.files.reading import check_file
+from scan3d.files.whole import sha256
 from scan3d.units import unit_of_cell
 
 PARQUET = (".parquet", ".pq")
@@ -203,7 +203,7 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
         check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
         if path.suffix.lower() in PARQUET:
             by_name = read_columns(path)
-            return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=_sha256(path))
+            return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=sha256(path))
         text = _decoded(path.read_bytes())
     except OSError as error:
         raise InputError(f"can't read the {what} {path}: {error.strerror or error}") from None
@@ -211,12 +211,7 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     if layout is None:
         head = Head(_OURS, tuple(_OURS.cells(lines[0])), (), 2)
         return replace(_parsed(name, text, head), layout=None)
-    return replace(_parsed(name, text, _announced_head(name, lines, layout)), sha256=_sha256(path))
-
-
-def _sha256(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return replace(_parsed(name, text, _announced_head(name, lines, layout)), sha256=sha256(path))
 
 
 def guessed_layout(path: Path) -> Layout:
