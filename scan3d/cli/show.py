@@ -12,7 +12,7 @@ from scan3d.choices import Color, Movie, View, one_of
 from scan3d.cli.options import File, Flag, Mesh, Output, Overwrite
 from scan3d.cli.terminal import print_result, printable
 from scan3d.errors import InputError, UsageError
-from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
+from scan3d.pictures.sheet import WITH_OTHER, sheet
 from scan3d.units import Unit
 
 
@@ -89,9 +89,9 @@ def show(
         chosen = sheet(size, dpi, camera)
     except InputError as error:
         raise UsageError(str(error)) from None
-    from scan3d.files.whole import check_file
+    from scan3d.files.whole import atomic, check_file, write_atomic
+    from scan3d.pictures import drawing, page, views, window
     from scan3d.pictures import movie as movies
-    from scan3d.pictures import views, window
 
     if not (screenshot or html or movie) and not window.can_open():
         raise InputError(window.NO_DISPLAY)
@@ -116,11 +116,16 @@ def show(
         window.open_window(scene, print, color or "force")
         return 0
     if html:
-        _write_page(scene, html)
-    if movie:
-        _write_movie(scene, movie, movie_of)
+        write_atomic(html, page.page(scene), "--html")
+    if movie and movie_of == "growth":
+        job = movie.suffix.lower(), {"subject": "growth"}
+        write_atomic(movie, drawing.draw(scene, [job])[0], "--movie")
+    elif movie:  # nothing is rendered
+        with atomic(movie, "--movie") as file:
+            movies.movie(scene, file)
     if screenshot:
-        _write_picture(scene, screenshot, view, color, chosen)
+        shown = view or ("cloud" if color or scene.surface is None else "surface")
+        write_atomic(screenshot, drawing.picture(scene, screenshot, shown, color or "force", chosen), "--screenshot")
     files = [str(file) for file in (html, movie, screenshot) if file]
     text = "\n".join(printable(f"written to {file}") for file in files)
     return print_result(output, {"shown": scene.name, "files": files}, text)
@@ -147,33 +152,6 @@ def _check_against(truth: Any, movie: Path | None, color: Color | None, view: Vi
         raise UsageError("--against is for a picture, a page or the window: leave out --movie")
     if color or view not in (None, *WITH_OTHER):
         raise UsageError(f"--against compares surfaces: give the view {one_of(WITH_OTHER)}, and no --color")
-
-
-def _write_page(scene: Any, path: Path) -> None:
-    from scan3d.files.whole import write_atomic
-    from scan3d.pictures import page
-
-    write_atomic(path, page.page(scene), "--html")
-
-
-def _write_movie(scene: Any, path: Path, subject: Movie | None) -> None:
-    from scan3d.files.whole import atomic, write_atomic
-    from scan3d.pictures import drawing, movie
-
-    if subject == "growth":
-        write_atomic(path, drawing.draw(scene, [(path.suffix.lower(), {"subject": "growth"})])[0], "--movie")
-    else:  # nothing is rendered
-        with atomic(path, "--movie") as file:
-            movie.movie(scene, file)
-
-
-def _write_picture(scene: Any, path: Path, view: View | None, color: Color | None, chosen: Sheet) -> None:
-    from scan3d.files.whole import write_atomic
-    from scan3d.pictures import drawing
-
-    default = "cloud" if color or scene.surface is None else "surface"
-    data = drawing.picture(scene, path, view or default, color or "force", chosen)
-    write_atomic(path, data, "--screenshot")
 
 
 def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:

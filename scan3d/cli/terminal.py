@@ -130,6 +130,7 @@ class Progress:
                 *columns,
                 console=Console(file=sys.stderr),
                 transient=True,
+                refresh_per_second=2,
                 redirect_stdout=False,
                 redirect_stderr=False,
             )

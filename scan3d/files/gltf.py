@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from scan3d.files.shapes import FRAME, LENGTHS, Shape
 from scan3d.units import UNITS_M
 
-_FLOAT, _UNSIGNED_INT, _UNSIGNED_BYTE = 5126, 5125, 5121
-_POINTS, _TRIANGLES = 0, 4
-_VERTICES, _INDICES = 34962, 34963
+# The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.
+_COMPONENTS, _VECTORS = {"<f4": 5126, "<u4": 5125, "|u1": 5121}, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _AXES = "x, z and -y of the world"
-# A pale, matt surface, whose colours are those of its vertices where it has some.
-_COLOR, _ROUGHNESS = [0.76, 0.80, 0.84, 1.0], 0.8
 
 
 def glb(shape: Shape) -> bytes:
@@ -30,23 +27,23 @@ def glb(shape: Shape) -> bytes:
     scale = UNITS_M[shape.unit]
     buffers = _Buffers()
     position = y_up(shape.points * scale).astype("<f4")
-    attributes = {"POSITION": buffers.add(position, _FLOAT, "VEC3", _VERTICES, bounds=True)}
+    attributes = {"POSITION": buffers.add(position, bounds=True)}
     if (np.linalg.norm(shape.normals, axis=1) > 0).all():
-        attributes["NORMAL"] = buffers.add(_unit(y_up(shape.normals)), _FLOAT, "VEC3", _VERTICES)
+        normals = y_up(shape.normals).astype(np.float64)
+        attributes["NORMAL"] = buffers.add((normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype("<f4"))
     if shape.colors is not None:
         opaque = np.column_stack([shape.colors, np.full(len(position), 255, np.uint8)])
-        attributes["COLOR_0"] = buffers.add(opaque, _UNSIGNED_BYTE, "VEC4", _VERTICES, normalized=True)
+        attributes["COLOR_0"] = buffers.add(opaque, normalized=True)
     for name, values in shape.columns.items():
         column = values.astype("<f4")  # glTF has neither NaN nor infinity
         if np.isfinite(column).all():
-            column = column * np.float32(scale if name in LENGTHS else 1.0)
-            attributes[f"_{name.upper()}"] = buffers.add(column, _FLOAT, "SCALAR", _VERTICES)
-    primitive: dict[str, Any] = {"attributes": attributes, "material": 0, "mode": _POINTS}
+            attributes[f"_{name.upper()}"] = buffers.add(column * np.float32(scale if name in LENGTHS else 1.0))
+    primitive: dict[str, Any] = {"attributes": attributes, "material": 0, "mode": 0}  # points
     if shape.faces is not None:
-        corners = shape.faces.astype("<u4").ravel()
-        primitive |= {"indices": buffers.add(corners, _UNSIGNED_INT, "SCALAR", _INDICES), "mode": _TRIANGLES}
-    base = [1.0] * 4 if shape.colors is not None else _COLOR
-    surface = {"baseColorFactor": base, "metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
+        primitive |= {"indices": buffers.add(shape.faces.astype("<u4").ravel(), indices=True), "mode": 4}  # triangles
+    # pale and matt, in the colours of its vertices where it has some
+    base = [1.0] * 4 if shape.colors is not None else [0.76, 0.80, 0.84, 1.0]
+    surface = {"baseColorFactor": base, "metallicFactor": 0.0, "roughnessFactor": 0.8}
     extras = {
         "unit": "m",
         "unit_of_recording": shape.unit,
@@ -94,13 +91,6 @@ def is_turned(data: bytes) -> bool:
         return False
 
 
-def _unit(normals: NDArray[Any]) -> NDArray[np.float32]:
-    """Normals (n, 3) of unit length in float32, as glTF requires."""
-    doubled = normals.astype(np.float64)
-    unit: NDArray[np.float32] = (doubled / np.linalg.norm(doubled, axis=1, keepdims=True)).astype("<f4")
-    return unit
-
-
 class _Buffers:
     """The binary part of the file, and what describes it."""
 
@@ -110,21 +100,18 @@ class _Buffers:
         self.accessors: list[dict[str, Any]] = []
 
     def add(
-        self,
-        values: NDArray[Any],
-        kind: int,
-        shape: str,
-        target: int,
-        *,
-        bounds: bool = False,
-        normalized: bool = False,
+        self, values: NDArray[Any], *, indices: bool = False, bounds: bool = False, normalized: bool = False
     ) -> int:
         """The number of the accessor of values (n,) or (n, k), which are appended."""
         block = np.ascontiguousarray(values).tobytes()
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(block), "target": target}
-        self.views.append(view)
-        accessor: dict[str, Any] = {"bufferView": len(self.views) - 1, "componentType": kind, "count": len(values)}
-        accessor["type"] = shape
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(block)}
+        self.views.append(view | {"target": 34963 if indices else 34962})
+        accessor: dict[str, Any] = {
+            "bufferView": len(self.views) - 1,
+            "componentType": _COMPONENTS[values.dtype.str],
+            "count": len(values),
+            "type": _VECTORS[values[0].size],
+        }
         if bounds:
             accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
         if normalized:

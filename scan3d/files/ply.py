@@ -15,11 +15,6 @@ from scan3d.files.reading import check_file
 _PLY_TYPES = {"f8": "double", "f4": "float", "i4": "int", "u4": "uint", "u1": "uchar", "i1": "char", "i2": "short"}
 _PLY_CODES = {name: code for code, name in _PLY_TYPES.items()}
 _PLY_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-# Bytes in which the end of the header is searched.  Shorter, long comments would not fit; longer, a large file that is no
-# PLY would be searched in vain.
-_PLY_HEADER_LIMIT = 1 << 16
-# Digits of the largest count: no file has as many bytes as a number of more digits says.
-_PLY_DIGITS = 18
 
 
 def ply(vertices: NDArray[Any], faces: NDArray[np.integer] | None = None, comments: tuple[str, ...] = ()) -> bytes:
@@ -58,7 +53,7 @@ def read_ply(path: str | Path) -> tuple[NDArray[Any], NDArray[np.int32] | None, 
 
 def _parse_ply(data: bytes) -> tuple[NDArray[Any], NDArray[np.int32] | None, tuple[str, ...]]:
     """Parse the bytes of a PLY file.  Raises ValueError with a description of the error."""
-    end = data.find(b"\nend_header\n", 0, _PLY_HEADER_LIMIT)
+    end = data.find(b"\nend_header\n", 0, 1 << 16)  # a large file that is no PLY is not searched further
     if not data.startswith(b"ply\n") or end < 0:
         raise ValueError("it lacks the header from 'ply' to 'end_header'")
     first, *lines = data[4:end].decode(errors="replace").split("\n")
@@ -95,6 +90,6 @@ def _ply_count(lines: list[list[str]], name: str) -> int:
     """The number of an element; `lines` has its line of the header, or is empty."""
     if [line[:2] for line in lines] != [["element", name]] or len(lines[0]) != 3 or not lines[0][2].isdecimal():
         raise ValueError(f"expected 'element {name} COUNT', got {' '.join(lines[0]) if lines else 'nothing'!r}")
-    if len(lines[0][2]) > _PLY_DIGITS:
+    if len(lines[0][2]) > 18:  # no file has as many bytes
         raise ValueError(f"it declares a number of {len(lines[0][2])} digits of {name} elements")
     return int(lines[0][2])

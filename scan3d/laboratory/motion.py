@@ -213,34 +213,27 @@ def check_directions(
     """
     angle = travel_angles(sweep, position, quaternion)
     known = angle[np.isfinite(angle)]
-    if map.directions == "both":
-        known = np.minimum(known, np.pi - known)
-    held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
-    # retracts and strokes back hold contacts as well, but not most of them
-    holds = held >= 0.2
-    if len(known) and (known < _SWEEPS_ALONG).mean() >= 0.5 and holds:
-        if held >= 0.7:
-            return []
-        # some of the rows are enough, if none of the table was left out
-        step = max(1, len(table) // 50_000) if len(table) == len(touched) else 1
-        some = table.rows(np.arange(0, len(table), step))
-        right = _right_readings(some, map, touched[::step], _NEARLY_ALL)
-        return [
-            f"only {100 * held:.0f} % of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
-            f"{name}: check [columns] orientation of {map.name}"
-            for name in right[:1]
-        ]
     if len(angle) and not len(known):
         raise InputError(
             f"{table.name}: the clamp does not move in any of the {len(angle)} sweeps; check [columns] position and sweep of "
             f"{map.name}"
         )
-    if not holds:
-        listed, axis = "in contact ", _usual_axis(np.where(touched, 0, -1), position, quaternion)
-    else:
-        listed = f"in {(known >= _SWEEPS_ALONG).sum()} of {len(known)} sweeps " if len(known) else ""
-        axis = _usual_axis(sweep, position, quaternion)
-    what = f"the clamp moves {listed}mostly along {axis} of its own frame, and not along -x as in a sweep"
+    if map.directions == "both":
+        known = np.minimum(known, np.pi - known)
+    along = len(known) > 0 and (known < _SWEEPS_ALONG).mean() >= 0.5
+    held = float((sweep >= 0)[touched].mean()) if touched.any() else 1.0
+    if along and held >= 0.7:
+        return []
+    if along and held >= 0.2:  # retracts and strokes back hold contacts as well, but not most of them
+        # some of the rows are enough, if none of the table was left out
+        step = max(1, len(table) // 50_000) if len(table) == len(touched) else 1
+        right = _right_readings(table.rows(np.arange(0, len(table), step)), map, touched[::step], _NEARLY_ALL)
+        return [
+            f"only {100 * held:.0f} % of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
+            f"{name}: check [columns] orientation of {map.name}"
+            for name in right[:1]
+        ]
+    axis = _usual_axis(np.where(touched, 0, -1) if held < 0.2 else sweep, position, quaternion)
     right = _right_readings(table, map, touched, 0.5)
     if right:
         advice = f"they would be along -x if {right[0]}: check [columns] orientation of {map.name}"
@@ -254,7 +247,10 @@ def check_directions(
             f"check [columns] orientation and position of {map.name}, or state the clamp's frame, with y along the rod and x "
             "against the sweep, in the logged one under [clamp]"
         )
-    raise InputError(f"{table.name}: {what}; {advice}")
+    raise InputError(
+        f"{table.name}: the clamp moves {'in contact ' if held < 0.2 else ''}mostly along {axis} of its own frame, and not "
+        f"along -x as in a sweep; {advice}"
+    )
 
 
 def _usual_axis(sweep: NDArray[np.int64], position: Array, quaternion: Array) -> str:
@@ -285,12 +281,9 @@ def _other_readings(map: Map) -> Iterator[tuple[str, Map]]:
         other, place = ("xyzw", "last") if orientation.order == "wxyz" else ("wxyz", "first")
         yield f'qw is the {place} of the four columns, order = "{other}"', changed(order=other)
         return
-    for unit, factor in (("deg", np.pi / 180), ("rad", 1.0)):
-        if map.factors["angle"] != factor:
-            yield (
-                f'the angles are in {unit}, angle = "{unit}" under [units]',
-                replace(map, factors={**map.factors, "angle": factor}),
-            )
+    unit, factor = ("rad", 1.0) if map.factors["angle"] != 1 else ("deg", np.pi / 180)
+    other_unit = replace(map, factors={**map.factors, "angle": factor})
+    yield f'the angles are in {unit}, angle = "{unit}" under [units]', other_unit
     if orientation.kind == "euler":
         convention = orientation.convention
         for other in (convention.swapcase(), convention[::-1], convention[::-1].swapcase()):
