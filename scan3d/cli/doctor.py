@@ -20,8 +20,6 @@ OPTIONAL = {
     "rosbags": "the import of ROS bags",
     "distributed": "batches on a Dask cluster",
 }
-# A child process is stopped after this time: longer than a slow disk takes, and a process that hangs is not waited for.
-_TIMEOUT_S = 300
 # A small scan with all steps.  It runs in a child process, because a broken library may end its process.
 _SCAN = """
 import trimesh, scan3d
@@ -140,7 +138,7 @@ def _error_of(code: str) -> str | None:
     import subprocess  # it is not imported for the help of other commands
 
     try:
-        completed = subprocess.run(python(code), capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+        completed = subprocess.run(python(code), capture_output=True, text=True, timeout=300, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
     if completed.returncode == 0:

@@ -26,8 +26,6 @@ RIG_OPTIONS = Parameter(
 )
 # Settings of a simulated scan that do not concern a rig with given poses.
 _SCAN_ONLY = ("slices", "spacing", "axis", "sweeps", "samples", "clearance", "tolerance", "noise", "method")
-# Rows that a trial run of an import prints, and stretches in the air that are listed.
-_FIRST, _LISTED = 6, 3
 
 
 @Parameter(name="*")
@@ -571,7 +569,7 @@ def _first_rows(raw: Table, imported: Imported) -> list[list[str]]:
     recording, log = imported.recording, imported.log
     names = "row fx fy fz mx my mz  sweep x_m y_m z_m qw qx qy qz fx_N fy_N mz_Nm"
     rows = [names.split(" ")]
-    for k in range(min(_FIRST, len(recording))):
+    for k in range(min(6, len(recording))):
         source = int(imported.kept[k])
         row = int(log.row[source])
         pose, made = (
@@ -607,9 +605,7 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     ]
     if done.air:
         unit = "s" if done.rate_hz is not None else "rows"
-        some = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in done.air[:_LISTED]) + (
-            ", ..." if len(done.air) > _LISTED else ""
-        )
+        some = ", ".join([*(f"{a:.4g} to {b:.4g}" for a, b in done.air[:3]), *["..."] * (len(done.air) > 3)])
         force, moment = (max(abs(x) for x in part) for part in (done.zero[:3], done.zero[3:]))
         change = tuple(max(part) for part in (done.drift[:3], done.drift[3:]))
         rows += [

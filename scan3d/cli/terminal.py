@@ -20,11 +20,6 @@ _KEY = re.compile(r"[^,(]*[^,( ]")
 # Characters that a terminal obeys instead of showing them: the control characters (C0, DEL, C1), the line and paragraph
 # separators, the marks that turn the direction of writing (Unicode's "Trojan source"), and surrogates, which are no characters.
 _OBEYED = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-# Characters of a message; a longer one, such as one that repeats a number of 400 digits, loses its middle.
-_LONGEST = 1000
-# Seconds after which a run that has no terminal writes its first line; each further one comes after twice the time of the one
-# before, so that short runs leave no lines in logs.
-_FIRST_LINE_S = 10.0
 # The steps of a scan, by their names in `timings_s` of a report.
 _STEPS = {
     "load": "reading",
@@ -59,9 +54,9 @@ def printable_json(text: str) -> str:
 
 
 def one_line(message: str) -> str:
-    """A message in one line of printable characters, without its middle if it is very long."""
+    """A message in one line of printable characters, without its middle if it repeats, say, a number of 400 digits."""
     line = printable(" ".join(message.splitlines()))
-    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+    return line if len(line) <= 1000 else f"{line[:500]} ... {line[-500:]}"
 
 
 def say(sentence: str) -> None:
@@ -116,7 +111,8 @@ class Progress:
 
     def __init__(self, command: str, quiet: bool) -> None:
         self._command, self._quiet = command, quiet
-        self._begun, self._due = time.monotonic(), _FIRST_LINE_S
+        # without a terminal the first line comes after 10 s, and each further one after twice the time of the one before
+        self._begun, self._due = time.monotonic(), 10.0
         self._bar: Any = None
         self._undone = ExitStack()
 

@@ -26,8 +26,6 @@ DEMO = Path(__file__).with_name("demo.glb")
 """The body of the demonstration, that of ``meshes/gem.glb``."""
 # Settings of the demonstration: half the slices of the default take half the time.
 DEMO_SETTINGS = {"slices": 32, "friction": "0.1:0.4"}
-# Failures of a batch that are printed; the summary has all of them.
-_MOST_PRINTED = 20
 
 
 def scan(
@@ -411,9 +409,9 @@ def _batch_report(done: Any, out: Path, seconds: float, output: Output) -> int:
     heading = f"{total} runs{before}: {total - len(failed)} done, {len(failed)} failed, in {duration(seconds)}"
     ranks = done.ranks._asdict()
     rows = [(name, _figures(row)) for name, row in ranks.items() if row is not None]
-    rows += [("failed", f"{row['run']}: {row['error']}") for row in failed[:_MOST_PRINTED]]
-    if len(failed) > _MOST_PRINTED:
-        rows.append(("failed", f"and {len(failed) - _MOST_PRINTED} more, which summary.csv names"))
+    rows += [("failed", f"{row['run']}: {row['error']}") for row in failed[:20]]
+    if len(failed) > 20:
+        rows.append(("failed", f"and {len(failed) - 20} more, which summary.csv names"))
     data = {
         "out": str(out),
         "counts": {"runs": total, "done": total - len(failed), "failed": len(failed)},

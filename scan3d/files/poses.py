@@ -27,7 +27,6 @@ KIND = "plan of poses"
 # Number of the format of the TOML file.
 _SCHEMA = 1
 _YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
-_NANOSECONDS = 10**9
 
 
 def check_poses(path: str | Path, overwrite: bool, inputs: Inputs | None = None) -> None:
@@ -80,7 +79,7 @@ def to_yaml(poses: PoseList) -> str:
     for (position, turn), time, sweep, move in zip(
         numbers, poses.times().tolist(), poses.sweep.tolist(), poses.move.tolist(), strict=True
     ):
-        seconds, rest = divmod(round(time * _NANOSECONDS), _NANOSECONDS)
+        seconds, rest = divmod(round(time * 10**9), 10**9)
         x, y, z = map(_yaml_number, position)
         w, *vector = map(_yaml_number, turn)
         lines += [

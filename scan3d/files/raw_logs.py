@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,6 @@ RAW_COLUMNS = (
     "sweep",
 )
 _MARK = "# The map of a log of scan3d simulate"
-# Digits of the numbers of a log: a sensor shows fewer, and a clock and a robot need about as many.
-_DIGITS = 10
-# Rows that are written at once, so that their text does not take much memory.
-_ROWS_AT_ONCE = 20000
 
 
 def map_path(path: str | Path) -> Path:
@@ -74,12 +71,11 @@ def write_log(
         the height of the table, if it is known.
     """
     path = Path(path)
-    table = np.stack([columns[name] for name in RAW_COLUMNS], axis=1)
-    form = ",".join([f"%.{_DIGITS}g"] * (len(RAW_COLUMNS) - 1) + ["%d"]) + "\n"
-    parts = [",".join(RAW_COLUMNS) + "\n"]
-    for first in range(0, len(table), _ROWS_AT_ONCE):
-        part = table[first : first + _ROWS_AT_ONCE]
-        parts.append((form * len(part)) % tuple(part.ravel().tolist()))
+    text = io.StringIO(newline="\n")
+    text.write(",".join(RAW_COLUMNS) + "\n")
+    # a sensor shows fewer digits, and a clock and a robot need about as many
+    forms = ["%.10g"] * (len(RAW_COLUMNS) - 1) + ["%d"]
+    np.savetxt(text, np.stack([columns[name] for name in RAW_COLUMNS], axis=1), forms, ",")
     note = (
         f"{_MARK}.  The column sweep has the numbers of the planned sweeps, and -1 between them;\n"
         "# it is not named here, because the log of a rig seldom has it.\n"
@@ -98,4 +94,4 @@ def write_log(
         "tare": {"air": "auto"},
         "rod": rod,
     }
-    write_together(path, {map_path(path).name: (note + to_toml(meta)).encode(), path.name: "".join(parts).encode()})
+    write_together(path, {map_path(path).name: (note + to_toml(meta)).encode(), path.name: text.getvalue().encode()})

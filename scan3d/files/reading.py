@@ -14,9 +14,6 @@ from typing import Any
 from scan3d.errors import InputError
 from scan3d.memory import check_memory
 
-# Largest file of settings, of a rod or of a report, in bytes.  Those of a scan have a few thousand; larger files are others.
-_LARGEST_TEXT = 50 << 20
-
 
 def check_file(path: Path, *, memory_per_byte: float = 2.0) -> None:
     """Raises OSError for a file that does not exist, InputError for what is no regular file or does not fit into memory.
@@ -37,7 +34,7 @@ def check_file(path: Path, *, memory_per_byte: float = 2.0) -> None:
 def read_small(path: Path) -> str:
     """The text of a file of settings or results.  Raises OSError and ValueError, InputError as `check_file`."""
     check_file(path)
-    if path.stat().st_size > _LARGEST_TEXT:
+    if path.stat().st_size > 50 << 20:  # those of a scan have a few thousand bytes
         raise ValueError(f"it has {path.stat().st_size >> 20} MB, and such files are small")
     return path.read_text(encoding="utf-8-sig")
 

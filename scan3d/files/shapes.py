@@ -22,7 +22,6 @@ FRAME = "world coordinates of the recording's poses, right-handed; for a simulat
 POINT, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 LENGTHS = ("quality", "bound", "place_sd", "distance")
 """Scalars that are lengths, in the unit of the file."""
-_UNKNOWN_GREY = 154
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -183,7 +182,7 @@ def colored(shape: Shape, scalar: str | None) -> Shape:
     low = 0.0 if scalar in (*LENGTHS, "force") else float(values[known].min())
     high = float(values[known].max())
     fraction = (values[known] - low) / ((high - low) or 1.0)
-    rgb = np.full((len(values), 3), _UNKNOWN_GREY, dtype=np.uint8)
+    rgb = np.full((len(values), 3), 154, dtype=np.uint8)  # grey
     rgb[known] = np.round(255 * np.asarray(colormaps["viridis"](fraction))[:, :3]).astype(np.uint8)
     columns: dict[str, NDArray[np.generic]] = {name: shape.rows[name] for name in POINT + NORMAL}
     columns |= dict(zip(COLOR, rgb.T, strict=True)) | shape.columns

@@ -11,9 +11,6 @@ from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.laboratory.air import SD_OVER_MAD
 
-# Steps in time longer than this many median steps separate parts that are filtered separately.
-_GAP = 5.0
-
 
 def sampling_rate(clock: Array, where: str) -> float:
     """Rows per second.  Raises InputError if the time steps are too uneven for a filter."""
@@ -77,7 +74,7 @@ def _filter(limit_hz: float, rate: float) -> Array:
 
 def parts(clock: Array, rate: float) -> list[tuple[int, int]]:
     """The parts of a log that have no pause within them: first row, and the one after the last."""
-    breaks = np.flatnonzero(np.diff(clock) > _GAP / rate) + 1
+    breaks = np.flatnonzero(np.diff(clock) > 5 / rate) + 1  # five median steps
     edges = [0, *breaks.tolist(), len(clock)]
     return list(zip(edges[:-1], edges[1:], strict=True))
 

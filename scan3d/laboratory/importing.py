@@ -35,8 +35,6 @@ KIND = "import"
 """What the source of an imported recording is."""
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
-# A part of the largest force that only contact has, and that is noteworthy out of the plane.
-_CONSIDERABLE = 0.05
 # Plausible ranges; a wrong unit makes them wrong by a factor of a thousand.  Median travel of the sweeps in rod lengths;
 # largest force in EI/L², of which a rod whose contact has slid to a tenth of its length has a few hundred; clamping moment
 # over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
@@ -165,7 +163,7 @@ def convert(table: Table, map: Map) -> Imported:
     _check_range(position, map, table.name)
     noise = _clamp_noise(sensed.noise, map, known)
     sweep, backwards, notes = _sweeps(log, wrench, position, quaternion, map, noise[0])
-    touched = felt(sensed.wrench[:, :3], noise[0], _CONSIDERABLE)
+    touched = felt(sensed.wrench[:, :3], noise[0], 0.05)  # a part that only contact has
     notes = [*sensed.notes, *check_directions(table, map, sweep, position, quaternion, touched), *notes]
     if backwards.any():
         quaternion, wrench = quaternion.copy(), wrench.copy()
@@ -434,7 +432,7 @@ def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[
         )
         if known[2] and touched.any():
             part = float(np.median(np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)))
-            if part > _CONSIDERABLE:
+            if part > 0.05:
                 text += f"; fz is {100 * part:.2g} % of the force in contact, and the planar model takes it for zero"
         notes.append(text)
     if map.air == "none" and map.noise_force_N is None:

@@ -19,10 +19,6 @@ from scan3d.poses import MOVES, Move
 from scan3d.units import FACTORS, stated_unit, unit_of_cell
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
-# Largest error of a quaternion's length, as in a recording.
-_QUATERNION_TOLERANCE = 1e-3
-# Names of columns that a message lists at most.
-_LISTED = 30
 
 
 @dataclass(frozen=True)
@@ -116,7 +112,7 @@ def _find(table: Table, map: Map, reference: Reference, entry: str) -> tuple[int
             f"{line} has {len(found)} columns {reference!r} (numbers {', '.join(str(k + 1) for k in found)}), where {where} "
             "means one; give its number"
         )
-    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    listed = ", ".join([*names[:30], *["..."] * (len(names) > 30)])
     inside = [name for name in names if reference.lower() in name.lower()]
     near = f"; did you mean {inside[0]}?" if inside else did_you_mean([reference], names)
     raise InputError(f"{line} has no column {reference!r}, which {where} names; it has {listed}{near}")
@@ -176,7 +172,7 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
         return np.asarray(Rotation.from_rotvec(values).as_quat(scalar_first=True))
     length = np.linalg.norm(values, axis=1)
     worst = int(np.argmax(np.abs(length - 1)))
-    if abs(length[worst] - 1) > _QUATERNION_TOLERANCE:
+    if abs(length[worst] - 1) > 1e-3:  # as in a recording
         first = _expanded(table, map, orientation.columns, 4, "orientation")[0]
         title = table.title(_find(table, map, first, "orientation")[0]) if first else "the quaternion's columns"
         raise InputError(

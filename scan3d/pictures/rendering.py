@@ -37,8 +37,6 @@ NO_RENDERER = (
 )
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 """The environment variable that names the class of VTK's windows."""
-# A busy machine may take as long to import VTK.
-_TIMEOUT_S = 120
 _is_assumed = False
 
 
@@ -66,7 +64,7 @@ def renders(*, on_screen: bool = False) -> bool:
         done = subprocess.run(
             python(_PROBE, target),
             capture_output=True,
-            timeout=_TIMEOUT_S,
+            timeout=120,  # a busy machine may take as long to import VTK
             check=False,
             start_new_session=True,
         )
