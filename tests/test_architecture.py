@@ -47,6 +47,7 @@ def loaded(statement):
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "text", "sentence"),
     [
@@ -99,9 +100,17 @@ def test_planar_needs_numpy_and_scipy_and_nothing_else():
     }
 
 
-def test_planar_is_imported_without_what_few_of_its_functions_need():
-    """Its import takes a quarter of a second, most of it for numpy and scipy.special."""
-    assert not loaded("import planar") & {"scipy.optimize", "scipy.integrate", "scipy.spatial"}
+@pytest.mark.parametrize(
+    ("statement", "not_loaded"),
+    [
+        # its import takes a quarter of a second, most of it for numpy and scipy.special
+        ("import planar", {"scipy.optimize", "scipy.integrate", "scipy.spatial"}),
+        ("import scan3d", HEAVY),
+        ("from scan3d.cli.commands import app; app()['scan']", HEAVY),
+    ],
+)
+def test_an_import_and_help_wait_for_no_heavy_library(statement, not_loaded):
+    assert not loaded(statement) & not_loaded
 
 
 def test_only_the_command_line_prints():
@@ -115,11 +124,6 @@ def test_only_the_command_line_prints():
     assert printing  # so that the test can fail
     # the one sentence of a run that a signal ends is written where signals are handled
     assert {name for name in printing if not name.startswith("scan3d.cli")} == {"scan3d.processes"}
-
-
-@pytest.mark.parametrize("statement", ["import scan3d", "from scan3d.cli.commands import app; app()['scan']"])
-def test_help_waits_for_no_heavy_library(statement):
-    assert not {name.partition(".")[0] for name in loaded(statement)} & HEAVY
 
 
 @pytest.mark.slow

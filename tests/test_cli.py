@@ -59,83 +59,66 @@ def scanned(tmp_path_factory):
 # --- mistakes ---
 
 
+# A file that cannot be scanned, and a part of the sentence that says why.
+BODIES = {
+    "missing.stl": (None, r"there is no mesh file missing\.stl in .*"),
+    "folder.stl": (None, "is a folder, where a mesh file is expected"),
+    "empty.stl": (b"", r"empty\.stl is empty"),
+    "letter.stl": (b"Dear Sir or Madam,\n", r"letter\.stl (has no triangles|can't be read)"),
+    "letter.txt": (b"Dear Sir or Madam,\n", r"letter\.txt isn't a mesh file"),
+    "binary.glb": (bytes(range(256)), r"binary\.glb can't be read as GLB"),
+    "torus.stl": (trimesh.creation.torus(3.0, 1.0).export(file_type="stl"), r"torus\.stl isn't convex: .*--hull"),
+    "flat.off": (b"OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n", r"flat\.off is flat"),
+    "nan.off": (
+        b"OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 nan\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 2 0 3\n",
+        r"nan\.off has vertices that are NaN or infinite",
+    ),
+    "open.off": (
+        b"OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 1 2 3\n",
+        r"open\.off is open: .*--hull",
+    ),
+}
+
+
 @pytest.fixture(scope="module")
 def bad(tmp_path_factory):
     """A folder of files that cannot be scanned."""
     folder = tmp_path_factory.mktemp("bad")
-    (folder / "empty.stl").write_bytes(b"")
-    (folder / "letter.stl").write_text("Dear Sir or Madam,\n")
-    (folder / "letter.txt").write_text("Dear Sir or Madam,\n")
-    (folder / "binary.glb").write_bytes(bytes(range(256)))
-    trimesh.creation.torus(3.0, 1.0).export(folder / "torus.stl")
-    (folder / "flat.off").write_text("OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n")
-    (folder / "nan.off").write_text("OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 nan\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 2 0 3\n")
-    (folder / "open.off").write_text("OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 1 2 3\n")
-    for name, text in {
-        "unknown": "slises = 3\n",
-        "type": 'slices = "many"\n',
-        "whole": "slices = 3.5\n",
-        "flag": "hull = 1\n",
-        "text": "rod = true\n",
-        "broken": "slices = \n",
-        "value": "friction = -1\n",
-    }.items():
-        (folder / f"{name}.toml").write_text(text)
-    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    for name, (data, _) in BODIES.items():
+        if data is not None:
+            (folder / name).write_bytes(data)
+    (folder / "folder.stl").mkdir()
     return folder
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"),
-    [
-        ("missing.stl", r"there is no mesh file missing\.stl in .*"),
-        ("empty.stl", r"empty\.stl is empty"),
-        ("letter.stl", r"letter\.stl (has no triangles|can't be read)"),
-        ("letter.txt", r"letter\.txt isn't a mesh file"),
-        ("binary.glb", r"binary\.glb can't be read as GLB"),
-        ("torus.stl", r"torus\.stl isn't convex: .*--hull"),
-        ("flat.off", r"flat\.off is flat"),
-        ("nan.off", r"nan\.off has vertices that are NaN or infinite"),
-        ("open.off", r"open\.off is open: .*--hull"),
-        ("", "is a folder, where a mesh file is expected"),
-    ],
-)
-def test_a_file_that_is_not_a_convex_body(call, bad, tmp_path, name, sentence):
-    for command, out in (("scan", "out"), ("simulate", "log.csv")):
-        code, stdout, stderr = call(command, bad / name, "--out", tmp_path / "new" / out, *FEW)
-        assert (code, stdout) == (1, "")
-        assert_sentence(stderr, sentence)
-        assert tree(tmp_path) == {}
+def test_files_that_are_no_convex_bodies(call, bad, tmp_path):
+    torus, missing = bad / "torus.stl", bad / "missing.stl"
+    asked = [(name, ["scan", bad / name, "--out", tmp_path / "new" / "out", *FEW]) for name in BODIES]
+    asked += [
+        ("torus.stl", ["simulate", torus, "--out", tmp_path / "new" / "log.csv"]),
+        ("missing.stl", ["compare", CUBE, missing]),
+        ("nan.off", ["compare", bad / "nan.off", CUBE]),
+    ]
+    for name, arguments in asked:
+        code, stdout, stderr = call(*arguments)
+        assert (code, stdout) == (1, ""), name
+        assert_sentence(stderr, BODIES[name][1])
+    assert tree(tmp_path) == {}
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (
-            ["--friction", "-0.1"],
-            r"friction must be a number >= 0 or a rising range LOW:HIGH of such, at most 100, got -0\.1",
-        ),
+        (["--friction", "-0.1"], r"friction must be a number >= 0 or a rising range LOW:HIGH of such, .*got -0\.1"),
         (["--friction", "0:0.2:0.4"], r"friction must be a number, such as 0\.3, or a range .*; got '0:0\.2:0\.4'"),
-        (["--friction", "ice"], "friction must be a number, .*; got 'ice'"),
         (["--slices", "0"], "slices must be a whole number of at least 1, got 0"),
-        (["--samples", "0"], "samples must be a whole number of at least 2, got 0"),
-        (["--sweeps", "0"], "sweeps must be a whole number of at least 1, got 0"),
-        (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
         (["--slices", "4.5"], r"Invalid value for --slices: expected a whole number, got '4\.5'"),
+        (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
         (["--clearance", "far"], 'Invalid value for --clearance: unable to convert "far" into float'),
-        (
-            ["--spacing", "cosin"],
-            'Invalid value "cosin" for --spacing. Choose from: "adaptive", .* Did you mean "cosine"',
-        ),
+        (["--spacing", "cosin"], 'Invalid value "cosin" for --spacing. Choose from: .* Did you mean "cosine"'),
         (["--unit", "furlong"], 'Invalid value "furlong" for --unit. Choose from: "m", "cm", "mm", "um", "in"'),
-        (["--axis", "w"], "axis must be .*, got 'w'"),
         (["--axis", "1,,0"], "axis must be x, y, z or three numbers, such as 1,1,0; got '1,,0'"),
         (["--rod", "gold:1x100"], "a rod is 'auto' or MATERIAL:DIAMETERxLENGTH .*; got 'gold:1x100'"),
-        (["--tolerance", "-1"], r"tolerance must be a number >= 0, got -1\.0"),
-        (["--clearance", "1.5"], r"clearance must lie between 1e-06 and 1 rod lengths, got 1\.5"),
-        (["--noise", "-1"], r"noise must be a number >= 0 and at most 1, got -1\.0"),
-        (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),
-        (["--method", "magic"], 'Invalid value "magic" for --method. Choose from: "auto", "hull"'),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -148,146 +131,107 @@ def test_invalid_settings(call, tmp_path, arguments, sentence):
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"),
+    ("text", "sentence"),
     [
-        ("missing", r"can't read the settings .*missing\.toml: No such file or directory"),
-        (
-            "unknown",
-            r"unknown\.toml: unknown setting slises; known are model, slices, spacing.*; did you mean slices\?",
-        ),
-        ("type", r"type\.toml: slices must be a whole number, got 'many'"),
-        ("whole", r"whole\.toml: slices must be a whole number, got 3\.5"),
-        ("flag", r"flag\.toml: hull must be true or false, got 1"),
-        ("text", r"text\.toml: rod must be text, got True"),
-        ("broken", r"broken\.toml is not a TOML file: .*line 1"),
-        ("binary", r"binary\.toml is not a TOML file: .*utf-8"),
-        ("value", r"friction must be a number >= 0"),
+        (None, r"can't read the settings .*a\.toml: No such file or directory"),
+        (b"slises = 3\n", r"a\.toml: unknown setting slises; known are model, slices.*; did you mean slices\?"),
+        (b'slices = "many"\n', r"a\.toml: slices must be a whole number, got 'many'"),
+        (b"slices = 3.5\n", r"a\.toml: slices must be a whole number, got 3\.5"),
+        (b"hull = 1\n", r"a\.toml: hull must be true or false, got 1"),
+        (b"rod = true\n", r"a\.toml: rod must be text, got True"),
+        (b"slices = \n", r"a\.toml is not a TOML file: .*line 1"),
+        (b"\xff\xfe\x00", r"a\.toml is not a TOML file: .*utf-8"),
+        (b"friction = -1\n", r"friction must be a number >= 0"),
     ],
 )
-def test_an_invalid_file_of_settings(call, bad, tmp_path, name, sentence):
-    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--config", bad / f"{name}.toml")
+def test_an_invalid_file_of_settings(call, tmp_path, text, sentence):
+    if text is not None:
+        (tmp_path / "a.toml").write_bytes(text)
+    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--config", tmp_path / "a.toml")
     assert (code, stdout) == (1, "")
     assert_sentence(stderr, sentence)
-    assert tree(tmp_path) == {}
+    assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("out", ["/proc/nowhere", "file/out", "file/out/deeper", "file"])
+@pytest.mark.parametrize("out", ["/proc/nowhere", "file/out/deeper", "file"])
 def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
     (tmp_path / "file").write_bytes(b"other content")
-    before = tree(tmp_path)
-    for arguments in (["scan", CUBE, *FEW], ["simulate", CUBE, *FEW]):
-        place = tmp_path / out / "log.csv" if arguments[0] == "simulate" else tmp_path / out
-        code, stdout, stderr = call(*arguments, "--out", place)
+    for command, place in (("scan", tmp_path / out), ("simulate", tmp_path / out / "log.csv")):
+        code, stdout, stderr = call(command, CUBE, *FEW, "--out", place)
         assert (code, stdout) == (1, "")
         assert_sentence(stderr, "can't write into the folder .*; choose another one with --out")
-        assert tree(tmp_path) == before
+        assert tree(tmp_path) == {Path("file"): b"other content"}
 
 
-def test_a_recording_has_its_ending_checked_before_the_work(call, tmp_path, monkeypatch):
+def test_the_place_of_a_recording_is_checked_before_the_work(call, tmp_path, monkeypatch):
     monkeypatch.setattr("scan3d.simulation.scan.simulate", pytest.fail)
-    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.txt")
-    assert (code, stdout) == (1, "")
-    assert_sentence(stderr, r"a recording is written as \.csv or \.parquet, got 'log\.txt'")
-    assert tree(tmp_path) == {}
+    (tmp_path / "folder.csv").mkdir()
+    for name, sentence in (
+        ("new/log.txt", r"a recording is written as \.csv or \.parquet, got 'log\.txt'"),
+        ("folder.csv", r"can't write .*folder\.csv"),
+    ):
+        code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / name)
+        assert (code, stdout) == (1, "")
+        assert_sentence(stderr, sentence)
+    assert tree(tmp_path) == {Path("folder.csv"): None}
 
 
-def test_a_recording_in_the_place_of_a_folder(call, tmp_path):
-    (tmp_path / "log.csv").mkdir()
-    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "log.csv", *FEW)
-    assert (code, stdout) == (1, "")
-    assert_sentence(stderr, r"can't write .*log\.csv")
-    assert tree(tmp_path) == {Path("log.csv"): None}
-
-
-def test_a_recording_does_not_overwrite_the_settings_it_was_made_with(call, tmp_path):
-    (tmp_path / "part.toml").write_text("slices = 3\n")
-    before = tree(tmp_path)
-    code, stdout, stderr = call("simulate", CUBE, "--config", tmp_path / "part.toml", "--out", tmp_path / "part.csv")
-    assert (code, stdout) == (1, "")
-    assert_sentence(
-        stderr, r"part\.toml is the file of settings that this run reads, .*; choose another place with --out"
-    )
-    assert tree(tmp_path) == before
-
-
-def test_a_scan_that_finds_no_body_writes_nothing(call, tmp_path, no_pictures):
+def test_a_failed_run_leaves_nothing_new_and_the_results_of_the_one_before(call, scanned, tmp_path, no_pictures):
     # with a single slice the error occurs only after the simulation
     code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "a" / "b", "--slices", "1")
     assert (code, stdout) == (1, "")
     assert_sentence(stderr, "span no body: a surface needs contacts in at least two slices")
     assert tree(tmp_path) == {}
-
-
-def test_a_failed_run_leaves_the_results_of_the_one_before(call, scanned, tmp_path, no_pictures):
-    shutil.copytree(scanned[0], tmp_path, dirs_exist_ok=True)
+    shutil.copytree(scanned[0], tmp_path / "old")
     before = tree(tmp_path)
-    assert call("scan", CUBE, "--out", tmp_path, "--slices", "1")[0] == 1
+    assert call("scan", CUBE, "--out", tmp_path / "old", "--slices", "1")[0] == 1
     assert tree(tmp_path) == before
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("asked", "sentence"),
     [
-        (["scna", CUBE], 'Unknown command "scna". Did you mean "scan".*; see \'scan3d --help\''),
-        (["--hlep"], "Unknown command .*; see 'scan3d --help'"),
-        (["scan"], "MESH is missing; see 'scan3d scan --help'"),
-        (["scan", CUBE], "--out is missing or has no value; see 'scan3d scan --help'"),
-        (["scan", CUBE, CUBE, "--out", "out"], r"unexpected arguments: \S+cube\.stl; see"),
-        (["scan", CUBE, "--out", "out", "--frictoin", "3"], "Unknown option: --frictoin. Did you mean --friction"),
-        (["scan", CUBE, "--out", "out", "--slices"], "--slices is missing or has no value; see"),
-        (["scan", CUBE, "--out", "out", "--hull", "true"], "unexpected arguments: true; see"),
-        (["reconstruct", "log.csv"], "--out is missing: it names the folder for the results; see"),
-        (["compare", CUBE], "SECOND is missing; see"),
-        (["compare", CUBE, CUBE, "--unit", "furlong"], 'Invalid value "furlong" for --unit. Choose from'),
-        (["show", "o", "--view", "compar"], 'Invalid value "compar" for --view.* Did you mean "compare"'),
-        (["calibrate", "log.csv", "--out", "rig.toml"], "the reference is one of --sphere D, --plane"),
-        (["batch", CUBE, "--out", "out", "--jobs", "2", "--scheduler", "x"], "--jobs and --scheduler are two places"),
-        (["simulate", CUBE, "--out", "log.csv", "--placed", "p.ply"], "--placed is for a rig: give --poses FILE"),
-        (["completion", "tcsh"], 'Invalid value "tcsh" for SHELL'),
+        ("scna cube.stl", 'Unknown command "scna". Did you mean "scan".*; see \'scan3d --help\''),
+        ("scan", "MESH is missing; see 'scan3d scan --help'"),
+        ("scan cube.stl", "--out is missing or has no value; see 'scan3d scan --help'"),
+        ("scan cube.stl cube.stl --out out", r"unexpected arguments: cube\.stl; see"),
+        ("scan cube.stl --out out --frictoin 3", "Unknown option: --frictoin. Did you mean --friction"),
+        ("scan cube.stl --out out --slices", "--slices is missing or has no value; see"),
+        ("scan cube.stl --out out --hull true", "unexpected arguments: true; see"),
+        ("reconstruct log.csv", "--out is missing: it names the folder for the results; see"),
+        ("compare cube.stl", "SECOND is missing; see"),
+        ("show o --view compar", 'Invalid value "compar" for --view.* Did you mean "compare"'),
+        ("calibrate log.csv --out rig.toml", "the reference is one of --sphere D, --plane"),
+        ("batch cube.stl --out out --jobs 2 --scheduler x", "--jobs and --scheduler are two places"),
+        ("simulate cube.stl --out log.csv --placed p.ply", "--placed is for a rig: give --poses FILE"),
+        ("completion tcsh", 'Invalid value "tcsh" for SHELL'),
     ],
 )
-def test_wrong_usage(call, tmp_path, monkeypatch, arguments, sentence):
+def test_wrong_usage(call, tmp_path, monkeypatch, asked, sentence):
     monkeypatch.chdir(tmp_path)
-    code, stdout, stderr = call(*arguments)
+    code, stdout, stderr = call(*asked.split())
     assert (code, stdout) == (2, "")
     assert_sentence(stderr, sentence)
     assert tree(tmp_path) == {}
 
 
-@pytest.mark.parametrize(
-    ("table", "sentence"),
-    [
-        (None, r"can't read the recording .*log\.csv: No such file or directory"),
-        ("", r"log\.csv is empty"),
-        ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm\n0,0,0,0,1,0,0,0,0,0,0\n", "the recording has no contact"),
-    ],
-)
-def test_an_invalid_recording(call, tmp_path, table, sentence):
-    if table is not None:
-        (tmp_path / "log.csv").write_text(table)
-        (tmp_path / "log.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
-    before = tree(tmp_path)
-    code, stdout, stderr = call("reconstruct", tmp_path / "log.csv", "--out", tmp_path / "out")
-    assert (code, stdout) == (1, "")
-    assert_sentence(stderr, sentence)
-    assert tree(tmp_path) == before
-
-
-def test_an_invalid_true_body(call, bad, scanned, tmp_path):
-    for name, sentence in (("missing.stl", "there is no mesh file"), ("torus.stl", "isn't convex")):
-        code, stdout, stderr = call(
-            "reconstruct", scanned[0] / "recording.csv", "--out", tmp_path / "out", "--truth", bad / name
-        )
+def test_an_invalid_recording_or_true_body(call, bad, scanned, tmp_path):
+    header = "sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm"
+    (tmp_path / "air.csv").write_text(f"{header}\n0,0,0,0,1,0,0,0,0,0,0\n")
+    (tmp_path / "air.toml").write_text("[rod]\nlength_m = 0.05\nbending_stiffness_Nm2 = 1e-4\n")
+    (tmp_path / "empty.csv").write_text("")
+    before, log = tree(tmp_path), scanned[0] / "recording.csv"
+    for arguments, sentence in (
+        ([tmp_path / "none.csv"], r"can't read the recording .*none\.csv: No such file or directory"),
+        ([tmp_path / "empty.csv"], r"empty\.csv is empty"),
+        ([tmp_path / "air.csv"], "the recording has no contact"),
+        ([log, "--truth", bad / "missing.stl"], "there is no mesh file"),
+        ([log, "--truth", bad / "torus.stl"], "isn't convex"),
+    ):
+        code, stdout, stderr = call("reconstruct", *arguments, "--out", tmp_path / "out")
         assert (code, stdout) == (1, "")
         assert_sentence(stderr, sentence)
-        assert tree(tmp_path) == {}
-
-
-def test_meshes_that_can_not_be_compared(call, bad):
-    for pair in ((CUBE, bad / "missing.stl"), (bad / "nan.off", CUBE)):
-        code, stdout, stderr = call("compare", *pair)
-        assert (code, stdout) == (1, "")
-        assert_sentence(stderr, "")
+        assert tree(tmp_path) == before
 
 
 def test_a_disk_that_is_full(call, tmp_path, monkeypatch, no_pictures):
@@ -312,20 +256,17 @@ def test_output_into_a_closed_pipe(tmp_path):
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_output_to_a_full_disk(call, tmp_path, monkeypatch):
+def test_output_to_a_full_disk_and_no_output_at_all(call, tmp_path, monkeypatch):
     class Full(io.StringIO):
         def flush(self):
             raise OSError(28, "No space left on device")
 
+    asked = ["scan", CUBE, "--out", tmp_path / "out", "--print-config"]
     monkeypatch.setattr(sys, "stdout", Full())
-    code, _, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
+    code, _, stderr = call(*asked)
     assert (code, stderr) == (1, "scan3d: No space left on device\n")
-
-
-def test_no_output_at_all(call, tmp_path, monkeypatch):
-    # as with >&-
-    monkeypatch.setattr(sys, "stdout", None)
-    code, _, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--print-config")
+    monkeypatch.setattr(sys, "stdout", None)  # as with >&-
+    code, _, stderr = call(*asked)
     assert (code, stderr) == (0, "")
 
 
@@ -363,21 +304,6 @@ def test_every_setting_is_an_option_and_its_help_has_the_default(call, monkeypat
         assert f"--{setting.name.replace('_', '-')} " in stdout
         assert f"{setting.metadata['meaning']} " in stdout
         assert setting.name == "hull" or f"[default: {setting.default}]" in stdout
-
-
-def test_help_is_quick():
-    def seconds(command):
-        """Of the processor, because tests run side by side and wait for each other; the best of three."""
-        taken = []
-        for _ in range(3):
-            before = os.times()
-            subprocess.run(command, capture_output=True, check=True)
-            after = os.times()
-            taken.append(sum(after[2:4]) - sum(before[2:4]))  # of child processes, in user and in system mode
-        return min(taken)
-
-    # a command that computes imports these and more
-    assert 0 < seconds([COMMAND, "export", "--help"]) < seconds([sys.executable, "-c", "import numpy, scipy.spatial"])
 
 
 def test_the_command_and_the_module_in_a_terminal_with_ascii_only():
@@ -619,14 +545,5 @@ def test_signatures_in_python_show_every_setting():
 def test_settings_given_in_python():
     assert settings({}) == Settings()
     assert settings({"slices": 3}) == Settings(slices=3)
-    with pytest.raises(InputError, match="the command line: unknown setting slises; known are model, slices"):
-        settings({"slises": 3})
     with pytest.raises(InputError, match="the command line: slices must be a whole number, got True"):
         settings({"slices": True})
-
-
-def test_a_method_that_the_body_does_not_allow(call, tmp_path, no_pictures):
-    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *FEW, "--method", "support")
-    assert (code, stdout) == (1, "")
-    assert_sentence(stderr, "not smooth enough for the method support, .*; use auto, bracket or hull")
-    assert tree(tmp_path) == {}

@@ -68,9 +68,7 @@ def test_nothing_missing(well, capsys):
 def test_json(well, capsys):
     assert main(["doctor", "--json"]) == 0
     state = json.loads(capsys.readouterr().out)
-    assert state["ok"] is True
-    assert state["missing"] == []
-    assert state == json.loads(json.dumps(doctor.examine()))
+    assert (state["ok"], state["missing"]) == (True, [])
 
 
 def without(monkeypatch, *names):
@@ -110,21 +108,19 @@ def test_a_scan_works_without_open3d(well, monkeypatch, capsys):
 
 @pytest.mark.parametrize(("platform", "known"), [("linux", True), ("darwin", False)])
 def test_missing_system_libraries(monkeypatch, platform, known):
-    monkeypatch.setattr(
-        doctor, "_error_of", lambda code: "libGL.so.1: no such file" if "import open3d" in code else None
-    )
+    found = "libGL.so.1: no such file"
+    monkeypatch.setattr(doctor, "_error_of", lambda code: found if "import open3d" in code else None)
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     monkeypatch.setattr(doctor.sys, "platform", platform)
     state = doctor.examine()
     assert state["ok"]
     assert (state["rendering"], state["open3d"]["works"]) == (False, False)
-    commands = {item["what"]: item["command"] for item in state["missing"]}
-    assert commands == {
+    assert {item["what"]: item["command"] for item in state["missing"]} == {
         "open3d": "apt-get install libgl1 libgomp1" if known else None,
         "renderer": "apt-get install libegl1 libgl1" if known else None,
     }
     stdout = table("", doctor.summary(state))
-    assert "open3d             doesn't work (libGL.so.1: no such file)" in stdout
+    assert f"open3d             doesn't work ({found})" in stdout
     assert "pictures           don't work (nothing can render off screen)" in stdout
     assert ("apt-get" in stdout) == known
 

@@ -10,6 +10,7 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
+from types import ModuleType
 
 import matplotlib
 import pytest
@@ -17,13 +18,14 @@ import yaml
 
 import planar
 import scan3d
-from scan3d.cli import main
+from scan3d import workers
+from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.files.recordings import COLUMNS
 from scan3d.pictures import rendering
+from tests.robustness.runner import Threads
 
 ROOT = Path(__file__).parents[1]
-EGG = ROOT / "meshes" / "egg.stl"
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if "_build" not in page.parts)]
 # Pages whose commands and code are run together, from top to bottom, up to one of these headings.
 WALKED = [ROOT / "docs" / name for name in ("start.md", "recipes.md", "rig.md")]
@@ -38,6 +40,9 @@ def name_of(page: Path) -> str:
 def blocks(text: str, language: str) -> list[str]:
     """The fenced blocks of a page in a language."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+CODE = [page for page in PAGES if blocks(page.read_text("utf-8"), "python")]
 
 
 def prose(text: str) -> str:
@@ -73,34 +78,42 @@ def test_the_reading_of_pages_finds_what_it_should() -> None:
     assert {"README.md", "docs/index.md", "docs/files.md", "docs/api/planar.md"} <= set(map(name_of, PAGES))
 
 
-@pytest.mark.parametrize(
-    "page",
-    [page for page in PAGES[1:] if blocks(page.read_text("utf-8"), "python") and page not in WALKED],
-    ids=name_of,
-)
+def fewer(text: str) -> str:
+    """The code or command with fewer slices, samples and facets: a page's scans take a moment, and show the same."""
+    text = text.replace('"slices": [4, 8, 16]', '"slices": [4, 6]').replace("icosphere(5", "icosphere(4")
+    text = (
+        text.replace("--dpi 600", "--dpi 100")
+        .replace("--samples 64", "--samples 24")
+        .replace("icosphere(subdivisions=4", "icosphere(subdivisions=3")
+    )
+    return re.sub(r"\bslices([ =])\d\d", r"slices\g<1>6", text)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demonstration has few slices, a batch needs no processes, and no scan draws its pictures, for other tests do that."""
+    monkeypatch.setattr(verbs, "DEMO_SETTINGS", {"slices": 4, "sweeps": 4, "samples": 8})
+    monkeypatch.setattr(workers, "Workers", Threads)
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+
+
 @pytest.mark.slow
-def test_the_code_of_a_page_runs(page: Path, repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # in the order of the page, with the same variables
+@pytest.mark.parametrize("page", [page for page in CODE if page not in WALKED], ids=name_of)
+def test_the_code_of_a_page_runs(page: Path, repository: Path, quick: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the order of the page, with the same variables; every block of the README by itself."""
     names: dict[str, object] = {"__name__": "__main__"}
     for number, block in enumerate(blocks(page.read_text(encoding="utf-8"), "python"), start=1):
-        exec(compile(block, f"{name_of(page)}, block {number}", "exec"), names)
-
-
-@pytest.mark.slow
-def test_every_block_of_readme_runs_by_itself(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    snippets = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
-    assert len(snippets) >= 2
-    for number, block in enumerate(snippets, start=1):
-        exec(compile(block, f"README.md, block {number}", "exec"), {"__name__": "__main__"})
-    # the snippets print numbers
-    assert re.search(r"\d", capsys.readouterr().out)
+        own = {"__name__": "__main__"} if page.name == "README.md" else names
+        exec(compile(fewer(block), f"{name_of(page)}, block {number}", "exec"), own)
+    # the snippets of the README print numbers
+    assert page.name != "README.md" or re.search(r"\d", capsys.readouterr().out)
 
 
 @pytest.mark.rendering
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WALKED, ids=name_of)
 def test_every_command_and_all_code_of_a_page_runs(
-    page: Path, repository: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    page: Path, repository: Path, quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names: dict[str, object] = {"__name__": "__main__"}
     text, bounds = page.read_text("utf-8"), []
@@ -108,7 +121,7 @@ def test_every_command_and_all_code_of_a_page_runs(
         text = text.partition(end)[0]
     for language, block in re.findall(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
         if language == "python":
-            exec(compile(block, name_of(page), "exec"), names)
+            exec(compile(fewer(block), name_of(page), "exec"), names)
         elif language == "toml":
             file = Path(block.partition("\n")[0].removeprefix("# "))
             # as a user completes the map that `--guess` has written
@@ -116,14 +129,12 @@ def test_every_command_and_all_code_of_a_page_runs(
             table, rod, values = block.partition("[rod]")
             file.write_text(table + guessed + rod + values, encoding="utf-8")
         elif language == "sh":
-            for line in block.splitlines():
+            for line in fewer(block).splitlines():
                 command, _, comment = line.partition("    # ")
                 words = shlex.split(command)
                 assert words[0] == "scan3d"
-                with monkeypatch.context() as patch:
-                    if words[1] != "show":  # the pictures of a scan are drawn in other tests
-                        patch.setattr(rendering, "can_render", lambda: False)
-                    assert main(words[1:]) == (1 if comment == "refused" else 0), line
+                monkeypatch.setattr(rendering, "can_render", lambda shown=words[1] == "show": shown)
+                assert main(words[1:]) == (1 if comment == "refused" else 0), line
                 if words[1] == "reconstruct":
                     report = Path(words[words.index("--out") + 1], "report.json").read_text(encoding="utf-8")
                     bounds.append(json.loads(report)["certificate"]["bound"])
@@ -159,22 +170,22 @@ def test_every_extra_is_described() -> None:
     assert set(re.findall(r"`(\w+)`", rows)) == set(project["optional-dependencies"])
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_and_pictures_are_there(page: Path) -> None:
-    missing = [target for target in targets(page.read_text(encoding="utf-8")) if not (page.parent / target).is_file()]
-    assert missing == []
+def test_links_and_pictures_are_there() -> None:
+    for page in PAGES:
+        missing = [name for name in targets(page.read_text(encoding="utf-8")) if not (page.parent / name).is_file()]
+        assert missing == [], page
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_scripts_and_commands_that_are_named_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for script in re.findall(r"python ((?:\w+/)+\w+\.py)", text):
-        assert (ROOT / script).is_file(), script
+def test_scripts_and_commands_that_are_named_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for target in re.findall(r"^(?:.*`)?make (\w+)", text, flags=re.MULTILINE):
-        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
-    for command in re.findall(r"\bscan3d ([a-z]+)\b", "\n".join(blocks(text, "sh"))):
-        assert command in COMMANDS, command
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for script in re.findall(r"python ((?:\w+/)+\w+\.py)", text):
+            assert (ROOT / script).is_file(), script
+        for target in re.findall(r"^(?:.*`)?make (\w+)", text, flags=re.MULTILINE):
+            assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
+        for command in re.findall(r"\bscan3d ([a-z]+)\b", "\n".join(blocks(text, "sh"))):
+            assert command in COMMANDS, command
 
 
 def test_every_public_name_is_in_the_api() -> None:
@@ -195,12 +206,12 @@ def test_every_example_is_in_the_gallery() -> None:
         assert (f"(pictures/{script.stem}.png)" in section) == ("savefig" in script.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
-def test_an_example_opens_with_its_question_and_ends_with_its_reference(script: Path) -> None:
-    paragraphs = (ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").split("\n\n")
-    assert "?" in paragraphs[0]
-    assert paragraphs[-1].startswith("Reference: ")
-    assert f"python examples/{script.name}" in paragraphs[-2]
+def test_an_example_opens_with_its_question_and_ends_with_its_reference() -> None:
+    for script in EXAMPLES:
+        paragraphs = (ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").split("\n\n")
+        assert "?" in paragraphs[0], script
+        assert paragraphs[-1].startswith("Reference: "), script
+        assert f"python examples/{script.name}" in paragraphs[-2], script
 
 
 def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:
@@ -217,31 +228,32 @@ def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:
     assert read.source["kind"] == "laboratory"
 
 
-@pytest.mark.slow
-def test_the_report_has_the_sections_that_the_pages_name(tmp_path: Path) -> None:
+def test_the_report_has_the_sections_that_the_pages_name(folder: Path) -> None:
     page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8").partition("## The report")[2]
     rows = [row.split("|")[1] for row in page.split("\n") if row.startswith("| `")]
     sections = re.findall(r"`(\w+)`", " ".join(rows))
-    out = str(tmp_path / "out")
-    scan = ["scan", str(EGG), "--out", out, "--slices", "4", "--sweeps", "6", "--samples", "12", "--quiet"]
-    assert main(scan) == 0
-    assert sorted(sections) == sorted(json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8")))
+    assert sorted(sections) == sorted(json.loads((folder / "report.json").read_text(encoding="utf-8")))
+
+
+def script(path: Path) -> ModuleType:
+    """A script of the manual as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
-    spec = importlib.util.spec_from_file_location("check_links", ROOT / "docs" / "check_links.py")
-    assert spec is not None
-    assert spec.loader is not None
-    check = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(check)
+    check = script(ROOT / "docs" / "check_links.py")
     (tmp_path / "a.html").write_text('<h1 id="top">A</h1><a href="#top">up</a><a href="b.html#here">B</a>')
     (tmp_path / "b.html").write_text('<p id="here"></p><a href="https://example.org/nowhere">out</a>')
     assert list(check.broken(tmp_path)) == []
     (tmp_path / "c.html").write_text(
         '<a href="b.html#there">B</a><img src="gone%20away.png"><a href="#bottom">down</a>'
     )
-    messages = list(check.broken(tmp_path))
-    assert messages == [
+    assert list(check.broken(tmp_path)) == [
         "c.html: b.html#there has no such anchor",
         "c.html: gone%20away.png does not exist",
         "c.html: #bottom has no such anchor",
@@ -249,12 +261,7 @@ def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
 
 
 def test_every_picture_of_the_manual_is_made_by_one_command(capsys: pytest.CaptureFixture[str]) -> None:
-    path = ROOT / "docs" / "make_pictures.py"
-    spec = importlib.util.spec_from_file_location("make_pictures", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = script(ROOT / "docs" / "make_pictures.py")
     made = {*module.scripts(), *module.VIEWS}
     assert {picture.stem for picture in (ROOT / "docs" / "pictures").iterdir()} == made
     assert "docs/make_pictures.py $(FIGURES)" in (ROOT / "Makefile").read_text(encoding="utf-8")

@@ -10,7 +10,6 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-import trimesh
 from image_checks import fraction_of_color
 from PIL import Image
 from small_scans import CUBE, EGG, scanned, scanned_in_space
@@ -237,10 +236,11 @@ def test_a_recording_of_one_sweep(recording):
 
 
 @pytest.mark.rendering
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_clouds_of_a_few_contacts(cloud, count):
-    image = np.asarray(cloud.select(np.arange(count)).plot(color="phase", dpi=100))[:, :475]
-    assert 0 < max(fraction_of_color(image, shading.TIP, 60), fraction_of_color(image, shading.TANGENTIAL, 60)) < 0.1
+def test_clouds_of_a_few_contacts(cloud):
+    for count in (1, 2):
+        image = np.asarray(cloud.select(np.arange(count)).plot(color="phase", dpi=50))[:, :235]
+        seen = [fraction_of_color(image, color, 60) for color in (shading.TIP, shading.TANGENTIAL)]
+        assert 0 < max(seen) < 0.1
 
 
 @pytest.mark.rendering
@@ -276,29 +276,21 @@ def test_files_from_python_replace_nothing_of_others(recording, tmp_path):
 def test_what_can_not_be_plotted(recording, cloud, surface, comparison, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
     mesh = scanned(CUBE).truth
-    wrong = [
+    for what, options, sentence in (
         ([1, 2], {}, r"only a recording, a cloud, a surface \(trimesh.Trimesh\) or a comparison .*, got a list"),
         (surface, dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
-        (surface, dict(view="rainbow"), "view must be one of cloud, surface, .*, got 'rainbow'"),
         (surface, dict(view="cloud"), "the surface has no contacts"),
         (cloud, dict(color="error"), "the error of the contacts of the cloud is not known"),
         (cloud, dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
-        (recording, dict(view="surface"), "the recording has no surface to show"),
         (surface, dict(truth=CUBE), "truth must be a trimesh.Trimesh.*load_mesh.*got a \\w+Path"),
-        (surface, dict(view="compare"), "the true body of the surface is not known"),
         (surface, dict(against=str(EGG)), r"against must be a trimesh\.Trimesh"),
         (surface, dict(against=mesh, view="bound"), "surfaces are compared in the views surface, compare or histogram"),
         (recording, dict(path="a.jpg"), r"a picture is written as \.png, \.pdf or \.svg, got 'a\.jpg'"),
         (recording, dict(camera="top"), "the view forces shows no body, so that it has no camera"),
         (comparison, dict(camera="top"), "a comparison shows no body, so that it has no camera"),
-    ]
-    for what, options, sentence in wrong:
+    ):
         with pytest.raises(scan3d.InputError, match=sentence):
             scan3d.plot(what, **options)
-
-
-def test_a_surface_is_a_trimesh_and_keeps_its_own_display(surface):
-    assert isinstance(surface, trimesh.Trimesh)
 
 
 # --- in child processes ---
@@ -318,7 +310,7 @@ def test_results_load_no_library_for_pictures_before_they_are_shown():
 
 
 @pytest.mark.parametrize(
-    "missing", [pytest.param(MISSING[0], marks=pytest.mark.slow), pytest.param(MISSING[1], marks=pytest.mark.trust)]
+    "missing", [pytest.param(MISSING[1], marks=pytest.mark.slow), pytest.param(MISSING[0], marks=pytest.mark.trust)]
 )
 def test_results_show_themselves_without_a_renderer(tmp_path, missing):
     code = f"""

@@ -1,9 +1,6 @@
 """From a recording to results: `analyse` computes and does nothing else, `write` writes what it is given."""
 
 import dataclasses
-import functools
-import json
-import math
 
 import numpy as np
 import pytest
@@ -17,8 +14,7 @@ from scan3d.recording import Recording
 
 def simulated(noise=0.0):
     mesh = trimesh.creation.box((20, 30, 40))
-    plan = scan3d.Plan(slices=6, samples=12, sweeps=4, friction=(0.1, 0.3), noise=noise)
-    return mesh, scan3d.simulate(mesh, plan)
+    return mesh, scan3d.simulate(mesh, scan3d.Plan(slices=6, samples=12, sweeps=4, friction=(0.1, 0.3), noise=noise))
 
 
 @pytest.fixture(scope="module")
@@ -106,43 +102,11 @@ def test_under_noise_the_bounds_are_those_of_the_contacts_own_uncertainty():
     assert analysis.certificate.bound > scan3d.surfaces.enclosure(analysis.cloud, margin=0.0).bound
 
 
-@pytest.fixture
-def without_renderer(monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
-
-
 RESULTS = {"cloud.ply", "surface.ply", "report.json", "view.html"}
 RECORDING = {"recording.csv", "recording.toml"}
 PICTURES = {"cloud.png", "surface.png"}
 
 
-@pytest.mark.usefixtures("without_renderer")
-@pytest.mark.parametrize("with_recording", [False, True])
-def test_write_writes_the_recording_only_if_asked_to(scan, tmp_path, with_recording):
-    _, recording, analysis = scan
-    settings = {"slices": 6, "friction": "0.1:0.3", "method": "auto"}
-    sentences = []
-    data = pipeline.write(
-        dataclasses.replace(analysis, truth=None),
-        tmp_path,
-        settings=settings,
-        with_recording=with_recording,
-        notify=sentences.append,
-    )
-    expected = RESULTS | RECORDING if with_recording else RESULTS
-    assert {path.name for path in tmp_path.iterdir()} == expected
-    assert set(data["files"]) == expected
-    assert sentences == [rendering.NO_RENDERER]
-    stored = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
-    assert stored["settings"] == settings
-    # the friction is known for a simulated recording only
-    assert stored["friction"]["set"] == ("0.1:0.3" if with_recording else None)
-    assert stored["certificate"]["bound"] == pytest.approx(analysis.certificate.bound)
-    if with_recording:
-        assert_same(scan3d.read_recording(tmp_path / "recording.csv").force_N, recording.force_N)
-
-
-@pytest.mark.rendering
 def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypatch):
     """A picture of an earlier run must not stand beside the results of this one."""
     _, _, analysis = scan
@@ -156,29 +120,3 @@ def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypa
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     pipeline.write(analysis, tmp_path, settings={}, with_recording=False)
     assert {path.name for path in tmp_path.iterdir()} == RESULTS | {"notes.txt"}
-
-
-@pytest.mark.usefixtures("without_renderer")
-def test_write_replaces_what_others_have_written_only_if_asked_to(scan, tmp_path):
-    _, _, analysis = scan
-    (tmp_path / "cloud.png").write_text("a picture of a cloud")
-    write = functools.partial(pipeline.write, dataclasses.replace(analysis, truth=None), tmp_path, settings={})
-    with pytest.raises(scan3d.InputError, match=r"cloud\.png was not written by scan3d; give --overwrite"):
-        write(with_recording=False)
-    assert {path.name for path in tmp_path.iterdir()} == {"cloud.png"}
-    write(with_recording=False, overwrite=True)
-    assert {path.name for path in tmp_path.iterdir()} >= RESULTS
-
-
-@pytest.mark.usefixtures("without_renderer")
-def test_the_report_has_the_times_of_earlier_steps(scan, tmp_path):
-    _, _, analysis = scan
-    data = pipeline.write(
-        dataclasses.replace(analysis, truth=None, seconds={**analysis.seconds, "simulate": 1.5}),
-        tmp_path,
-        settings={},
-        with_recording=False,
-    )
-    assert data["timings_s"]["simulate"] == 1.5
-    assert {"reconstruct", "bounds", "surface", "certificate", "compare", "write", "pictures"} <= set(data["timings_s"])
-    assert all(math.isfinite(seconds) for seconds in data["timings_s"].values())

@@ -9,8 +9,8 @@ import pytest
 from scan3d.cli.commands import COMMANDS
 from tests.robustness import corpus, fuzz, runner
 
-# Every so many cases run in the fast lane, and in all tests; `make trust` runs every case.
-_FAST_STEP, _STEP = 40, 12
+# Every so many cases run in all tests: the cases are in groups of their subject, so that every group of twelve has one.
+_STEP = 12
 
 
 @pytest.fixture(scope="module")
@@ -34,32 +34,26 @@ def wrong(case, folder):
     return f"{case.name}: {found}: {outcome.err}{outcome.trace}" if found else ""
 
 
-def test_some_odd_files_and_options(cases):
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [_STEP, pytest.param(1, marks=pytest.mark.trust)])
+def test_odd_files_and_options(cases, step):
     folder, made = cases
     assert len(made) > 400
-    assert [text for case in made[::_FAST_STEP] if (text := wrong(case, folder))] == []
+    assert [text for case in made[::step] if (text := wrong(case, folder))] == []
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """The right files that the fuzzer changes."""
+    folder = tmp_path_factory.mktemp("source")
+    fuzz.warm()
+    fuzz.prepare(folder)
+    return folder
 
 
 @pytest.mark.slow
-def test_more_odd_files_and_options(cases):
-    """The cases are in groups of their subject, so that every group of twelve has one here."""
-    folder, made = cases
-    assert [text for case in made[::_STEP] if (text := wrong(case, folder))] == []
-
-
-@pytest.mark.trust
-def test_all_odd_files_and_options(cases):
-    folder, made = cases
-    assert [text for case in made if (text := wrong(case, folder))] == []
-
-
-@pytest.mark.parametrize(
-    "count", [5, pytest.param(50, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.trust)]
-)
-def test_random_changes_of_files_and_options(tmp_path, count):
-    source = tmp_path / "source"
-    source.mkdir()
-    fuzz.prepare(source)
+@pytest.mark.parametrize("count", [30, pytest.param(300, marks=pytest.mark.trust)])
+def test_random_changes_of_files_and_options(source, tmp_path, count):
     faults = []
     for number in range(count):
         folder = tmp_path / str(number)
@@ -71,10 +65,7 @@ def test_random_changes_of_files_and_options(tmp_path, count):
 
 
 @pytest.mark.slow
-def test_random_changes_are_made_for_every_command(tmp_path):
-    source = tmp_path / "source"
-    source.mkdir()
-    fuzz.prepare(source)
+def test_random_changes_are_made_for_every_command(source, tmp_path):
     tried = set()
     for number in range(250):
         folder = tmp_path / "attempt"

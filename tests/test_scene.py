@@ -131,37 +131,28 @@ def test_contacts_in_one_plane_are_still_shown(folder, tmp_path):
 XYZ = [(name, "f8") for name in "xyz"]
 
 
-@pytest.mark.parametrize(
-    ("files", "shown", "sentence"),
-    [
-        ({}, "nothing", "there is no .*nothing; show a scan's folder, a recording"),
-        ({}, ".", "holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'"),
-        ({"report.json": b"[1]"}, ".", "is not a report: expected a JSON object; run the scan again"),
-        ({"report.json": b"{"}, ".", "can't read .*report.json: .*; run the scan again"),
+def test_files_that_can_not_be_shown(tmp_path, call):
+    flat = ply(np.zeros(3, XYZ), np.array([[0, 1, 2]]))
+    for number, (name, data, shown, sentence) in enumerate(
         (
-            {"cloud.ply": ply(np.zeros(3, XYZ), np.array([[0, 1, 2]]))},
-            ".",
-            "cloud.ply does not hold what its name says",
-        ),
-        (
-            {"a.ply": ply(np.zeros(3, [("force", "f8")]))},
-            "a.ply",
-            "a.ply has no points: expected the columns x, y and z",
-        ),
-        ({"a.ply": ply(np.full(3, np.nan, XYZ))}, "a.ply", "a.ply has no points, or points that are not numbers"),
-        (
-            {"a.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n"},
-            "a.ply",
-            "can't read .*a.ply: .*; expected a PLY of points or triangles",
-        ),
-    ],
-)
-def test_files_that_can_not_be_shown(tmp_path, capsys, files, shown, sentence):
-    for name, data in files.items():
-        (tmp_path / name).write_bytes(data)
-    assert main(["show", str(tmp_path / shown), "--html", str(tmp_path / "page.html")]) == 1
-    assert re.search(sentence, capsys.readouterr().err)
-    assert not (tmp_path / "page.html").exists()
+            (None, b"", "nothing", "there is no .*nothing; show a scan's folder, a recording"),
+            (None, b"", ".", "holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'"),
+            ("report.json", b"[1]", ".", "is not a report: expected a JSON object; run the scan again"),
+            ("report.json", b"{", ".", "can't read .*report.json: .*; run the scan again"),
+            ("cloud.ply", flat, ".", "cloud.ply does not hold what its name says"),
+            ("a.ply", ply(np.zeros(3, [("force", "f8")])), "a.ply", "a.ply has no points: expected the columns x, y"),
+            ("a.ply", ply(np.full(3, np.nan, XYZ)), "a.ply", "a.ply has no points, or points that are not numbers"),
+            ("a.ply", flat[:90], "a.ply", "can't read .*a.ply: .*; expected a PLY of points or triangles"),
+        )
+    ):
+        place = tmp_path / str(number)
+        place.mkdir()
+        if name:
+            (place / name).write_bytes(data)
+        code, _, err = call("show", place / shown, "--html", place / "page.html")
+        assert code == 1
+        assert re.search(sentence, err), err
+        assert not (place / "page.html").exists()
 
 
 # --- slices, paths and rods ---
@@ -259,25 +250,18 @@ def test_the_most_informative_sweep_lies_in_the_middle_and_has_distant_contacts(
     assert np.linalg.norm(np.ptp(sweep.contact, axis=0)) > 35
 
 
-def without_rows(scene):
-    return replace(scene, contacts=scene.contacts[[name for name in scene.contacts.dtype.names if name != "row"]])
-
-
-def with_shorter_recording(scene):
-    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
-    half = {name: getattr(scene.recording, name)[: len(scene.recording) // 2] for name in names}
-    return replace(scene, recording=replace(scene.recording, **half))
-
-
-def with_another_recording(scene):
-    return replace(scene, recording=scanned(EGG, sweeps=7).recording)
-
-
-@pytest.mark.parametrize("change", [without_rows, with_shorter_recording, with_another_recording])
-def test_contacts_that_do_not_come_from_the_recording(egg, change):
+def test_contacts_that_do_not_come_from_the_recording(egg):
     message = "the contacts of egg do not belong to its recording, which rods are drawn from: reconstruct it again"
-    with pytest.raises(scan3d.InputError, match=message):
-        shown_sweep(change(egg))
+    log, columns = egg.recording, [name for name in egg.contacts.dtype.names if name != "row"]
+    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
+    half = {name: getattr(log, name)[: len(log) // 2] for name in names}
+    for changed in (
+        dict(contacts=egg.contacts[columns]),
+        dict(recording=replace(log, **half)),
+        dict(recording=scanned(EGG, sweeps=7).recording),
+    ):
+        with pytest.raises(scan3d.InputError, match=message):
+            shown_sweep(replace(egg, **changed))
 
 
 def test_sweeps_that_can_not_be_shown(egg, ellipsoid):
@@ -374,20 +358,16 @@ def test_the_bending_out_of_the_plane(ellipsoid):
     assert out_of_plane_deg(angles) == pytest.approx([0, 30, 90, 30, 0, -10, -90, -10], abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("columns", "color", "sentence"),
-    [
-        (None, "error", "the error of the contacts of cube is not known; known are phase, force, friction"),
-        (None, "bending", "the bending of the contacts of cube is not known; known are phase"),
-        (["x", "y", "z"], "force", "the force of the contacts of cube is not known; its file has points only"),
-        (None, "taste", "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
-    ],
-)
-def test_colours_that_a_cloud_does_not_know(cube, columns, color, sentence):
+def test_colours_that_a_cloud_does_not_know(cube):
     contacts = cube.contacts.copy()
     contacts["quality"] = np.nan
-    with pytest.raises(scan3d.InputError, match=sentence):
-        shading.shade_contacts(replace(cube, contacts=contacts[columns] if columns else contacts), color)
+    for columns, color, sentence in (
+        (None, "error", "the error of the contacts of cube is not known; known are phase, force, friction"),
+        (["x", "y", "z"], "force", "the force of the contacts of cube is not known; its file has points only"),
+        (None, "taste", "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
+    ):
+        with pytest.raises(scan3d.InputError, match=sentence):
+            shading.shade_contacts(replace(cube, contacts=contacts[columns] if columns else contacts), color)
 
 
 # Linear red, green and blue as they are seen without one kind of cones (G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A

@@ -20,6 +20,8 @@ from scan3d.pictures.scene import contact_sentence
 from scan3d.scenes import other_surface
 
 COMMAND = Path(sys.executable).with_name("scan3d")
+# The notebook is tried without a display, the command without libraries; `make trust` runs the rest.
+LANES = (pytest.mark.slow, pytest.mark.trust)
 
 
 @pytest.fixture
@@ -42,74 +44,52 @@ def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown
     assert (code, json.loads(out)) == (0, {"shown": "cloud", "files": [str(tmp_path / "a.png")]})
 
 
-@pytest.mark.rendering
-@pytest.mark.parametrize(("options", "same_as"), [(("--color", "phase"), "cloud"), ((), "surface")])
-def test_a_colour_shows_the_contacts(folder, tmp_path, shown, monkeypatch, options, same_as):
+def test_a_colour_shows_the_contacts(tmp_path, shown, monkeypatch):
     """Without a view: the contacts if their colour is named, else the surface."""
     drawn = []
-    monkeypatch.setattr("scan3d.pictures.drawing.draw", lambda _, jobs: drawn.append(jobs) or [b""])
-    assert shown("--screenshot", tmp_path / "a.png", *options)[0] == 0
-    (((_, keywords),),) = drawn
-    assert keywords["view"] == same_as
+    monkeypatch.setattr(rendering, "can_render", lambda: True)
+    monkeypatch.setattr("scan3d.pictures.drawing.draw", lambda _, jobs: drawn.extend(jobs) or [b""])
+    for options in (("--color", "phase"), ()):
+        assert shown("--screenshot", tmp_path / "a.png", "--overwrite", *options)[0] == 0
+    assert [keywords["view"] for _, keywords in drawn] == ["cloud", "surface"]
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("--view", "bound"), "--view says what a picture shows: give --screenshot FILE as well"),
-        (
-            ("--color", "phase", "--html", "x.html"),
-            "--color is for a picture or the window: give --screenshot FILE as well",
-        ),
-        (
-            ("--color", "phase", "--view", "bound", "--screenshot", "x.png"),
-            "--color is that of the contacts in the view cloud: leave it out with --view bound",
-        ),
-        (("--movie-of", "growth", "--html", "x.html"), "--movie-of says what a movie shows: give --movie FILE as well"),
-        (("--size=85mm", "--html", "x.html"), "--size is that of a picture: give --screenshot FILE as well"),
-        (("--dpi=300", "--html", "x.html"), "--dpi is that of a picture: give --screenshot FILE as well"),
-        (
-            ("--size", "85", "--screenshot", "x.png"),
-            "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .* got '85'",
-        ),
-        (("--camera", "-60,95", "--screenshot", "x.png"), "a camera is front, back, .* got '-60,95'"),
-        (
-            ("--against", "b", "--truth", "c", "--screenshot", "x.png"),
-            "--against takes another surface in the place of the",
-        ),
-        (
-            ("--against", "b", "--view", "explain", "--screenshot", "x.png"),
-            "--against compares surfaces: give the view surf",
-        ),
-        (
-            ("--against", "b", "--color", "force", "--screenshot", "x.png"),
-            "--against compares surfaces: give the view surf",
-        ),
-        (("--against", "b", "--movie", "x.gif"), "--against is for a picture, a page or the window: leave out --movie"),
+        ("--view bound", "--view says what a picture shows: give --screenshot FILE as well"),
+        ("--color phase --html x.html", "--color is for a picture or the window: give --screenshot FILE as well"),
+        ("--color phase --view bound --screenshot x.png", "--color is that of the contacts in the view cloud: leave"),
+        ("--movie-of growth --html x.html", "--movie-of says what a movie shows: give --movie FILE as well"),
+        ("--size=85mm --html x.html", "--size is that of a picture: give --screenshot FILE as well"),
+        ("--dpi=300 --html x.html", "--dpi is that of a picture: give --screenshot FILE as well"),
+        ("--size 85 --screenshot x.png", "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .* got '85'"),
+        ("--camera -60,95 --screenshot x.png", "a camera is front, back, .* got '-60,95'"),
+        ("--against b --truth c --screenshot x.png", "--against takes another surface in the place of the"),
+        ("--against b --view explain --screenshot x.png", "--against compares surfaces: give the view surf"),
+        ("--against b --color force --screenshot x.png", "--against compares surfaces: give the view surf"),
+        ("--against b --movie x.gif", "--against is for a picture, a page or the window: leave out --movie"),
     ],
 )
 def test_wrong_options_are_one_sentence(tmp_path, monkeypatch, shown, options, sentence):
     monkeypatch.chdir(tmp_path)
-    code, out, err = shown(*options)
+    code, out, err = shown(*options.split())
     assert (code, out) == (2, "")
     assert re.fullmatch(rf"scan3d: {sentence}.*; see 'scan3d show --help'\n", err)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("what", "name", "sentence"),
-    [
+def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, call):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    monkeypatch.setattr(show, "read_scene", None)  # calling it would fail in another way
+    for what, name, sentence in (
         ("movie", "x.avi", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
         ("movie", "x.mp4", "an .mp4 needs the package imageio-ffmpeg"),
         ("screenshot", "x.bmp", r"a picture is written as \.png, \.pdf or \.svg, got 'x\.bmp'"),
-    ],
-)
-def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, call, what, name, sentence):
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(show, "read_scene", None)  # calling it would fail in another way
-    code, _, err = call("show", "x", f"--{what}", tmp_path / name)
-    assert code == 1
-    assert re.search(sentence, err)
+    ):
+        code, _, err = call("show", "x", f"--{what}", tmp_path / name)
+        assert code == 1
+        assert re.search(sentence, err)
 
 
 def test_a_movie_that_fails_leaves_no_file(tmp_path, monkeypatch, call):
@@ -132,8 +112,7 @@ def test_charts_need_no_renderer_and_have_no_camera(tmp_path, shown, no_pictures
     assert shown("--screenshot", tmp_path / "a.svg") == (1, "", f"scan3d: {rendering.NO_RENDERER}\n")
 
 
-@pytest.mark.parametrize("missing", MISSING)
-@pytest.mark.slow
+@pytest.mark.parametrize("missing", [pytest.param(name, marks=m) for name, m in zip(MISSING, LANES, strict=True)])
 def test_without_a_renderer_all_other_files_are_written(folder, tmp_path, missing):
     environment = hidden_renderer(missing, tmp_path / "lib")
 
@@ -189,24 +168,17 @@ def test_units_of_the_other_surface(folder, tmp_path):
 def test_what_has_no_surface_to_compare_with(folder, tmp_path, shown):
     (tmp_path / "empty").mkdir()
     (tmp_path / "notes.txt").write_text("none")
-    wrong = [
+    for path, sentence in (
         (tmp_path / "missing", r"there is no .*missing to compare the surface with: expected a scan's folder"),
         (tmp_path / "empty", r"empty holds no scan: expected cloud\.ply or surface\.ply in it"),
-        (
-            tmp_path / "notes.txt",
-            r"notes\.txt has no surface to compare with: expected a scan's folder, or a surface or mes",
-        ),
+        (tmp_path / "notes.txt", r"notes\.txt has no surface to compare with: expected a scan's folder, or a surf"),
         (folder / "cloud.ply", r"cloud\.ply has no surface to compare with, but contacts only"),
         (folder / "recording.csv", r"recording\.csv has no surface to compare with"),
-    ]
-    for path, sentence in wrong:
+    ):
         code, _, err = shown("--screenshot", tmp_path / "a.png", "--against", path)
         assert code == 1
         assert re.search(sentence, err)
-    for other, sentence in (
-        (3, "there is no surface in a int: expected"),
-        (trimesh.Trimesh(), "the other surface has no tri"),
-    ):
+    for other, sentence in ((3, "there is no surface in a int: expected"), (trimesh.Trimesh(), "has no tri")):
         with pytest.raises(scan3d.InputError, match=sentence):
             scan3d.open(folder).plot(against=other)
 

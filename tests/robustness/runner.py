@@ -50,6 +50,13 @@ class Outcome:
         return "warning on stderr" if self.code == 0 and "Warning" in self.err else ""
 
 
+class Threads(ThreadPoolExecutor):
+    """Takes the place of `scan3d.workers.Workers` where runs are to stay in this process."""
+
+    def kill(self):
+        self.shutdown(wait=False, cancel_futures=True)
+
+
 def run(argv, folder, *, draw=False):
     """The outcome of ``scan3d ARGV`` in a folder; without `draw` nothing is rendered, which saves seconds."""
     reader, writer = os.pipe()
@@ -93,7 +100,7 @@ def _child(argv, folder, writer, draw):
     if not draw:
         rendering.can_render = lambda: False
     # the runs of a batch are made in this process, whose limits and warnings are seen
-    workers.Workers = ThreadPoolExecutor
+    workers.Workers = Threads
     outcome = Outcome()
     handler = logging.Handler()
     handler.emit = lambda record: outcome.warnings.append(record.getMessage()[:300])
