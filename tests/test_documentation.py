@@ -81,11 +81,7 @@ def test_the_reading_of_pages_finds_what_it_should() -> None:
 def fewer(text: str) -> str:
     """The code or command with fewer slices, samples and facets: a page's scans take a moment, and show the same."""
     text = text.replace('"slices": [4, 8, 16]', '"slices": [4, 6]').replace("icosphere(5", "icosphere(4")
-    text = (
-        text.replace("--dpi 600", "--dpi 100")
-        .replace("--samples 64", "--samples 24")
-        .replace("icosphere(subdivisions=4", "icosphere(subdivisions=3")
-    )
+    text = text.replace("--dpi 600", "--dpi 100").replace("--samples 64", "--samples 24")
     return re.sub(r"\bslices([ =])\d\d", r"slices\g<1>6", text)
 
 

@@ -164,7 +164,7 @@ def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
 def test_error_by_slices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("error_by_slices")
     # coarse, for what is compared are slices, not facets
-    errors = script.measure((6, 12), 16)
+    errors = script.measure(script.QUICK_SLICES, script.QUICK_SUBDIVISIONS)
     for curves in errors.values():
         assert (curves.bound > curves.hausdorff["hull"]).all()
         for method in ("hull", "poisson", "ball-pivoting"):
@@ -185,11 +185,9 @@ def test_error_by_slices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 def test_rig_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = example("rig_loop")
-    session = script.scan3d.Session
-    monkeypatch.setattr(script.scan3d, "Session", lambda *given, **_: session(*given, slices=6, samples=24))
     results = script.measure(2)
     for rows in results.values():
         sweeps, bound, error = rows.T

@@ -117,6 +117,7 @@ def test_units_normals_and_noise_of_a_recording_whose_text_stays_text(recording)
     assert text.count(html.escape(markup)) == 2
 
 
+@pytest.mark.slow
 def test_six_axis_recordings_and_their_clouds_show_themselves(no_pictures):
     recording = scanned_in_space().recording
     force, moment = recording.wrench()
@@ -243,6 +244,7 @@ def test_clouds_of_a_few_contacts(cloud):
         assert 0 < max(seen) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_clouds_and_surfaces_in_pictures(recording, cloud, surface):
     mesh = scanned(CUBE).truth
@@ -259,6 +261,7 @@ def test_clouds_and_surfaces_in_pictures(recording, cloud, surface):
     assert fraction_of_color(recording.plot(view="explain", truth=mesh, dpi=100), shading.ROD) > 3e-3
 
 
+@pytest.mark.slow
 def test_files_from_python_replace_nothing_of_others(recording, tmp_path):
     file = tmp_path / "forces.svg"
     for _ in range(2):

@@ -463,6 +463,7 @@ def many(scene, count):
     return replace(scene, contacts=rows, recording=replace(recording, sweep=sweep, **tiled))
 
 
+@pytest.mark.trust
 def test_a_hundred_thousand_contacts(shows, cube):
     """Links work as with few; and pictures in motion are made in the time of 30 in a second, even by software."""
     scene = many(cube, 100_000)

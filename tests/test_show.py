@@ -30,6 +30,7 @@ def shown(folder, call):
     return lambda *options: call("show", folder, *options)
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown, call):
     picture, page = tmp_path / "a.svg", tmp_path / "a.html"
