@@ -16,13 +16,16 @@ clamped at ``(x0, 0)`` and points up, the object lies above, the base moves in -
 equations of L. Merker, J. Steigenberger, C. Behn, "Friction invariant object reconstruction using a vibrissa-inspired
 tactile sensor concept".
 
-The model is quasi-static and planar, the rod straight, cylindrical and rigidly clamped, the object convex.
+The model is quasi-static and planar, the object convex.  The rod is straight, cylindrical, weightless and rigidly clamped
+unless a `Rod` says otherwise: tapered or of a stiffness that varies, curved, heavy, in a clamp that gives.
 """
 
 from planar.contours import Circle, Contour, Curve, Ellipse, Polygon
 from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
+from planar.march import free_reactions
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
+from planar.rods import Rod
 from planar.sweeping import Phase, Sweep, sweep, sweep_all
 from planar.uncertainty import Errors, errors, jacobian
 
@@ -40,11 +43,13 @@ __all__ = [
     "NormalSource",
     "Phase",
     "Polygon",
+    "Rod",
     "Status",
     "Sweep",
     "elastic_lines",
     "errors",
     "events",
+    "free_reactions",
     "jacobian",
     "reconstruct",
     "sweep",

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar.arrays import Array, Mask
-from planar.inverses import METHODS, RodContacts, Rods
+from planar.inverses import METHODS, solve
 from planar.reactions import Reactions, checked_reactions
+from planar.rods import Rod
 from planar.sweeping import Phase
 from planar.tables import selected_rows, table_html
 
@@ -40,6 +40,7 @@ class Status(IntEnum):
     INFLECTION = 4
     BEYOND_TIP = 5
     UNDEFINED = 6
+    SEVERAL = 7
 
     @property
     def sentence(self) -> str:
@@ -55,6 +56,7 @@ _SENTENCES = {
     "inflection before its contact",
     Status.BEYOND_TIP: "the contact would lie past the rod's tip",
     Status.UNDEFINED: "equation (10) is undefined here: the force is steeper than the clamp",
+    Status.SEVERAL: "the line of the force crosses the rod more than once, so that the contact is not certain",
 }
 
 
@@ -138,6 +140,7 @@ def reconstruct(
     friction: ArrayLike | None = None,
     tolerance: ArrayLike = TOLERANCE,
     direction: int = -1,
+    rod: Rod | None = None,
 ) -> Contacts:
     """Contacts from the base positions and support reactions (n,) of a sweep.
 
@@ -151,6 +154,9 @@ def reconstruct(
         friction angle, by `planar.jacobian`.
     direction
         -1 or 1, the sign of the base's motion along x.
+    rod
+        None: straight, uniform and weightless.  With a weight the reactions are the whole ones; add `planar.free_reactions`
+        to those of a sensor that was tared in the air.
 
     `status` says why a row has no contact.  Raises ValueError for arrays of different lengths and for a method,
     friction, tolerance or direction out of range.
@@ -164,6 +170,9 @@ def reconstruct(
     if zero.shape not in ((), reactions.x0.shape) or not ((zero >= 0) & (zero < 1)).all():
         given = f"an array of the shape {zero.shape}" if zero.ndim else f"{zero}"
         raise ValueError(f"tolerance must lie between 0 and 1, got {given}")
+    rod = Rod() if rod is None else rod
+    if method == "will" and not rod.is_straight_and_uniform:
+        raise ValueError("method 'will' is for straight, uniform, weightless rods; use 'closed-form', which takes any")
     zeta = None
     if friction is not None:
         mu = np.asarray(friction, dtype=float)
@@ -178,7 +187,9 @@ def reconstruct(
         block = Contacts(**{column.name: getattr(contacts, column.name)[rows] for column in fields(contacts)})
         zeta_block = zeta[rows] if zeta is not None and zeta.ndim else zeta
         zero_block = zero[rows] if zero.ndim else zero
-        _fill(block, Reactions(*(column[rows] for column in reactions)), method, zeta_block, zero_block, -direction)
+        _fill(
+            block, Reactions(*(column[rows] for column in reactions)), method, rod, zeta_block, zero_block, -direction
+        )
     return contacts
 
 
@@ -197,44 +208,17 @@ def _empty(count: int) -> Contacts:
     )
 
 
-class _Measured(NamedTuple):
-    """What the reactions (n,) say before the contact is found; force and moment as in a sweep in -x."""
-
-    force: Array
-    q: Array
-    """``m0z / (2 √f)``, of any sign"""
-    complement: Array
-    """``1 - k²``: negative where the moment is larger than the force can balance"""
-    exists: Mask
-    """where there is a rod with these reactions"""
-    beta: Array
-    rods: Rods
-
-
-def _measured(f0x: Array, f0y: Array, m0z: Array) -> _Measured:
-    force, s, c = _polar(f0x, f0y)
-    root_f = np.sqrt(force)
-    q = m0z / (2 * root_f)
-    square = q * q
-    m, complement = s * s + square, c * c - square
-    beta = 2 * np.arctan2(np.sqrt(m), np.sqrt(complement)) - np.pi / 2  # (12): sin β = 2m - 1
-    exists = (complement >= 0) & (q > 0)
-    rods = Rods(2 * np.arctan2(s, c), s, c, q if exists.all() else np.where(exists, q, np.nan), root_f)  # α of (9)
-    return _Measured(force, q, complement, exists, beta, rods)
-
-
 def _fill(
-    contacts: Contacts, reactions: Reactions, method: str, zeta: Array | None, tolerance: Array, side: int
+    contacts: Contacts, reactions: Reactions, method: str, rod: Rod, zeta: Array | None, tolerance: Array, side: int
 ) -> None:
     """Reconstruct the rows of `reactions` into the arrays of `contacts`; `side` is 1 for sweeps in -x, -1 in +x."""
     x0, f0x, f0y, m0z = reactions
     # a sweep in +x is the mirror image of a sweep in -x
     if side < 0:
-        f0x, m0z = -f0x, -m0z
+        f0x, m0z, rod = -f0x, -m0z, rod.mirrored()
     with np.errstate(divide="ignore", invalid="ignore"):
-        measured = _measured(f0x, f0y, m0z)
-        rods, beta = measured.rods, measured.beta
-        solved = METHODS[method](rods)
+        solved = solve(method, rod, f0x, f0y, m0z)
+        beta = solved.beta
         x = x0 + solved.x if side > 0 else x0 - solved.x
 
         tangential = solved.s1 < 1 - tolerance
@@ -242,22 +226,21 @@ def _fill(
         pulled &= tangential
         if method == "will":
             pulled[:] = False  # (10) errs in s1, so that nothing follows from its s1 < 1
-        valid = (solved.s1 <= 1 + tolerance) & np.isfinite(x)
-        valid &= measured.exists
-        valid &= ~pulled
-        if solved.undefined is not None:
-            valid &= ~solved.undefined
+        beyond = solved.s1 > 1 + tolerance
+        valid = np.isfinite(solved.s1) & np.isfinite(x)
+        for refused in (beyond, solved.wrong_side, solved.no_rod, pulled, solved.undefined, solved.several):
+            valid &= ~refused
     tangential &= valid
     tip = valid & ~tangential
-    slope = rods.alpha - beta
+    slope = solved.alpha - beta
     if zeta is not None:
-        np.copyto(slope, rods.alpha - zeta, where=tip)
+        np.copyto(slope, solved.alpha - zeta, where=tip)
     else:
         slope[tip] = np.nan
 
     contacts.point[:, 0], contacts.point[:, 1] = x, solved.y
-    contacts.s1[:], contacts.force[:], contacts.friction_angle_bound[:] = solved.s1, measured.force, beta
-    np.multiply(rods.alpha, side, out=contacts.force_angle)
+    contacts.s1[:], contacts.force[:], contacts.friction_angle_bound[:] = solved.s1, solved.force, beta
+    np.multiply(solved.alpha, side, out=contacts.force_angle)
     np.multiply(slope, side, out=contacts.slope)
     contacts.phase[:] = Phase.TANGENTIAL * tangential.view(np.int8) + Phase.TIP * tip.view(np.int8)
     contacts.normal_source[:] = NormalSource.TANGENTIAL * tangential.view(np.int8)
@@ -265,23 +248,18 @@ def _fill(
         contacts.normal_source[tip] = NormalSource.FRICTION
     contacts.status[:] = Status.OK
     if not valid.all():
-        present = (measured.force > 0) & np.isfinite(x0 + measured.force + m0z)
-        _mask(contacts, ~valid, _reasons(measured, solved, pulled, present, tolerance))
-
-
-def _reasons(
-    measured: _Measured, solved: RodContacts, pulled: Mask, present: Mask, tolerance: Array
-) -> list[tuple[Status, Mask]]:
-    """Why rows give no contact, and which rows; where several reasons apply, the last one counts."""
-    undefined = np.zeros(len(present), dtype=bool) if solved.undefined is None else solved.undefined
-    return [
-        (Status.UNDEFINED, undefined),
-        (Status.INFLECTION, pulled),
-        (Status.BEYOND_TIP, solved.s1 > 1 + tolerance),
-        (Status.NO_ROD, measured.complement < 0),
-        (Status.WRONG_SIDE, measured.q <= 0),
-        (Status.NO_FORCE, ~present),
-    ]
+        present = (solved.force > 0) & np.isfinite(x0 + solved.force + m0z)
+        # where several reasons apply, the last one counts
+        reasons = [
+            (Status.UNDEFINED, solved.undefined),
+            (Status.SEVERAL, solved.several),
+            (Status.INFLECTION, pulled),
+            (Status.BEYOND_TIP, beyond),
+            (Status.NO_ROD, solved.no_rod),
+            (Status.WRONG_SIDE, solved.wrong_side),
+            (Status.NO_FORCE, ~present),
+        ]
+        _mask(contacts, ~valid, reasons)
 
 
 def _mask(contacts: Contacts, invalid: Mask, reasons: list[tuple[Status, Mask]]) -> None:
@@ -297,21 +275,3 @@ def _mask(contacts: Contacts, invalid: Mask, reasons: list[tuple[Status, Mask]])
         contacts.slope,
     ):
         column[invalid] = np.nan
-
-
-def _polar(fx: Array, fy: Array) -> tuple[Array, Array, Array]:
-    """Size f of the contact force, sine and cosine of ``α/2``, from ``sin α = -f0x/f`` and ``cos α = f0y/f`` (9).
-
-    By algebra, in a tenth of the time of hypot, sin and cos; ``cos α/2 >= 0``.
-    """
-    across, along = np.abs(fx), np.abs(fy)
-    largest = np.maximum(across, along)
-    across, along = across / largest, along / largest  # no overflow, no underflow
-    size = np.sqrt(across * across + along * along)
-    larger = np.sqrt((size + along) / (2 * size))
-    smaller = across / (2 * size * larger)
-    forward = fy >= 0
-    s, c = smaller, larger
-    if not forward.all():
-        s, c = np.where(forward, smaller, larger), np.where(forward, larger, smaller)
-    return largest * size, np.copysign(s, -fx), c

@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planar import segments
-from planar.arrays import Array, Index
+from planar import rod_sweeps, segments
+from planar.arrays import Array, Index, Mask
 from planar.contours import Contour, Mirrored, Polygon, SmoothContour, check_contour
 from planar.paths import Path, polygon_paths
+from planar.rods import Rod
 from planar.segments import Segments
 from planar.tables import selected_rows, table_html
 
@@ -77,6 +78,7 @@ def sweep(
     base: ArrayLike | None = None,
     samples: int | None = None,
     direction: int = -1,
+    rod: Rod | None = None,
 ) -> Sweep:
     """Sweep the rod along a contour, its base moving in -x, or in +x (the mirror image) with `direction` 1.
 
@@ -88,6 +90,9 @@ def sweep(
     base, samples
         the base positions (n,), falling (rising for +x), or their number, evenly spaced from touch-down to the end of the
         sweep (with several coefficients: the end for the lowest of them).
+    rod
+        None: straight, uniform and weightless.  The reactions of a rod with weight are the whole ones, its own weight included.
+        States whose moment changes its sign between clamp and contact are left out.
 
     Raises ValueError for friction, base or samples out of their range and for a contour outside the rod's reach.
     Source: the equilibria (3) with (5)-(7) of the paper, in closed form.
@@ -96,8 +101,9 @@ def sweep(
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
     if direction == 1:
         base = None if base is None else -np.asarray(base, dtype=float)
-        return _mirrored(sweep(mirrored(contour), friction, base=base, samples=samples))
-    return sweep_all([contour], [friction], base=None if base is None else [base], samples=samples)[0]
+        rod = None if rod is None else rod.mirrored()
+        return _mirrored(sweep(mirrored(contour), friction, base=base, samples=samples, rod=rod))
+    return sweep_all([contour], [friction], base=None if base is None else [base], samples=samples, rod=rod)[0]
 
 
 def mirrored(contour: Contour) -> Contour:
@@ -127,6 +133,7 @@ def sweep_all(
     base: Sequence[ArrayLike] | None = None,
     samples: int | None = None,
     shares: ArrayLike | None = None,
+    rod: Rod | None = None,
 ) -> list[Sweep]:
     """Many sweeps at once: `sweep` for every contour with its friction and, unless `samples` is given, its base.
 
@@ -148,7 +155,11 @@ def sweep_all(
     groups = [(list(polygons), polygon_paths(list(polygons.values())))] if polygons else []
     groups += [([i], contour.path()) for i, contour in enumerate(contours) if i not in polygons]
     for members, path in groups:
-        swept = _sweep_path(path, [frictions[i] for i in members], [bases[i] for i in members], spread)
+        columns = [frictions[i] for i in members], [bases[i] for i in members]
+        if rod is None or rod.is_straight_and_uniform:
+            swept = _sweep_path(path, *columns, spread)
+        else:
+            swept = _sweep_rod(path, *columns, spread, rod)
         sweeps.update(zip(members, swept, strict=True))
     return [sweeps[i] for i in range(len(contours))]
 
@@ -213,11 +224,7 @@ def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], s
     x0 = [
         _spread(table, rows[0], spread) if base is None else base for rows, base in zip(tables.rows, bases, strict=True)
     ]
-    for mu, base in zip(frictions, x0, strict=True):
-        if mu.ndim and mu.shape != base.shape:
-            raise ValueError(
-                f"friction must be one number or one for each of the {len(base)} base positions, got {mu.size}"
-            )
+    _check_sizes(frictions, x0)
     sweep_of = np.repeat(np.arange(len(x0)), [len(base) for base in x0])
     friction = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
     swept = _empty(np.concatenate(x0), friction)
@@ -243,12 +250,54 @@ def _sweep_path(path: Path, frictions: list[Array], bases: list[Array | None], s
             missed = [_search_each(path, block, interval[:, block], swept) for block in _blocks(pending)]
             pending = np.concatenate([*missed, np.empty(0, dtype=np.intp)])
 
+    return _parted(swept, x0)
+
+
+def _check_sizes(frictions: list[Array], x0: list[Array]) -> None:
+    for mu, base in zip(frictions, x0, strict=True):
+        if mu.ndim and mu.shape != base.shape:
+            raise ValueError(
+                f"friction must be one number or one for each of the {len(base)} base positions, got {mu.size}"
+            )
+
+
+def _parted(swept: Sweep, x0: list[Array]) -> list[Sweep]:
+    """The sweeps one by one, each ended where the rod leaves the object."""
     ends = np.cumsum([len(base) for base in x0])
     parts = [slice(end - len(base), end) for end, base in zip(ends, x0, strict=True)]
     sweeps = [Sweep(**{name: column[part] for name, column in vars(swept).items()}) for part in parts]
     for finished in sweeps:
         _end(finished)
     return sweeps
+
+
+def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], spread: Array, rod: Rod) -> list[Sweep]:
+    """`_sweep_path` for any rod."""
+    spans = np.zeros((len(bases), 2))
+    if any(base is None for base in bases):
+        lowest = np.array([np.arctan(mu.min()) if mu.size else 0.0 for mu in frictions])
+        spans = rod_sweeps.spans(rod, path, lowest)
+    x0 = [
+        np.where(spread == 1, end, start + spread * (end - start)) if base is None else base
+        for base, (start, end) in zip(bases, spans, strict=True)
+    ]
+    _check_sizes(frictions, x0)
+    contour = np.repeat(np.arange(len(x0)), [len(base) for base in x0])
+    friction = np.concatenate([np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, x0, strict=True)])
+    base = np.concatenate(x0)
+    angle = np.arctan(friction)
+    states = rod_sweeps.states(rod, path, contour, angle, base)
+    swept, touching = _empty(base, friction), np.isfinite(states.x0)
+    piece = np.clip(np.nan_to_num(states.place).astype(np.intp), path.offsets[contour], path.offsets[contour + 1] - 1)
+    slope, x, y = path.at(piece, states.place - piece)
+    weight = rod.weight * rod.down
+    swept.f0x[:], swept.f0y[:] = -states.force * np.sin(slope + angle), states.force * np.cos(slope + angle)
+    swept.f0x[:], swept.f0y[:], swept.m0z[:] = swept.f0x - weight[0], swept.f0y - weight[1], -states.moment
+    swept.s1[:] = np.where(states.tangential, np.minimum(states.other, 1.0), 1.0)
+    swept.slope[:], swept.point[:] = slope, np.stack([x, y], axis=1)
+    swept.phase[:] = np.where(states.tangential, Phase.TANGENTIAL, Phase.TIP)
+    _clear(swept, ~touching)
+    return _parted(swept, x0)
 
 
 def _search_intervals(path: Path, tables: _Tables, first_rows: list[Index], sweep_of: Index, friction: Array) -> Index:
@@ -302,10 +351,14 @@ def _end(swept: Sweep) -> None:
     """Once the rod has left the object, it does not touch it again, whatever the friction of later samples."""
     touching = swept.phase != Phase.NONE
     has_touched = np.maximum.accumulate(touching)
-    left = has_touched & ~np.logical_and.accumulate(touching | ~has_touched)
+    _clear(swept, has_touched & ~np.logical_and.accumulate(touching | ~has_touched))
+
+
+def _clear(swept: Sweep, samples: Mask) -> None:
+    """Samples without contact."""
     for column in (swept.f0x, swept.f0y, swept.m0z, swept.s1, swept.slope, swept.point):
-        column[left] = np.nan
-    swept.phase[left] = Phase.NONE
+        column[samples] = np.nan
+    swept.phase[samples] = Phase.NONE
 
 
 def _table(path: Path, first: Index, stop: Index, friction_angle: Array) -> tuple[Segments, Index]:

@@ -15,16 +15,22 @@ from numpy.typing import ArrayLike
 
 from planar.arrays import Array
 from planar.elastica import bend_with_slopes
+from planar.inverses import solve
 from planar.reactions import checked_reactions
+from planar.rods import Rod
+
+# Relative step of differences: their errors, its square and the march's over it, are both some 1e-7.
+_DIFFERENCE = 3e-4
 
 
-def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int = -1) -> Array:
+def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int = -1, rod: Rod | None = None) -> Array:
     """Derivatives (n, 5, 3) of a contact's place x and y, arc length s1, α and β (rows) by f0x, f0y and m0z (columns).
 
     Reactions (n,) in ``EI/L²`` and ``EI/L``; lengths in rod lengths, angles in radians; `direction` is the sign of the base's
     motion along x.  The covariance of these five is ``J C Jᵀ``, with C that of the reactions; the slope (14) of a tangential
-    contact is ``α - β``, and ``α + β`` in a sweep in +x.  NaN where no rod has these reactions, and where there is no force.
-    The errors are those of the first order: they hold where the errors of the force are small compared with the force.
+    contact is ``α - β``, and ``α + β`` in a sweep in +x.  `rod`: as in `planar.reconstruct`.  NaN where no rod has these
+    reactions, and where there is no force.  The errors are those of the first order: they hold where the errors of the force
+    are small compared with the force.
     Raises ValueError for arrays of different lengths and for another direction than -1 or 1.
     """
     if direction not in (-1, 1):
@@ -33,6 +39,21 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
     side = -direction
     # a sweep in +x is the mirror image of a sweep in -x
     across, moment = side * across, side * moment
+    rod = Rod() if rod is None else rod
+    if rod.is_straight_and_uniform:
+        result = _of_closed_form(across, along, moment)
+    else:
+        result = _by_differences(rod if side > 0 else rod.mirrored(), across, along, moment)
+    if side < 0:
+        # x and α are odd under the reflection; so are f0x and m0z
+        result[:, [0, 3], :] *= -1
+        result[:, :, [0, 2]] *= -1
+    result[~np.isfinite(result).all(axis=(1, 2))] = np.nan
+    return result
+
+
+def _of_closed_form(across: Array, along: Array, moment: Array) -> Array:
+    """`jacobian` of straight uniform rods."""
     n = len(across)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         force = np.hypot(across, along)
@@ -62,13 +83,25 @@ def jacobian(f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, direction: int =
             by_alpha,
             beta,
         ]
-    result = np.stack(rows, axis=1)
-    if side < 0:
-        # x and α are odd under the reflection; so are f0x and m0z
-        result[:, [0, 3], :] *= -1
-        result[:, :, [0, 2]] *= -1
-    result[~np.isfinite(result).all(axis=(1, 2))] = np.nan
-    return result
+    return np.stack(rows, axis=1)
+
+
+def _by_differences(rod: Rod, across: Array, along: Array, moment: Array) -> Array:
+    """`jacobian` of any rod, by central differences of its contacts."""
+    reactions = np.stack([across, along, moment])
+    force = np.hypot(*(reactions[:2] + rod.weight * rod.down[:, None]))
+    columns = []
+    for k, change in enumerate(_DIFFERENCE * np.stack([force, force, np.abs(moment)])):
+        ends = []
+        for sign in (-1, 1):
+            moved = reactions.copy()
+            moved[k] += sign * change
+            with np.errstate(divide="ignore", invalid="ignore"):
+                found = solve("closed-form", rod, *moved)
+            ends.append(np.stack([found.x, found.y, found.s1, found.alpha, found.beta]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            columns.append((ends[1] - ends[0]) / (2 * change))
+    return np.stack(columns, axis=2).transpose(1, 0, 2)
 
 
 class Errors(NamedTuple):
@@ -87,7 +120,13 @@ class Errors(NamedTuple):
 
 
 def errors(
-    f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, noise: tuple[float, float], direction: int = -1
+    f0x: ArrayLike,
+    f0y: ArrayLike,
+    m0z: ArrayLike,
+    *,
+    noise: tuple[float, float],
+    direction: int = -1,
+    rod: Rod | None = None,
 ) -> Errors:
     """Errors of the contacts that `planar.reconstruct` finds for reactions (n,), by the noise of force and moment.
 
@@ -96,7 +135,7 @@ def errors(
     if not max(noise):
         zero = np.zeros(len(np.asarray(f0x)))
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
-    spread = jacobian(f0x, f0y, m0z, direction=direction) * [noise[0], noise[0], noise[1]]
+    spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) * [noise[0], noise[0], noise[1]]
     with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
         point = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
         mean, half = (point[:, 0, 0] + point[:, 1, 1]) / 2, (point[:, 0, 0] - point[:, 1, 1]) / 2

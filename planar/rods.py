@@ -1,0 +1,109 @@
+"""Rods other than the straight, uniform, weightless one of the paper.
+
+Units (1) with the bending stiffness at the clamp: lengths in rod lengths ``L``, forces in ``EI(0)/L²``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.arrays import Array
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A rod in a plane, dimensionless; without arguments the straight, uniform, weightless rod in a rigid clamp.
+
+    Raises ValueError for numbers that belong to no rod.
+    """
+
+    tip_diameter: float = 1.0
+    """Diameter at the tip of a cone, relative to that at the clamp."""
+    stiffness: ArrayLike | None = None
+    """Rows (n, 2) of arc length ``s``, rising from 0 to 1, and bending stiffness over that at the clamp; None: that of the
+    cone.  Between the rows the fourth root, a round rod's diameter, is linear."""
+    curvature: float = 0.0
+    """Curvature ``κ̂`` of the free rod, in ``1/L``; positive where it turns against the sweep in -x, counter-clockwise."""
+    weight: float = 0.0
+    """Weight of the whole rod in ``EI(0)/L²``, spread as the square of the diameter."""
+    gravity: ArrayLike | None = None
+    """Direction (2,) of gravity in the clamp's frame, along whose y axis the rod leaves; any length.  Needed with a weight."""
+    compliance: float = 0.0
+    """Angle by which the clamp gives, in radians per ``EI(0)/L`` of moment."""
+    knots: Array = field(init=False, repr=False, compare=False)
+    """Arc lengths (k,) between which the diameter is linear."""
+    diameters: Array = field(init=False, repr=False, compare=False)
+    """Diameters (k,) there, over that at the clamp."""
+    down: Array = field(init=False, repr=False, compare=False)
+    """Unit vector (2,) of gravity; 0 without weight."""
+
+    def __post_init__(self) -> None:
+        knots, diameters = np.array([0.0, 1.0]), np.array([1.0, float(self.tip_diameter)])
+        if self.stiffness is not None:
+            table = np.asarray(self.stiffness, dtype=float)
+            if table.ndim != 2 or table.shape[1] != 2 or len(table) < 2:
+                raise ValueError(f"stiffness must have rows of s and stiffness, shape (n >= 2, 2), got {table.shape}")
+            if self.tip_diameter != 1.0:
+                raise ValueError("a rod has either a tip_diameter or a table of its stiffness, got both")
+            knots, relative = table.T
+            if not (knots[0] == 0 and knots[-1] == 1 and (np.diff(knots) > 0).all()):
+                raise ValueError(f"the first column of stiffness must rise from 0 to 1, got {knots}")
+            if not (np.isfinite(relative).all() and (relative > 0).all() and abs(relative[0] - 1) < 1e-12):
+                raise ValueError(
+                    f"stiffness must be positive, and 1 at the clamp, whose it is relative to, got {relative}"
+                )
+            diameters = relative**0.25
+            object.__setattr__(self, "stiffness", tuple(map(tuple, table.tolist())))
+        if not (np.isfinite(diameters).all() and (diameters > 0).all()):
+            raise ValueError(f"tip_diameter must be a positive number, got {self.tip_diameter}")
+        if not np.isfinite(self.curvature):
+            raise ValueError(f"curvature must be a number, got {self.curvature}")
+        for name in ("weight", "compliance"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be a number of at least 0, got {getattr(self, name)}")
+        down = np.zeros(2)
+        if self.weight > 0:
+            down = np.asarray(np.nan if self.gravity is None else self.gravity, dtype=float)
+            if down.shape != (2,) or not (np.isfinite(down).all() and down.any()):
+                raise ValueError(f"a rod with weight needs the direction (2,) of gravity, got {self.gravity}")
+            object.__setattr__(self, "gravity", tuple(down.tolist()))
+            down = down / np.hypot(*down)
+        for name, value in (("knots", knots), ("diameters", diameters), ("down", down)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether the rod is of one stiffness, weightless and rigidly clamped: straight, or an arc of a circle."""
+        return bool((self.diameters == 1).all()) and self.weight == 0 and self.compliance == 0
+
+    @property
+    def is_straight_and_uniform(self) -> bool:
+        """Whether it is the rod of the paper."""
+        return self.is_uniform and self.curvature == 0
+
+    def mirrored(self) -> Rod:
+        """The mirror image, x → -x."""
+        gravity = None if self.gravity is None else np.asarray(self.gravity, dtype=float) * [-1.0, 1.0]
+        return replace(self, curvature=-self.curvature, gravity=gravity)
+
+    def diameter(self, s: Array) -> Array:
+        """Diameters at arc lengths of any shape, over that at the clamp; past the tip that of the tip."""
+        return np.interp(s, self.knots, self.diameters)
+
+    def bending_stiffness(self, s: Array) -> Array:
+        """Bending stiffness at arc lengths of any shape, over that at the clamp."""
+        return np.asarray(self.diameter(s) ** 4)
+
+    def weight_past(self, s: Array) -> Array:
+        """Weight of the part of the rod past arc lengths of any shape, in ``EI(0)/L²``."""
+        if self.weight == 0:
+            return np.zeros(np.shape(s))
+        widths, d = np.diff(self.knots), self.diameters
+        volumes = np.append(np.cumsum((widths * (d[:-1] ** 2 + d[:-1] * d[1:] + d[1:] ** 2))[::-1])[::-1], 0.0)
+        following = np.clip(np.searchsorted(self.knots, s, side="right"), 1, len(widths))
+        here, end = self.diameter(s), d[following]
+        rest = np.clip(self.knots[following] - s, 0.0, None) * (here**2 + here * end + end**2)
+        return np.asarray(self.weight * (rest + volumes[following]) / volumes[0])
