@@ -22,12 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import ArrayLike
-from scipy.integrate import DOP853
 
 from planar.arrays import Array, Index, Mask
 from planar.rods import Rod
 
-_A, _WEIGHTS, _NODES = DOP853.A[:12, :12], DOP853.B, DOP853.C[:12]
 # Rows that are marched at once: their stages stay in the processor's cache.
 _BLOCK = 1024
 # Steps along the rod to start with, the most, and the difference of two runs, in rod lengths, at which they suffice.
@@ -160,19 +158,28 @@ def _across(force: Array, phi: Array) -> Array:
     return np.asarray(force[0] * np.sin(phi) - force[1] * np.cos(phi))
 
 
+@lru_cache
+def _tableau() -> tuple[Array, Array, Array]:
+    """Coefficients (12, 12), weights (12,) and nodes (12,) of the stages of a step."""
+    from scipy.integrate import DOP853  # imported late, so that `import planar` stays quick
+
+    return DOP853.A[:12, :12], DOP853.B, DOP853.C[:12]
+
+
 def step(rod: Rod, state: Array, s: Array | float, length: Array | float, force: Array) -> Array:
     """States ``φ, M, x, y`` (4, n) of rods one step past arc length `s`; `s` and `length` are numbers or (n,), force (2, n)."""
-    at = np.multiply.outer(_NODES, length) + s
+    stages, weights, nodes = _tableau()
+    at = np.multiply.outer(nodes, length) + s
     stiffness, past = rod.bending_stiffness(at), rod.weight_past(at)
-    rates = np.empty((4, len(_NODES), state.shape[1]))
+    rates = np.empty((4, len(nodes), state.shape[1]))
     fx, fy = force
-    for i in range(len(_NODES)):
-        phi, moment = state[:2] + length * (_A[i, :i] @ rates[:2, :i])
+    for i in range(len(nodes)):
+        phi, moment = state[:2] + length * (stages[i, :i] @ rates[:2, :i])
         sine, cosine = np.sin(phi), np.cos(phi)
         if rod.weight > 0:
             fx, fy = force[0] + past[i] * rod.down[0], force[1] + past[i] * rod.down[1]
         rates[:, i] = moment / stiffness[i] + rod.curvature, fx * sine - fy * cosine, cosine, sine
-    return np.asarray(state + length * (_WEIGHTS @ rates))
+    return np.asarray(state + length * (weights @ rates))
 
 
 Overhang = Callable[[ArrayLike, Array], Array]
