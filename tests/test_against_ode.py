@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import shooting
 from scipy.integrate import solve_ivp
 
 import planar
-from planar import equilibria, shooting
+from planar import equilibria
 from planar.elastica import bend
 
 AGREES = 1e-12

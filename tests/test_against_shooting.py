@@ -1,14 +1,14 @@
 """Sweeps agree with the paper's method: its boundary value problems (3) with (5)-(7), solved by shooting.
 
-The reference, `planar.shooting`, integrates (3) numerically and shares no formula with the closed form.  Both satisfy their
+The reference, `shooting`, integrates (3) numerically and shares no formula with the closed form.  Both satisfy their
 conditions to some 1e-14; 1e-10 allows for places next to folds, where errors are square roots of those.
 """
 
 import numpy as np
 import pytest
+import shooting
 
 import planar
-from planar import shooting
 
 AGREES = 1e-10
 

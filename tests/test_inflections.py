@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import shooting
 
 import planar
-from planar import Phase, Status, shooting
+from planar import Phase, Status
 
 FRACTIONS = np.linspace(0.0, 1.0, 201)
 

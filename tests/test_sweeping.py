@@ -4,9 +4,10 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
+import shooting
 
 import planar
-from planar import EventKind, Phase, Status, equilibria, segments, shooting, sweeping
+from planar import EventKind, Phase, Status, equilibria, segments, sweeping
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 SQUARE = planar.Polygon(

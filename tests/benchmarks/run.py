@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +28,10 @@ import spatial_sweeps
 from numpy.typing import NDArray
 
 import planar
-from planar import shooting
-from planar.shooting import ShootingState
 from scan3d.spatial import inverse as spatial
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import shooting
 
 Array = NDArray[np.float64]
 
@@ -99,7 +101,7 @@ def swept_states(swept: planar.Sweep) -> States:
     return States(swept.x0, f, alpha, -swept.m0z, swept.s1, swept.slope, swept.point)
 
 
-def solved_states(found: list[ShootingState]) -> States:
+def solved_states(found: list[shooting.ShootingState]) -> States:
     """Those that the method itself takes for solved."""
     return States(*(np.array([getattr(state, name) for state in found if state.success]) for name in States._fields))
 
@@ -116,21 +118,21 @@ def unsettled(found: States) -> float:
     return float(np.abs([away, kappa, turned]).max())
 
 
-def by_shooting(guide: planar.Sweep) -> list[ShootingState]:
+def by_shooting(guide: planar.Sweep) -> list[shooting.ShootingState]:
     """`scipy.integrate.solve_ivp` and `root`, every contact from its neighbour's solution, the first from its own."""
     place, found = shooting.along(CIRCLE), []
     own = swept_states(guide)
-    start: ShootingState | list[float] = [own.f[0], own.kappa0[0], own.s1[0], own.slope[0]]
+    start: shooting.ShootingState | list[float] = [own.f[0], own.kappa0[0], own.s1[0], own.slope[0]]
     for x0, phase in zip(guide.x0, guide.phase, strict=True):
         start = shooting.shoot(place, FRICTION, x0, planar.Phase(phase), start)
         found.append(start)
     return found
 
 
-def by_collocation(guide: planar.Sweep, first: ShootingState) -> list[ShootingState]:
+def by_collocation(guide: planar.Sweep, first: shooting.ShootingState) -> list[shooting.ShootingState]:
     """`scipy.integrate.solve_bvp`, every contact from its neighbour's solution and mesh."""
     place, found = shooting.along(CIRCLE), []
-    start: shooting.Collocation | ShootingState = first
+    start: shooting.Collocation | shooting.ShootingState = first
     for x0, phase in zip(guide.x0, guide.phase, strict=True):
         start = shooting.solve_by_collocation(place, FRICTION, x0, planar.Phase(phase), start, tol=BVP_TOLERANCE)
         found.append(start.state)
@@ -150,7 +152,7 @@ def forward(contacts: int) -> list[Line]:
     first = by_shooting(planar.sweep(CIRCLE, FRICTION, base=many.x0[:1]))[0]
     collocated = by_collocation(many, first)
 
-    def distance(found: list[ShootingState]) -> float:
+    def distance(found: list[shooting.ShootingState]) -> float:
         solved = solved_states(found)
         exact = planar.sweep(CIRCLE, FRICTION, base=solved.x0)
         return float(np.hypot(*(solved.point - exact.point).T).max())

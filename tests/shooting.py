@@ -1,4 +1,4 @@
-"""The paper's boundary value problems, solved by shooting as in the paper.  Only for tests and benchmarks.
+"""The paper's boundary value problems, solved by shooting as in the paper.
 
 For a given base position the rod (3) with the clamp (5) and the conditions of tip (6) or tangential contact (7) is a
 two-point boundary value problem.  It is integrated numerically from the clamp, and its unknowns are corrected until the
