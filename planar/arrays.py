@@ -11,3 +11,7 @@ Index = NDArray[np.intp]
 """Row numbers."""
 Mask = NDArray[np.bool_]
 """One truth value per row."""
+ROUNDING = 1e-13
+"""Rounding of lengths, in rod lengths or relative to the size of a contour."""
+BLOCK = 8192
+"""Rows processed at once, whose intermediate results stay in the processor's cache."""

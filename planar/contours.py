@@ -17,27 +17,18 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array
+from planar.arrays import ROUNDING, Array
 from planar.paths import Path, polygon_paths, smooth_path
 
-# Step in slope over which a curve's radius of curvature is differenced.  Truncation grows with the square of the step,
-# rounding with its inverse; here both are about 1e-10.
-_DIFFERENCE = 1e-5
-# Corners that protrude by less than this fraction of the polygon's size are dropped.  A larger one drops corners that are
-# meant; a smaller one keeps corners made by rounding, whose edges have arbitrary directions and may turn inwards.
-_COLLINEAR = 1e-13
-# Slopes at which the search for the nearest point of a smooth contour starts.  Fewer may start it beside another local
-# minimum; more take more memory and time.
-_SEARCH_SLOPES = 721
-# Steps of the iterations for a foot point: bisection halves the error in each, so that fewer are not exact to rounding,
-# and more only cost time.
+# Step in slope over which a curve's radius of curvature is differenced: truncation, which grows with the square of the step,
+# and rounding, which grows with its inverse, are alike.
+_DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
+# Slopes at which a curve is checked for convexity, and from which the search for the nearest point of a contour starts.
+_SLOPES = 721
+# Steps of the iterations for a foot point: bisection halves the error in each, until it is rounding.
 _FOOT_POINT_STEPS = 60
-# Slopes at which a curve is checked for convexity.  Fewer overlook short dents; more delay the construction.
-_CHECKED_SLOPES = 257
-# Pairs of points and edges whose distances are computed at once.  More take more memory, fewer more calls.
+# Pairs of points and edges whose distances are computed at once, which limits the memory.
 _PAIRS_AT_ONCE = 2_000_000
-# Deviation, in radians, of the sum of a polygon's turns from 2π.  It only has to lie between rounding and 2π.
-_FULL_TURN_ROUNDING = 1e-6
 
 
 class Contour(ABC):
@@ -69,9 +60,9 @@ class SmoothContour(Contour):
     def distance(self, points: ArrayLike) -> Array:
         """Distance (n,) of points (n, 2) to the contour's lower side, slopes from -π/2 to π/2."""
         points = np.asarray(points, dtype=float)
-        slope = np.linspace(-np.pi / 2, np.pi / 2, _SEARCH_SLOPES)
+        slope = np.linspace(-np.pi / 2, np.pi / 2, _SLOPES)
         nearest = slope[scipy.spatial.cKDTree(self.points(slope)).query(points)[1]]
-        spacing = np.pi / (_SEARCH_SLOPES - 1)
+        spacing = np.pi / (_SLOPES - 1)
         low, high = nearest - spacing, nearest + spacing
         for _ in range(_FOOT_POINT_STEPS):  # the foot point, where the offset is normal to the contour, by bisection
             middle = (low + high) / 2
@@ -94,7 +85,7 @@ class Curve(SmoothContour):
     curvature_radius: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
-        slope = np.linspace(-np.pi / 2, np.pi / 2, _CHECKED_SLOPES)
+        slope = np.linspace(-np.pi / 2, np.pi / 2, _SLOPES)
         points, radius = np.asarray(self.points(slope)), self.radius_of_curvature(slope)
         if points.shape != (len(slope), 2) or not np.isfinite(points).all():
             raise ValueError(f"a curve must give finite points (n, 2) for slopes (n,), got the shape {points.shape}")
@@ -106,7 +97,7 @@ class Curve(SmoothContour):
             )
         chords = np.diff(points, axis=0)
         lag = np.arctan2(chords[:, 1], chords[:, 0]) - (slope[:-1] + slope[1:]) / 2
-        if np.abs(lag).max() > np.pi / (_CHECKED_SLOPES - 1):
+        if np.abs(lag).max() > np.pi / (_SLOPES - 1):
             raise ValueError(
                 "the curve's points must be given by their slope angle: their chords have other directions"
             )
@@ -281,7 +272,7 @@ def _tidy(vertices: Array) -> Array:
     """Counter-clockwise vertices without duplicates and without corners that turn by less than rounding."""
     size = np.ptp(vertices, axis=0).max()
     steps = np.roll(vertices, -1, axis=0) - vertices
-    kept = vertices[np.hypot(*steps.T) > _COLLINEAR * size]
+    kept = vertices[np.hypot(*steps.T) > ROUNDING * size]
     if len(kept) < 3:
         raise ValueError(f"a polygon needs at least three distinct vertices, got {len(kept)}")
     following = np.roll(kept, -1, axis=0)
@@ -290,7 +281,7 @@ def _tidy(vertices: Array) -> Array:
         np.sum((kept - centre)[:, 0] * (following - centre)[:, 1] - (kept - centre)[:, 1] * (following - centre)[:, 0])
         / 2
     )
-    if abs(area) <= _COLLINEAR * size**2:
+    if abs(area) <= ROUNDING * size**2:
         raise ValueError("a polygon needs an area: its vertices lie on one line, or the polygon crosses itself")
     if area < 0:
         kept = kept[::-1]
@@ -298,7 +289,7 @@ def _tidy(vertices: Array) -> Array:
         before, after = kept - np.roll(kept, 1, axis=0), np.roll(kept, -1, axis=0) - kept
         cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         chord = np.maximum(np.hypot(*(before + after).T), np.finfo(float).tiny)
-        straight = (np.abs(cross) <= _COLLINEAR * size * chord) & ((before * after).sum(axis=1) > 0)
+        straight = (np.abs(cross) <= ROUNDING * size * chord) & ((before * after).sum(axis=1) > 0)
         # never two neighbours at once: the chord must stay within rounding of the edges that it replaces
         even = np.arange(len(kept)) % 2 == 0
         even[-1] &= len(kept) % 2 == 0
@@ -313,7 +304,7 @@ def _tidy(vertices: Array) -> Array:
             f"the polygon must be convex: at ({kept[worst, 0]:.6g}, {kept[worst, 1]:.6g}) it turns inwards by "
             f"{np.degrees(-turn[worst]):.3g}°; pass its convex hull (scipy.spatial.ConvexHull) if that is what you mean"
         )
-    if abs(turn.sum() - 2 * np.pi) > _FULL_TURN_ROUNDING:
+    if round(turn.sum() / (2 * np.pi)) != 1:
         raise ValueError(
             f"the polygon must not cross itself: it turns {turn.sum() / (2 * np.pi):.0f} times instead of once"
         )

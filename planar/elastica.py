@@ -27,11 +27,10 @@ from scipy.special import ellipe, ellipeinc, ellipj, ellipk, elliprd, elliprf
 
 from planar.arrays import Array
 
-# Duplications, each of which brings the arguments of Carlson's integrals four times closer together.  More of them cost
-# time for all rods; fewer leave more moduli near 1 to scipy's functions, which take three times as long.
+# Duplications, each of which brings the arguments of Carlson's integrals four times closer together.
 _DUPLICATIONS = 5
-# Distance of the largest argument from the mean, as a fraction of the mean, up to which the series of 7th order is used.
-# Beyond 0.02 its truncation exceeds rounding; a smaller reach leaves more moduli to scipy's functions.
+# Distance of the largest argument from the mean, as a fraction of the mean, beyond which the truncation of the series of 7th
+# order exceeds rounding: these few moduli, near 1, are left to scipy's functions, which take three times as long.
 _SERIES_REACH = 0.02
 
 

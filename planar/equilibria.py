@@ -14,14 +14,11 @@ import numpy as np
 from planar.arrays import Array, Mask
 from planar.elastica import ShapeSlopes, bend, bend_with_slopes, tangential_q, unbowed_height
 
-# Upper bound of the steps of Newton's method or bisection for a tip contact.  In 300,000 random contacts at most 32 were
-# needed: a smaller bound leaves roots inexact, a larger one is not reached.
+# Upper bound of the steps of Newton's method or bisection for a tip contact; in 300,000 random contacts at most 32 were needed.
 _MAX_STEPS = 100
-# Angle to the vertical, in radians, below which the limit of the straight rod is used.  A larger one lets the error of
-# the limit show, which grows with the angle; with a smaller one the closed form loses digits in 0/0.
+# Angle to the vertical, in radians, below which the limit of the straight rod is used, where the closed form is 0/0.
 _UPRIGHT = 1e-7
-# Residual of y1 = η, in rod lengths, at which the iteration for a tip contact ends.  A larger one gives digits away; a
-# smaller one is below rounding, so that the iteration would run until its interval has shrunk to a point.
+# Residual of y1 = η, in rod lengths, at which the iteration for a tip contact ends: rounding.
 _HEIGHT_ROUNDING = 4 * np.finfo(float).eps
 
 

@@ -15,18 +15,14 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index
+from planar.arrays import ROUNDING, Array, Index
 
-# Upper bounds of a piece's length, in rod lengths, and of its turn.  On larger pieces the base position may have two
-# extrema, of which the second would be missed; smaller ones cost time in proportion to their number.
+# Upper bounds of a piece's length, in rod lengths, and of its turn: on larger pieces the base position may have two extrema, of
+# which the second would be missed.
 _LONGEST_PIECE = 0.05
 _WIDEST_PIECE = np.radians(4.0)
-# Pieces of a smooth contour at which the refinement ends.  A smaller bound leaves pieces longer than `_LONGEST_PIECE` on
-# contours of more than some thousand rod lengths; a larger one lets memory and time grow on them.
+# Pieces of a smooth contour at which the refinement ends, on contours of more than some thousand rod lengths.
 _MAX_PIECES = 100_000
-# Depth, in rod lengths, to which the contour must reach below the tip of the straight rod.  A larger one refuses objects
-# that the rod can touch; a smaller one accepts objects on which the contact force is lost in rounding.
-_MIN_OVERLAP = 1e-13
 
 
 class SmoothCurve(Protocol):
@@ -183,7 +179,7 @@ def _subdivided(pieces: _Pieces) -> _Pieces:
 def _check_height(lowest: float) -> None:
     if lowest <= 0:
         raise ValueError(f"the object must lie above the base line y = 0, its lowest point is at y = {lowest:.6g}")
-    if lowest > 1 - _MIN_OVERLAP:
+    if lowest > 1 - ROUNDING:  # nearer to the tip, the contact force is lost in rounding
         raise ValueError(
             f"the object is out of the rod's reach: its lowest point is at y = {lowest:.6g} rod lengths, the tip at 1"
         )

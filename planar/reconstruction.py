@@ -15,19 +15,16 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planar.arrays import Array, Mask
+from planar.arrays import BLOCK, Array, Mask
 from planar.inverses import METHODS, solve
 from planar.reactions import Reactions, checked_reactions
 from planar.rods import Rod
 from planar.sweeping import Phase
 from planar.tables import selected_rows, table_html
 
-# Differences to the tip, in rod lengths, and friction angles below zero, in radians, that count as rounding; the closed
-# form is exact to some 1e-13.  With a larger tolerance tangential contacts near the tip become tip contacts and lose
-# their normals; with a smaller one rounding turns tip contacts into tangential ones.
 TOLERANCE = 1e-9
-# Rows processed at once.  More of them and their intermediate results leave the processor's cache; fewer cost more calls.
-_BLOCK = 16384
+"""Differences to the tip, in rod lengths, and friction angles below zero, in radians, that count as rounding; the closed form
+is exact to some 1e-13."""
 
 
 class Status(IntEnum):
@@ -182,8 +179,8 @@ def reconstruct(
         zeta = np.arctan(mu)
 
     contacts = _empty(len(reactions.x0))
-    for first in range(0, len(contacts), _BLOCK):
-        rows = slice(first, first + _BLOCK)
+    for first in range(0, len(contacts), BLOCK):
+        rows = slice(first, first + BLOCK)
         block = Contacts(**{column.name: getattr(contacts, column.name)[rows] for column in fields(contacts)})
         zeta_block = zeta[rows] if zeta is not None and zeta.ndim else zeta
         zero_block = zero[rows] if zero.ndim else zero

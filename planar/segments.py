@@ -18,19 +18,16 @@ from planar.elastica import bend_with_slopes
 from planar.paths import Path
 
 _EPS = float(np.finfo(float).eps)
-# Roots are found to rounding: larger tolerances move transitions and folds, smaller ones are never met.
+# Roots are found to rounding.
 _TO_ROUNDING = dict(xatol=0.0, xrtol=4 * _EPS, fatol=0.0, frtol=0.0)
-# Rounding of x0, relative to the lengths that it is computed from, at which Newton's method ends.  A larger one gives
-# digits away; with a smaller one more samples go on to the slower bracketing.
+# Rounding of x0, relative to the lengths that it is computed from, at which Newton's method ends.
 _X0_ROUNDING = 8 * _EPS
-# Steps of Newton's method.  More of them are spent on samples that do not converge; with fewer, more samples go on to
-# bracketing.
+# Steps of Newton's method before a sample goes on to bracketing.
 _NEWTON_STEPS = 8
-# Factor by which the bend q may at most shrink in a step of Newton's method.  With a larger one a step too far leaves q
-# next to 0, where Newton's method is slow; a smaller one takes more steps to small bends.
+# Factor by which the bend q may at most shrink in a step of Newton's method, which is slow next to 0.
 _LARGEST_SHRINKAGE = 4
-# Parabolas through the overhang, each eight times narrower than the previous one.  More cost time; fewer leave the
-# minimum inexact, so that short tangential contacts are overlooked.
+# Parabolas through the overhang, and by how much each is narrower than the one before: an inexact minimum would overlook
+# short tangential contacts.
 _PARABOLAS = 4
 _NARROWING = 8
 

@@ -17,18 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import rod_sweeps, segments
-from planar.arrays import Array, Index, Mask
+from planar.arrays import BLOCK, Array, Index, Mask
 from planar.contours import Contour, Mirrored, Polygon, SmoothContour, check_contour
 from planar.paths import Path, polygon_paths
 from planar.rods import Rod
 from planar.segments import Segments
 from planar.tables import selected_rows, table_html
 
-# Coefficients at which a sweep with friction per sample is tabulated; a sample is searched between its places at two of
-# them.  More coefficients cost a table each, fewer leave longer intervals to search for every sample.
+# Coefficients at which a sweep with friction per sample is tabulated; a sample is searched between its places at two of them.
 _BRACKETING_SWEEPS = 3
-# Samples processed at once.  More of them take more memory and leave the processor's cache; fewer cost more calls.
-_BLOCK = 8192
 
 
 class Phase(IntEnum):
@@ -325,7 +322,7 @@ def _search_intervals(path: Path, tables: _Tables, first_rows: list[Index], swee
 
 
 def _blocks(samples: Index) -> list[Index]:
-    return np.array_split(samples, -(-len(samples) // _BLOCK)) if len(samples) else []
+    return np.array_split(samples, -(-len(samples) // BLOCK)) if len(samples) else []
 
 
 def _empty(x0: Array, friction: Array) -> Sweep:

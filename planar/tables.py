@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planar.arrays import Index
 
-# Upper bound of the rows of a table.  More rows fill the notebook, fewer skip more of the samples.
+# Upper bound of the rows of a table.
 _MAX_ROWS = 12
 
 

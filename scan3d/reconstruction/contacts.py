@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 import planar
 from scan3d.arrays import Array, Index, Mask
@@ -43,9 +44,9 @@ _FRICTION_AGREES, _FRICTION_GAIN = 1e-6, 3.0
 # Normals from slip and path are compared where their difference is known to this, in radians.
 _COMPARABLE = np.pi / 180
 # Standard deviations within which 95 % of the errors of a direction lie, both components of which are normally distributed.
-_SIGMAS_95 = 2.45
-# Friction angle, in radians, where no contact says what it is: that of a coefficient of 0.5.
-_FRICTION_ANGLE = 0.46
+_SIGMAS_95 = float(np.sqrt(chdtri(2, 0.05)))
+# Friction angle where no contact says what it is.
+_FRICTION_ANGLE = float(np.arctan(0.5))
 _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 
 

@@ -7,14 +7,13 @@ others is left out, as it is in the reconstruction.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import AT_ONCE, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.frames import displaced
@@ -34,10 +33,6 @@ _TIP_SIGMAS, _LARGEST_TOLERANCE = 5.0, 0.5
 _LIGHT, _TOLERABLE = 4.0, 1e-3
 # Part of a standard deviation by which the rig is changed in central differences: between their error and rounding.
 _STEP = 1e-2
-# Contacts that an error of the rig puts past the tip by this part of the rod still have a place.
-_PAST_TIP = 0.999
-# Rows processed at once, for memory.
-_BLOCK = 8192
 # By how much the body may be wider than its contacts.
 _WIDENED = 1.1
 
@@ -122,7 +117,7 @@ def _contacts(
     if noise is None:
         force[:, 2] = 0
         moment[:, :2] = 0
-    found = inverse.reconstruct(force, moment, tolerance=_PAST_TIP, noise=noise)
+    found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise)
     place = offset + found.point + np.cross(turn, found.point)
     return place, found.tangent + np.cross(turn, found.tangent), found.s1 / (1 + error[1])
 
@@ -149,9 +144,8 @@ def tip_tolerance(recording: Recording, felt: Mask, tolerance: Array | float, mo
     return np.asarray(np.clip(np.hypot(tolerance, widened), planar.TOLERANCE, _LARGEST_TOLERANCE))
 
 
-def _blocks(rows: Index) -> Iterator[Index]:
-    for first in range(0, len(rows), _BLOCK):
-        yield rows[first : first + _BLOCK]
+def _blocks(rows: Index) -> list[Index]:
+    return np.array_split(rows, 1 + 3 * len(RIG_QUANTITIES) * len(rows) // AT_ONCE)
 
 
 def with_rig_errors(cloud: Cloud, recording: Recording) -> Cloud:

@@ -24,13 +24,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.slices import SliceStack, SupportFunctions, stacks
 from scan3d.spatial.normals import angles
 
-EXACT = 1e-9
+EXACT = NEGLIGIBLE
 """Standard deviation, in radians, of the normals of exact data: rounding."""
 # Slices on either side of a slice from which the slope at its height follows.  The normals differ from those by all slices, a
 # spline through which forgets its ends by a factor of 2 + √3 from slice to slice, over the meshes that come along, with 64 and
@@ -64,9 +64,8 @@ _NEAREST = 12
 _OUTWARD = 0.99
 # Distances of the hull's corners, relative to its size, below which directions between them are rounding.
 _ROUNDING = 1e-7
-# Depth below a facet, relative to the hull's size, at which a contact lies on it, and depth, in such ones, from which on a
-# contact lies inside the hull.
-_SAME_PLANE, _INSIDE = 1e-9, 1e3
+# Depth below a facet, in such at which a contact lies on it, from which on it lies inside the hull.
+_INSIDE = 1e3
 # Half an angle, in radians, from which on the facets at a contact are asked as well: its neighbours may be too close to count.
 _WIDE = 0.1
 # Contacts whose depths below all facets are computed at once, for memory.
@@ -246,7 +245,7 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
     half_width = np.where(known, np.maximum(half_width, 0.0), np.inf)
     # tip contacts, and contacts inside faces and edges of the hull
     rows = np.flatnonzero(~known | (half_width > _WIDE))
-    axis, width, edge = _cones(hull, points[rows] - middle, _SAME_PLANE * size)
+    axis, width, edge = _cones(hull, points[rows] - middle, NEGLIGIBLE * size)
     sharp = tangential[rows] & np.isfinite(edge[:, 0])
     # the supporting plane contains the edge and the tangent
     exact = np.cross(tangents[rows], edge)

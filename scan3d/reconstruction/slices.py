@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.cloud import Cloud, Tilt
 from scan3d.geometry.sections import slice_frame
 from scan3d.recording import Recording
@@ -34,7 +34,7 @@ from scan3d.units import UNITS_M
 
 SAME_AXIS = 1e-8
 """Parallel axes differ by less than this in each component, which is rounding."""
-SAME_HEIGHT = 1e-9
+SAME_HEIGHT = NEGLIGIBLE
 """Sweeps lie in one slice if their heights differ by less than this many rod lengths."""
 LEVEL = 0.02
 """Slices that are tilted against the table by less, in radians, count as parallel to it: those of a clamp that is a little off
@@ -45,14 +45,8 @@ _SAME_NORMAL = 1e-3
 _SPREADS = 2.0
 # Tilted sweeps lie in one slice if their planes meet within this many rod lengths of the middle of the contacts.
 _TILTED = 0.2
-# Contacts whose normals differ by less, in radians, lie on one straight edge of the contour.
-_SAME_ANGLE = 1e-9
-# The known normals enclose a slice if every gap between them is smaller than half a turn by at least this, in radians.
-_HALF_TURN_MARGIN = 1e-9
 # Directions over which a slice's Steiner point is averaged.
 _STEINER_DIRECTIONS = 360
-# Part of a polygon's area that counts as rounding where it is left uncovered.
-_ROUNDING = 1e-9
 # Side of a square that contains every section that slices bound, in widths of the contacts.
 _FAR = 1e3
 # Slices next to an end that are built first to bound the body there; if they do not, all are built.
@@ -200,7 +194,7 @@ class Slice:
     def closed(self) -> bool:
         """Whether the known normals leave no gap of half a turn: the support lines enclose the slice."""
         return len(self.angle) >= 3 and bool(
-            np.diff(self.angle, append=self.angle[0] + 2 * np.pi).max() < np.pi - _HALF_TURN_MARGIN
+            np.diff(self.angle, append=self.angle[0] + 2 * np.pi).max() < np.pi - NEGLIGIBLE
         )
 
     def support_of_contacts(self, normals: Array) -> Array:
@@ -399,7 +393,8 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index, known: Slice | 
             return known if np.array_equal(known.rows, rows) else replace(known, rows=rows)
     raw = np.arctan2(normals[:, 1], normals[:, 0])
     order = np.argsort(raw, kind="stable")
-    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > _SAME_ANGLE)
+    # contacts with one normal lie on a straight edge of the contour
+    group = np.cumsum(np.diff(raw[order], prepend=raw[order][:1]) > NEGLIGIBLE)
     member = np.empty(len(raw), dtype=np.intp)
     member[order] = group
     count = int(group[-1]) + 1 if len(group) else 0
@@ -521,7 +516,7 @@ def _swept(recording: Recording, rows: Mask, frame: Array, felt: float) -> list[
 
 def _covered(polygon: Array, areas: list[tuple[Array, Array]]) -> bool:
     """Whether areas cover a convex polygon (v, 2), up to rounding."""
-    least = _ROUNDING * _area(polygon)
+    least = NEGLIGIBLE * _area(polygon)
     pieces = [polygon] if len(polygon) else []
     for normals, values in areas:
         left = []

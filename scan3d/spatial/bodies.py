@@ -21,19 +21,15 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import NEGLIGIBLE, Array, Index
 
-# Largest turn of a normal in one step of Newton's method, in radians: beyond it the linearisation does not hold.
-_LARGEST_TURN = 0.5
-# Angle between two faces, in radians, below which they count as one plane.
-_FLAT = 1e-9
+LARGEST_TURN = 0.5
+"""Largest turn of a normal in one step of Newton's method, in radians: beyond it the linearisation does not hold."""
 # A mesh is fine if the median angle between its faces is smaller than this, in radians.  Friction on it then refers to normals
 # that are interpolated across all angles below the second.
 _FINE, _SMOOTH = 0.09, 0.44
 # Sine of the angle between the normals of two sides of a crease, below which they count as one.
 _ONE_SIDE = 1e-6
-# Least angle by which the normal of a face counts at its corner, so that a corner of a sliver has a normal as well.
-_LEAST_ANGLE = 1e-9
 # Directions whose highest vertices the search for a highest vertex begins with.
 _COARSE = 500
 
@@ -122,7 +118,7 @@ def _radius(radius: float) -> float:
 
 def _allowed(turn: Array) -> Array:
     """The parts (n,) of turns (n,) that one step may take."""
-    return np.minimum(1.0, _LARGEST_TURN / np.maximum(turn, 1e-300))
+    return np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
 
 
 class Ellipsoid:
@@ -243,13 +239,13 @@ class RoundedPolyhedron:
         Where facets stand for a smooth surface, friction refers to the normals that are interpolated between these.
         """
         triangles, count = self.triangles, len(self.triangles)
-        turned = self.angle[self.angle > _FLAT]
+        turned = self.angle[self.angle > NEGLIGIBLE]
         limit = _SMOOTH if len(turned) and np.median(turned) < _FINE else 0.0
-        groups, group = self._smooth_corners(np.flatnonzero(self.angle < max(limit, _FLAT)))
+        groups, group = self._smooth_corners(np.flatnonzero(self.angle < max(limit, NEGLIGIBLE)))
         corners = self.vertices[:, triangles.T]  # (3, 3 corners, f)
         to_next, to_last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
         cosine = dot(to_next, to_last) / np.sqrt(dot(to_next, to_next) * dot(to_last, to_last))
-        angle = np.maximum(np.arccos(np.clip(cosine, -1, 1)), _LEAST_ANGLE)
+        angle = np.maximum(np.arccos(np.clip(cosine, -1, 1)), NEGLIGIBLE)  # so that a sliver counts as well
         weighted = angle * self.normals[:, None]
         normals = unit(np.array([np.bincount(group, part.ravel(), minlength=groups) for part in weighted], dtype=float))
         self._corners = normals[:, group].reshape(3, 3, count).swapaxes(0, 1)
@@ -317,7 +313,7 @@ class RoundedPolyhedron:
         result.point[:, rows] = self.vertices[:, self.tail[number]] + place[0] * direction + self.radius * n
         result.normal[:, rows], result.normal_2[:, rows] = n, turn
         result.point_1[:, rows], result.point_2[:, rows] = direction, self.radius * turn
-        tau, whole = place[0] / self.length[number], np.maximum(self.angle[number], _FLAT)
+        tau, whole = place[0] / self.length[number], np.maximum(self.angle[number], NEGLIGIBLE)
         part = np.minimum(place[1] / whole, 1.0)
         (a, b), (c, d) = ([end[:, number] for end in side] for side in self._ends)
         # the true normal, corrected by what the sides' normals differ from those of the faces
@@ -365,7 +361,7 @@ class RoundedPolyhedron:
         rows, number, p = rows[leaves], number[leaves], p[:, leaves]
         edge = self.side[crossed[leaves], number]
         other = np.where(self.left[edge] == number, self.right[edge], self.left[edge])
-        flat = self.angle[edge] < _FLAT
+        flat = self.angle[edge] < NEGLIGIBLE
         feature[rows] = np.where(flat, other, self._first_edge + edge)
         along = np.clip(dot(p - self.vertices[:, self.tail[edge]], self.direction[:, edge]), 0, self.length[edge])
         on_edge = np.stack([along, np.where(self.left[edge] == number, 0.0, self.angle[edge]), np.zeros(len(rows))])

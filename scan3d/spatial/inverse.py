@@ -23,15 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import planar
+from planar.arrays import BLOCK
 from planar.elastica import bend_by_half_angle
 from scan3d.arrays import Array, Mask
 
-# Rows processed at once, whose intermediate results stay in the processor's cache.
-_BLOCK = 8192
 # Reactions between this and its inverse have squares and products that are numbers; rows beyond are scaled first.
 _SAFE = 1e-75
-# Contacts that the noise puts past the tip by this part of the rod have errors as well.
-_PAST_TIP = 0.999
+PAST_TIP = 0.999
+"""Tolerance with which contacts that errors put past the tip by nearly the rod's length have a place as well."""
 
 
 class Status(IntEnum):
@@ -137,8 +136,8 @@ def reconstruct(
     contacts = _empty(len(f0))
     np.negative(f0, out=contacts.force)
     with np.errstate(all="ignore"):
-        for first in range(0, len(f0), _BLOCK):
-            rows = slice(first, first + _BLOCK)
+        for first in range(0, len(f0), BLOCK):
+            rows = slice(first, first + BLOCK)
             _fill(contacts, rows, f0[rows].T, m0[rows].T, zero[rows] if zero.ndim else zero, noise)
     return contacts
 
@@ -191,7 +190,7 @@ def errors(f0: Array, m0: Array, noise: tuple[float, float]) -> SpatialErrors:
         slopes = planar.jacobian(f0e, f0[:, 1], m) * [sigma_f, sigma_f, sigma_m]
         angle = 1 / np.sqrt((m / sigma_m) ** 2 + (f0e / sigma_f) ** 2)
         x, y, s1, alpha, beta = (slopes[:, k] for k in range(5))
-        found = reconstruct(f0, m0, noise=noise, tolerance=_PAST_TIP)
+        found = reconstruct(f0, m0, noise=noise, tolerance=PAST_TIP)
         zero = np.zeros_like(ex)
         across, normal = np.stack([ex, zero, ez], axis=1), np.stack([-ez, zero, ex], axis=1)
         place = across[:, :, None] * x[:, None, :]

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 
 # Widths of the windows for exact data.
 _WIDTHS = (3, 5, 7, 9)
@@ -46,8 +46,6 @@ _SNAP, _SNAP_SIGMAS = 4.0, 8.0
 _STICK = 1e-7
 UNKNOWN = 0.1
 """Normals that are less certain, in radians, are unknown: as starts for the fit of a smooth body they would disturb it."""
-# Rounding of positions, in rod lengths, and of normals, in radians: reactions themselves are known to some 1e-12 at best.
-_ROUNDING, _SMALLEST_SD = 1e-12, 1e-9
 # A normal from the slip, which needs a friction law, is taken if its standard deviation is below this many times that of the
 # normal from the path.
 _CLEARLY = 0.5
@@ -300,7 +298,7 @@ def _slopes(track: Track, starts: Mask) -> Iterator[_Slopes]:
                 variance, difference = (np.einsum("kw,kwij->kij", c**2, near) for c in (weights, weights - fewer))
                 variance *= np.maximum(misfit, 1.0)[:, None, None]
             used, other = (np.einsum("kw,kwc->kc", c, nearby) for c in (weights, fewer))
-            yield _Slopes(width, rows, used, other, _ROUNDING * np.abs(weights).sum(axis=1), variance, difference)
+            yield _Slopes(width, rows, used, other, ROUNDING * np.abs(weights).sum(axis=1), variance, difference)
 
 
 def _without_an_end(position: Array, own: Index) -> Array:
@@ -386,7 +384,7 @@ def _deviation(track: Track, slopes: _Slopes, normal: Array, second: Array, sour
     squares = np.maximum(_running_mean(squares, slopes.width), own)
     if slopes.variance is not None:
         squares += turned(slopes.variance)
-    squares += (slopes.rounding * (gain + gain_sideways)) ** 2 + _SMALLEST_SD**2
+    squares += (slopes.rounding * (gain + gain_sideways)) ** 2 + NEGLIGIBLE**2
     if track.direction_sd is not None:
         squares += (track.direction_sd[rows] / cosine) ** 2
     return np.where((cosine > 0) & np.isfinite(squares), np.sqrt(squares), np.inf)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import planar
-from scan3d.arrays import Array, Index, Mask
-from scan3d.spatial.bodies import Body, Patch, dot, unit
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.spatial.bodies import LARGEST_TURN, Body, Patch, dot, unit
 from scan3d.spatial.equilibrium import Bent, Law, Mode, System, bent, system, wrench
 from scan3d.spatial.touchdown import STRAIGHT, Paths, Touch, first_bend, first_state, first_touches, later_touches
 
@@ -33,12 +33,8 @@ _LARGEST_STRAIGHTENED = 3
 _SMALLEST = 2.0**-5
 # Largest path of the contact in a step: in rod lengths, and in paths of the clamp.  Farther solutions are on other branches.
 _REACH, _REACH_IN_STEPS = 0.08, 3.0
-# Tolerance of the cone of friction for a contact that sticks.
-_CONE = 1e-9
 # Weight of the slip in the residual of a contact that sticks, in steps.
 _SLIP_WEIGHT = 10.0
-# Friction, as a part of the force, below which it does not give the slip's direction.
-_SLIGHT = 1e-9
 # A step that fails is the lift-off if the straight rod is clear of the body, the rod is nearly straight, and the step is short;
 # or if Newton's method straightens a rod that is even less bent, and the straight rod is nearly clear.  The numbers are
 # places in samples, q², samples, places in samples, and q².
@@ -54,11 +50,6 @@ _LONG_FLOW, _AFTER_LONG, _AFTER_SHORT = 0.02, 1.5, 1 / 3
 _AT_REST, _LITTLE_DRAG, _FLOW_STEPS = 1e-7, 1e-3, 60
 # Part of the force along the normal below which a rod that snaps leaves the body.
 _LEAVES = 0.05
-# Difference of places on a path, in samples, that is rounding.
-_ROUNDING = 1e-9
-# Largest change in a step of Newton's method of the angles of bending plane and force, in radians, and of the arc length, as a
-# part of itself.
-_LARGEST_TURN, _LARGEST_SHORTENING = 0.5, 0.5
 # Largest angle of the force: beyond it, the force pulls the rod straight.
 _LARGEST_ANGLE = 3.1
 # q², as a part of its limit cos²(α/2), above which a step goes half the way to the limit instead, and its largest value at all.
@@ -333,10 +324,10 @@ class _Lanes:
 
     def _next(self, lanes: _States) -> Array:
         """The end of the next step: no farther than the next sample."""
-        return np.asarray(np.minimum(np.floor(lanes.progress + _ROUNDING) + 1, lanes.progress + lanes.step))
+        return np.asarray(np.minimum(np.floor(lanes.progress + NEGLIGIBLE) + 1, lanes.progress + lanes.step))
 
     def _sample_after(self, progress: Array) -> Index:
-        return np.asarray(np.minimum(np.ceil(progress - _ROUNDING).astype(np.intp), self._last))
+        return np.asarray(np.minimum(np.ceil(progress - NEGLIGIBLE).astype(np.intp), self._last))
 
     def _bend(self, lanes: _States, rows: Index) -> None:
         """Bend the straight rods among `rows` at first by what the body pushes them aside, to begin Newton's method with."""
@@ -394,9 +385,9 @@ class _Lanes:
             # on a small piece where equilibria are unstable, as the sphere about a vertex, the path of equilibria runs back
             step *= np.where(np.linalg.det(jacobian) < 0, -1.0, 1.0)
         state = lanes.trial_state[:, rows]
-        part = 1 / np.maximum(1.0, np.abs(step[:2]).max(axis=0) / _LARGEST_TURN)
+        part = 1 / np.maximum(1.0, np.abs(step[:2]).max(axis=0) / LARGEST_TURN)
         with np.errstate(divide="ignore", invalid="ignore"):
-            part = np.minimum(part, np.where(step[3] < 0, -_LARGEST_SHORTENING * state[3] / step[3], np.inf))
+            part = np.minimum(part, np.where(step[3] < 0, -state[3] / step[3] / 2, np.inf))
         here = Patch(*(column[:, rows] for column in patch))
         feature, coordinates, taken = self.body.moved(
             lanes.trial_feature[rows], lanes.trial_coordinates[:, rows], here, part * step[4:]
@@ -417,7 +408,7 @@ class _Lanes:
         lanes = self._lanes
         flowing = lanes.drag > 0
         valid = (equations.normal_force > 0) & (lanes.trial_state[2] > 2 * STRAIGHT)
-        held = equations.friction_force <= friction * equations.normal_force * (1 + _CONE)
+        held = equations.friction_force <= friction * equations.normal_force * (1 + NEGLIGIBLE)
         against_slip = (equations.dissipated >= 0) | (friction == 0) | flowing
         valid &= np.where(equations.sticks, held, against_slip)
         path = point - lanes.point
@@ -447,7 +438,7 @@ class _Lanes:
         tangential = rod.force[:, rows] - equations.normal_force[rows] * patch.law_normal[:, rows]
         size = np.sqrt(dot(tangential, tangential))
         lanes.slip_direction[:, rows] = np.where(
-            size > _SLIGHT, -tangential / np.maximum(size, _SLIGHT), lanes.slip_direction[:, rows]
+            size > NEGLIGIBLE, -tangential / np.maximum(size, NEGLIGIBLE), lanes.slip_direction[:, rows]
         )
         lanes.last_change[:, rows] = lanes.trial_state[:, rows] - lanes.state[:, rows]
         lanes.last_coordinates[:, rows] = lanes.coordinates[:, rows]
@@ -463,13 +454,13 @@ class _Lanes:
         lanes.steps_taken[rows] += 1
         irregular = lanes.has_snapped[rows] | equations.sticks[rows]
         sample = np.round(lanes.progress[rows]).astype(np.intp)
-        reached = np.abs(lanes.progress[rows] - sample) < _ROUNDING
+        reached = np.abs(lanes.progress[rows] - sample) < NEGLIGIBLE
         self._record(rows[reached], sample[reached], rod, patch, equations)
         lanes.step[rows] = np.minimum(2 * lanes.step[rows], self._longest)
         lanes.target[rows] = self._next(lanes)[rows]
         lanes.mode[rows], lanes.branches[rows], lanes.frozen[rows] = Mode.SLIDE, 0, _FROZEN_STEPS
         self._predict(rows[(lanes.last_step[rows] > 0) & ~irregular])
-        self._finish(rows[lanes.progress[rows] > self._last - _ROUNDING], End.PATH)
+        self._finish(rows[lanes.progress[rows] > self._last - NEGLIGIBLE], End.PATH)
 
     def _record(self, rows: Index, sample: Index, rod: Bent, patch: Patch, equations: System) -> None:
         """Record the lanes `rows` (k,) at the samples (k,) that they have reached, and begin to count anew."""
@@ -527,7 +518,7 @@ class _Lanes:
         lanes = self._lanes
         lanes.drag[rows], lanes.mode[rows], lanes.flow_steps[rows] = _DRAG, Mode.EITHER, 0
         progress = lanes.progress[rows]
-        lanes.target[rows] = np.minimum(np.floor(progress + _ROUNDING) + 1, progress + _BEYOND_FOLD)
+        lanes.target[rows] = np.minimum(np.floor(progress + NEGLIGIBLE) + 1, progress + _BEYOND_FOLD)
 
     def _flow(self, rows: Index, equations: System) -> None:
         """Take the next step of a snap: longer where the last one was short, and end at an equilibrium."""

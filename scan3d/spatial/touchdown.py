@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.spatial.bodies import Body, cross, dot, sphere_directions, unit
 from scan3d.spatial.equilibrium import Clamp
 
@@ -29,14 +29,9 @@ _AROUND, _ROUNDS = 24, 4
 _PER_STEP = 2
 # Rods that are evaluated at once, on straight paths and on others, so that the intermediate arrays stay small.
 _RODS, _RODS_NEAR = 64, 2048
-# Steps of Newton's method at most, the residual in rod lengths at which it ends, and that at which a place counts as found.
+# Steps of Newton's method at most, the residual in rod lengths at which it ends, and distances and
+# differences of axes at which a place counts as found, and a path as straight and not turning.
 _STEPS, _EXACT, _FOUND = 60, 1e-13, 1e-10
-# Part of a step, or of a straight path, that is rounding.
-_ROUNDING = 1e-9
-# Samples before the path's beginning down to which a touch-down is recognised, to say that the rod begins in the body.
-_INSIDE = 1e6
-# Distance in rod lengths from a straight line, and difference of axes, within which a path counts as straight and not turning.
-_SAME = 1e-10
 
 
 class Paths:
@@ -49,7 +44,7 @@ class Paths:
         self.samples = position.shape[1]
         self.position = position.transpose(2, 0, 1)  # (3, m, n)
         turning = axes.ndim == 4
-        if turning and np.abs(axes - axes[:, :1]).max(initial=0.0) < _SAME:
+        if turning and np.abs(axes - axes[:, :1]).max(initial=0.0) < _FOUND:
             axes, turning = axes[:, 0], False
         self._turn: Array | None = None
         self._axes = np.moveaxis(axes, (-2, -1), (0, 1))  # (3 axes, 3, m) or (3 axes, 3, m, n)
@@ -87,7 +82,7 @@ class Paths:
         with np.errstate(divide="ignore", invalid="ignore"):
             place = dot(self.position - start, travel) / dot(travel, travel)
             away = np.abs(start + place * travel - self.position).max(axis=(0, 2))
-        straight = (away < _SAME) & (np.diff(place, axis=1) > 0).all(axis=1)
+        straight = (away < _FOUND) & (np.diff(place, axis=1) > 0).all(axis=1)
         return np.asarray(straight & (self._turn is None)), place
 
     def _step(self, progress: Array) -> tuple[Index, Array]:
@@ -274,8 +269,8 @@ def first_touches(body: Body, paths: Paths) -> Touch:
         clamp = paths.clamp(number, np.zeros(len(number)))
         travel = paths.position[:, number, -1] - clamp.position
         passage = passages(body, clamp.position, clamp.y, travel)
-        _check_begin(number[passage.touches & (passage.begin < -_ROUNDING) & (passage.end > 0)])
-        rows = np.flatnonzero(passage.touches & (passage.begin >= -_ROUNDING) & (passage.begin < 1))
+        _check_begin(number[passage.touches & (passage.begin < -NEGLIGIBLE) & (passage.end > 0)])
+        rows = np.flatnonzero(passage.touches & (passage.begin >= -NEGLIGIBLE) & (passage.begin < 1))
         number = number[rows]
         begin = _progress(place[number], np.maximum(passage.begin[rows], 0.0))
         end = _progress(place[number], passage.end[rows])
@@ -324,7 +319,7 @@ def _next_touches(body: Body, paths: Paths, number: Index, after: Array | None) 
         enters[rows, column] = False
         at, touches, speed = _crossing(body, paths, number[rows], grid[column], direction[rows, column])
         entering = touches & (speed < 0)
-        before = entering & (at.progress < start[rows] - _ROUNDING)
+        before = entering & (at.progress < start[rows] - NEGLIGIBLE)
         if after is None:
             _check_begin(number[rows[before & (column == 0)]])
         good = entering & ~before
@@ -389,7 +384,7 @@ def _crossing(body: Body, paths: Paths, number: Index, near: Array, direction: I
         patch, at = body.patch(place.feature, place.coordinates), motion(every, place.progress)
         gap = np.abs(at.position + place.s1 * at.along - patch.point).max(axis=0)
         lean = dot(at.along, patch.normal)
-        touches = (gap < _FOUND) & (place.progress >= -_INSIDE) & (place.progress <= paths.samples - 1)
+        touches = (gap < _FOUND) & (place.progress <= paths.samples - 1)
         if tip:
             touches &= (np.abs(place.s1 - 1) < _FOUND) & (lean <= 0)
         else:
