@@ -264,7 +264,7 @@ def test_a_bow_tie_is_refused():
         (lambda: planar.Ellipse((1.0, 0.0), (0, 1)), "positive semi-axes"),
         (lambda: planar.Ellipse((1.0, np.inf), (0, 1)), "finite numbers"),
         (lambda: planar.Ellipse((1.0, 0.5), (0, 1), np.nan), "finite numbers"),
-        (lambda: planar.Curve(lambda slope: np.zeros(len(slope))), r"finite points \(n, 2\).*shape \(257,\)"),
+        (lambda: planar.Curve(lambda slope: np.zeros(len(slope))), r"finite points \(n, 2\).*shape \(721,\)"),
         (lambda: planar.Curve(lambda slope: np.full((len(slope), 2), np.nan)), "finite points"),
         (
             lambda: planar.Curve.from_support(
