@@ -49,10 +49,8 @@ def tare(wrench: Array, clock: Array, stretches: Stretches) -> Air:
     knots, levels, residuals, rows = [], [], [], np.zeros(len(wrench), dtype=bool)
     for start, stop in stretches:
         time, values = clock[start:stop], wrench[start:stop]
-        middle, level = float(time.mean()), values.mean(axis=0)
+        middle, level, slope, spread = _line(time, values)
         away = (time - middle)[:, None]
-        spread = float((away**2).sum()) or np.inf
-        slope = (away * values).sum(axis=0) / spread
         error = np.sqrt(((values - level - slope * away) ** 2).sum(axis=0) / max(len(time) - 2, 1) / spread)
         drifts = (np.abs(slope) > _SIGMAS * error) & (np.abs(slope) * np.ptp(time) > rounding)
         slope = np.where(drifts & (len(time) >= _FEWEST), slope, 0.0)
@@ -64,6 +62,13 @@ def tare(wrench: Array, clock: Array, stretches: Stretches) -> Air:
         rows[start:stop] = True
     noise = robust_sd(np.concatenate(residuals))
     return Air(_interpolated(clock, np.array(knots), np.array(levels)), np.where(noise > rounding, noise, 0.0), rows)
+
+
+def _line(time: Array, values: Array) -> tuple[float, Array, Array, float]:
+    """The line nearest to values (m, c): the middle of its times, level (c,) there, slope (c,), and Σ (t - middle)²."""
+    middle = float(time.mean())
+    spread = float(((time - middle) ** 2).sum()) or np.inf
+    return middle, values.mean(axis=0), (time - middle) @ values / spread, spread
 
 
 def _interpolated(clock: Array, at: Array, level: Array) -> Array:
@@ -204,18 +209,18 @@ def _refined(wrench: Array, clock: Array, runs: Stretches, scale: Array) -> Stre
 def _from_line(time: Array, values: Array) -> tuple[Array, Array]:
     """The distances (m, c) from a line that most rows lie on, and by how much (c,) these rise from quarter to quarter."""
     some = slice(None, None, max(1, len(time) // (_SOME // 10)))
-    t, v = time[some] - time.mean(), values[some]
+    t, v, middle = time[some], values[some], float(time[0])
     half = len(t) // 2
     rise = np.median(v[-half:], axis=0) - np.median(v[:half], axis=0)
     slope = rise / (float(np.median(t[-half:]) - np.median(t[:half])) or np.inf)
-    level = np.median(v - slope * t[:, None], axis=0)
+    level = np.median(v - slope * (t - middle)[:, None], axis=0)
     for _ in range(3):
-        away = np.abs(v - level - slope * t[:, None])
+        away = np.abs(v - level - slope * (t - middle)[:, None])
         kept = (away <= _SIGMAS * SD_OVER_MAD * np.median(away, axis=0)).all(axis=1)
-        if kept.sum() < _FEWEST or np.ptp(t[kept]) == 0:
+        if kept.sum() < _FEWEST:
             break
-        slope, level = np.polyfit(t[kept], v[kept], 1)
-    return np.abs(values - level - slope * (time - time.mean())[:, None]), 1.5 * np.abs(rise)
+        middle, level, slope, _ = _line(t[kept], v[kept])
+    return np.abs(values - level - slope * (time - middle)[:, None]), 1.5 * np.abs(rise)
 
 
 def _steps(values: Array) -> Array:
