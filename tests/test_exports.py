@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from other_programs import FORMATS, HERE, PROGRAMS
 
-from scan3d import InputError, pipeline
+from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.ply import ply, read_ply
@@ -352,13 +352,9 @@ def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
 # --- the command ---
 
 
-@pytest.mark.slow
-def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(pipeline, "_put_pictures", lambda *_: [])
-    egg = str(ROOT / "meshes" / "egg.stl")
-    assert main(["scan", egg, "--out", str(tmp_path), "--slices", "8", "--samples", "24", "--quiet"]) == 0
+def test_the_command_exports_to_all_formats(folder, tmp_path, capsys):
     for what, ending in FORMATS:
-        assert main(["export", str(tmp_path), "--to", str(tmp_path / f"a{ending}"), "--what", what]) == 0
+        assert main(["export", str(folder), "--to", str(tmp_path / f"a{ending}"), "--what", what]) == 0
         stdout, stderr = capsys.readouterr()
         assert stderr == ""
         unit = "m" if ending == ".glb" else "mm"
@@ -366,7 +362,7 @@ def test_a_scan_is_exported_by_the_command(tmp_path, monkeypatch, capsys):
         assert re.fullmatch(rf"{kind} in {unit}, written to .*a{ending}\n", stdout)
     assert trimesh.load_mesh(tmp_path / "a.stl").is_watertight
     assert trimesh.load_mesh(tmp_path / "a.glb").extents.max() < 0.1
-    assert main(["export", str(tmp_path), "--to", str(tmp_path / "a.glb"), "--json"]) == 0
+    assert main(["export", str(folder), "--to", str(tmp_path / "a.glb"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["unit"] == "m"
-    assert main(["export", str(tmp_path), "--to", str(tmp_path / "a.glb"), "--quiet"]) == 0
+    assert main(["export", str(folder), "--to", str(tmp_path / "a.glb"), "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

@@ -182,7 +182,7 @@ def test_a_scan_that_takes_more_sweeps_than_at_first_is_refused_when_that_is_kno
         scan3d.simulate(body, plan)
 
 
-@pytest.mark.slow
+@pytest.mark.trust
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the largest memory is read from Linux' /proc")
 def test_a_scan_takes_no_more_memory_than_was_stated_before():
     # the largest memory of a process of its own, with 300,000 samples, of which arrays take more than the program; `resource`

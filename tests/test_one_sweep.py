@@ -242,10 +242,6 @@ def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
             "lacks x0, f0x, f0y, m0z; expected x0,f0x,f0y,m0z or x0_m,f0x_N,f0y_N,m0z_Nm; its columns",
         ),
         ("x0,f0x,f0y,m0z,f0x\n0,0,0,0,0\n", "has f0x more than once"),
-        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,abc,0\n", "line 3 has 'abc' in column 'f0y', which is no number"),
-        ("x0,f0x,f0y,m0z\n1,0,inf,0\n0,0,0,0\n", "line 2 has inf in column 'f0y', where a finite number is expected"),
-        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0\n", "line 3 has 3 values, expected 4; it ends in column 3: is it cut off"),
-        ("x0,f0x,f0y,m0z\n1,0,5,0,0\n", "line 2 has 5 values, expected 4; are there decimal commas"),
         ("x0_m,f0x,f0y,m0z\n1,0,0,0\n", "mixes dimensionless columns (f0x, f0y, m0z) with columns in SI units (x0_m)"),
         ("x0,f0x,f0y,m0z\n", "a sweep needs two rows or more"),
         ("x0,f0x,f0y,m0z\n1,-1,1,1\n", "a sweep needs two rows or more, which tell the direction"),
@@ -277,11 +273,8 @@ def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, capsys, text, senten
             1,
             "unknown names: force_N; known are force, moment for a table that is dimensionless",
         ),
-        ([], "[noise]\nforce = 'much'\n", False, 1, "force must be a number, got 'much'"),
-        ([], "noise = 1\n", False, 1, "noise must be a section [noise] or a table in braces, got 1"),
         ([], "[rod]\nlength_m = 0.05\n", False, 1, "sweep.toml: unknown names: rod"),
         ([], "[rod]\nlength_m = 0.05\n", True, 1, "[rod] needs length_m and bending_stiffness_Nm2"),
-        ([], "[rod\n", True, 1, "sweep.toml is not a TOML file"),
     ],
 )
 def test_wrong_settings_are_refused_in_one_sentence(tmp_path, capsys, left, options, sidecar, si, code, sentence):

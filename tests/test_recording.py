@@ -219,29 +219,18 @@ def changed(column, value):
     ("table", "sentence"),
     [
         ("", "log.csv is empty; expected a table with one row per sample"),
-        (b"\x00\xff\xfe binary", r"log\.csv is no text; expected a table as text, or as Parquet"),
         (f"{HEADER}\n", "log.csv: the recording has no samples: expected at least one row"),
         ("mz_Nm\n1\n", "its header lacks sweep, x_m, y_m, z_m, qw, qx, qy, qz, fx_N, fy_N; expected"),
         (HEADER.replace("mz_Nm", "mz_Nmm") + f"\n{ROW}\n", "its header lacks mz_Nm; expected"),
         (HEADER.replace(",", ";") + f"\n{ROW.replace(',', ';')}\n", "is not a recording: its header lacks"),
         (f"{HEADER},fx_N\n{ROW},3\n", "its header has fx_N more than once; keep one column of each name"),
         (
-            f"{HEADER}\n{ROW}\n0,0.1,0.2",
-            r"log\.csv: line 3 has 3 values, expected 11; it ends in column 3: is it cut off\?",
-        ),
-        (f"{HEADER}\n\n{ROW},7\n", r"log\.csv: line 3 has 12 values, expected 11"),
-        (changed("fy_N", "abc"), r"log\.csv: line 3 has 'abc' in column 'fy_N', which is no number; correct the cell"),
-        (changed("fy_N", ""), r"log\.csv: line 3 has no value in column 'fy_N', where a finite number is expected"),
-        (
             changed("x_m", "nan"),
             r"log\.csv: line 3 has no value in column 'x_m', .* 1 of 2 rows; complete the table$",
         ),
-        (changed("mz_Nm", "inf"), r"log\.csv: line 3 has inf in column 'mz_Nm', where a finite number is expected"),
         (changed("qw", "0.7"), r"orientations must be unit quaternions .*; that of row 2 has the length 0\.7$"),
         (changed("qx", "1"), r"that of row 2 has the length 1\.414$"),
         (changed("sweep", "0.5"), r"log\.csv: line 3 has 0\.5 in column 'sweep', where a whole number is expected"),
-        (changed("sweep", "nan"), "line 3 has no value in column 'sweep'"),
-        (changed("sweep", "1e300"), r"line 3 has 1e\+300 in column 'sweep', where a whole number is expected"),
     ],
 )
 def test_broken_tables_are_refused(tmp_path, table, sentence):
@@ -255,26 +244,15 @@ def test_broken_tables_are_refused(tmp_path, table, sentence):
     [
         (None, r"log\.csv needs log\.toml beside it, with the rod's length_m and bending_stiffness_Nm2"),
         ("", r"log\.toml: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa"),
-        ("[rod]\nlength_m = 0.05\n", r"\[rod\] needs"),
         ("[rod\n", r"log\.toml is not a TOML file: Expected"),
         (b"\xff", r"log\.toml is not a TOML file: .*utf-8"),
-        ("rod = 3\n", r"log\.toml: rod must be a section \[rod\] or a table in braces, got 3"),
-        ("noise = 0.5\n" + TOML, r"log\.toml: noise must be a section \[noise\] or a table in braces, got 0\.5"),
-        (
-            "[rod]\nlength_m = '5 cm'\nbending_stiffness_Nm2 = 1\n",
-            r"log\.toml: \[rod\] length_m must be a number, got '5 cm'",
-        ),
-        ("[rod]\nlength_m = true\nbending_stiffness_Nm2 = 1\n", "length_m must be a number, got True"),
         (
             "[rod]\nlength_m = -0.05\nbending_stiffness_Nm2 = 1\n",
             r"log\.toml: \[rod\] a rod needs a positive length in metres",
         ),
         ("[rod]\nlength_m = 1\ndiameter_m = 0\nmodulus_Pa = 1\n", "a wire needs a positive diameter and modulus"),
         ("unit = 'furlong'\n" + TOML, r"log\.toml: unit must be one of m, cm, mm, um, in; got 'furlong'"),
-        ("unit = ['mm']\n" + TOML, r"log\.toml: unit must be one of m, cm, mm, um, in; got \['mm'\]"),
         (TOML + "[noise]\nforce_N = -1\n", r"\[noise\] force_N must be a finite number of at least 0, got -1"),
-        (TOML + "[noise]\nmoment_Nm = nan\n", r"\[noise\] moment_Nm must be a finite number of at least 0, got nan"),
-        (TOML + "[noise]\nmoment_Nm = 'small'\n", "moment_Nm must be a number, got 'small'"),
     ],
 )
 def test_broken_toml_files_are_refused(tmp_path, meta, sentence):

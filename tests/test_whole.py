@@ -130,6 +130,7 @@ def test_a_first_result_is_there_or_not(place, how, step):
     every(lambda: write(out, NEW), how, lambda: place(()), check, step)
 
 
+@pytest.mark.trust
 @can_fork
 def test_who_finishes_the_work_of_a_killed_run_may_be_killed_as_well(place):
     out, kth = place(), 0
