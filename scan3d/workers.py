@@ -8,9 +8,8 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
@@ -35,10 +34,10 @@ class Workers(Executor):
     def __init__(self, jobs: int) -> None:
         if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
             raise InputError(f"jobs must be a whole number of at least 1, got {jobs!r}")
-        # each thread has a process, which it replaces when that has died
+        # each thread has a pool of one process, which it replaces when that has died
         self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="scan3d-worker")
         self._of_thread = threading.local()
-        self._all: list[tuple[BaseProcess, Connection]] = []
+        self._all: dict[int, ProcessPoolExecutor] = {}
         self._is_over = False
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -48,45 +47,36 @@ class Workers(Executor):
     def _call(self, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
         if self._is_over:
             raise BrokenExecutor("the workers have been ended")
-        connection = getattr(self._of_thread, "connection", None) or self._start()
+        pool: ProcessPoolExecutor | None = getattr(self._of_thread, "pool", None)
         try:
-            connection.send((fn, args, kwargs))
-            value, error = connection.recv()
-        except (EOFError, OSError):
-            self._of_thread.connection = None
-            raise BrokenExecutor("the process of this call has ended") from None
-        if error is not None:
-            raise error
-        return value
-
-    def _start(self) -> Connection:
-        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        process.start()
-        theirs.close()
-        self._all.append((process, ours))
-        if self._is_over:  # while it was being started
-            process.kill()
-        self._of_thread.connection = ours
-        return ours
+            if pool is None:
+                # a fork would copy the locks of threads
+                pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _get_ready)
+                pid = pool.submit(os.getpid).result()
+                self._of_thread.pool, self._of_thread.pid, self._all[pid] = pool, pid, pool
+                if self._is_over:  # while it was being started
+                    self.kill()
+            return pool.submit(fn, *args, **kwargs).result()
+        except BrokenExecutor:
+            self._of_thread.pool = None
+            self._all.pop(getattr(self._of_thread, "pid", 0), None)
+            raise
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As `Executor.shutdown`."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
         if wait:
-            for process, connection in self._all:
-                connection.close()  # a process that waits for a call ends
-                process.join()
+            for pool in self._all.values():
+                pool.shutdown()
 
     def kill(self) -> None:
         """End all processes, when they have undone what they were about; no further calls are answered."""
         self._is_over = True
-        processes = [process for process, _ in self._all]
-        for process in processes:
-            process.terminate()
-        for process in processes:
-            process.join()
+        for pid in self._all:
+            with suppress(OSError):  # it has ended
+                os.kill(pid, signal.SIGTERM)
+        for pool in self._all.values():
+            pool.shutdown()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -97,8 +87,8 @@ class Workers(Executor):
         self.shutdown()
 
 
-def _serve(connection: Connection) -> None:
-    """What a worker does: answer calls, until no more can come."""
+def _get_ready() -> None:
+    """What a worker does before its first call."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     # Ctrl-C in a terminal reaches all its processes: the one that started this one ends it
@@ -106,16 +96,6 @@ def _serve(connection: Connection) -> None:
     signal.signal(signal.SIGTERM, lambda *_: end(128 + signal.SIGTERM))
     logging.captureWarnings(True)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    while True:
-        try:
-            fn, args, kwargs = connection.recv()
-        except EOFError:
-            return
-        try:
-            answer: tuple[Any, Exception | None] = fn(*args, **kwargs), None
-        except Exception as error:
-            answer = None, error
-        connection.send(answer)
 
 
 def _end_with_parent() -> None:
