@@ -64,6 +64,13 @@ def test_the_directions_are_spread_evenly():
     assert np.abs(directions).min() > 0.02
 
 
+@pytest.mark.slow
+def test_fixed_sweeps_are_not_aimed(cube):
+    """Two from each of the twelve directions, wherever the bound is wide."""
+    recording = scan3d.simulate(cube, scan3d.Plan(sweeps=2, **TINY))
+    assert len(np.unique(recording.sweep)) <= 2 * len(aims.icosahedron())
+
+
 def test_rasters_cross_the_body(cube):
     points = np.asarray(cube.vertices) / 40
     lines = aims.rasters(points, 10, 0.3)
