@@ -147,8 +147,9 @@ def test_the_package_contains_every_file_beside_its_modules():
 # --- the player ---
 
 
-@pytest.mark.parametrize("scene", [scanned(CUBE), scanned_in_space()], ids=["planar", "spatial"])
-def test_the_player_has_the_poses_and_reactions_of_the_recording(scene):
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_the_player_has_the_poses_and_reactions_of_the_recording(model):
+    scene = scanned(CUBE) if model == "planar" else scanned_in_space()
     center = np.array([1.0, -2.0, 3.0])
     data, recording = player(scene, center), scene.recording
     of_contact, rows = array(data["contact"]), scene.column("row").astype(int)
