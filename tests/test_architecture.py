@@ -48,26 +48,23 @@ def loaded(statement):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("file", "text", "sentence"),
-    [
-        ("scan3d/stray/__init__.py", '"""A wing in no line."""\n', "stray"),
-        ("scan3d/surfaces/up.py", "def late():\n    import scan3d.files.meshes\n", "scan3d.surfaces.up"),
-        ("planar/up.py", "import scan3d.units\n", "planar.up"),
-        (None, "", ""),
-    ],
-)
-def test_import_linter_enforces_the_rule(tmp_path, file, text, sentence):
+def test_import_linter_enforces_the_rule(tmp_path):
+    """That it finds nothing in the modules themselves is for `make lint`."""
     for package in ("planar", "scan3d"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    if file is not None:
+    for file, text in {
+        "scan3d/stray/__init__.py": '"""A wing in no line."""\n',
+        "scan3d/surfaces/up.py": "def late():\n    import scan3d.files.meshes\n",
+        "planar/up.py": "import scan3d.units\n",
+    }.items():
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).write_text(text, encoding="utf-8")
     code = "import sys; sys.path.insert(0, ''); from importlinter.cli import lint_imports; exit(lint_imports(no_cache=True))"
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert run.returncode == (0 if file is None else 1), run.stdout + run.stderr
-    assert sentence in run.stdout
+    assert run.returncode == 1, run.stdout + run.stderr
+    for name in ("stray", "scan3d.surfaces.up", "planar.up"):
+        assert name in run.stdout
 
 
 def test_no_imports_in_a_circle():
