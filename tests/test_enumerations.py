@@ -3,7 +3,7 @@
 import pytest
 
 import planar
-from scan3d.bounds.slabs import Gap
+from scan3d.bounds.cells import Gap
 from scan3d.cloud import NormalSource
 
 MEMBERS = {

@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull, hull_near
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.hulls import distance_from_hull, hull, hull_near
 
 RNG = np.random.default_rng(11)
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.8]))[:3, :3]
@@ -101,3 +102,13 @@ def test_the_hull_from_a_mesh_that_is_nearly_convex_is_the_hull(monkeypatch, mov
         tuple(sorted(face)) for face in expected.faces.tolist()
     }
     assert made.volume == pytest.approx(expected.volume, rel=1e-12)
+
+
+def test_distances_from_a_hull_are_those_of_the_nearest_points():
+    """Of points outside and inside; a facet's sliver must not turn a point inside into one outside."""
+    points = 20 * np.vstack([directions(400), directions(400) * (1 - 1e-12)]) * [1.0, 2.0, 0.3] + 5
+    sought = 40 * RNG.standard_normal((300, 3)) * [1.0, 2.0, 0.3] * RNG.uniform(size=(300, 1)) + 5
+    expected = np.maximum(nearest(sought, hull(points))[0], 0.0)
+    assert (expected > 0).any()
+    assert (expected == 0).any()
+    assert distance_from_hull(points)(sought) == pytest.approx(expected, abs=1e-11)

@@ -1,8 +1,8 @@
 """Inner and outer body of a body from touch alone, and certified bounds of the distance of surfaces from it."""
 
+from scan3d.bounds.cells import Gap
 from scan3d.bounds.certificates import Certificate, certificate, withdrawn
 from scan3d.bounds.constraints import Allowed, allowed, sigmas
 from scan3d.bounds.enclosures import Enclosure, enclosure
-from scan3d.bounds.slabs import Gap
 
 __all__ = ["Allowed", "Certificate", "Enclosure", "Gap", "allowed", "certificate", "enclosure", "sigmas", "withdrawn"]

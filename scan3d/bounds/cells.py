@@ -1,53 +1,100 @@
-"""The outer body by slices along several axes: what all contacts together leave of the cells between their planes.
+"""The outer body in cells: what the half-spaces of all slices leave between the planes of the slices.
 
-A body K lies behind some plane that contains the rod's tangent at a contact p.  With the outward normal w of the tangent in
-the slice, and the axis a, that plane is ``<w, x - p> = g <a, x - p>``.  The hull H of all contacts, of whatever slices, lies
-behind it as well, which confines the slope g to an interval (S27).  Above its slice a contact therefore leaves of K what
-lies behind the plane with the largest g, and below it what lies behind that with the smallest.
+Along one axis the cells are slabs.  At a fixed normal angle θ a slice's support function is concave in the height z, so that
+beyond a slice it stays below the extrapolated secant from the slice behind it,
 
-The planes of all slices cut space into cells.  Each cell lies on one side of every slice, so that what these half-spaces leave
-of it is a convex polyhedron, and the distance from H is largest at one of its corners.  No bound by contacts and tangents can
-be smaller: the hull of H and a point that is left is a convex body with the same contacts and tangents.
+    <n, p> <= h + σ (z - z_i),        σ = (h - h_before) / (z_i - z_before),
 
-Only cells are evaluated in which K can lie outside H.  The surface of K is connected and nowhere strictly inside H.  So from
-the cells that contain contacts it reaches others only across those faces of which something is left that is not strictly
-inside H.
+with h exact at the contact, and with the support function of the contacts as a lower bound of ``h_before``.  Between two
+slices this holds from both sides; beyond an end slice it holds from one side, up to the height of the nearest empty slice.
+
+Where heights are uncertain by e, which may differ from contact to contact, the secants rise over
+``z_i - z_before ± 2e``, whichever is less steep towards the slab's outside, and each slab reaches e beyond its planes.
+Let s be the true slope of a half-space that begins at ``z_i + d``, with d between -e and e.  Within the slab it is
+exceeded by at most e times the steeper of the secants from behind and from ahead, between which s lies; the half-spaces
+are moved outwards by this.  Past an end slice, and where all slices ahead are nearer than 4e, no secant from ahead
+is known, but there the slab before reaches to ``z_i + e``, beyond which the half-space holds.
+
+The half-spaces hold beyond the next slices as well.  With exact contacts those of the nearest slice are the tightest; where
+contacts are uncertain, a slab is also bounded by those of slices farther away, so that a slice that is known poorly, as
+one near the end of a body, does not widen the outer body.
+
+Along several axes a body K lies behind some plane that contains the rod's tangent at a contact p.  With the outward normal w of
+the tangent in the slice, and the axis a, that plane is ``<w, x - p> = g <a, x - p>``.  The hull H of all contacts, of whatever
+slices, lies behind it as well, which confines the slope g to an interval (S27).  Above its slice a contact therefore leaves of
+K what lies behind the plane with the largest g, and below it what lies behind that with the smallest.
+
+Each cell lies on one side of every slice, so that what these half-spaces leave of it is a convex polyhedron, and the distance
+from H is largest at one of its corners.  No bound by contacts and tangents can be smaller: the hull of H and a point that is
+left is a convex body with the same contacts and tangents.
+
+Of the cells along several axes only those are evaluated in which K can lie outside H.  The surface of K is connected and
+nowhere strictly inside H.  So from the cells that contain contacts it reaches others only across those faces of which something
+is left that is not strictly inside H.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from itertools import combinations
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from enum import IntEnum
+from functools import cache
+from itertools import chain, combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import QhullError
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
-from scan3d.bounds.constraints import exact_error, tangent_planes
-from scan3d.bounds.slabs import secants
+from scan3d.bounds.constraints import HalfSpaces, by_arcs, by_secants
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.polytopes import half_space_intersection
+from scan3d.geometry.polytopes import half_space_intersection, volume_about
 from scan3d.reconstruction.slices import SliceStack
 
 MOST_CROSSINGS = 6_000
 """Crossings of slices along different axes up to which the cells between them are evaluated, in about a millisecond each."""
-# Axes up to which the codes of cells fit into 64 bits.
-_MOST_AXES = 6
-# Rounds in which the half-spaces are added that cut off most of a cell's corners, and those of contacts in the cell with which
-# it is begun.
-_ROUNDS, _FIRST = 20, 30
-# Depth of a point inside a cell, over the cell's half thickness, that serves Qhull without a search for a better one, and steps
-# from the contacts of a cell towards the middle of the body at which such a point is sought.
-_INSIDE, _STEPS = 1e-6, np.array([0.5, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4])
-# Coordinates of corners, in half thicknesses of the cell, that count as infinite.
+# Slices on each side of a slab that bound it where they are uncertain: the nearest may have few contacts, or light ones.
+_ANCHORS = 4
+# Half-spaces of a slice's contacts in a cell with which the cell is begun, where other axes cut the slice into many cells.
+_FIRST = 5
+# Depth of a point inside a cell, in sizes of the cell, below which a better one is sought for Qhull, and steps from contacts
+# at which such a point is tried first.
+_INSIDE, _STEPS = 1e-6, 0.2 ** np.arange(13)
+# Coordinates of corners, in sizes of the cell, beyond which half-spaces do not close but for rounding.
 _FAR = 1e6
 # Determinant of three axes that span space.
 _SPANNING = 0.02
 _SIGNS = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij")).reshape(3, 8).T
+
+
+class Gap(IntEnum):
+    """The cause of a part of the uncertainty."""
+
+    SLICES = 0
+    """The body between two slices."""
+    CONTACTS = 1
+    """A slice's contour between two contacts."""
+    CAPS = 2
+    """The body past its end slices."""
+
+
+class Slab(NamedTuple):
+    """The outer body between two heights."""
+
+    corners: Array
+    """(w, 3) in the world; one infinite corner if nothing bounds the slab."""
+    kind: NDArray[np.int8]
+    """(w,) of `Gap`."""
+    straight: Mask
+    """(w, 2) whether the body goes on straight, below and above the slab, at all the corner's half-spaces from that side."""
+    volume: float
+    """Infinite if nothing bounds the slab; NaN if it was not wanted."""
+
+
+SlabKey = tuple[float, ...]
+"""Heights of the slices that a slab depends on, and their numbers of contacts."""
 
 
 class Cells(NamedTuple):
@@ -72,13 +119,9 @@ class Cells(NamedTuple):
 
 
 def applicable(cloud: Cloud, by_axis: Sequence[SliceStack]) -> bool:
-    """Whether the contacts are exact, along several axes, and axes and cells not too many."""
+    """Whether the contacts are exact, along several axes, and cells not too many."""
     exact = cloud.covariance is None and cloud.calibration is None and cloud.tilt is None and not cloud.noise
-    return (
-        exact
-        and 1 < len(by_axis) <= _MOST_AXES
-        and 0 < crossings([len(stack.slices) for stack in by_axis]) <= MOST_CROSSINGS
-    )
+    return exact and len(by_axis) > 1 and 0 < crossings(len(stack.slices) for stack in by_axis) <= MOST_CROSSINGS
 
 
 def crossings(slices: Iterable[int]) -> int:
@@ -88,68 +131,316 @@ def crossings(slices: Iterable[int]) -> int:
 
 def cells_of_cloud(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any) -> Cells:
     """The cells of a cloud of exact contacts, in slices along several axes, around `inner`, the hull of the contacts."""
-    return _Arrangement(cloud, by_axis, inner).flooded()
+    return _Flood(cloud, by_axis, inner).cells()
 
 
 def tighter_cells(cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any, place: Array, bound: float) -> Cells | None:
     """As `cells_of_cloud`; None if the cell at a place (3,) reaches as far from the hull as a bound, which is found at once."""
-    arrangement = _Arrangement(cloud, by_axis, inner)
-    return None if arrangement.gap_at(place) >= bound else arrangement.flooded()
+    flood = _Flood(cloud, by_axis, inner)
+    return None if flood.gap_at(place) >= bound else flood.cells()
+
+
+def slabs(
+    stack: SliceStack, margin: float = 0.0, known: dict[SlabKey, Slab] | None = None, *, volumes: bool = True
+) -> list[Slab]:
+    """The slabs of a stack from below; those in `known`, by key, are not computed again, and new ones are added to it.
+
+    margin
+        largest error of a contact's place, by which half-spaces are moved outwards.
+
+    Without `volumes` those of bounded slabs are NaN.
+    """
+    known = {} if known is None else known
+    keys = slab_keys(stack)
+    sides = cache(lambda _, side, i: by_secants(stack, i, side, margin))
+    arrangement = _Arrangement([stack], sides, stack.height_error, _ANCHORS if _uncertain(stack) else 1)
+    for i, key in enumerate(keys):
+        if key not in known:
+            known[key] = _slab(stack, arrangement, i, volumes=volumes)
+    return [known[key] for key in keys]
+
+
+def _uncertain(stack: SliceStack) -> bool:
+    return bool(stack.confident or stack.height_error)
+
+
+def slab_keys(stack: SliceStack) -> list[SlabKey]:
+    """What each slab depends on: three slices, or ends of the body, on either side, and how many contacts they have."""
+    heights = [-np.inf, -np.inf, stack.floor, *map(float, stack.heights), stack.ceiling, np.inf, np.inf]
+    contacts = [0, 0, 0, *(len(slice_.rows) for slice_ in stack.slices), 0, 0, 0]
+    return [(*heights[i : i + 6], *contacts[i : i + 6]) for i in range(len(stack.slices) + 1)]
+
+
+def _slab(stack: SliceStack, arrangement: _Arrangement, i: int, *, volumes: bool) -> Slab:
+    """The slab below slice i."""
+    count = len(stack.slices)
+    in_cap = i in (0, count)
+    (low,), (high,) = arrangement.ends([i])
+    if high <= low:
+        return Slab(np.empty((0, 3)), np.empty(0, dtype=np.int8), np.empty((0, 2), dtype=bool), 0.0)
+    cell = arrangement.cell([i]) if np.isfinite(high - low) else None
+    inner_kind = Gap.CAPS if in_cap else Gap.SLICES
+    # a slab of which nothing is left contradicts the premises
+    if cell is None or not len(cell.corners) or not np.isfinite(cell.corners).all():
+        nothing = np.full((1, 3), np.inf)
+        return Slab(nothing, np.array([inner_kind], dtype=np.int8), np.zeros((1, 2), dtype=bool), np.inf)
+    # corners in the plane of a slice: of one whose half-spaces bound it there, or of an end slice, where the body is narrower
+    height = cell.corners @ stack.frame[2]
+    on_low, on_high = (np.abs(height - z) <= NEGLIGIBLE * (high - low) for z in (low, high))
+    in_plane = (on_low & (i >= 2)) | (on_high & (i + 1 < count))
+    on_end = (on_low & (i == 1)) | (on_high & (i + 1 == count))
+    kind = np.where(in_plane, Gap.CONTACTS, inner_kind).astype(np.int8)
+    straight = _corners_are_straight(cell, one_sided=in_cap) & ~on_end[:, None]
+    return Slab(cell.corners, kind, straight, cell.volume() if volumes else np.nan)
+
+
+def _corners_are_straight(cell: _Cell, *, one_sided: bool) -> Mask:
+    """(w, 2) whether the half-spaces from below, and from above, that meet in each corner all go on straight behind the slab.
+
+    Where the slab has slices on one side only, both say whether those of that side do.
+    """
+    rows = np.fromiter(chain.from_iterable(cell.meeting), dtype=np.intp)
+    first = np.cumsum([0, *map(len, cell.meeting[:-1])])
+    side, straight = cell.side[rows], cell.straight[rows]
+    if one_sided:
+        goes_on = np.logical_and.reduceat(straight, first)
+        return np.stack([goes_on, goes_on], axis=1)
+    of_side = side[:, None] == [1, 0]
+    all_straight = np.logical_and.reduceat(straight[:, None] | ~of_side, first)
+    return np.logical_or.reduceat(of_side, first) & all_straight
 
 
 class _Cell(NamedTuple):
     """What is left of one cell."""
 
     corners: Array
-    """(w, 3)"""
-    planes: list[Array]
-    """(w,) of (k, 4)"""
+    """(w, 3); one infinite corner if nothing bounds the cell, none if nothing is left of it."""
+    meeting: list[list[int]]
+    """(w,) the half-spaces that meet in each corner."""
+    planes: Array
+    """(k, 4) the half-spaces."""
+    side: Index
+    """(k,) 1 for those that hold above a slice, 0 for those that hold below one, -1 for the cell's planes and the table's."""
+    straight: Mask
+    """(k,) as in `HalfSpaces`."""
+
+    def volume(self) -> float:
+        middle = self.corners.mean(axis=0)
+        return volume_about(self.corners - middle, self.planes[:, :3], self.meeting)
 
 
 class _Arrangement:
-    """The cells of the planes of all slices, numbered by one code each."""
+    """The cells between the planes of slices, numbered as in `Cells`.
+
+    sides
+        the half-spaces by axis, side (0: below the slice, 1: above it) and slice.
+    off
+        how far cells reach beyond their planes.
+    anchors
+        number of slices on each side of a cell whose half-spaces bound it.
+    """
+
+    def __init__(
+        self, by_axis: Sequence[SliceStack], sides: Callable[[int, int, int], HalfSpaces], off: float, anchors: int = 1
+    ) -> None:
+        self.stacks, self.off = by_axis, off
+        self._sides, self._anchors = sides, anchors
+        self._contour = cache(lambda k, j: by_axis[k].contour(j))
+        self.axes = np.array([stack.frame[2] for stack in by_axis])
+        self.levels = [np.array([stack.floor, *stack.heights, stack.ceiling]) for stack in by_axis]
+        self._frame, self._bounded = _frame(by_axis)
+
+    def ends(self, number: Sequence[int]) -> tuple[Array, Array]:
+        """Heights (m,) between which a cell lies along each axis."""
+        low = np.array([levels[i] for levels, i in zip(self.levels, number, strict=True)])
+        high = np.array([levels[i + 1] for levels, i in zip(self.levels, number, strict=True)])
+        return low - self.off, high + self.off
+
+    def cell(self, number: Sequence[int]) -> _Cell:
+        """What the half-spaces leave of a cell."""
+        low, high = self.ends(number)
+        origin, scale, tried, width = self._coordinates(number, low, high)
+        box, straight = self._box(number, low, high)
+        planes, side, goes_on, begin = [box], [np.full(len(box), -1)], [straight], [np.ones(len(box), dtype=bool)]
+        for k, above, j, is_next in self._around(number):
+            half = self._sides(k, above, j)
+            planes.append(half.planes)
+            side.append(np.full(len(half.planes), above))
+            goes_on.append(half.straight & is_next)
+            begin.append(np.full(len(half.planes), is_next))
+            if len(half.points):
+                heights = half.points @ self.axes.T
+                in_cell = np.flatnonzero(((heights >= low) & (heights <= high)).all(axis=1))
+                begin[-1][:] = False
+                begin[-1][in_cell[:: 1 + len(in_cell) // _FIRST]] = True
+        cell = _Cell(np.empty((0, 3)), [], *map(np.concatenate, (planes, side, goes_on)))
+        chosen = np.concatenate(begin)
+        corners = origin + _SIGNS @ scale.T / 2
+        closed = len(self._bounded) == 3 and bool(np.isfinite(high - low).all())
+        if closed and (_heights(corners, cell.planes).min(axis=0) > 0).any():
+            return cell
+        while True:
+            found = _left(cell.planes[chosen], origin, scale, tried)
+            if found is None:
+                return cell
+            corners, meeting = found
+            finite = bool(np.isfinite(corners).all())
+            if finite and not chosen.all():
+                heights = _heights(corners, cell.planes)
+                worst = heights.argmax(axis=1)[heights.max(axis=1) > NEGLIGIBLE * width]
+                if not chosen[worst].all():
+                    chosen[worst] = True
+                    continue
+            if not finite and not chosen.all():
+                chosen[:] = True
+                continue
+            return _Cell(corners, meeting, cell.planes[chosen], cell.side[chosen], cell.straight[chosen])
+
+    def _around(self, number: Sequence[int]) -> Iterator[tuple[int, int, int, bool]]:
+        """The slices that bound a cell: axis, whether the cell lies above them, number, and whether they are next to it."""
+        for k, i in enumerate(number):
+            for step in range(self._anchors):
+                for above, j in ((1, i - 1 - step), (0, i + step)):
+                    if 0 <= j < len(self.stacks[k].slices):
+                        yield k, above, j, step == 0
+
+    def _box(self, number: Sequence[int], low: Array, high: Array) -> tuple[Array, Mask]:
+        """The half-spaces (b, 4) of a cell's planes and of the table, and whether the body goes on straight to them.
+
+        Where an empty slice bounds a cap, the corner in its plane does not follow from the body's shape.
+        """
+        planes, straight = [np.empty((0, 4))], []
+        for k, (stack, i) in enumerate(zip(self.stacks, number, strict=True)):
+            at_ends = (i == 0, low[k], -1), (i == len(stack.slices), high[k], 1)
+            for (in_cap, level, sign), by_others in zip(at_ends, stack.bounded_by_others, strict=True):
+                if np.isfinite(level):
+                    planes.append(sign * np.append(self.axes[k], -level)[None])
+                    straight.append(in_cap and by_others)
+            if stack.table is not None:
+                planes.append(np.append(stack.table[:3] @ stack.frame, stack.table[3])[None])
+                straight.append(False)
+        return np.concatenate(planes), np.array(straight, dtype=bool)
+
+    def _coordinates(self, number: Sequence[int], low: Array, high: Array) -> tuple[Array, Array, Array, float]:
+        """Origin (3,) and map (3, 3) of coordinates in which a cell has the size of 1, points (t, 3) in these that may lie
+        inside, and the width of the slices next to the cell."""
+        places = np.concatenate([self._contour(k, j) for k, _, j, is_next in self._around(number) if is_next])
+        heights = places @ self.axes.T
+        inside = places[((heights >= low) & (heights <= high)).all(axis=1)]
+        width = float(np.ptp(places, axis=0).max())
+        # of contacts in the cell, or next to it, the mean lies in the body
+        start = (inside if len(inside) else places).mean(axis=0)
+        middle, size = self._frame @ start, np.full(3, width)
+        for row, k in enumerate(self._bounded):
+            if np.isfinite(high[k] - low[k]):
+                middle[row], size[row] = (low[k] + high[k]) / 2, max(high[k] - low[k], ROUNDING * width)
+        inverse = np.linalg.inv(self._frame)
+        start, towards = ((self._frame @ place - middle) / size for place in (start, places.mean(axis=0)))
+        halfway = start.copy()
+        halfway[: len(self._bounded)] = 0.0
+        tried = np.concatenate([start + _STEPS[:, None] * (end - start) for end in (halfway, towards)])
+        return inverse @ middle, inverse * size, tried, width
+
+
+def _heights(points: Array, planes: Array) -> Array:
+    """How far points (p, 3) lie beyond planes (k, 4)."""
+    heights: Array = points @ planes[:, :3].T + planes[:, 3]
+    return heights
+
+
+def _left(planes: Array, origin: Array, scale: Array, tried: Array) -> tuple[Array, list[list[int]]] | None:
+    """Corners (w, 3) of an intersection of half-spaces (k, 4), and those that meet in each; None if it is empty.
+
+    origin, scale
+        of coordinates in which the intersection is of the size of 1, so that Qhull can handle thin cells.
+    tried (t, 3)
+        points that may lie inside, in these coordinates.
+
+    One infinite corner if nothing bounds it.
+    """
+    open_ = np.full((1, 3), np.inf), [[0]]
+    normals = planes[:, :3] @ scale
+    size = np.linalg.norm(normals, axis=1)
+    normals, offset = normals / size[:, None], -_heights(origin[None], planes)[0] / size
+    depths = (offset - tried @ normals.T).min(axis=1)
+    inside, depth = tried[depths.argmax()], float(depths.max())
+    if depth < _INSIDE:
+        best = linprog(
+            [0, 0, 0, -1],
+            A_ub=np.column_stack([normals, np.ones(len(normals))]),
+            b_ub=offset,
+            bounds=[(None, None)] * 3 + [(None, 1)],
+        )
+        if best.status == 0 and (reached := float((offset - normals @ best.x[:3]).min())) > depth:
+            inside, depth = best.x[:3], reached
+        if depth < -_INSIDE:
+            return None if best.status == 0 else open_
+        if depth < NEGLIGIBLE:  # moved outwards, so that there is an inside
+            offset = offset + 2 * _INSIDE - depth
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = half_space_intersection(np.column_stack([normals, normals @ inside - offset]), np.zeros(3))
+    except (QhullError, ValueError):
+        return open_
+    # the intersection is bounded only if the point lies inside the hull of the dual points
+    corners = found.intersections
+    if not (found.dual_equations[:, 3] < -ROUNDING).all() or not np.abs(corners).max() < _FAR:
+        return open_
+    return origin + (inside + corners) @ scale.T, found.dual_facets
+
+
+def _frame(by_axis: Sequence[SliceStack]) -> tuple[Array, list[int]]:
+    """Three directions (3, 3) that span space, and which of the axes the first of them are."""
+    axes = np.array([stack.frame[2] for stack in by_axis])
+    triples = [list(triple) for triple in combinations(range(len(axes)), 3)]
+    volumes = [abs(np.linalg.det(axes[triple])) for triple in triples]
+    if triples and max(volumes) > _SPANNING:
+        best = triples[int(np.argmax(volumes))]
+        return axes[best], best
+    if len(axes) > 1 and np.linalg.norm(across := np.cross(axes[0], axes[1])) > _SPANNING:
+        return np.array([axes[0], axes[1], across / np.linalg.norm(across)]), [0, 1]
+    return by_axis[0].frame[[2, 0, 1]], [0]
+
+
+class _Flood:
+    """The cells that the surface of a body can reach outside the hull of its exact contacts."""
 
     def __init__(self, cloud: Cloud, by_axis: Sequence[SliceStack], inner: Any) -> None:
-        error = exact_error(cloud)
-        self._axes = np.array([stack.frame[2] for stack in by_axis])
-        heights = [stack.heights for stack in by_axis]
-        self._levels = [np.array([s.floor - error, *s.heights, s.ceiling + error]) for s in by_axis]
-        self._distance = nearest_on(inner)
-        vertices = inner.vertices.view(np.ndarray)
-        self._centre, self._size = vertices.mean(axis=0), float(np.linalg.norm(np.ptp(vertices, axis=0)))
-        self._frame, self._bounded = _frame(self._axes)
-        self._weights = (max(map(len, self._levels)) + 1) ** np.arange(len(by_axis))
-        self._half = half = half_spaces(cloud, by_axis)
-        first = np.cumsum([0, *map(len, heights)])
-        member = first[half.axis] + half.slice
-        finite: Mask = np.asarray(np.isfinite(half.planes).all(axis=2))
-        self._rows = [
-            [
-                [np.flatnonzero((member == first[k] + i) & finite[side]) for i in range(len(heights[k]))]
-                for side in (0, 1)
-            ]
-            for k in range(len(by_axis))
-        ]
-        number = np.column_stack(
-            [np.searchsorted(h, half.points @ axis) for h, axis in zip(heights, self._axes, strict=True)]
-        )
-        codes = []
-        for side in (0, 1):
-            number[np.arange(len(number)), half.axis] = half.slice + side
-            codes.append(number @ self._weights)
-        order = np.argsort(np.concatenate(codes), kind="stable")
-        known, start = np.unique(np.concatenate(codes)[order], return_index=True)
-        within = np.split(np.tile(np.arange(len(number)), 2)[order], start[1:])
-        self._contacts: dict[int, Index] = dict(zip(known.tolist(), within, strict=True))
+        sides, off = by_arcs(cloud, by_axis)
+        self._arrangement = _Arrangement(by_axis, lambda k, side, i: sides[k][side][i], off)
+        self._distance, self._size = nearest_on(inner), float(np.linalg.norm(inner.extents))
+        with_contacts = []
+        for k, stack in enumerate(by_axis):
+            for i, slice_ in enumerate(stack.slices):
+                number = self._number(cloud.points[slice_.rows])
+                for above in (0, 1):
+                    number[:, k] = i + above
+                    with_contacts.append(np.unique(number, axis=0))
+        self._first = np.unique(np.concatenate(with_contacts), axis=0)
 
-    def flooded(self) -> Cells:
+    def _number(self, points: Array) -> Index:
+        """Numbers (n, m) of the cells of points (n, 3)."""
+        heights = points @ self._arrangement.axes.T
+        return np.column_stack(
+            [np.searchsorted(levels[1:-1], h) for levels, h in zip(self._arrangement.levels, heights.T, strict=True)]
+        )
+
+    def gap_at(self, place: Array) -> float:
+        """How far the cell at a place (3,) reaches from the hull, infinite where nothing bounds it."""
+        corners = self._arrangement.cell(self._number(place[None])[0].tolist()).corners
+        if not len(corners):
+            return 0.0
+        return float(self._distance(corners)[0].max()) if np.isfinite(corners).all() else np.inf
+
+    def cells(self) -> Cells:
         """The cells that contain contacts, and those that the body's surface can reach from them."""
-        wave, seen = list(self._contacts), set(self._contacts)
-        codes: list[int] = []
+        wave = [tuple(number) for number in self._first.tolist()]
+        seen = set(wave)
+        numbers: list[tuple[int, ...]] = []
         found: list[_Cell] = []
         gaps, feet = [np.empty(0)], [np.empty((0, 3))]
         while wave:
-            new = [(code, cell) for code in wave if len((cell := self._cell(code)).corners)]
+            new = [(number, cell) for number in wave if len((cell := self._arrangement.cell(number)).corners)]
             wave = []
             if not new:
                 break
@@ -159,246 +450,37 @@ class _Arrangement:
             if finite.any():
                 signed[finite], _, foot[finite] = self._distance(corners[finite])
             ends = np.cumsum([len(cell.corners) for _, cell in new])[:-1]
-            for (code, cell), depth in zip(new, np.split(signed, ends), strict=True):
-                for beyond in self._reached(code, cell.corners, depth):
-                    if beyond not in seen:
-                        seen.add(beyond)
-                        wave.append(beyond)
-            codes += [code for code, _ in new]
+            for (number, cell), depth in zip(new, np.split(signed, ends), strict=True):
+                reached = [beyond for beyond in self._reached(number, cell.corners, depth) if beyond not in seen]
+                wave += reached
+                seen.update(reached)
+            numbers += [number for number, _ in new]
             found += [cell for _, cell in new]
             gaps.append(np.maximum(signed, 0.0))
             feet.append(foot)
-        number = np.array([self._number(code) for code in codes], dtype=np.intp).reshape(-1, len(self._axes))
-        low, high = (
-            np.column_stack([levels[number[:, k] + side] for k, levels in enumerate(self._levels)]) for side in (0, 1)
-        )
+        arrangement = self._arrangement
+        ends_of = np.array([arrangement.ends(number) for number in numbers]).reshape(-1, 2, len(arrangement.axes))
         return Cells(
-            number,
-            low,
-            high,
+            np.array(numbers, dtype=np.intp).reshape(-1, len(arrangement.axes)),
+            ends_of[:, 0],
+            ends_of[:, 1],
             np.concatenate([np.empty((0, 3)), *(cell.corners for cell in found)]),
             np.repeat(np.arange(len(found)), [len(cell.corners) for cell in found]),
             np.concatenate(gaps),
             np.concatenate(feet),
-            [planes for cell in found for planes in cell.planes],
+            [cell.planes[rows] for cell in found for rows in cell.meeting],
         )
 
-    def gap_at(self, place: Array) -> float:
-        """How far the cell at a place (3,) reaches from the hull, infinite where nothing bounds it."""
-        number = [
-            np.searchsorted(levels[1:-1], place @ axis) for levels, axis in zip(self._levels, self._axes, strict=True)
-        ]
-        corners = self._cell(int(number @ self._weights)).corners
-        if not len(corners):
-            return 0.0
-        return float(self._distance(corners)[0].max()) if np.isfinite(corners).all() else np.inf
-
-    def _number(self, code: int) -> Index:
-        return np.asarray(code // self._weights % (max(map(len, self._levels)) + 1))
-
-    def _reached(self, code: int, corners: Array, signed: Array) -> list[int]:
-        """Codes of the cells across faces of which something is left that is not strictly inside the inner body."""
+    def _reached(self, number: tuple[int, ...], corners: Array, signed: Array) -> list[tuple[int, ...]]:
+        """The cells across faces of which something is left that is not strictly inside the inner body."""
         reached = []
-        finite = bool(np.isfinite(corners).all())
+        is_open = not np.isfinite(corners).all()
         outside = corners[np.isfinite(signed) & (signed >= -NEGLIGIBLE * self._size)]
-        for k, i in enumerate(self._number(code).tolist()):
-            levels, along = self._levels[k], outside @ self._axes[k]
-            # cells beside end slices reach beyond their planes
-            near = NEGLIGIBLE * min(levels[i + 1] - levels[i], self._size) + 2 * self._half.off
-            touched = (along <= levels[i] + near).any(), (along >= levels[i + 1] - near).any()
+        for k, (low, high) in enumerate(zip(*self._arrangement.ends(number), strict=True)):
+            along = outside @ self._arrangement.axes[k]
+            near = NEGLIGIBLE * min(high - low, self._size) + 2 * self._arrangement.off
+            touched = (along <= low + near).any(), (along >= high - near).any()
             for touches, step in zip(touched, (-1, 1), strict=True):
-                if 0 <= i + step < len(levels) - 1 and (touches or not finite):
-                    reached.append(code + step * int(self._weights[k]))
+                if 0 <= number[k] + step < len(self._arrangement.levels[k]) - 1 and (touches or is_open):
+                    reached.append((*number[:k], number[k] + step, *number[k + 1 :]))
         return reached
-
-    def _cell(self, code: int) -> _Cell:
-        """What the contacts of the slices around a cell leave of it."""
-        number = self._number(code)
-        last = np.array([len(levels) - 3 for levels in self._levels])
-        low = np.array([levels[i] for levels, i in zip(self._levels, number, strict=True)])
-        high = np.array([levels[i + 1] for levels, i in zip(self._levels, number, strict=True)])
-        low, high = low - self._half.off * (number == 1), high + self._half.off * (number == last)
-        sides = [
-            (side, rows)
-            for k, i in enumerate(number.tolist())
-            for side, j in ((1, i - 1), (0, i))
-            if 0 <= j < len(self._levels[k]) - 2
-            for rows in (self._rows[k][side][j],)
-        ]
-        rows = np.concatenate([rows for _, rows in sides]) if sides else np.empty(0, dtype=np.intp)
-        planes = np.concatenate([np.empty((0, 4)), *(self._half.planes[side, rows] for side, rows in sides)])
-        origin, scale, box = self._coordinates(low, high)
-        corners = origin + _SIGNS @ scale.T
-        chosen = np.empty(0, dtype=np.intp)
-        if code in self._contacts:
-            near = self._contacts[code]
-            chosen = np.flatnonzero(np.isin(rows, near[:: -(-len(near) // _FIRST)]))
-        closed = len(self._bounded) == 3 and bool(np.isfinite([low, high]).all())
-        facets: list[list[int]] = []
-        for rounds_done in range(_ROUNDS):
-            beyond = corners @ planes[:, :3].T + planes[:, 3]
-            if not rounds_done and closed and (beyond.min(axis=0, initial=np.inf) > 0).any():
-                return _nothing()
-            worst = beyond.argmax(axis=1)[beyond.max(axis=1) > NEGLIGIBLE * self._size] if len(planes) else chosen
-            if rounds_done and not len(np.setdiff1d(worst, chosen)):
-                break
-            chosen = np.union1d(chosen, worst)
-            left = self._left(np.concatenate([box, planes[chosen]]), origin, scale, self._contacts.get(code))
-            if left is None:
-                return _nothing()
-            corners, facets = left
-            if not np.isfinite(corners).all():
-                return _Cell(corners, [np.empty((0, 4))])
-        met = np.concatenate([box, planes[chosen]])
-        return _Cell(corners, [met[facet] for facet in facets])
-
-    def _coordinates(self, low: Array, high: Array) -> tuple[Array, Array, Array]:
-        """Origin (3,) and map (3, 3) of coordinates in which a cell has the size of about 1, and its planes (b, 4)."""
-        upper = np.column_stack([self._axes, -high])[np.isfinite(high)]
-        lower = np.column_stack([-self._axes, low])[np.isfinite(low)]
-        middle, half = self._frame @ self._centre, np.full(3, self._size)
-        for row, k in enumerate(self._bounded):
-            if np.isfinite(high[k] - low[k]):
-                middle[row] = (low[k] + high[k]) / 2
-                half[row] = max((high[k] - low[k]) / 2, ROUNDING * self._size)
-        inverse = np.linalg.inv(self._frame)
-        return inverse @ middle, inverse * half, np.concatenate([upper, lower])
-
-    def _left(
-        self, planes: Array, origin: Array, scale: Array, contacts: Index | None
-    ) -> tuple[Array, list[list[int]]] | None:
-        """Corners (w, 3) of an intersection of half-spaces (k, 4), and those that meet in each; None if it is empty."""
-        open_ = np.full((1, 3), np.inf), [[0]]
-        normals = planes[:, :3] @ scale
-        size = np.linalg.norm(normals, axis=1)
-        normals, offset = normals / size[:, None], -(planes[:, 3] + planes[:, :3] @ origin) / size
-        inside = None
-        if contacts is not None:
-            start, centre = np.linalg.solve(
-                scale, (np.array([self._half.points[contacts].mean(axis=0), self._centre]) - origin).T
-            ).T
-            trial = start + _STEPS[:, None] * (centre - start)
-            depth = (offset - trial @ normals.T).min(axis=1)
-            if depth.max() > _INSIDE:
-                inside = trial[depth.argmax()]
-        if inside is None:
-            best = linprog(
-                [0, 0, 0, -1],
-                A_ub=np.column_stack([normals, np.ones(len(normals))]),
-                b_ub=offset,
-                bounds=[(None, None)] * 3 + [(None, 1)],
-            )
-            if best.status != 0:
-                return open_
-            inside, depth = best.x[:3], float((offset - normals @ best.x[:3]).min())
-            if depth < -_INSIDE and best.x[3] < -_INSIDE:
-                return None
-            offset = offset + max(2 * _INSIDE - depth, 0.0)
-        try:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                found = half_space_intersection(np.column_stack([normals, -offset]), inside)
-        except (QhullError, ValueError):
-            return open_
-        if not (found.dual_equations[:, 3] < -ROUNDING).all() or not np.abs(found.intersections).max() < _FAR:
-            return open_
-        return origin + found.intersections @ scale.T, found.dual_facets
-
-
-def _nothing() -> _Cell:
-    return _Cell(np.empty((0, 3)), [])
-
-
-def _frame(axes: Array) -> tuple[Array, list[int]]:
-    """Three directions (3, 3) that span space, and which of the axes the first of them are."""
-    triples = [list(triple) for triple in combinations(range(len(axes)), 3)]
-    volumes = [abs(np.linalg.det(axes[triple])) for triple in triples]
-    if triples and max(volumes) > _SPANNING:
-        best = triples[int(np.argmax(volumes))]
-        return axes[best], best
-    cross = np.cross(axes[0], axes[1])
-    length = np.linalg.norm(cross)
-    if length > _SPANNING:
-        return np.array([axes[0], axes[1], cross / length]), [0, 1]
-    first = np.linalg.svd(axes[:1])[2]
-    return np.array([axes[0], first[1], first[2]]), [0]
-
-
-class HalfSpaces(NamedTuple):
-    """Half-spaces ``a·x + b <= 0`` by contacts (n,), below and above their slices."""
-
-    planes: Array
-    """(2, n, 4) a, unit vectors, and b; not finite where the slope is not bounded."""
-    axis: Index
-    """(n,) numbers of the slices' axes."""
-    slice: Index
-    """(n,) numbers of the slices along their axes, from below."""
-    points: Array
-    """(n, 3) the contacts."""
-    off: float
-    """Largest distance of a contact from the plane of its slice."""
-
-
-def half_spaces(cloud: Cloud, by_axis: Sequence[SliceStack]) -> HalfSpaces:
-    """The half-spaces of a cloud of exact contacts in slices along several axes."""
-    error = exact_error(cloud)
-    across = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
-    anywhere = replace(cloud, centre_points=cloud.points, tangents=across, rod_radius=0.0, table=None)
-    tangent = tangent_planes(anywhere, np.full(len(cloud), error), np.zeros(len(cloud)))
-    of_slice = np.full((len(cloud.slice_height), 2), -1)
-    for k, stack in enumerate(by_axis):
-        for i, slice_ in enumerate(stack.slices):
-            of_slice[cloud.slice[slice_.rows[0]]] = k, i
-    rows = tangent.rows
-    ends = tangent.arcs.ends() @ np.linalg.inv(tangent.shape)
-    axis, number = of_slice[cloud.slice[rows]].T
-    along = np.array([stack.frame[2] for stack in by_axis])[axis]
-    outward, points = cloud.in_plane_normals[rows], cloud.points[rows]
-    first = np.cumsum([0, *(len(stack.slices) for stack in by_axis)])
-    height = np.concatenate([stack.heights for stack in by_axis])[first[axis] + number]
-    off = error + float(np.abs(height - (along * points).sum(axis=1)).max(initial=0.0))
-    slopes, value = _slopes(ends, outward, along), (outward * points).sum(axis=1)
-    for k, stack in enumerate(by_axis):
-        for i in range(len(stack.slices)):
-            member = np.flatnonzero((axis == k) & (number == i))
-            normals = outward[member] @ stack.frame[:2].T
-            slopes[member] = _narrowed(slopes[member], stack, i, normals, value[member], off)
-    finite: Mask = np.asarray(np.isfinite(slopes))
-    # past an end slice one slope is enough, since the cells on its other side reach beyond its plane
-    last = first[axis + 1] - first[axis] - 1
-    at_bottom, at_top = (number == 0) & (last > 0), (number == last) & (last > 0)
-    usable = finite.all(axis=1) | (finite[:, 0] & at_bottom) | (finite[:, 1] & at_top)
-    with np.errstate(invalid="ignore"):
-        # a contact that lies off the plane of its slice has the other slope between the two
-        out = error + 2 * off * np.where(finite, np.abs(slopes), 0.0).sum(axis=1)
-        normals = outward - slopes.T[:, :, None] * along
-        at = value + out - slopes.T * height
-        planes = np.concatenate([normals, -at[:, :, None]], axis=2) / np.linalg.norm(normals, axis=2)[:, :, None]
-    planes[:, ~usable] = np.nan
-    return HalfSpaces(planes, axis, number, points, off)
-
-
-def _slopes(ends: Array, outward: Array, along: Array) -> Array:
-    """Least and largest slopes (n, 2) of planes whose normals are those at the ends (n, 2, 3) of their arcs."""
-    ends = ends / np.linalg.norm(ends, axis=2)[:, :, None]
-    level, rise = np.einsum("nej,nj->ne", ends, outward), np.einsum("nej,nj->ne", ends, along)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = np.sort(np.where(level > NEGLIGIBLE, -rise / level, -np.copysign(np.inf, rise)), axis=1)
-    # contacts whose arcs are not known are confined by the slices next to theirs only
-    unknown: Mask = np.asarray(np.isnan(ends).any(axis=(1, 2)))
-    return np.where(unknown[:, None], [-np.inf, np.inf], slopes)
-
-
-def _narrowed(slopes: Array, stack: SliceStack, i: int, normals: Array, value: Array, off: float) -> Array:
-    """Least and largest slopes (n, 2) of the contacts of slice i, confined by the slices next to it as well.
-
-    The arcs come from a search among the contacts, which may miss the one that confines a slope most.  The errors of places and
-    heights are at most `off`; normals (n, 2) and values (n,) are those of the contacts' support lines.
-    """
-    found = slopes.copy()
-    if i > 0:
-        below = secants(value, stack.heights[i], stack.slices[i - 1 : i], normals, off, off)
-        found[:, 1] = np.minimum(found[:, 1], below)
-    if i + 1 < len(stack.slices):
-        above = secants(value, stack.heights[i], stack.slices[i + 1 : i + 2], normals, off, off)
-        found[:, 0] = np.maximum(found[:, 0], above)
-    return np.where((found[:, 0] <= found[:, 1])[:, None], found, slopes)

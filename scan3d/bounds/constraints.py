@@ -7,6 +7,8 @@ What noise, digits and the rig's calibration leave uncertain moves the planes ou
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +16,15 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
 from scan3d.geometry.arcs import Arcs, arcs_at
 from scan3d.geometry.hulls import edges_of
 from scan3d.geometry.support import inertia
+from scan3d.geometry.triangles import dot
 from scan3d.geometry.vectors import across, unit
+from scan3d.reconstruction.slices import Slice, SliceStack
 
 CONFIDENCE = 0.95
 """Probability with which the bounds hold under noise."""
@@ -30,6 +34,10 @@ AVERAGED = (2, 4, 16, 64)
 _SHARE = 0.2
 EXACT = 2e-9
 """Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave."""
+# Errors of heights that two slices lie apart at least for a secant between them; at 2 its slope is infinite.
+_APART = 4.0
+# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's.
+_STRAIGHT = 0.03
 # Radius of the ball within which tangents' errors are allowed for, in sizes of the contacts beyond the contacts themselves.
 _BALL = 1.0
 
@@ -162,3 +170,172 @@ def _table_plane(height: float, centre: Array, shape: Array) -> Arcs:
     point = np.linalg.solve(shape, [0.0, 0.0, height - centre[2]])
     normal = unit(shape @ [0.0, 0.0, -1.0])
     return Arcs(point[None], normal[None], across(normal[None])[0], np.zeros(1))
+
+
+class HalfSpaces(NamedTuple):
+    """Half-spaces (k,) of the world behind which the body lies on one side of a slice, by the slice's contacts."""
+
+    planes: Array
+    """(k, 4) a, unit vectors, and b of ``a·x + b <= 0``."""
+    straight: Mask
+    """(k,) whether the body goes on straight on the slice's other side, as far as slices along one axis tell."""
+    points: Array
+    """(k, 3) the contacts, where slices along several axes cut them into cells; else (0, 3)."""
+
+    def select(self, rows: Mask) -> HalfSpaces:
+        return HalfSpaces(
+            self.planes[rows], self.straight[rows], self.points[rows] if len(self.points) else self.points
+        )
+
+
+def by_secants(stack: SliceStack, i: int, side: int, margin: float) -> HalfSpaces:
+    """The half-spaces of slice i that hold below it (`side` 0) or above it (1), by secants from the slices on its other side.
+
+    There are none where the errors of heights and places, which are at most `margin`, leave the slopes unknown.
+    """
+    slice_, below, above = stack.slices[i], stack.slices[:i][::-1], stack.slices[i + 1 :]
+    behind, ahead = (below, above) if side else (above, below)
+    anchors = _anchors(stack, behind, slice_)
+    if not anchors or not len(slice_.angle):
+        return HalfSpaces(np.empty((0, 4)), np.empty(0, dtype=bool), np.empty((0, 3)))
+    normals = np.stack([np.cos(slice_.angle), np.sin(slice_.angle)], axis=1)
+    slope = secants(slice_.value, slice_.height, anchors, normals, margin, stack.height_error)
+    move = np.full(len(slope), margin)
+    if stack.height_error:
+        steepest = np.abs(slope)
+        if beyond := _anchors(stack, ahead, slice_):
+            from_ahead = secants(slice_.value, slice_.height, beyond, normals, margin, stack.height_error)
+            steepest = np.maximum(steepest, np.abs(from_ahead))
+        move += stack.height_error * steepest
+    planes = _inclined(normals @ stack.frame[:2], stack.frame[2], slope, slice_.value, slice_.height, move)
+    straight = _goes_on_straight(slice_, behind, ahead, normals)
+    finite: Mask = np.asarray(np.isfinite(planes).all(axis=1))
+    return HalfSpaces(planes, straight, np.empty((0, 3))).select(finite)
+
+
+def _anchors(stack: SliceStack, others: tuple[Slice, ...], slice_: Slice) -> tuple[Slice, ...]:
+    """Those of the slices on one side of a slice, from the nearest, that secants are taken from.
+
+    If everything is exact, by concavity the nearest has the tightest.
+    """
+    if not (stack.confident or stack.height_error):
+        return others[:1]
+    return tuple(b for b in others if abs(b.height - slice_.height) > _APART * stack.height_error)
+
+
+def secants(
+    value: Array, height: float, others: tuple[Slice, ...], normals: Array, margin: float, height_error: float
+) -> Array:
+    """The tightest slopes (k,) of secants from support lines at a height to other slices on one side of it.
+
+    The lines have the unit normals (k, 2) and the values (k,).  Those to slices below bound the slope from above, those to
+    slices above from below; they are infinite where the errors of heights and places leave the slope unknown.
+    """
+    rise = np.array([value + margin - (b.support_of_contacts(normals) - margin) for b in others])
+    outwards = 1.0 if height > others[0].height else -1.0
+    run = np.array([[height - b.height] for b in others]) - 2 * outwards * height_error * np.sign(rise)
+    with np.errstate(divide="ignore"):
+        slopes = np.where(outwards * run > 0, rise / run, outwards * np.inf)
+    tightest: Array = outwards * (outwards * slopes).min(axis=0)
+    return tightest
+
+
+def _inclined(outward: Array, along: Array, slope: Array, value: Array, height: Array | float, move: Array) -> Array:
+    """The half-spaces (k, 4) ``<w, x> <= value + move + slope (<a, x> - height)`` with the normals w and the axis a."""
+    with np.errstate(invalid="ignore"):
+        normals = outward - slope[:, None] * along
+        planes = np.column_stack([normals, slope * height - (value + move)])
+        return np.asarray(planes / np.linalg.norm(normals, axis=1)[:, None])
+
+
+def _goes_on_straight(slice_: Slice, behind: tuple[Slice, ...], ahead: tuple[Slice, ...], normals: Array) -> Mask:
+    """Whether the body goes on straight behind a slice, at the slice's normals (k, 2).
+
+    The slices behind it and ahead of it begin with the nearest.  Where none is ahead, as in a cap, slopes may differ by
+    rounding only.
+    """
+    if len(behind) < 2:
+        return np.zeros(len(normals), dtype=bool)
+    nearest, next_ = behind[:2]
+    beyond = ahead[0] if ahead else nearest
+    h, h1, h2, h3 = (one.support_of_contacts(normals) for one in (slice_, nearest, next_, beyond))
+    near, far = (h1 - h) / (nearest.height - slice_.height), (h2 - h1) / (next_.height - nearest.height)
+    across = (h3 - h) / (beyond.height - slice_.height)
+    closest = min(abs(slice_.height - nearest.height), abs(nearest.height - next_.height))
+    rounding = ROUNDING * np.abs(slice_.value).max() / closest
+    straight: Mask = np.abs(near - far) <= _STRAIGHT * np.abs(near - across) + rounding
+    return straight
+
+
+def by_arcs(cloud: Cloud, by_axis: Sequence[SliceStack]) -> tuple[list[list[list[HalfSpaces]]], float]:
+    """The half-spaces of a cloud of exact contacts in slices along several axes, by arcs (S27): of each axis, side and slice.
+
+    The second result is the largest distance of a contact from the plane of its slice.
+    """
+    error = exact_error(cloud)
+    tangents = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
+    anywhere = replace(cloud, centre_points=cloud.points, tangents=tangents, rod_radius=0.0, table=None)
+    tangent = tangent_planes(anywhere, np.full(len(cloud), error), np.zeros(len(cloud)))
+    ends = np.full((len(cloud), 2, 3), np.nan)
+    ends[tangent.rows] = unit(tangent.arcs.ends() @ np.linalg.inv(tangent.shape))
+    off = error + max(
+        float(np.abs(slice_.height - cloud.points[slice_.rows] @ stack.frame[2]).max())
+        for stack in by_axis
+        for slice_ in stack.slices
+    )
+    sides: list[list[list[HalfSpaces]]] = []
+    for stack in by_axis:
+        along, found = stack.frame[2], list[list[HalfSpaces]]()
+        for i, slice_ in enumerate(stack.slices):
+            rows = np.intersect1d(slice_.rows, tangent.rows)
+            outward, points = cloud.in_plane_normals[rows], cloud.points[rows]
+            value = dot(outward, points)
+            slopes = _slopes(ends[rows], outward, along)
+            slopes = _narrowed(slopes, stack, i, outward @ stack.frame[:2].T, value, off)
+            finite: Mask = np.asarray(np.isfinite(slopes))
+            # past an end slice one slope is enough, since the cells on its other side reach beyond its plane
+            last = len(stack.slices) - 1
+            at_end = (finite[:, 0] & (i == 0) & (last > 0)) | (finite[:, 1] & (i == last) & (last > 0))
+            usable = finite.all(axis=1) | at_end
+            # a contact that lies off the plane of its slice has the other slope between the two
+            move = error + 2 * off * np.where(finite, np.abs(slopes), 0.0).sum(axis=1)
+            found.append(
+                [
+                    HalfSpaces(
+                        _inclined(outward, along, slopes[:, side], value, slice_.height, move),
+                        np.zeros(len(rows), dtype=bool),
+                        points,
+                    ).select(usable & finite[:, side])
+                    for side in (0, 1)
+                ]
+            )
+        sides.append([list(column) for column in zip(*found, strict=True)])
+    return sides, off
+
+
+def _slopes(ends: Array, outward: Array, along: Array) -> Array:
+    """Least and largest slopes (n, 2) of planes whose normals are those at the ends (n, 2, 3) of their arcs.
+
+    Contacts whose arcs are not known are confined by the slices next to theirs only.
+    """
+    level, rise = np.einsum("nej,nj->ne", ends, outward), ends @ along
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = np.sort(np.where(level > NEGLIGIBLE, -rise / level, -np.copysign(np.inf, rise)), axis=1)
+    unknown: Mask = np.asarray(np.isnan(ends).any(axis=(1, 2)))
+    return np.where(unknown[:, None], [-np.inf, np.inf], slopes)
+
+
+def _narrowed(slopes: Array, stack: SliceStack, i: int, normals: Array, value: Array, off: float) -> Array:
+    """Least and largest slopes (n, 2) of the contacts of slice i, confined by the slices next to it as well.
+
+    The arcs come from a search among the contacts, which may miss the one that confines a slope most.  The errors of places and
+    heights are at most `off`; normals (n, 2) and values (n,) are those of the contacts' support lines.
+    """
+    found = slopes.copy()
+    if i > 0:
+        below = secants(value, stack.heights[i], stack.slices[i - 1 : i], normals, off, off)
+        found[:, 1] = np.minimum(found[:, 1], below)
+    if i + 1 < len(stack.slices):
+        above = secants(value, stack.heights[i], stack.slices[i + 1 : i + 2], normals, off, off)
+        found[:, 0] = np.maximum(found[:, 0], above)
+    return np.where((found[:, 0] <= found[:, 1])[:, None], found, slopes)

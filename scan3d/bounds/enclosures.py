@@ -1,12 +1,12 @@
 """An inner and an outer body from touch alone, between which the surface of the true body lies.
 
 The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
-leave slabs (`scan3d.bounds.slabs`), between slices along several axes cells (`scan3d.bounds.cells`), and those of contacts
-anywhere meet in apexes (`scan3d.bounds.apexes`).  Whatever is left is known by its corners: the distance to a convex set is a
-convex function, and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the
-hull is therefore an upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.
-Where contacts are noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a
-stated confidence (`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
+leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere meet in
+apexes (`scan3d.bounds.apexes`).  Whatever is left is known by its corners: the distance to a convex set is a convex function,
+and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is therefore an
+upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where contacts are noisy,
+each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
+(`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
 ``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
@@ -39,10 +39,9 @@ from scipy.spatial import ConvexHull
 
 from scan3d.arrays import ROUNDING, Array, Index, Mask
 from scan3d.bounds.apexes import Apexes, best_apexes
-from scan3d.bounds.cells import applicable, cells_of_cloud, tighter_cells
+from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
-from scan3d.bounds.slabs import Gap, Slab, slabs
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest, nearest_on

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scan3d.arrays import NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
 from scan3d.geometry.convexity import outward_faces
-from scan3d.geometry.distance import nearest
+from scan3d.geometry.distance import locator, nearest
 from scan3d.geometry.merging import representatives, without_unused
-from scan3d.geometry.triangles import mirrored_faces
+from scan3d.geometry.triangles import distance_to, dot, longest_first, mirrored_faces
 from scan3d.geometry.vectors import highest
 
 # A hull whose volume is less than this fraction of its area times the points' extent is one of points in a plane or on a line,
@@ -29,6 +30,17 @@ def hull(points: Array) -> Any:
 
     Raises InputError if the points do not span a body.
     """
+    qhull = _spanned_hull(points)[0]
+    faces = _outward(qhull)
+    if faces is None:
+        # between points that nearly coincide Qhull leaves edges with one face, or with three
+        apart = np.unique(representatives(qhull.points, _COINCIDENT))
+        return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
+    return _mesh(points, faces)
+
+
+def _spanned_hull(points: Array) -> tuple[ConvexHull, Array, float]:
+    """The hull of points (n, 3) less their centre (3,) and over their size, with both; raises InputError as `hull`."""
     if not len(points):
         raise _no_body(points)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -46,12 +58,26 @@ def hull(points: Array) -> Any:
             raise QhullError
     except (QhullError, ValueError, IndexError):
         raise _no_body(points) from None
-    faces = _outward(qhull)
-    if faces is None:
-        # between points that nearly coincide Qhull leaves edges with one face, or with three
-        apart = np.unique(representatives(scaled, _COINCIDENT))
-        return hull(points[apart]) if len(apart) < len(points) else _mesh(points, _by_planes(qhull))
-    return _mesh(points, faces)
+    return qhull, centre, size
+
+
+def distance_from_hull(points: Array) -> Callable[[Array], Array]:
+    """The distances (p,) of points (p, 3) from the hull of points (n, 3), 0 inside; raises InputError as `hull`.
+
+    As `nearest_on` of `hull`, in half the time for few of them.
+    """
+    qhull, centre, size = _spanned_hull(points)
+    triangles = qhull.points[qhull.simplices]
+    triangles = np.take_along_axis(triangles, longest_first(triangles)[:, :, None], axis=1)
+    locate, middle = locator(triangles), qhull.points[qhull.vertices].mean(axis=0)
+
+    def distances(sought: Array) -> Array:
+        sought = (sought - centre) / size
+        face, foot = locate(sought)
+        outside = dot(sought - foot, foot - middle) > 0
+        return np.where(outside, distance_to(sought, triangles[face]), 0.0) * size
+
+    return distances
 
 
 def hull_near(points: Array, faces: Index) -> Any:

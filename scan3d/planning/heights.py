@@ -6,19 +6,16 @@ This module knows no simulation: a simulated scan and a real rig both ask it for
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial import QhullError
 
 from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.cells import Gap, Slab, SlabKey, slab_keys, slabs
 from scan3d.bounds.enclosures import slice_enclosure
-from scan3d.bounds.slabs import Gap, Slab, SlabGaps, SlabKey, slab_keys, slabs
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.distance import nearest_on
-from scan3d.geometry.hulls import hull
+from scan3d.geometry.hulls import distance_from_hull
 from scan3d.planning.aims import cosine_fractions
 from scan3d.planning.plan import Plan
 from scan3d.reconstruction.slices import SliceStack, stacks
@@ -326,8 +323,8 @@ def evened(gaps: Array) -> Array:
     return even
 
 
-Distances = Callable[[int, Array], Array]
-"""From the number of a slab and its corners (w, 3) to their distances (w,) from the hull of the contacts."""
+Distances = Callable[[Array], Array]
+"""From points (w, 3) to their distances (w,) from the hull of the contacts."""
 
 
 @dataclass
@@ -344,10 +341,10 @@ class SlabMemory:
     def measured(self, stack: SliceStack, distances: Distances) -> tuple[list[Slab], Array]:
         """The slabs of a stack, and the gaps (w,) of all corners: of new slabs, by the distances."""
         parts, keys = slabs(stack, known=self.slabs, volumes=False), slab_keys(stack)
-        for i, (key, slab) in enumerate(zip(keys, parts, strict=True)):
+        for key, slab in zip(keys, parts, strict=True):
             if key not in self.gaps:
                 bounded = np.isfinite(slab.corners).all()
-                self.gaps[key] = distances(i, slab.corners) if bounded else np.full(1, np.inf)
+                self.gaps[key] = distances(slab.corners) if bounded else np.full(1, np.inf)
         self.slabs, self.gaps = {key: self.slabs[key] for key in keys}, {key: self.gaps[key] for key in keys}
         return parts, np.concatenate([self.gaps[key] for key in keys])
 
@@ -385,7 +382,8 @@ def next_heights(
     left = plan.slices + BEYOND - done if left is None else left
     if left <= 0:
         return np.empty(0)
-    parts, gap = memory.measured(stack, _distances(stack, cloud, alone=len(candidates) == 1))
+    contours = np.concatenate([other.contour(i) for other in candidates for i in range(len(other.slices))])
+    parts, gap = memory.measured(stack, distance_from_hull(contours))
     corners = np.concatenate([slab.corners for slab in parts])
     kind = np.concatenate([slab.kind for slab in parts])
     straight = np.concatenate([slab.straight for slab in parts])
@@ -437,18 +435,6 @@ def _cosine_heights(known: Array, gaps: Array, slices: int, tolerance: float, le
             return np.empty(0)
     at_once = not tolerance and len(known) >= _WELL_KNOWN and left <= _LEFT_PER_KNOWN * len(known)
     return cosine_heights_left(known, parts_within(gaps, tolerance), slices, at_once=at_once)
-
-
-def _distances(stack: SliceStack, cloud: Cloud, *, alone: bool) -> Distances:
-    """Distances from the hull of a cloud's contacts; `alone` says whether all of them are those of the stack.
-
-    Raises InputError if they span no body.
-    """
-    if alone:
-        with suppress(QhullError):
-            return SlabGaps(stack).at
-    distances = nearest_on(hull(cloud.points))
-    return lambda _, corners: np.maximum(distances(corners)[0], 0.0)
 
 
 def _stack(candidates: list[SliceStack], cloud: Cloud, axis: Array | None) -> SliceStack:

@@ -199,9 +199,13 @@ class Slice:
 
     def support_of_contacts(self, normals: Array) -> Array:
         """Lower bound (n,) of the support function for unit normals (n, 2): the support function of the contacts."""
-        corners = self.outline if len(self.outline) else self.points
-        value: Array = (normals @ corners.T).max(axis=1)
+        value: Array = (normals @ self.corners.T).max(axis=1)
         return value
+
+    @property
+    def corners(self) -> Array:
+        """(v, 2) the vertices of the points' hull, or all points if they lie on a line."""
+        return self.outline if len(self.outline) else self.points
 
     def support(self, angle: Array) -> Array:
         """Support function (n,) at angles (n,), as `SupportFunctions.at`."""
@@ -296,6 +300,11 @@ class SliceStack:
     @cached_property
     def heights(self) -> Array:
         return np.array([slice_.height for slice_ in self.slices])
+
+    def contour(self, i: int) -> Array:
+        """The corners (v, 3) of slice i in the world."""
+        corners = self.slices[i].corners
+        return np.column_stack([corners, np.full(len(corners), self.slices[i].height)]) @ self.frame
 
     def supports(self, angle: Array, first: int, last: int) -> Array:
         """Support functions (last - first, n) at angles (n,) of the slices from `first` to before `last`, as
