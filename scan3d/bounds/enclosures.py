@@ -4,8 +4,8 @@ The hull of the contacts lies inside the body.  The supporting planes at the con
 leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere meet in
 apexes (`scan3d.bounds.apexes`).  Whatever is left is known by its corners: the distance to a convex set is a convex function,
 and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is therefore an
-upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where contacts are noisy,
-each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
+upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where contacts are
+noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
 (`scan3d.bounds.noise`), and planes are moved outwards by what else is uncertain.
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
