@@ -26,11 +26,9 @@ from scan3d.memory import check_memory
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
-"""Smallest thickness of a body, relative to the diagonal of its bounding box.  Larger, thin plates would be refused; smaller,
-oblique flat sheets, which rounding to float32 leaves 1e-8 to 1e-7 thick, would count as bodies."""
+"""Smallest thickness of a body over the diagonal of its bounding box: float32 leaves flat sheets 1e-8 to 1e-7 thick."""
 OPEN_TOLERANCE = 1e-3
-"""Largest fraction of the hull's area that may lack a surface.  Larger, missing faces would not be noticed; smaller, rounding
-of the areas of fine meshes would count as a hole."""
+"""Largest fraction of the hull's area that may lack a surface, far above the rounding of the areas of fine meshes."""
 # Memory while a mesh is read: per byte of its file, and per triangle with its corners, in bytes.
 _MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 1200
 

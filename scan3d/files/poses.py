@@ -13,7 +13,7 @@ import numpy as np
 
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
-from scan3d.files.recordings import sidecar
+from scan3d.files.recordings import SCHEMA, sidecar
 from scan3d.files.section import read_rod, read_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
@@ -24,8 +24,6 @@ from scan3d.units import UNITS_M
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "move")
 KIND = "plan of poses"
 """What the TOML file beside a list of poses says of its source."""
-# Number of the format of the TOML file.
-_SCHEMA = 1
 _YAML_HEADER = "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: world\n"
 
 
@@ -53,7 +51,7 @@ def write_header(poses: PoseList, path: str | Path) -> None:
 
 
 def _write(path: Path, text: str, poses: PoseList) -> None:
-    meta: dict[str, Any] = {"schema": _SCHEMA, "unit": poses.unit}
+    meta: dict[str, Any] = {"schema": SCHEMA, "unit": poses.unit}
     meta |= {"model": poses.model, "speed_m_s": poses.speed_m_s}
     if poses.rod is not None:
         meta["rod"] = asdict(poses.rod)

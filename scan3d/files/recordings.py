@@ -34,8 +34,8 @@ TABLE = "table_height_m"
 """Name of the table's height in the TOML file."""
 # The column that says what the clamp does in a row.
 _MOVE = "move"
-# Number of the format of the TOML file.
-_SCHEMA = 1
+SCHEMA = 1
+"""Number of the format of the TOML file."""
 
 
 def sidecar(path: str | Path) -> Path:
@@ -79,7 +79,7 @@ def recording_files(
         del rod["diameter_m"]
     columns |= further or {}
     noise = {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm}
-    meta: dict[str, Any] = {"schema": _SCHEMA, "unit": recording.unit}
+    meta: dict[str, Any] = {"schema": SCHEMA, "unit": recording.unit}
     if recording.table_m is not None:
         meta[TABLE] = recording.table_m
     meta |= {"rod": rod, "noise": noise | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})}
@@ -167,9 +167,9 @@ def _read_sidecar(path: Path) -> Section:
             f"{path.name} needs {beside.name} beside it, with the rod's length_m and bending_stiffness_Nm2"
         )
     meta = read_section(stored, "TOML file of a recording", name=beside.name)
-    schema = meta.any("schema", _SCHEMA)
-    if schema != _SCHEMA:
-        raise meta.error("schema", f"{schema!r} is not known, expected {_SCHEMA}; was it written by a newer version?")
+    schema = meta.any("schema", SCHEMA)
+    if schema != SCHEMA:
+        raise meta.error("schema", f"{schema!r} is not known, expected {SCHEMA}; was it written by a newer version?")
     return meta
 
 

@@ -18,11 +18,11 @@ from scan3d.pictures.shading import BACKDROP, EDGE, INK, ROD, TANGENTIAL
 DIRECTION = (1.0, -1.3, 0.8)
 # Diameter of a contact in pixels: neighbours in a slice merge, contacts of neighbouring slices do not.
 CONTACT_SIZE = 7
-# Edges and lines are moved toward the camera, and the body behind contacts away from it, by these fractions of the size, so
-# that the faces they lie in do not hide them.
-_EDGES_FORWARD, _LINES_FORWARD, _BACKDROP_BACKWARD = 1e-3, 2e-3, 3e-3
-# Radius of rods, and the measure of clamps and contacts on them, as fractions of the size.
-_ROD_RADIUS, _MARK = 0.003, 0.006
+# Edges are moved toward the camera by this fraction of the size, lines by twice as much, and the body behind contacts away from
+# it by three times, so that the faces they lie in do not hide them.
+_LAYER = 1e-3
+# Radius of rods as a fraction of the size; clamps and contacts are measured by it.
+_ROD_RADIUS = 0.003
 
 
 class Canvas:
@@ -73,7 +73,7 @@ class Canvas:
             30.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
         )
         if sharp.n_cells and opacity == 1:
-            sharp.points = sharp.points + _EDGES_FORWARD * self.size * self.toward
+            sharp.points = sharp.points + _LAYER * self.size * self.toward
             self.plotter.add_mesh(sharp, color=EDGE, line_width=self._line_width(1))
         return actor
 
@@ -93,7 +93,7 @@ class Canvas:
             except InputError:  # contacts in a plane hide nothing
                 return
         body = body.copy()
-        body.vertices = body.vertices - _BACKDROP_BACKWARD * self.size * self.toward
+        body.vertices = body.vertices - 3 * _LAYER * self.size * self.toward
         self.add_body(body, BACKDROP, ambient=0.6)
 
     def add_points(self, points: Array, color: Any, size: float = CONTACT_SIZE) -> Any:
@@ -111,7 +111,7 @@ class Canvas:
         if not k:
             return []
         cells = np.column_stack([np.full(k, p), np.arange(k * p).reshape(k, p)])
-        shape = pyvista.PolyData(lines.reshape(-1, 3) + _LINES_FORWARD * self.size * self.toward, lines=cells.ravel())
+        shape = pyvista.PolyData(lines.reshape(-1, 3) + 2 * _LAYER * self.size * self.toward, lines=cells.ravel())
         return [self.plotter.add_mesh(shape, color=color, line_width=self._line_width(width), lighting=False)]
 
     def _line_width(self, width: float) -> float:
@@ -134,7 +134,7 @@ class Canvas:
         import pyvista
 
         actors, rods = [], sweep.rods
-        mark = _MARK * self.size
+        mark = 2 * _ROD_RADIUS * self.size
         for k in states:
             actors.append(self.add_tube(rods[k], ROD, _ROD_RADIUS))
             clamp = pyvista.Cube(x_length=3 * mark, y_length=3 * mark, z_length=3 * mark)

@@ -29,11 +29,11 @@ ENDINGS = (".gif", ".mp4")
 NO_FFMPEG = (
     "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
 )
-FRAMES = 60
-"""Frames of a movie, of five seconds in a GIF of less than a megabyte."""
 _PER_SECOND = 12
-# The last frame is shown as long as so many frames, so that the result can be looked at before the movie starts again.
-_HELD = 18
+FRAMES = 5 * _PER_SECOND
+"""Frames of a movie, of five seconds in a GIF of less than a megabyte."""
+# The last frame is shown for so many frames, so that the result can be looked at before the movie starts again.
+_HELD = 3 * _PER_SECOND // 2
 # Inches and pixels to the inch: 980 by 560 pixels, even numbers, which video codecs need.
 _SIZE, _DPI = (7.0, 4.0), 140
 # Height of the rendered body as a fraction of the frame; the caption is below.

@@ -23,8 +23,9 @@ NO_DISPLAY = (
 )
 # Pixels of a window, which fits on the screens of laptops.
 _SIZE = (1200, 900)
-# Pixels from button to button, from the left edge, of a button, and points of its label.
-_LINE, _LEFT, _BUTTON, _FONT = 34, 14, 24, 11
+# Points of letters, by which buttons are measured in pixels: their size, and from button to button.
+_FONT = 11
+_BUTTON, _LINE = 2 * _FONT, 3 * _FONT
 
 
 @functools.cache
@@ -84,17 +85,17 @@ class Window:
 
     def _add_buttons(self, color: str) -> None:
         """Add a box for every layer, and a button for every known colour of the contacts."""
-        plotter, bottom = self.plotter, _LEFT
+        plotter, bottom = self.plotter, _FONT
         known = [name for name in COLORS if self.scene.column(name) is not None]
         for name in reversed(known):
             paint = functools.partial(self.paint, name)
-            place = (_LEFT, bottom)
+            place = (_FONT, bottom)
             plotter.add_radio_button_widget(paint, "colour", value=name == color, position=place, size=_BUTTON)
             bottom = self._add_label(f"colour: {name}", bottom)
         for name in reversed(self.layers):
             on, switch = name in ("surface", "contacts"), functools.partial(self.switch, name)
             self.switch(name, on)
-            place = (_LEFT, bottom)
+            place = (_FONT, bottom)
             plotter.add_checkbox_button_widget(switch, value=on, position=place, size=_BUTTON, color_on=ROD)
             bottom = self._add_label(name, bottom)
         if color in known:
@@ -102,7 +103,7 @@ class Window:
 
     def _add_label(self, text: str, bottom: int) -> int:
         """Write the label of a button; the place of the next one."""
-        self.plotter.add_text(text, position=(_LEFT + _LINE, bottom), font_size=_FONT, color=INK)
+        self.plotter.add_text(text, position=(_FONT + _LINE, bottom), font_size=_FONT, color=INK)
         return bottom + _LINE
 
     def switch(self, name: str, on: bool) -> None:
