@@ -99,8 +99,7 @@ def made(recording, ros):
     return data | {"ros": ros}
 
 
-@pytest.mark.parametrize("generation", [1, 2])
-@pytest.mark.parametrize("poses", ["pose", "tf"])
+@pytest.mark.parametrize(("generation", "poses"), [(1, "tf"), (2, "pose")])
 def test_a_bag_gives_the_recording_back(tmp_path, recording, generation, poses):
     log = track(recording, air=25)
     path = written(tmp_path / ("run.bag" if generation == 1 else "run"), generation, log, poses)
