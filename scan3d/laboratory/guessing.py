@@ -6,15 +6,11 @@ What can't be found is written as a text in parentheses, which no column has, so
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from scan3d.arrays import Array
 from scan3d.files.text_tables import PARQUET, Layout, Table, guessed_layout, read_table
 from scan3d.laboratory.bags import is_bag
 from scan3d.laboratory.logs import stated_units
@@ -35,8 +31,6 @@ _PREFIX = {
 }
 _EULER = ((("roll", "pitch", "yaw"), "xyz"), (("a", "b", "c"), "ZYX"), (("rx", "ry", "rz"), "xyz"))
 """Names of angles, and the convention that goes with them: A, B and C are those of KUKA."""
-# Angles beyond this can't be radians, positions whose range is beyond this can't be metres.
-_LARGEST_RAD, _LARGEST_M = 2 * math.pi + 0.01, 3.0
 
 
 class Guess(NamedTuple):
@@ -72,17 +66,15 @@ def guess_map(path: str | Path) -> Guess:
         if entry == "position":
             columns.append(f"orientation = {orientation}")
     time = [_first(table, _WORDS["time"])]
-    metres, radians = _range(table, position) <= _LARGEST_M, _largest(table, angles) <= _LARGEST_RAD
-    units = [
-        _unit(table, *unit, left)
-        for unit in (
-            ("time", time, "s"),
-            ("length", position, "m" if metres else "mm"),
-            ("angle", angles, "rad" if radians else "deg"),
-            ("force", force, "N"),
-            ("moment", moment, "N m"),
-        )
+    angle = ("angle", angles, "rad" if "rotvec" in orientation else "deg")
+    quantities = [
+        ("time", time, "s"),
+        ("length", position, "m"),
+        angle,
+        ("force", force, "N"),
+        ("moment", moment, "N m"),
     ]
+    units = [_unit(table, *quantity, left) for quantity in quantities]
     if not table.names:
         left.append("columns")
     text = "\n".join([_HEAD, *_layout(layout), "[columns]", *columns, "", "[units]", *units, ""])
@@ -119,7 +111,7 @@ def _orientation(table: Table, left: list[str]) -> tuple[list[str | None], str]:
         found = [_first(table, _PREFIX["position"] + name) for name in names]
         if None in found:
             continue
-        if names[0] == "rx" and _largest(table, found) <= _LARGEST_RAD:
+        if names[0] == "rx":
             return found, f"{{rotvec = {_toml(found)}}}              # or euler, with a convention"
         left.append("convention")
         return found, f'{{euler = {_toml(found)}, convention = "{convention}"}}  # a guess: check the convention'
@@ -134,19 +126,6 @@ def _unit(table: Table, quantity: str, names: Sequence[str | None], usual: str, 
     if columns and not stated:
         left.append(f"unit of {quantity}")
     return f"{quantity} = {_toml(stated[0])}" if stated else f"{quantity} = {_toml(usual)}   # a guess: check it"
-
-
-def _values(table: Table, names: Sequence[str | None]) -> list[Array]:
-    columns = [table.columns[table.names.index(name)] for name in names if name is not None]
-    return [v for v in columns if v.dtype.kind == "f" and np.isfinite(v).any()]
-
-
-def _range(table: Table, names: Sequence[str | None]) -> float:
-    return max((float(np.nanmax(v) - np.nanmin(v)) for v in _values(table, names)), default=0.0)
-
-
-def _largest(table: Table, names: Sequence[str | None]) -> float:
-    return max((float(np.nanmax(np.abs(v))) for v in _values(table, names)), default=0.0)
 
 
 def _toml(value: object) -> str:
