@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.stats import chi2
 
 import scan3d
@@ -13,15 +14,23 @@ from scan3d.reconstruction.contacts import readings, without_normals
 from scan3d.recording import joined
 from scan3d.surfaces import enclosure
 from tests import rigs
+from tests.spatial_scans import LENGTH, SEMI_AXES, recorded
 
 SD_M = 20e-6
 BODY = scan3d.load_mesh("meshes/cube.stl")
 
 
-def plan_of(model, noise):
-    rod = scan3d.Rod(0.06, 1.9e-4, 0.0003)
-    slices = 8 if model == "planar" else 4
-    return scan3d.Plan(slices=slices, samples=30, friction=0.3, rod=rod, model=model, noise=noise)
+def plan_of(noise):
+    return scan3d.Plan(slices=8, samples=30, friction=0.3, rod=scan3d.Rod(0.06, 1.9e-4, 0.0003), noise=noise)
+
+
+def scanned(model, noise):
+    """A recording of a cube in slices, or of an ellipsoid in space, and the body."""
+    if model == "planar":
+        return scan3d.simulate(BODY, plan_of(noise)), BODY
+    ellipsoid = trimesh.creation.icosphere(5)
+    ellipsoid.apply_scale(1000 * LENGTH * np.array(SEMI_AXES))
+    return recorded(0.3, directions=5, heights=6, samples=128, noise=(noise, noise))[0], ellipsoid
 
 
 def jittering(recording, seed):
@@ -39,9 +48,9 @@ def places(recording):
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_the_covariances_hold_and_so_does_the_bound(model, noise):
     """Contacts, in space those of the rod's centre line, against those of exact reactions at exact poses."""
-    plan = plan_of(model, noise)
-    recording = jittering(scan3d.simulate(BODY, plan), 1)
-    exact, cloud = (places(given) for given in (scan3d.simulate(BODY, dataclasses.replace(plan, noise=0.0)), recording))
+    recording, body = scanned(model, noise)
+    recording = jittering(recording, 1)
+    exact, cloud = places(scanned(model, 0.0)[0]), places(recording)
     _, rows, of_exact = np.intersect1d(cloud.row, exact.row, return_indices=True)
     assert len(rows) > 500
     off = cloud.points[rows] - exact.points[of_exact]
@@ -50,21 +59,20 @@ def test_the_covariances_hold_and_so_does_the_bound(model, noise):
     assert (cloud.place_sd >= 1000 * SD_M).all()
     bounds = enclosure(scan3d.reconstruct(recording))
     assert bounds.confidence == 0.95
-    assert scan3d.compare(bounds.inner, BODY).hausdorff <= bounds.bound
+    assert scan3d.compare(bounds.inner, body).hausdorff <= bounds.bound
 
 
 def test_without_the_statement_the_same_poses_are_trusted_too_far():
     """The test above can fail: unstated, the jitter leaves few contacts in their regions."""
-    plan = plan_of("planar", 1e-5)
-    exact = scan3d.reconstruct(scan3d.simulate(BODY, dataclasses.replace(plan, noise=0.0)))
-    cloud = scan3d.reconstruct(dataclasses.replace(jittering(scan3d.simulate(BODY, plan), 1), noise_pose_m=0.0))
+    exact, noisy = (scan3d.simulate(BODY, plan_of(noise)) for noise in (0.0, 1e-5))
+    exact, cloud = places(exact), places(dataclasses.replace(jittering(noisy, 1), noise_pose_m=0.0))
     _, rows, of_exact = np.intersect1d(cloud.row, exact.row, return_indices=True)
     off = cloud.points[rows] - exact.points[of_exact]
     assert (np.linalg.norm(off, axis=1) > 5 * cloud.place_sd[rows]).mean() > 0.5
 
 
 def test_the_file_of_a_recording_keeps_it(tmp_path):
-    recording = jittering(scan3d.simulate(BODY, plan_of("planar", 0.0)), 1)
+    recording = jittering(scan3d.simulate(BODY, plan_of(0.0)), 1)
     write_recording(recording, tmp_path / "r.csv")
     assert read_recording(tmp_path / "r.csv").noise_pose_m == SD_M
     assert "20 µm of the pose" in str(recording)
@@ -75,21 +83,22 @@ def test_the_file_of_a_recording_keeps_it(tmp_path):
 
 @pytest.mark.parametrize("value", [-1e-6, np.nan, "20 um"])
 def test_an_impossible_noise_is_refused(value):
-    recording = scan3d.simulate(BODY, plan_of("planar", 0.0))
+    recording = scan3d.simulate(BODY, plan_of(0.0))
     with pytest.raises(InputError, match=r"standard deviations of the noise must be numbers >= 0"):
         dataclasses.replace(recording, noise_pose_m=value)
 
 
 def test_a_calibration_takes_it_from_the_recording_and_gives_it_to_others():
-    recording = dataclasses.replace(rigs.recorded(), noise_pose_m=SD_M)
+    touches = rigs.recorded(sweeps=8, samples=60)
+    recording = dataclasses.replace(touches, noise_pose_m=SD_M)
     stated = scan3d.calibrate(recording, rigs.DIAMETER)
     assert (stated.details["pose_noise"], stated.pose_noise_m) == ("given", pytest.approx(SD_M))
     assert stated.applied(recording).noise_pose_m == SD_M
-    estimated = scan3d.calibrate(rigs.recorded(), rigs.DIAMETER)
+    estimated = scan3d.calibrate(touches, rigs.DIAMETER)
     assert estimated.details["pose_noise"] == "estimated"
-    assert estimated.applied(rigs.recorded()).noise_pose_m == estimated.pose_noise_m > 0
+    assert estimated.applied(touches).noise_pose_m == estimated.pose_noise_m > 0
 
 
 def test_joined_recordings_state_the_larger_one():
-    recording = scan3d.simulate(BODY, plan_of("planar", 0.0))
+    recording = scan3d.simulate(BODY, plan_of(0.0))
     assert joined([jittering(recording, 1), recording]).noise_pose_m == SD_M
