@@ -20,3 +20,8 @@ NEGLIGIBLE = 1e-9
 """Part of a body's size that counts as nothing: far above the rounding of hulls, and far below what touch can tell."""
 AT_ONCE = 4_000_000
 """Entries of a matrix that are computed at once, which limits the memory."""
+
+
+def evenly(rows: NDArray[Any], count: int) -> NDArray[Any]:
+    """At most `count` of the rows (n, ...), evenly chosen, the first and the last among them."""
+    return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations
 from scan3d.rigs import RigUncertainty, one_rig
@@ -293,7 +293,7 @@ def _decimal_step(values: Array, largest: float, single: bool) -> float:
 
     `single` says that the numbers were kept in single precision, which has 7 to 9 digits.
     """
-    some = values[np.linspace(0, len(values) - 1, min(len(values), _COUNTED)).astype(np.intp)].tolist()
+    some = evenly(values, _COUNTED).tolist()
     kept, full = (np.float32, _FULL_SINGLE) if single else (float, _FULL)
     digits = 1
     for value in some:

@@ -33,14 +33,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtrc, chdtri
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import Array, Index, evenly
 from scan3d.bounds.constraints import AVERAGED, Allowed
 from scan3d.cloud import Cloud
 from scan3d.reconstruction.slices import Slice, SliceStack
@@ -154,7 +154,7 @@ def _inner_polygon(
     smallest = np.linalg.eigvalsh(covariance)[:, 0]
     averages = averages_of(points, sweep, np.maximum(smallest, 1e-6 * np.trace(covariance, axis1=1, axis2=2)), kappa)
     bias = _bias(covariance, length)
-    single = _some(np.arange(len(points)))
+    single = evenly(np.arange(len(points)), _SINGLE)
     place = np.concatenate([points[single], averages.mean(points)])
     spread = np.concatenate([covariance[single], averages.variance(covariance)])
     entries = np.stack([spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]], axis=1)
@@ -174,7 +174,7 @@ def _inner_polygon(
     # First directions that are evenly spread, and the normals; then those of the sides that join the points which these prove:
     # a polygon with other sides would have its corners outside the body.
     uniform = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS - np.pi
-    first = _directions(np.unique(np.concatenate([uniform, _some(measured)])))
+    first = _directions(np.unique(np.concatenate([uniform, evenly(measured, _SINGLE)])))
     proven = reach(first)
     best = proven.argmax(axis=1)
     deflated = place[best] - (sigma[best] * np.sqrt(_quadratic(first, spread[best])))[:, None] * first
@@ -257,7 +257,7 @@ def _outer_lines(
     """
     if len(lines.points) >= 3:
         averaged = _Averaged(lines, averages_of(lines.points, sweep, lines.across**2, kappa))
-        single = _some(np.arange(len(lines.points)))
+        single = evenly(np.arange(len(lines.points)), _SINGLE)
         low, high = lines.points.min(axis=0), lines.points.max(axis=0)
         box_normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
         normals = np.concatenate([lines.normals[single], averaged.normals, box_normals])
@@ -275,11 +275,6 @@ def _outer_lines(
                 angle = np.unique(np.concatenate([np.arctan2(normals[sides, 1], normals[sides, 0]), uniform]))
                 return angle, (_directions(angle) @ corners.T).max(axis=1)
     return np.empty(0), np.empty(0)
-
-
-def _some(rows: NDArray[Any]) -> NDArray[Any]:
-    """At most `_SINGLE` of the rows, evenly spread."""
-    return rows if len(rows) <= _SINGLE else rows[np.linspace(0, len(rows) - 1, _SINGLE).astype(np.intp)]
 
 
 class _Averaged:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import Array, Mask, evenly
 from scan3d.errors import InputError
 
 # Standard deviation over the median of the absolute deviations of a normal distribution.
@@ -150,7 +150,7 @@ def _scales(wrench: Array) -> Array:
 
 def _followed(wrench: Array, clock: Array, scale: Array) -> Array:
     """The zero (n, c) of a wrench, roughly: its most frequent value, followed from window to window."""
-    some = wrench[np.linspace(0, len(wrench) - 1, min(len(wrench), 1500)).astype(np.intp)]
+    some = evenly(wrench, 1500)
     near = [(np.abs(some - row) <= scale).all(axis=1) for row in some]
     start = np.median(some[max(near, key=np.count_nonzero)], axis=0)
     edges = np.linspace(0, len(wrench), min(60, len(wrench)) + 1).astype(np.intp)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly
 from scan3d.laboratory.calibration_body import Body
 from scan3d.laboratory.calibration_reference import Located, nearest_sphere
 
@@ -25,7 +25,7 @@ _FIRST, _SECOND = 2**0.5, 1.533751168755204288118041
 
 def poses(body: Body, points: Array, count: int) -> Located:
     """The `count` poses of a body, or fewer, for which contacts (n, 3) lie nearest to its surface, best first."""
-    chosen = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _CONTACTS)).astype(np.intp))]
+    chosen = evenly(points, _CONTACTS)
     normals, offsets = _planes(body)
     axes = spread_rotations(_ROTATIONS)
     centre = np.tile(nearest_sphere(chosen[None])[0], (len(axes), 1))

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly
 from scan3d.cloud import Cloud, Tilt
 from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import Readings, readings, without_normals
 from scan3d.reconstruction.diagnosis import diagnose
-from scan3d.reconstruction.errors import FORCE_SIGMAS, NoContactError, spread, torsion_sd, with_rig_errors
+from scan3d.reconstruction.errors import NoContactError, felt, torsion_sd, with_rig_errors
 from scan3d.reconstruction.misfits import ROUNDING, against_single_force, beyond_tangents, depths_in_hull
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
@@ -114,10 +114,8 @@ def _without_contact(fraction: float) -> list[Contradiction]:
 
 
 def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
-    noise, rod = recording.noise, recording.rod
-    threshold = FORCE_SIGMAS * max(noise.force_N, noise.moment_Nm / rod.moment_unit_Nm * rod.force_unit_N)
-    felt = int((np.hypot(*recording.force_N.T) > threshold).sum())
-    found = _without_contact(1 - (len(cloud) + cloud.light) / felt if felt else 0.0)
+    pressed = int(felt(recording.reactions(six_axis=False)[0], recording.noise.of_reactions(recording.rod)).sum())
+    found = _without_contact(1 - (len(cloud) + cloud.light) / pressed if pressed else 0.0)
     beyond, allowed = _beyond_tangents(cloud)
     if beyond > allowed:
         text = (
@@ -141,7 +139,7 @@ def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
         for number, slice_ in enumerate(stack.slices):
             if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
                 continue
-            lines, points = spread(slice_.tangential, _COMPARED), spread(np.arange(len(slice_.rows)), _COMPARED)
+            lines, points = evenly(slice_.tangential, _COMPARED), evenly(np.arange(len(slice_.rows)), _COMPARED)
             if not len(lines):
                 continue
             normals, noise = slice_.normals[np.searchsorted(slice_.tangential, lines)], None
@@ -176,8 +174,8 @@ def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: 
 
 def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     known = readings(recording)
-    felt = int(known.felt.sum())
-    without = 1 - int((known.touching | known.light).sum()) / felt if felt else 0.0
+    pressed = int(known.felt.sum())
+    without = 1 - int((known.touching | known.light).sum()) / pressed if pressed else 0.0
     rows, kappa = cloud.row, _kappa(len(cloud))
     of_rows = inverse.SpatialContacts(**{name: column[rows] for name, column in vars(known.found).items()})
     force, moment = (part[rows] for part in recording.reactions(six_axis=True))
@@ -226,8 +224,8 @@ def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
     if (rig := cloud.calibration) is not None:
         factor = rig.factor(_FALSE_ALARM)
         place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
-    some = spread(np.arange(len(points)), _COMPARED)
-    lines = spread(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _COMPARED)
+    some = evenly(np.arange(len(points)), _COMPARED)
+    lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _COMPARED)
     misfit = depths_in_hull(points, some, some, lines, tangents, (place, turn), cloud.rod_length)
     if misfit is None:
         return 0.0, 1.0

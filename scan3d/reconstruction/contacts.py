@@ -24,6 +24,7 @@ from scan3d.reconstruction.errors import (
     FORCE_SIGMAS,
     NoContactError,
     contact_tolerance,
+    felt,
     tip_sigmas,
     tip_tolerance,
     too_light,
@@ -126,10 +127,10 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
     noise = known.of_reactions(rod)
     error = planar.errors(fx, fy, moment, noise=noise)
     columns = np.zeros(len(moment)), fx, fy, moment
-    felt = np.hypot(fx, fy) > FORCE_SIGMAS * max(noise)
-    tolerance = tip_tolerance(recording, felt, contact_tolerance(error), "planar")
+    pressed = felt(recording.force_N / rod.force_unit_N, noise)
+    tolerance = tip_tolerance(recording, pressed, contact_tolerance(error), "planar")
     in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance)
-    touching = felt & (in_plane.phase != planar.Phase.NONE)
+    touching = pressed & (in_plane.phase != planar.Phase.NONE)
     light = too_light(error.largest, touching)
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise)) if tips else None
@@ -173,7 +174,7 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
         independent=known.independent,
     )
     # a rod's tip is bent by a third of the force that is felt
-    left_out = np.setdiff1d(slices.number[felt], cloud.slice)
+    left_out = np.setdiff1d(slices.number[pressed], cloud.slice)
     return InSlices(cloud, slices.number, left_out, FORCE_SIGMAS * max(noise) / 3)
 
 
@@ -298,12 +299,12 @@ def readings(recording: Recording) -> Readings:
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))
-    felt: Mask = np.linalg.norm(force, axis=1) > FORCE_SIGMAS * max(noise)
-    tolerance = tip_tolerance(recording, felt, tolerance, "spatial")
+    pressed = felt(force, noise)
+    tolerance = tip_tolerance(recording, pressed, tolerance, "spatial")
     found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise)
-    touching = felt & (found.status == inverse.Status.OK)
+    touching = pressed & (found.status == inverse.Status.OK)
     light = np.zeros_like(touching) if error is None else too_light(error.largest, touching)
-    return Readings(found, error, felt, touching & ~light, light, noise)
+    return Readings(found, error, pressed, touching & ~light, light, noise)
 
 
 def spatial_contacts(recording: Recording) -> Cloud:

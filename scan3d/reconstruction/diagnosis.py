@@ -13,10 +13,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import planar
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, stuck_rows
-from scan3d.reconstruction.errors import FORCE_SIGMAS, contact_tolerance, spread, tip_sigmas, too_light
+from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
 from scan3d.reconstruction.misfits import Misfit, against_single_force, beyond_tangents, depths_in_hull
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import Recording
@@ -43,6 +43,14 @@ _SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
 _REFINED, _STARTS, _EVALUATIONS = 4, 2, 12
 # Runs of rows that repeat others of which each is tried.
 _RUNS = 60
+_UNKNOWN = Diagnosis(
+    "unknown",
+    None,
+    "",
+    0.0,
+    "no single fault explains the contradiction: check signs, axes and units, the tare of force and moment, the rod, and that "
+    "the body is convex",
+)
 
 
 def diagnose(recording: Recording, model: str) -> Diagnosis:
@@ -52,11 +60,11 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     stuck = _stuck_rows(recording, wrench, noise)
     sample, few = (_sample(recording, model, wrench, noise, stuck, parts) for parts in (1, 2))
     if not len(sample.rows):
-        return _unknown(0.0)
+        return _UNKNOWN
     recorded = sample.misfit(Undone())
     before = _mean_square(recorded)
     if before <= _NO_MISFIT:
-        return _unknown(0.0)
+        return _UNKNOWN
     stuck = _contradicting(stuck, wrench, sample)
     tried = causes(recording, model, wrench, wrench[_felt(wrench[:, :3], noise)], stuck)
     trials = sorted((_refined(trial, sample) for trial in _searched(tried, few)), key=lambda trial: trial.score)
@@ -67,7 +75,11 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     likely = [trial for trial in trials if explains(trial) >= _EXPLAINS]
     if not likely:
         second = model == "spatial" and 2 * _mean_square(recorded[1]) > _mean_square(np.hypot(*recorded[:2]))
-        return _second_contact(recorded[1], explains(trials[0])) if second else _unknown(explains(trials[0]))
+        return (
+            _second_contact(recorded[1], explains(trials[0]))
+            if second
+            else _UNKNOWN._replace(explains=explains(trials[0]))
+        )
     first, found = likely[0], likely[0].named
     messages = {found.fault: found.message}
     hidden = _HIDDEN if max(noise) else _NO_MISFIT
@@ -82,11 +94,6 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
             messages.setdefault(other.fault, other.message)
     either = "either " if len(messages) > 1 else ""
     return found._replace(explains=explains(first), message=f"most likely {either}{', or '.join(messages.values())}")
-
-
-def _unknown(explains: float) -> Diagnosis:
-    check = "check signs, axes and units, the tare of force and moment, the rod, and that the body is convex"
-    return Diagnosis("unknown", None, "", explains, f"no single fault explains the contradiction: {check}")
 
 
 def _second_contact(along_force: Array, explains: float) -> Diagnosis:
@@ -105,7 +112,7 @@ def _second_contact(along_force: Array, explains: float) -> Diagnosis:
 def _felt(force: Array, noise: tuple[float, float]) -> Mask:
     """(n,) whether forces (n, 3) stand out from the noise and from rounding."""
     size = np.linalg.norm(force, axis=1)
-    return np.asarray(size > max(FORCE_SIGMAS * max(noise), _NO_FORCE * float(size.max(initial=0.0))))
+    return np.asarray(felt(force, noise) & (size > _NO_FORCE * size.max(initial=0.0)))
 
 
 def _stuck_rows(recording: Recording, wrench: Array, noise: tuple[float, float]) -> Index:
@@ -185,7 +192,7 @@ def _sample(
 
     def chosen(rows: Index, count: int, kept: Index) -> Index:
         count = -(-count // parts)
-        return np.union1d(spread(rows, count), np.intersect1d(rows, kept[:count]))
+        return np.union1d(evenly(rows, count), np.intersect1d(rows, kept[:count]))
 
     frames: list[Array] = []
     if model == "spatial":

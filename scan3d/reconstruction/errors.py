@@ -60,9 +60,9 @@ def too_light(largest: Array, touching: Mask) -> Mask:
     return touching & (largest > max(_LIGHT * float(np.median(largest[touching])), _TOLERABLE))
 
 
-def spread(rows: Index, count: int) -> Index:
-    """At most `count` of the rows, evenly spread."""
-    return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
+def felt(force: Array, noise: tuple[float, float]) -> Mask:
+    """(n,) whether dimensionless forces (n, 2 or 3) stand out from the noise of force and moment."""
+    return np.asarray(np.linalg.norm(force, axis=1) > FORCE_SIGMAS * max(noise))
 
 
 class Effects(NamedTuple):

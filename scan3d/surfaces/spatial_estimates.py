@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
@@ -91,7 +91,7 @@ def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
         return None
     held_out = number % _EVERY == _EVERY // 2
     rows = np.flatnonzero(held_out)
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _HELD_OUT)).astype(np.intp))]
+    rows = evenly(rows, _HELD_OUT)
     kept = np.flatnonzero(~held_out)
     kept = kept[:: -(-len(kept) // _KEPT)]
     return replace(cloud.select(kept), fit=None, fit_error=np.inf), cloud.select(rows)
