@@ -67,6 +67,7 @@ def test_import_linter_enforces_the_rule(tmp_path):
         assert name in run.stdout
 
 
+@pytest.mark.slow
 def test_no_imports_in_a_circle():
     done = set()
 
@@ -84,6 +85,7 @@ def test_no_imports_in_a_circle():
     assert done == set(MODULES)
 
 
+@pytest.mark.slow
 def test_planar_needs_numpy_and_scipy_and_nothing_else():
     # an interpreter of this environment may load packages itself; numpy and scipy bring some
     lent = loaded("import scipy.integrate, scipy.special, scipy.optimize.elementwise")
@@ -110,6 +112,7 @@ def test_an_import_and_help_wait_for_no_heavy_library(statement, not_loaded):
     assert not loaded(statement) & not_loaded
 
 
+@pytest.mark.slow
 def test_only_the_command_line_prints():
     printing = set()
     for name, path in MODULES.items():

@@ -29,6 +29,7 @@ def copies(source: str) -> list[str]:
     return names
 
 
+@pytest.mark.slow
 def test_no_other_module_has_a_copy_of_a_list() -> None:
     # in a source made for it, so that the test can fail
     assert copies("SPACINGS = ['adaptive', 'cosine', 'uniform']") == ["SPACINGS"]

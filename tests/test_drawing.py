@@ -22,12 +22,14 @@ def renderer(monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: True)
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_child_draws_the_same_picture_as_this_process(tmp_path):
     views.picture(scanned(CUBE), tmp_path / "a.png", "cloud")
     assert drawing.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_scene_that_lacks_what_is_to_be_shown():
     with pytest.raises(scan3d.InputError, match="the bound of cube is not known"):
@@ -37,7 +39,7 @@ def test_a_scene_that_lacks_what_is_to_be_shown():
 @pytest.mark.rendering
 @pytest.mark.slow
 def test_a_scan_draws_while_it_compares_and_its_pictures_are_those_drawn_afterwards(tmp_path):
-    scan = scan3d.scan(CUBE, tmp_path / "early", slices=4, samples=8, noise=1e-3)
+    scan = scan3d.scan(CUBE, tmp_path / "early", slices=4, sweeps=4, samples=8)
     scan.save(tmp_path / "late")
     for name in ("cloud.png", "surface.png", "view.html"):
         assert (tmp_path / "early" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
@@ -127,6 +129,7 @@ def test_a_child_that_is_not_needed_is_not_started(monkeypatch):
     assert child.finish() == []
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_child_ends_with_the_process_that_started_it():
     code = (

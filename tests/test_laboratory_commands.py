@@ -99,6 +99,7 @@ def test_options_that_are_missing(place, capsys):
         assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_dry_run_shows_rows_and_writes_a_page_only(place, capsys):
     assert main(["import", "raw.csv", "--map", "rig.toml", "--dry-run"]) == 0
     printed = capsys.readouterr().out

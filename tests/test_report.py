@@ -27,10 +27,18 @@ def turned_box():
     return box
 
 
+@pytest.fixture(scope="module")
+def exact():
+    """The recording of the box in a few slices, without noise."""
+    return scan3d.simulate(turned_box(), scan3d.Plan(slices=12, samples=24, sweeps=8))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "noise"), [("planar", 0.0), ("planar", 1e-4), ("spatial", 1e-4)])
 def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     mesh = turned_box()
-    plan = scan3d.Plan(slices=16, samples=32, friction=0.2, model=model, noise=noise)
+    size = dict(slices=8, samples=16) if model == "spatial" else dict(slices=16, samples=24)
+    plan = scan3d.Plan(friction=0.2, model=model, noise=noise, **size)
     analysis = analyse(scan3d.simulate(mesh, plan), mesh)
     assert not analysis.warnings
     found = measured(analysis)
@@ -51,10 +59,8 @@ def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     assert factor == (sigmas(len(analysis.cloud)) if noise else None)
 
 
-def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direction():
-    mesh = turned_box()
-    cloud = scan3d.reconstruct(scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24)))
-
+def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direction(exact):
+    mesh, cloud = turned_box(), scan3d.reconstruct(exact)
     directions = trimesh.creation.icosphere(3).vertices.view(np.ndarray)
     lower, upper = enclosure(cloud).support(directions)
     true = (mesh.vertices @ directions.T).max(axis=0)
@@ -65,11 +71,8 @@ def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direct
     assert (mesh.vertices @ planes[:, :3].T <= planes[:, 3] + 1e-9).all()
 
 
-def test_nothing_is_stated_where_the_recording_contradicts_the_model():
-    mesh = turned_box()
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24))
-    wrong = replace(recording, force_N=recording.force_N * [1.0, -1.0])
-    analysis = analyse(wrong)
+def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
+    analysis = analyse(replace(exact, force_N=exact.force_N * [1.0, -1.0]))
     assert analysis.warnings
     for quantity in measured(analysis).values():
         assert quantity["coverage_probability"] == 0.0
@@ -77,10 +80,8 @@ def test_nothing_is_stated_where_the_recording_contradicts_the_model():
     assert "volume" not in dict(summary(report(analysis, settings={})).rows)
 
 
-def test_the_summary_states_the_volume_with_its_interval():
-    mesh = turned_box()
-    analysis = analyse(scan3d.simulate(mesh, scan3d.Plan(slices=12, samples=24)))
-    data = report(analysis, settings={})
+def test_the_summary_states_the_volume_with_its_interval(exact):
+    data = report(analyse(exact), settings={})
     row = dict(summary(data).rows)["volume"]
     low, high = data["measurands"][3]["interval"]
     assert row.endswith(f"mm³, certified between {low:.4g} and {high:.4g}")
@@ -95,6 +96,7 @@ def scanned():
     return recording, scan3d.reconstruct(recording), points, normals
 
 
+@pytest.mark.slow
 def test_counts_and_friction_of_a_scan_in_space(scanned):
     recording, cloud, points, _ = scanned
     counts = _counts(SimpleNamespace(recording=recording, cloud=cloud))
@@ -105,6 +107,7 @@ def test_counts_and_friction_of_a_scan_in_space(scanned):
     assert 0 <= friction["estimated_range"][0] <= friction["estimated_median"] <= friction["estimated_range"][1]
 
 
+@pytest.mark.slow
 def test_what_the_radius_leaves_covers_the_errors(scanned):
     _, cloud, points, normals = scanned
     found = radius_errors(cloud)

@@ -120,6 +120,7 @@ def test_pyvista_has_normals_friction_and_deviations(result):
     assert np.allclose(surface["bound"], result.certificate.at_vertices, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.open3d
 def test_open3d_has_normals_friction_and_deviations(result):
     cloud = result.cloud.to_open3d(CUBE)
