@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -152,7 +153,7 @@ def nearest_points(size: int) -> Steps:
         start = time.process_time()
         try:
             found = find()
-        except ImportError:
+        except ImportError:  # trimesh needs rtree for it
             continue
         steps[name] = time.process_time() - start
         steps[f"error of {name}"] = float(np.abs(found - exact).max())
@@ -163,27 +164,14 @@ def others_nearest(body: trimesh.Trimesh, points: Any) -> Iterator[tuple[str, Ca
     """Distances of points from a mesh, by several programs; imports and conversions do not count."""
     vertices, faces = body.vertices.view(np.ndarray), np.asarray(body.faces)
     yield "scan3d", lambda: np.abs(nearest(points, body)[0])
-    try:
+    with suppress(ImportError):
         import igl
 
         yield "libigl", lambda: np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
-    except ImportError:
-        pass
-    try:
-        import open3d
-
-        tensors = [open3d.core.Tensor(part) for part in (vertices.astype(np.float32), faces.astype(np.uint32))]
-        queries = open3d.core.Tensor(points.astype(np.float32))
-
-        def by_open3d() -> Any:
-            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-            scene.add_triangles(*tensors)
-            return scene.compute_distance(queries, nthreads=1).numpy()
-
-        yield "Open3D, single precision", by_open3d
-    except ImportError:
-        pass
-    try:
+    with suppress(ImportError):
+        find = by_open3d(body)
+        yield "Open3D, single precision", lambda: find(points)
+    with suppress(ImportError):
         import pymeshlab
 
         cloud, mesh = pymeshlab.Mesh(points), pymeshlab.Mesh(vertices, faces.astype(np.int32))
@@ -198,9 +186,22 @@ def others_nearest(body: trimesh.Trimesh, points: Any) -> Iterator[tuple[str, Ca
             return meshes.current_mesh().vertex_scalar_array()
 
         yield "MeshLab", by_meshlab
-    except ImportError:
-        pass
     yield "trimesh", lambda: trimesh.proximity.closest_point(body, points)[1]
+
+
+def by_open3d(body: trimesh.Trimesh) -> Callable[[Any], Any]:
+    """A function from points to their distances from a mesh, by Open3D in one thread."""
+    import open3d
+
+    vertices, faces = body.vertices.astype(np.float32), np.asarray(body.faces).astype(np.uint32)
+    tensors = [open3d.core.Tensor(np.asarray(part)) for part in (vertices, faces)]
+
+    def distances(points: Any) -> Any:
+        scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(*tensors)
+        return scene.compute_distance(open3d.core.Tensor(points.astype(np.float32)), nthreads=1).numpy()
+
+    return distances
 
 
 def hausdorff(size: int) -> Steps:
@@ -220,31 +221,14 @@ def others_hausdorff(one: trimesh.Trimesh, other: trimesh.Trimesh) -> Iterator[t
     """Hausdorff distances of two meshes, by several programs; those of the others are taken at vertices only."""
     parts = [(mesh.vertices.view(np.ndarray), np.asarray(mesh.faces)) for mesh in (one, other)]
     yield "scan3d, `compare`", lambda: scan3d.compare(one, other).hausdorff
-    try:
+    with suppress(ImportError):
         import igl
 
         yield "libigl", lambda: igl.hausdorff(*parts[0], *parts[1])
-    except ImportError:
-        pass
-    try:
-        import open3d
-
-        def one_sided(points: Any, mesh: tuple[Any, Any]) -> float:
-            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-            scene.add_triangles(
-                *(open3d.core.Tensor(part) for part in (mesh[0].astype(np.float32), mesh[1].astype(np.uint32)))
-            )
-            return float(
-                scene.compute_distance(open3d.core.Tensor(points.astype(np.float32)), nthreads=1).numpy().max()
-            )
-
-        yield (
-            "Open3D, single precision",
-            lambda: max(one_sided(parts[0][0], parts[1]), one_sided(parts[1][0], parts[0])),
-        )
-    except ImportError:
-        pass
-    try:
+    with suppress(ImportError):
+        to_one, to_other = by_open3d(one), by_open3d(other)
+        yield "Open3D, single precision", lambda: max(to_other(parts[0][0]).max(), to_one(parts[1][0]).max())
+    with suppress(ImportError):
         import pymeshlab
 
         meshes = pymeshlab.MeshSet()
@@ -259,8 +243,6 @@ def others_hausdorff(one: trimesh.Trimesh, other: trimesh.Trimesh) -> Iterator[t
             return float(found["max"])
 
         yield "MeshLab", lambda: max(sampled(0, 1), sampled(1, 0))
-    except ImportError:
-        pass
 
 
 CASES: dict[str, Callable[[int], Steps]] = {
