@@ -47,8 +47,8 @@ _FIRST_SLICES = 8
 SWEEPS = 24
 # Sides from which a new slice is swept.
 _SIDES = 4
-# Slices along the axis per new one, by `next_heights`: of its rule that a round grows with the number of slices.
-_PER_HEIGHT, _LEFT_PER_HEIGHT = 12, 3
+# Slices that are counted on for each new one: how finely slabs will be divided in the end.
+_LEFT_PER_HEIGHT = 3
 # By how much the bounding body is larger than the contacts, where none is stated.
 _AROUND = 0.1
 # Part of the bound above which what the contacts of a slice leave open is closed by sweeps from further directions.
@@ -203,8 +203,7 @@ class Session(Described):
         """Sweeps of new slices, and of slices that their contacts leave open."""
         space = self.plan.space()
         count = max(1, sweeps // _SIDES)
-        left = _LEFT_PER_HEIGHT * count
-        heights = next_heights(self.cloud, Plan(slices=left + round(_PER_HEIGHT * count)), left=left)
+        heights = next_heights(self.cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
         top = self.plan.around.height
         chosen = [
             (float(angle), float(z))

@@ -6,13 +6,14 @@
 
 The bodies are the convex hulls of all meshes in `meshes/`, of pyvista's example meshes and of those in a folder of your own,
 random polytopes, superquadrics, ellipsoids, cones, cylinders, needles, discs, wedges, and hulls of mixed and rounded shapes,
-each in a random orientation, and swept with friction from 0 to 0.4.  Two settings of the planner (`AT_ONCE` of
-`planning.heights` and `_KEPT` of `planning.heights`) were chosen by some of them, so that only bodies of your own judge those.
+each in a random orientation, and swept with friction from 0 to 0.4.
+Settings of the planner (`AT_ONCE`, rounds) were chosen by some of them, so that only bodies of your own judge those.
+
 A row has, over the diagonal: the certified bound of the hull of the contacts and of the surface that `auto` chooses, the
-Hausdorff distances of both from the body, and how many
-vertices of the surface lie farther from the body than their local bound; and how many slices were swept.  At the end: medians
-and largest values, and how many surfaces are more than 1.2 times as far from the body as the hull.  Fails if a bound or a local
-bound does not hold, or if a bound stays above the tolerance that is asked for.
+Hausdorff distances of both from the body, and how many vertices of the surface lie farther from the body than their local
+bound; and how many slices were swept.  At the end: medians and largest values, and how many surfaces are more than 1.2 times as
+far from the body as the hull.  Fails if a bound or a local bound does not hold, or if a bound stays above the tolerance that is
+asked for.
 """
 
 import argparse
