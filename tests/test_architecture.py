@@ -1,4 +1,4 @@
-"""Who imports whom, and who may print: by import-linter, by reading the source, and in child processes."""
+"""Who imports whom: by import-linter, by reading the source, and in child processes."""
 
 import ast
 import functools
@@ -110,20 +110,6 @@ def test_planar_needs_numpy_and_scipy_and_nothing_else():
 )
 def test_an_import_and_help_wait_for_no_heavy_library(statement, not_loaded):
     assert not loaded(statement) & not_loaded
-
-
-@pytest.mark.slow
-def test_only_the_command_line_prints():
-    printing = set()
-    for name, path in MODULES.items():
-        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-        called = {getattr(node.func, "id", None) for node in nodes if isinstance(node, ast.Call)}
-        streams = [node for node in nodes if isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr")]
-        if "print" in called or any(getattr(node.value, "id", None) == "sys" for node in streams):
-            printing.add(name)
-    assert printing  # so that the test can fail
-    # the one sentence of a run that a signal ends is written where signals are handled
-    assert {name for name in printing if not name.startswith("scan3d.cli")} == {"scan3d.processes"}
 
 
 @pytest.mark.slow

@@ -139,13 +139,6 @@ def test_averages_over_cubes(all_samples):
         assert result.volume_error == pytest.approx(1 / 1.1**3 - 1)
 
 
-def test_a_quantile_is_the_smallest_value_that_enough_weight_does_not_exceed():
-    values, weights = np.array([3.0, np.nan, 1.0, 2.0]), np.array([0.6, 5.0, 0.1, 0.3])
-    for fraction, expected in ((0.05, 1.0), (0.15, 2.0), (0.39, 2.0), (0.5, 3.0), (1.0, 3.0)):
-        assert comparison._quantile(values, weights, fraction) == expected
-    assert np.isnan(comparison._quantile(np.full(2, np.nan), np.ones(2), 0.5))
-
-
 def test_averages_are_over_the_area_even_with_faces_that_have_none():
     """A large square at the height 1 and many small triangles at the height 0, over a square at the height 0."""
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)

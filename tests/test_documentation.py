@@ -3,7 +3,6 @@
 `make docs` builds the pages with Sphinx, with warnings as errors, and checks the links among them.
 """
 
-import ast
 import importlib.util
 import json
 import re
@@ -201,14 +200,6 @@ def test_every_example_is_in_the_gallery() -> None:
         assert f"literalinclude}} ../examples/{script.name}" in section
         # the section has a picture, unless the script prints a table
         assert (f"(pictures/{script.stem}.png)" in section) == ("savefig" in script.read_text(encoding="utf-8"))
-
-
-def test_an_example_opens_with_its_question_and_ends_with_its_reference() -> None:
-    for script in EXAMPLES:
-        paragraphs = (ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").split("\n\n")
-        assert "?" in paragraphs[0], script
-        assert paragraphs[-1].startswith("Reference: "), script
-        assert f"python examples/{script.name}" in paragraphs[-2], script
 
 
 def test_the_sidecar_in_the_pages_makes_a_recording(tmp_path: Path) -> None:

@@ -81,11 +81,6 @@ def test_the_same_scene_gives_the_same_movie(egg, tmp_path):
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
 
 
-def test_no_more_frames_than_there_are_samples():
-    assert movie.evenly_chosen(5, 60).tolist() == [0, 1, 2, 3, 4]
-    assert movie.evenly_chosen(100, 4).tolist() == [0, 33, 66, 99]
-
-
 def test_an_mp4_is_written_by_ffmpeg(egg, tmp_path, monkeypatch):
     written = []
 

@@ -286,19 +286,6 @@ def overlap(one, other):
     return across > 1 and along > 1
 
 
-def test_titles_are_wrapped_into_lines_of_about_one_length():
-    title = "bending out of the sweep's plane in °"
-    assert figures.wrapped(title, 7, Sheet()) == title
-    assert figures.wrapped(title, 3, Sheet()) == "bending out of the\nsweep's plane in °"
-    assert figures.wrapped("certified bound in um", 0.1, Sheet()) == "certified\nbound\nin µm"
-    assert figures.wrapped("5 %", 1, Sheet()) == "5 %"
-
-
-def test_the_scale_is_a_round_length():
-    lengths = {1.0: 1.0, 1.99: 1.0, 2.0: 2.0, 4.9: 2.0, 7.0: 5.0, 0.03: 0.02}
-    assert [figures.nice(length) for length in lengths] == pytest.approx([*lengths.values()])
-
-
 @pytest.mark.rendering
 def test_the_axes_are_below_the_body_whatever_the_zoom(egg):
     filled = []

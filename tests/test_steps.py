@@ -87,13 +87,6 @@ def test_a_plot_takes_the_truth_by_its_path(monkeypatch):
 # --- help ---
 
 
-def test_steps_have_the_description_of_what_they_do():
-    for name in ("simulate", "reconstruct", "surface", "compare", "calibrate"):
-        text = inspect.getdoc(getattr(scan3d, name))
-        assert "Raises InputError" in text, name
-        assert all(line == line.lstrip() for line in text.splitlines()[-1:]), name
-
-
 def described(text):
     """The descriptions of parameters in a docstring, by name."""
     found, name = {}, None
