@@ -80,13 +80,14 @@ def test_the_runner_notices_faults(tmp_path, monkeypatch):
 
     def outcome(action, seconds=20):
         monkeypatch.setattr(runner, "SECONDS", seconds)
+        monkeypatch.setattr(runner, "MEMORY", 1 << 28)
         monkeypatch.setitem(COMMANDS, "doctor", action)
         return runner.run(["doctor"], tmp_path).fault
 
     def fill():
         import numpy as np
 
-        return int(np.ones(5 << 26).sum()) * 0
+        return int(np.ones(5 << 23).sum()) * 0
 
     def hang():
         while True:
