@@ -78,6 +78,7 @@ def test_a_polygon_of_seven_sides(friction):
     assert {(planar.Phase.TIP, False), (planar.Phase.TANGENTIAL, False), (planar.Phase.TANGENTIAL, True)} <= seen
 
 
+@pytest.mark.slow
 def test_collocation():
     # the same problems by scipy.integrate.solve_bvp: its tolerance of 1e-8 holds for the defect; reactions are less accurate
     events = planar.events(CIRCLE, 0.3)

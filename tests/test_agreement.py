@@ -63,6 +63,7 @@ def test_a_wrong_recording_is_remarked_on(egg, fault, undiagnosed):
     assert remarks(FAULTS[fault](egg))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "names", "slices", "samples", "most"),
     [
@@ -165,6 +166,7 @@ def right_recording(seed):
     return replace(recording, **columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 200), marks=pytest.mark.trust)], ids=["2", "198"])
 def test_200_right_recordings_are_not_remarked_on(seeds, undiagnosed):
     assert [seed for seed in seeds if remarks(right_recording(seed))] == []
@@ -173,6 +175,7 @@ def test_200_right_recordings_are_not_remarked_on(seeds, undiagnosed):
 NOISES = [(0.0, 0.0), (1e-5, 1e-5), (1e-3, 1e-3), (1e-2, 1e-3), (1e-4, 1e-2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "friction", "seeds"),
     [
@@ -216,6 +219,7 @@ def test_a_few_disturbed_rows_are_no_contradiction(egg, undiagnosed):
 # --- what becomes of it ---
 
 
+@pytest.mark.slow
 def test_a_contradiction_withdraws_the_certificate(egg, undiagnosed):
     analysis = analyse(FAULTS["moment 10 % too large"](egg))
     assert analysis.warnings
@@ -226,6 +230,7 @@ def test_a_contradiction_withdraws_the_certificate(egg, undiagnosed):
     assert "proven" not in analysis.surface.metadata["reason"]
 
 
+@pytest.mark.slow
 def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys, no_pictures, egg):
     scan3d.write_recording(FAULTS["fy of the other sign"](egg), tmp_path / "wrong.csv")
     arguments = ["reconstruct", str(tmp_path / "wrong.csv"), "--method", "hull"]
@@ -242,6 +247,7 @@ def test_the_command_warns_and_is_strict_if_asked_to(tmp_path, capsys, no_pictur
     assert (tmp_path / "strict" / "report.json").exists()
 
 
+@pytest.mark.slow
 def test_a_right_recording_passes_the_strict_test(tmp_path, capsys, no_pictures):
     scan3d.write_recording(recorded(slices=6, samples=30, noise=1e-4), tmp_path / "right.csv")
     arguments = ["reconstruct", str(tmp_path / "right.csv"), "--out", str(tmp_path / "out"), "--method", "hull"]

@@ -361,6 +361,7 @@ def test_other_meshes_settings_versions_and_results_that_are_not_whole_are_compu
     assert done() == [False, False]
 
 
+@pytest.mark.slow
 def test_files_of_others_are_replaced_only_if_asked_to(again, call):
     out, meshes = again
     (out / "egg" / "surface.ply").write_bytes(b"mine")
@@ -424,6 +425,7 @@ def test_a_worker_that_writes_elsewhere_is_a_failure(tmp_path, monkeypatch):
     assert "workers on other machines need a folder that all of them share" in row["error"]
 
 
+@pytest.mark.slow
 def test_interruptions_leave_what_is_done(again):
     """Ctrl-C ends the batch; what was finished is there, and the summary is the earlier one."""
     out, meshes = again

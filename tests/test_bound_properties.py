@@ -40,6 +40,7 @@ def test_exact_scans_are_as_stated(seeds):
     assert wrong(seeds, noise=(0.0,)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [covariances.BODIES[0], *(pytest.param(name, marks=pytest.mark.trust) for name in covariances.BODIES[1:])]
 )
@@ -54,6 +55,7 @@ def test_draws_repeat():
     assert (one.mesh.vertices == other.mesh.vertices).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.0, 0.05])
 def test_false_statements_are_found(part):
     """Of a recording that states less noise than it has."""

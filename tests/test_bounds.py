@@ -53,6 +53,7 @@ def parts(count):
     return [seed if seed < count else pytest.param(seed, marks=pytest.mark.trust) for seed in range(60)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", parts(6))
 @pytest.mark.parametrize(("axis", "slices"), [("z", 7), ((1.0, 2.0, 0.5), 6), ("xy", 4), ("xyz", 3), ("z", 2)], ids=str)
 def test_what_is_certified_of_slices_is_true(axis, slices, seed):
@@ -64,6 +65,7 @@ def test_what_is_certified_of_slices_is_true(axis, slices, seed):
     assert max(bounds.parts().values()) <= bounds.bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", parts(3))
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])
 def test_what_is_certified_under_noise_is_true(noise, seed):
@@ -73,6 +75,7 @@ def test_what_is_certified_under_noise_is_true(noise, seed):
     assert bounds.confidence == 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", parts(2))
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
@@ -86,6 +89,7 @@ def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
     assert bounds.tighter is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", parts(4))
 @pytest.mark.parametrize("radius", [0.0, 0.02])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
@@ -140,6 +144,7 @@ def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
 # --- how tight the bounds are ---
 
 
+@pytest.mark.slow
 def test_tangents_bound_a_polyhedron_more_tightly_than_slabs():
     body = hull(np.random.default_rng(5).normal(size=(12, 3)) * [10, 14, 8])
     bounds = enclosure(contacts(scan3d.simulate(body, scan3d.Plan(slices=64))))
@@ -147,6 +152,7 @@ def test_tangents_bound_a_polyhedron_more_tightly_than_slabs():
     assert convex_hausdorff(bounds.inner, body) <= bounds.bound < 0.5 * bounds.gap.max()
 
 
+@pytest.mark.slow
 def test_adaptive_slices_find_the_corners_of_an_oblique_cube():
     """Cosine spacing leaves 5e-3 of the diagonal there; a slice at a vertex's own height closes the gap at once."""
     body = trimesh.creation.box((20, 20, 20))
@@ -155,6 +161,7 @@ def test_adaptive_slices_find_the_corners_of_an_oblique_cube():
     assert bounds.bound < 1e-3 * 20 * np.sqrt(3)
 
 
+@pytest.mark.slow
 def test_the_certificate_does_not_rest_on_an_inferred_friction():
     """A wrong coefficient would make the bound wrong: the enclosure is that of the tangential contacts alone."""
     cloud = scanned(random_body(2), slices=12)
@@ -174,6 +181,7 @@ def ball():
     return mesh, cloud, enclosure(cloud)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fraction", [-0.1, -1e-5, 1e-5, 0.1])
 def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     """Nothing but the shape decides: what is pushed in by 10 % of the diagonal is not certified as convex."""
@@ -189,6 +197,7 @@ def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     assert at_vertices.max() <= bound * (1 + 1e-9)
 
 
+@pytest.mark.slow
 def test_surfaces_that_are_open_or_dented_are_compared_with_the_inner_body(ball):
     mesh, cloud, bounds = ball
     closed = surface(cloud, "hull")
@@ -203,6 +212,7 @@ def test_surfaces_that_are_open_or_dented_are_compared_with_the_inner_body(ball)
     assert at_vertices == pytest.approx(distances(dented.vertices, bounds.inner) + bounds.bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("margin", [0.0, 0.05])
 def test_the_certificate_is_the_largest_distance_of_a_corner_or_a_vertex(ball, margin, monkeypatch):
     """Of smaller, larger and moved bodies, some of whose corners are not measured: against all corners and vertices."""
@@ -217,6 +227,7 @@ def test_the_certificate_is_the_largest_distance_of_a_corner_or_a_vertex(ball, m
             assert certificate(bounds, moved).bound == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_places_that_are_known_have_a_small_local_bound():
     """A capsule that lies askew has its cylinder between the slices, which is known better than its ends."""
     body = trimesh.creation.capsule(20, 8)
@@ -226,6 +237,7 @@ def test_places_that_are_known_have_a_small_local_bound():
     assert np.median(certified.at_vertices) < 0.7 * certified.bound
 
 
+@pytest.mark.slow
 def test_where_nothing_bounds_the_body_the_local_bound_is_infinite():
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=20)
     # one sweep for each slice sees one side only, so that no slab is closed
@@ -268,6 +280,7 @@ def test_contacts_that_see_one_side_leave_the_others_open():
     assert np.isinf(certified.at_vertices[height.argmin()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_a_withdrawn_enclosure_states_nothing(axis):
     bounds = enclosure(scanned(random_body(1), slices=4, axis=axis))

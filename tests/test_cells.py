@@ -56,6 +56,7 @@ def test_every_cell_is_bounded_by_its_planes():
     assert len(np.unique(found.number, axis=0)) == len(found.number)
 
 
+@pytest.mark.slow
 def test_estimates_lie_between_the_hull_and_the_corners():
     mesh, cloud = scanned(1)
     found, inner = found_in(cloud), hull(cloud.points)
@@ -69,6 +70,7 @@ def test_estimates_lie_between_the_hull_and_the_corners():
     assert tuple(dict(between_cells(cloud))) == FRACTIONS
 
 
+@pytest.mark.slow
 def test_no_estimates_by_cells_of_one_axis_or_of_noisy_contacts():
     mesh = body(0)
     plan = scan3d.Plan(slices=6, spacing="cosine", samples=24)
@@ -91,6 +93,7 @@ def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monk
     assert "of the way to its corners" not in surface.metadata["reason"]
 
 
+@pytest.mark.slow
 def test_cells_that_bound_the_body_no_more_tightly_are_given_up_by_one_of_them():
     _, cloud = scanned(1)
     by_axis, inner, found = stacks(cloud), hull(cloud.points), found_in(cloud)
@@ -102,6 +105,7 @@ def test_cells_that_bound_the_body_no_more_tightly_are_given_up_by_one_of_them()
         np.testing.assert_array_equal(further.gap, found.gap)
 
 
+@pytest.mark.slow
 def test_cells_of_slices_that_lie_along_one_axis_but_for_few_are_left_out():
     """They would take most of the time of the analysis, and bound the body no more tightly than the slabs of the one axis."""
     _, cloud = scanned(2, 9, "xyz", "adaptive")
@@ -120,6 +124,7 @@ def test_the_corners_of_a_polytope_are_its_vertices():
     assert near < far
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_no_contact_and_tangent_allows_a_smaller_bound(seed):
     """The hull of the contacts and the farthest corner is a convex body with the same contacts and tangents."""
@@ -134,6 +139,7 @@ def test_no_contact_and_tangent_allows_a_smaller_bound(seed):
         assert signed_distances(cloud.points[tangential] + step * size * rod, largest).min() > -2e-6 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_the_cells_are_tighter_than_the_slabs_of_one_axis(seed):
     _, cloud = scanned(seed)
@@ -144,6 +150,7 @@ def test_the_cells_are_tighter_than_the_slabs_of_one_axis(seed):
     assert (bounds.support(directions)[1] <= slabs.support(directions)[1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", [np.eye(3), slice_frame(np.array([1.0, 2.0, 0.5]))])
 def test_a_box_is_found_exactly(frame):
     """Of a box that lies along the axes three slices show every face, and a slice near each end its extent."""

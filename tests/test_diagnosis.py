@@ -88,6 +88,7 @@ PLANAR = {
 QUICK_IN_PLANE = ("moment in N mm", "fx off by 1 %", "fy 10 % too large", "60 stuck rows", "rod 10 % too long")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
@@ -104,6 +105,7 @@ def test_a_planar_fault_is_named_with_its_size(name, fault):
     assert name == "cube.stl" or text in found.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["egg.stl", trusted("cube.stl")])
 def test_planar_offsets_and_zeros_are_named_with_their_size(name):
     right = in_plane(name)
@@ -154,6 +156,7 @@ SPATIAL = {
 QUICK = ("turned about the rod", "offset", "wrench doubled", "left-handed", "a second contact")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recording", "fault"),
     [
@@ -176,6 +179,7 @@ def test_a_spatial_fault_is_named_with_its_size(recording, fault):
 FRAMES = [((0, 30, 0), (0, -20, 0)), ((-20, 0, 40), (3, 25, -30)), ((0, 0, 90), (0, 0, 30))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recording", "angles", "place"),
     [
@@ -195,6 +199,7 @@ def test_a_sensor_that_is_turned_and_beside_the_clamp_is_named(recording, angles
     assert position == pytest.approx(place, abs=4)
 
 
+@pytest.mark.slow
 def test_forces_too_small_to_be_felt_do_not_explain_a_contradiction():
     """Forces over 1000 are below the noise, and no row contradicts another; that does not mean that they are in mN."""
     right, largest = in_space(1e-4), 0.03
@@ -204,6 +209,7 @@ def test_forces_too_small_to_be_felt_do_not_explain_a_contradiction():
     assert found.fault != "force-unit", found
 
 
+@pytest.mark.slow
 def test_what_no_single_fault_explains_is_said_to_be_so():
     found = diagnosed(FAULTS["interleaved"](in_plane()))
     assert (found.fault, found.value) == ("unknown", None)
@@ -215,6 +221,7 @@ def test_wrong_poses_are_the_diagnosis_of_the_test_that_finds_them():
     assert checked(wrong, scan3d.reconstruct(wrong)).diagnosis.fault == "poses"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4, trusted(1e-3)])
 def test_right_recordings_have_no_diagnosis(noise):
     rng = np.random.default_rng(5)
@@ -224,6 +231,7 @@ def test_right_recordings_have_no_diagnosis(noise):
         assert checked(right, scan3d.reconstruct(right)) == ([], None)
 
 
+@pytest.mark.slow
 def test_the_report_and_the_page_name_the_fault():
     analysis = analyse(FAULTS["sensor turned by 5 degrees"](in_plane()), method="hull")
     data = report(analysis, settings={})
@@ -236,6 +244,7 @@ def test_the_report_and_the_page_name_the_fault():
     assert "diagnosis" not in dict(key_figures(right))
 
 
+@pytest.mark.slow
 def test_a_diagnosis_takes_no_longer_for_long_recordings():
     wrong = FAULTS["sensor turned by 5 degrees"](in_plane())
 

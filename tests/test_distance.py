@@ -34,6 +34,7 @@ def test_distances_to_slivers_against_60_digits(height):
         assert far_in_60_digits(points[i], *corners[j]) >= distance[i] - 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tried", [1, 4, 10])
 @pytest.mark.parametrize("name", ["fine", "few faces", "crossing"])
 def test_quick_estimates_and_their_lower_bounds_enclose_the_distance(name, tried):

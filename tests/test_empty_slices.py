@@ -32,6 +32,7 @@ def scanned():
     return scan3d.simulate(SPHERE, scan3d.Plan(slices=16, spacing="cosine"))
 
 
+@pytest.mark.slow
 def test_slices_out_of_reach_end_no_body(scanned):
     """These slices once certified 3.6e-2 of the diagonal where the truth was 9.0e-2."""
     upper = scanned.position_m[:, 2] > 0.0075
@@ -67,6 +68,7 @@ def test_a_noisy_sensor_proves_less(scanned):
     assert (unproven(cloud, scanned, number, 0.4) == ends).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spacing", "slices", "turns"),
     [

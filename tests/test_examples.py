@@ -66,6 +66,7 @@ def test_a_script_saves_its_picture_in_the_current_folder_or_at_the_given_path(
                 assert made.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_transitions_are_at_the_reference_values() -> None:
     figure = example("paper_figure_3")
     for states, events, expected in zip(figure.TRANSITIONS, figure.EVENTS, REFERENCE, strict=True):

@@ -20,6 +20,7 @@ def test_open3d_is_an_extra_and_the_tests_have_it():
     assert any(re.match(r'scan3d\[.*\bopen3d\b.*\]; extra == "test"$', line) for line in requires("scan3d"))
 
 
+@pytest.mark.slow
 def test_the_commands_work_without_open3d(call, tmp_path, no_pictures, without_open3d):
     out = tmp_path / "out"
     commands = [

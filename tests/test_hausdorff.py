@@ -59,6 +59,7 @@ def test_one_sided_distances_against_dense_points(pair):
         assert lower <= result.hausdorff
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(seeds=st.tuples(*[st.integers(0, 2**32 - 1)] * 2), count=st.integers(4, 40), flat=st.floats(0.01, 1.0))
 def test_random_polytopes_against_brute_force(seeds, count, flat):
@@ -256,6 +257,7 @@ def test_the_bound_of_the_smaller_one_sided_distance_allows_for_a_depth_below_th
     assert result.surface_to_mesh_upper == pytest.approx(height + 2 * np.sqrt(3) * depth, abs=1e-3 * depth)
 
 
+@pytest.mark.slow
 def test_a_pinhole_between_two_cubes_counts():
     """A hole that is smaller than the winding number resolves: its middle is as far from the surface as from the rim."""
     side = 2e-3

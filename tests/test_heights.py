@@ -265,6 +265,7 @@ def test_no_slices_are_taken_that_buy_nothing():
     assert found.part(Gap.SLICES) < 1.02 * found.part(Gap.CONTACTS)
 
 
+@pytest.mark.slow
 def test_a_rig_stops_where_the_bound_meets_the_tolerance(gem):
     rig, bounds = scanned_by_rig(gem, Plan(**{**vars(PLAN), "tolerance": 0.03}))
     assert 10 <= len(rig.heights) < PLAN.slices
@@ -363,6 +364,7 @@ def slices_along(cloud, axis):
     return int((cloud.slice_axis @ axis > 0.5).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slices", [1, 5])
 def test_all_axes_together_get_the_slices_of_the_plan(slices):
     cloud = cloud_of("polytope", slices, "xyz", sweeps=6)
@@ -370,6 +372,7 @@ def test_all_axes_together_get_the_slices_of_the_plan(slices):
     assert all(slices_along(cloud, axis) >= min(slices, FIRST_TOGETHER) + BEYOND for axis in np.eye(3))
 
 
+@pytest.mark.slow
 def test_two_axes_share_their_slices():
     cloud = cloud_of("polytope", 6, "xz", sweeps=6)
     assert len(cloud.slice_height) == 2 * (6 + BEYOND)
@@ -400,6 +403,7 @@ def test_a_body_of_very_many_vertices_is_sliced_along_one_axis():
     assert len(cloud.slice_height) == 3 * (21 + BEYOND)
 
 
+@pytest.mark.slow
 def test_the_axis_of_all_further_slices_is_told():
     """With more open cells than slices left, early in the scan."""
     cloud = cloud_of("ellipsoid", 5, "xyz", sweeps=6)
@@ -427,6 +431,7 @@ def test_the_plan_is_deterministic():
         assert (levels == same).all()
 
 
+@pytest.mark.slow
 def test_further_slices_lie_in_the_body_and_are_new():
     cloud = cloud_of("ellipsoid", 5, "xyz", sweeps=6)
     further = next_slices(cloud, Plan(slices=9, axis="xyz"), 12).slices
@@ -487,6 +492,7 @@ def relative_gaps(recording):
     return bounds.part(Gap.CONTACTS) / diagonal, bounds.bound / diagonal
 
 
+@pytest.mark.slow
 def test_contours_are_swept_again_until_they_are_known_within_the_tolerance():
     recording = scanned("gem.glb", tolerance=4e-3)
     assert set(np.bincount(recording.sweep)) > {10}
@@ -496,6 +502,7 @@ def test_contours_are_swept_again_until_they_are_known_within_the_tolerance():
     assert relative_gaps(without)[0] > 4e-3
 
 
+@pytest.mark.slow
 def test_the_slices_with_wide_gaps_are_named():
     cloud = scan3d.reconstruct(scanned("gem.glb"))
     diagonal = np.linalg.norm(np.ptp(cloud.points, axis=0))
@@ -507,6 +514,7 @@ def test_the_slices_with_wide_gaps_are_named():
     assert set(some) <= set(every) <= set(cloud.slice_height)
 
 
+@pytest.mark.slow
 def test_gaps_that_more_samples_do_not_close_are_left(monkeypatch):
     asked = []
 
@@ -530,6 +538,7 @@ WING = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_contours_of_which_the_rods_tip_alone_touched_a_part_are_swept_from_further_directions(monkeypatch):
     """No normal is measured there, so that more samples do not help."""
     corners = np.array(WING, dtype=float)

@@ -177,6 +177,7 @@ def test_of_a_convex_mesh_nothing_of_the_kind_is_said():
     assert shading.shade_surface(scene)[1].title == "signed deviation in mm"
 
 
+@pytest.mark.slow
 def test_commands_take_the_depth_and_say_what_was_filled(dimpled, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     options = [*FEW[:-1], "--method", "hull", "--clip-dent", "1%"]

@@ -35,6 +35,7 @@ def start(*arguments, code=_CODE):
     return child
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "sentence"),
     [

@@ -86,6 +86,7 @@ def test_mirror(contour, friction):
     np.testing.assert_allclose(to_the_right.point, to_the_left.point * [-1, 1], atol=AGREES)
 
 
+@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions)
 def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
@@ -106,6 +107,7 @@ def test_mirrored_reactions_give_mirrored_contacts(contour, friction):
     np.testing.assert_allclose(mirrored.straight, lines.straight * [-1, 1], atol=1e-14)
 
 
+@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions)
 def test_events_of_the_mirror_image(contour, friction):
@@ -146,6 +148,7 @@ def test_lengths_forces_and_moments_scale_with_the_rod(scale, slope, y, friction
     np.testing.assert_array_equal(scaled.q, full.q)
 
 
+@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions, st.floats(0.05, 1.0))
 def test_contacts_scale_with_the_reactions(contour, friction, scale):
@@ -162,6 +165,7 @@ def test_contacts_scale_with_the_reactions(contour, friction, scale):
     np.testing.assert_allclose(scaled.friction_angle_bound, full.friction_angle_bound, atol=1e-11)
 
 
+@pytest.mark.slow
 @eight_examples
 @given(ellipses(), frictions)
 def test_an_ellipse_by_other_parameters(ellipse, friction):
@@ -225,6 +229,7 @@ def test_a_circle_by_its_polygon(radius, gap, friction):
     assert np.abs(faceted.m0z - smooth.m0z)[same].max() < 0.02
 
 
+@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions, st.integers(0, 2**32 - 1))
 def test_reconstruction_treats_every_row_separately(contour, friction, seed):
@@ -237,6 +242,7 @@ def test_reconstruction_treats_every_row_separately(contour, friction, seed):
         np.testing.assert_allclose(getattr(shuffled, name), getattr(in_order, name)[order], rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.slow
 @twenty_examples
 @given(contours, frictions, st.integers(2, 7))
 def test_a_sweep_does_not_depend_on_its_samples(contour, friction, step):
@@ -256,6 +262,7 @@ def test_the_same_friction_for_every_sample(contour, friction):
     assert_same(planar.sweep(contour, np.full(len(base), friction), base=base), swept)
 
 
+@pytest.mark.slow
 @eight_examples
 @given(contours, st.integers(0, 2**32 - 1))
 def test_friction_per_sample_gives_the_state_of_a_sweep_with_that_friction(contour, seed):

@@ -43,6 +43,7 @@ def place(tmp_path, files, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_recording_with_its_origin(place, capsys):
     for name in ("log.csv", "log.parquet"):
         assert main(["import", "raw.csv", "--map", "rig.toml", "--out", name]) == 0

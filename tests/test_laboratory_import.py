@@ -111,6 +111,7 @@ UNITS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @given(
     turn=st.tuples(SOME, SOME, SOME), arm=st.tuples(SOME, SOME, SOME), clamp=st.tuples(SOME, SOME, SOME),
     clamp_arm=st.tuples(SOME, SOME, SOME), shows=st.sampled_from(["clamp-on-rod", "rod-on-clamp"]),
@@ -242,6 +243,7 @@ def test_sensors_with_fewer_channels_give_planar_recordings(tmp_path, planar, ch
     assert ("fz are left out" in " ".join(found.summary.notes)) == (channels == 4)
 
 
+@pytest.mark.slow
 def test_channels_that_are_missing_are_named(tmp_path, planar, spatial):
     rig = Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     columns, data = table(track(spatial), rig), map_of(spatial.rod, rig)
@@ -285,6 +287,7 @@ def test_a_body_on_a_turntable_is_the_example_of_the_manual(tmp_path, monkeypatc
     assert found.moment_Nm == pytest.approx(by_hand.moment_Nm, rel=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("jitter_m", "step_m"), [(2e-5, 0.0), (0.0, 1e-5), pytest.param(2e-6, 5e-6, marks=pytest.mark.trust)]
 )
@@ -347,6 +350,7 @@ def test_a_log_in_which_nothing_is_touched_keeps_its_sweeps(tmp_path, planar):
     assert found.summary.sweeps_with_contact == 0
 
 
+@pytest.mark.slow
 def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
     write(tmp_path / "long.csv", table(track(planar, air=400), RIG_WITH_NOISE))
     data = map_of(planar.rod, RIG_WITH_NOISE)

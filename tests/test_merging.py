@@ -70,6 +70,7 @@ def check_readers(surface, folder, endings=(".ply", ".stl", ".obj", ".glb", ".vt
             assert read.volume == pytest.approx(surface.volume, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "method", "plan"),
     [
@@ -166,6 +167,7 @@ def test_vertices_that_float32_can_not_tell_apart_are_merged_in_exports(tmp_path
         assert trimesh.load(tmp_path / f"out{ending}", force="mesh").is_watertight
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-7, 1e-4, 1e-2, 1.0, 1e5])
 def test_bodies_of_all_sizes_keep_their_volume(scale):
     mesh = hull(np.asarray(polytope(4, 60).vertices) * scale)

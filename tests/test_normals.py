@@ -60,6 +60,7 @@ def test_the_fitted_surface_is_closer_than_the_hull(smooth):
     assert fitted < convex
 
 
+@pytest.mark.slow
 def test_bodies_with_edges_are_not_fitted():
     cloud = scan3d.reconstruct(
         scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=24, spacing="cosine"))
@@ -76,6 +77,7 @@ def test_bodies_with_edges_are_not_fitted():
         scan3d.surface(cloud, "support")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, pytest.param(1e-3, marks=pytest.mark.trust)])
 def test_tip_contacts_get_normals_by_the_friction_that_the_tangential_contacts_agree_on(noise):
     plan = scan3d.Plan(slices=24, samples=32, friction=0.3, noise=noise)
@@ -88,6 +90,7 @@ def test_tip_contacts_get_normals_by_the_friction_that_the_tangential_contacts_a
     assert np.percentile(deviation[tip], 95) < 1.5  # of which 1 is due to the facets
 
 
+@pytest.mark.slow
 def test_where_friction_varies_tip_contacts_have_no_normal():
     plan = scan3d.Plan(slices=12, samples=32, friction=(0.0, 0.4))
     cloud = with_slice_normals(contacts(scan3d.simulate(trimesh.creation.icosphere(4, 20.0), plan)))

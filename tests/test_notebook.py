@@ -100,6 +100,7 @@ def test_a_recording_shows_itself(recording):
     assert 0.01 < (np.ptp(image, axis=2) > 60).mean() < 0.3
 
 
+@pytest.mark.slow
 def test_units_normals_and_noise_of_a_recording_whose_text_stays_text(recording):
     turned = recording.quaternion.copy()
     turned[: len(turned) // 2] = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]  # about x: the clamp's z axis to -y
@@ -134,6 +135,7 @@ def test_six_axis_recordings_and_their_clouds_show_themselves(no_pictures):
     assert rows["model"].startswith("spatial")
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_cloud_shows_itself(cloud):
     shown = Reader(cloud._repr_html_())
@@ -213,6 +215,7 @@ def test_a_sweep_and_contacts_show_themselves():
 # --- pictures ---
 
 
+@pytest.mark.slow
 def test_reactions_and_distances_need_no_renderer(recording, comparison, no_pictures):
     mesh = scan3d.load_mesh(EGG)
     for result in (recording, scan3d.compare(mesh, mesh)):

@@ -157,6 +157,7 @@ def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, lef
     sweep_figure(found)
 
 
+@pytest.mark.slow
 def test_the_picture_has_contacts_and_error_bars_by_kind(left, tmp_path, capsys):
     exact = OneSweep(left.x0, left.f0x, left.f0y, left.m0z)
     noisy = OneSweep(left.x0, left.f0x, left.f0y, left.m0z, None, 1e-3, 1e-3)
@@ -184,6 +185,7 @@ def test_only_tip_contacts_have_no_friction(tmp_path, left, capsys):
     assert "not known, as no contact is tangential" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_files_are_replaced_only_if_they_are_ours(tmp_path, left, capsys):
     table = write(tmp_path / "sweep.csv", columns(left))
     for _ in range(2):

@@ -91,6 +91,7 @@ def test_a_cube_with_contacts_on_all_faces(method, within):
     assert scan3d.compare(made, trimesh.creation.box((2, 2, 2))).relative < within
 
 
+@pytest.mark.slow
 @pytest.mark.open3d
 @pytest.mark.parametrize("method", METHODS)
 def test_the_result_depends_neither_on_the_order_of_the_contacts_nor_on_their_unit(method):
@@ -206,6 +207,7 @@ def test_without_open3d_a_sentence_says_what_to_install(monkeypatch, method, err
     assert "auto, bracket, hull or support" in str(refused.value)
 
 
+@pytest.mark.slow
 def test_open3d_is_imported_only_when_asked():
     code = "import sys, scan3d.surfaces.open3d_methods; print('open3d' in sys.modules, 'trimesh' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

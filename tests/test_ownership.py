@@ -81,6 +81,7 @@ def test_a_run_never_overwrites_what_it_reads(folder, refused, overwrite, link):
     refused(["scan", CUBE, "--config", "out/recording.toml", "--out", "out", *overwrite], sentence)
 
 
+@pytest.mark.slow
 def test_a_result_replaces_only_what_the_program_wrote(folder, refused):
     scan = ["scan", str(CUBE), "--out", "out", *FEW]
     # by another program, and changed since it was written
@@ -102,6 +103,7 @@ def test_a_result_replaces_only_what_the_program_wrote(folder, refused):
     refused([*scan, "--overwrite"], r"can't write .*cloud\.png: Is a directory")
 
 
+@pytest.mark.slow
 def test_reconstruct_leaves_no_other_recording_beside_its_cloud(folder):
     for name in RECORDING:
         shutil.copy(f"out/{name}", name.replace("recording", "log"))

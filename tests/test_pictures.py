@@ -165,6 +165,7 @@ def fonts(pdf):
     return {kind.decode() for kind in kinds}, b"/FontFile2" in pdf
 
 
+@pytest.mark.slow
 def test_letters_of_a_pdf_are_truetype(egg, tmp_path):
     views.picture(egg, tmp_path / "a.pdf", "histogram")
     assert fonts((tmp_path / "a.pdf").read_bytes()) == ({"Type0", "CIDFontType2"}, True)
@@ -286,6 +287,7 @@ def overlap(one, other):
     return across > 1 and along > 1
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_the_axes_are_below_the_body_whatever_the_zoom(egg):
     filled = []
@@ -344,6 +346,7 @@ def test_the_surface_by_its_deviation(cube, tmp_path):
     assert bar[len(bar) // 2] == pytest.approx([247, 247, 247], abs=12)
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 def test_the_surface_by_its_bound(egg, tmp_path):
     # as asked for, or where there is no truth
@@ -470,6 +473,7 @@ def test_histograms_of_unknown_values_of_small_ones_and_of_one(egg):
     assert axes.get_title() == "median 0, 90 % from 0 to 0"
 
 
+@pytest.mark.slow
 def test_forces_of_three_and_of_six_axes(egg):
     for scene, count in ((egg, 3), (scanned_in_space(), 6)):
         figure = views.figure(scene, "forces", sheet=sheet("120x90mm"))

@@ -44,6 +44,7 @@ def places(recording):
     return without_normals(recording, readings(recording)) if recording.six_axis else scan3d.reconstruct(recording)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_the_covariances_hold_and_so_does_the_bound(model, noise):
@@ -62,6 +63,7 @@ def test_the_covariances_hold_and_so_does_the_bound(model, noise):
     assert scan3d.compare(bounds.inner, body).hausdorff <= bounds.bound
 
 
+@pytest.mark.slow
 def test_without_the_statement_the_same_poses_are_trusted_too_far():
     """The test above can fail: unstated, the jitter leaves few contacts in their regions."""
     exact, noisy = (scan3d.simulate(BODY, plan_of(noise)) for noise in (0.0, 1e-5))
@@ -88,6 +90,7 @@ def test_an_impossible_noise_is_refused(value):
         dataclasses.replace(recording, noise_pose_m=value)
 
 
+@pytest.mark.slow
 def test_a_calibration_takes_it_from_the_recording_and_gives_it_to_others():
     touches = rigs.recorded(sweeps=8, samples=60)
     recording = dataclasses.replace(touches, noise_pose_m=SD_M)

@@ -62,6 +62,7 @@ def test_one_plane_is_that_of_total_least_squares():
     assert mine.mean(axis=0) @ planes.normals[top] == pytest.approx(planes.offsets[top], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_ball_is_fitted_by_many_planes_and_less_noise_by_more():
     chance = np.random.default_rng(3)
     directions = chance.normal(size=(8000, 3))
@@ -106,6 +107,7 @@ def scan(mesh, fraction, slices, seed=1):
     return scan3d.reconstruct(noisy(recording, fraction, seed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "largest"), [("cube.stl", 1e-2), ("hexagonal_prism.obj", 1e-2), ("cylinder.off", 1e-2)]
 )
@@ -122,6 +124,7 @@ def test_with_one_per_cent_of_noise_bodies_with_edges_are_found_ten_times_better
     assert error < certificate(bounds, found).bound
 
 
+@pytest.mark.slow
 def test_no_part_of_the_fitted_polytope_lies_outside_the_outer_body():
     # planes above and below a narrow band, of which few contacts tell, meet outside it
     gem = trimesh.convex.convex_hull(
@@ -169,6 +172,7 @@ def test_a_body_with_a_sharp_rim_does_not_pass_for_smooth_because_of_noise():
     assert scan3d.compare(surface(cloud, "support"), mesh).hausdorff > 0.02 * np.linalg.norm(mesh.extents)
 
 
+@pytest.mark.slow
 def test_where_few_contacts_show_a_plane_the_polytope_goes_half_way_to_its_vertices():
     mesh = trimesh.creation.cone(20.0, 40.0, sections=6)
     mesh.apply_translation([0, 0, -10])
@@ -188,6 +192,7 @@ def test_exact_recordings_have_nothing_to_weight_by():
         surface(cloud, "regression")
 
 
+@pytest.mark.slow
 def test_contacts_in_space_are_fitted_as_well():
     mesh = trimesh.creation.box((30, 40, 50))
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=16, friction=0.2, model="spatial", noise=1e-3))

@@ -59,6 +59,7 @@ def test_the_intervals_contain_the_true_extents_and_volume(model, noise):
     assert factor == (sigmas(len(analysis.cloud)) if noise else None)
 
 
+@pytest.mark.slow
 def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direction(exact):
     mesh, cloud = turned_box(), scan3d.reconstruct(exact)
     directions = trimesh.creation.icosphere(3).vertices.view(np.ndarray)
@@ -71,6 +72,7 @@ def test_the_bounds_of_the_support_function_contain_the_true_one_in_every_direct
     assert (mesh.vertices @ planes[:, :3].T <= planes[:, 3] + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
     analysis = analyse(replace(exact, force_N=exact.force_N * [1.0, -1.0]))
     assert analysis.warnings
@@ -80,6 +82,7 @@ def test_nothing_is_stated_where_the_recording_contradicts_the_model(exact):
     assert "volume" not in dict(summary(report(analysis, settings={})).rows)
 
 
+@pytest.mark.slow
 def test_the_summary_states_the_volume_with_its_interval(exact):
     data = report(analyse(exact), settings={})
     row = dict(summary(data).rows)["volume"]

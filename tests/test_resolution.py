@@ -126,6 +126,7 @@ def test_round_positions_of_a_plan_are_exact(recording):
     assert 1e-9 < logged.noise.place_m < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("digits", [5, *(pytest.param(k, marks=pytest.mark.trust) for k in (6, 7))])
 def test_the_certificate_allows_for_the_digits(recording, digits):
     mesh = scan3d.load_mesh(EGG)

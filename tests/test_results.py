@@ -49,6 +49,7 @@ def test_the_public_names_are_listed():
     assert set(scan3d.__all__) <= set(dir(scan3d))
 
 
+@pytest.mark.slow
 def test_scan_writes_what_the_command_writes(made, tmp_path):
     folder, result = made
     assert main(["scan", str(EGG), "--out", str(tmp_path / "out"), *FEW]) == 0

@@ -65,6 +65,7 @@ QUICK = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "name"),
     [
@@ -157,6 +158,7 @@ def test_a_rig_without_any_error_is_exact(flat):
     assert one.confidence == 1
 
 
+@pytest.mark.slow
 def test_noise_and_calibration_share_the_probability(flat):
     noisy = dataclasses.replace(flat, noise_force_N=1e-7, noise_moment_Nm=1e-9)
     cloud = touched(dataclasses.replace(noisy, rig=typical(six=False)))
@@ -167,6 +169,7 @@ def test_noise_and_calibration_share_the_probability(flat):
     assert enclosure(cloud).bound > enclosure(without(cloud)).bound
 
 
+@pytest.mark.slow
 def test_the_spatial_bound_allows_for_the_calibration(space):
     cloud = touched(dataclasses.replace(space, rig=typical(0.05)))
     bounds, exact = enclosure(cloud), enclosure(without(cloud))
@@ -187,6 +190,7 @@ def test_a_contact_without_a_known_effect_is_left_out(flat):
     assert len(cloud.calibration.turn_sd) == len(cloud)
 
 
+@pytest.mark.slow
 def test_errors_of_the_calibration_are_no_contradiction(flat, space, monkeypatch):
     """Exact touches of a rig that is off by what is stated: without the statement they contradict the convex body."""
     monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
@@ -209,6 +213,7 @@ def test_torsion_is_that_of_finite_changes(space):
     np.testing.assert_allclose(torsion_sd(stated, rows), np.linalg.norm(changes, axis=0), rtol=0.02, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_report_names_its_size(flat):
     rig = dataclasses.replace(typical(six=False), exact=("length_m",))
     analysis = analyse(dataclasses.replace(flat, rig=rig), method="hull")

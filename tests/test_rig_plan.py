@@ -86,6 +86,7 @@ def test_paths_between_sweeps_keep_clear_of_the_bounding_body_and_the_table(arou
         assert np.abs(steps[:, 1:]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_sweeps_pass_the_bounding_body_even_with_a_bent_rod():
     # the body fills what is known of it, and the rod is bent until the last sample that touches
     body = hull(Envelope("cylinder", (60.0, 40.0)).points())
@@ -109,6 +110,7 @@ def test_planar_plan_has_four_sides_and_closes_the_top():
     assert np.abs(directions[:, 2]).max() == 0
 
 
+@pytest.mark.slow
 def test_force_factor_bounds_sweeps_past_circles():
     # thin and thick bodies, near to the clamp and far from it
     largest, rod = 0.0, Rod.wire(0.4, 0.0003, 210e9)

@@ -78,6 +78,7 @@ def test_planar_contacts_lie_on_the_body(egg, planar_log):
     assert (planar_log.wrench[planar_log.move != Move.SWEEP] == 0).all()
 
 
+@pytest.mark.slow
 def test_contacts_in_space_lie_on_the_fattened_body():
     mesh = standing(scan3d.load_mesh(CUBE))
     poses = plan_poses(RigPlan(parse_envelope("cylinder:60x60"), model="spatial", sweeps=5, samples=40))
@@ -168,6 +169,7 @@ def test_logs_have_the_rate_and_the_poses_of_the_plan(egg):
         log.recording()
 
 
+@pytest.mark.slow
 def test_the_true_rod_differs_from_the_nominal_one(egg):
     poses = planned("planar", slices=2)
     true, wrong = (
@@ -462,6 +464,7 @@ def test_a_log_with_faults_has_a_map_of_what_is_known(folder):
     assert len(turn) == len(table)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
     run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--quiet", "--faults"]
     assert main([*run, str(folder / "faults.toml"), "--out", str(tmp_path / "raw.csv")]) == 0
