@@ -297,19 +297,16 @@ def _outcomes(runs: Sequence[Run], executor: Executor | None) -> Iterator[tuple[
                 outcome = future.result()
             # a run tells its own failures: what is raised here concerns the worker, in the words of its executor
             except Exception as error:
-                outcome = Outcome(f"its worker was lost ({_why_lost(error)}); start the batch again to repeat the run")
+                why = " ".join(f"{type(error).__name__}: {error}".split())
+                if isinstance(error, BrokenExecutor):
+                    why = "the operating system may have ended it for lack of memory"
+                outcome = Outcome(f"its worker was lost ({why}); start the batch again to repeat the run")
             if not outcome.error and not _appears(Path(run.folder) / REPORT):
                 outcome = Outcome(
                     f"the worker has not written into {run.folder}; workers on other machines need a folder that all of "
                     "them share"
                 )
             yield run, outcome
-
-
-def _why_lost(error: Exception) -> str:
-    if isinstance(error, BrokenExecutor):
-        return "the operating system may have ended it for lack of memory"
-    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def _appears(path: Path) -> bool:

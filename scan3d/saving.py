@@ -68,14 +68,10 @@ def save(
     written or must not be replaced.
     """
     if isinstance(what, Recording):
-        check_pair(Path(path), sidecar(Path(path)), {}, overwrite, "path", _kind_of(what))
+        check_pair(Path(path), sidecar(Path(path)), {}, overwrite, "path", str(what.source.get("kind", "")))
         write_recording(what, Path(path), overwrite=True)  # checked above
     else:
         write_shape(to_shape(what, truth, unit), Path(path), overwrite=overwrite, option="path")
-
-
-def _kind_of(recording: Recording) -> str:
-    return str(recording.source.get("kind", ""))
 
 
 def load(path: _Path, *, unit: Unit | None = None) -> Recording | Shape | trimesh.Trimesh:

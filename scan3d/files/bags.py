@@ -46,7 +46,7 @@ def point_cloud_bag(shape: Shape) -> bytes:
     types = store.types
     fields = [
         types[_FIELD](name=name, offset=int(offset), datatype=_DATATYPES[kind.str[1:]], count=1)
-        for name, (kind, offset) in _fields_of(points).items()
+        for name, (kind, offset, *_) in (points.dtype.fields or {}).items()
     ]
     message = types[_CLOUD](
         header=types[_HEADER](stamp=types[_TIME](sec=0, nanosec=0), frame_id=FRAME_ID),
@@ -80,9 +80,3 @@ def packed_points(shape: Shape) -> NDArray[np.void]:
     for name, column in columns.items():
         rows[name] = column
     return rows
-
-
-def _fields_of(rows: NDArray[np.void]) -> dict[str, tuple[np.dtype[Any], int]]:
-    fields = rows.dtype.fields
-    assert fields is not None
-    return {name: (fields[name][0], fields[name][1]) for name in rows.dtype.names or ()}

@@ -52,6 +52,11 @@ _SINGLE = (".stl", ".glb")
 # Formats in metres by their specification, those without a place for colours, and that whose names of scalars are chosen.
 _METRES, _COLORLESS, _NAMED = (".glb", ".mcap"), (".stl", ".xyz", ".xyzn"), ".ply"
 
+# Formats in which each point has a normal, of .glb those of surfaces, and what to do otherwise.
+_WITH_NORMALS = {
+    ".xyzn": "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which allow missing normals",
+    **dict.fromkeys((".obj", ".glb"), "choose .stl or .ply"),
+}
 _UNIT = "|".join(UNITS_M)
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -136,8 +141,13 @@ def write_shape(
     before = len(shape.rows)
     if shape.faces is not None:
         shape = _readable(shape, ending)
-    elif ending == ".glb":
-        shape = _with_normals(shape)
+    known = np.linalg.norm(shape.normals, axis=1) > 0
+    if ending in _WITH_NORMALS and not known.all() and not (ending == ".glb" and shape.faces is None):
+        raise InputError(
+            f"{(~known).sum()} of {len(known)} points have no normal, which {ending} requires; {_WITH_NORMALS[ending]}"
+        )
+    if ending == ".glb" and known.any():
+        shape = replace(shape, rows=shape.rows[known])
     left_out = 0 if shape.faces is not None else before - len(shape.rows)
     data = None if ending == ".vtp" else _WRITERS[ending](shape)
     check_file(to, inputs or {}, overwrite, option, data)
@@ -150,12 +160,6 @@ def write_shape(
     unit = "m" if ending in _METRES else shape.unit
     written = {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
     return written | {"left_out": left_out}
-
-
-def _with_normals(shape: Shape) -> Shape:
-    """The points of a cloud that have a normal; all if none has one."""
-    known = np.linalg.norm(shape.normals, axis=1) > 0
-    return replace(shape, rows=shape.rows[known]) if known.any() else shape
 
 
 def _readable(shape: Shape, ending: str) -> Shape:
@@ -213,10 +217,6 @@ def _report(folder: Path) -> Mapping[str, Any]:
         return {}
 
 
-def _ply(shape: Shape) -> bytes:
-    return ply(shape.rows, shape.faces, shape.remarks)
-
-
 def _pcd(shape: Shape) -> bytes:
     """The format of the Point Cloud Library, with the fields of its PointNormal, all in float32 as its readers expect."""
     points = packed_points(shape)
@@ -239,17 +239,6 @@ def _pcd(shape: Shape) -> bytes:
     ]
     body = np.stack([points[name].astype("<f4") for name in fields], axis=1)
     return "\n".join(header).encode() + body.tobytes()
-
-
-def _xyz(shape: Shape) -> bytes:
-    return rows_as_text(_columns(shape, POINT), " ")
-
-
-def _xyzn(shape: Shape) -> bytes:
-    _need_normals(
-        shape, ".xyzn", "leave them out with .xyz, or choose .ply, .pcd, .vtp or .csv, which allow missing normals"
-    )
-    return rows_as_text(_columns(shape, POINT + NORMAL), " ")
 
 
 def _csv(shape: Shape) -> bytes:
@@ -275,7 +264,6 @@ def _stl(shape: Shape) -> bytes:
 
 def _obj(shape: Shape) -> bytes:
     assert shape.faces is not None
-    _need_normals(shape, ".obj", "choose .stl or .ply")
     remarks = "".join(f"# {line}\n" for line in shape.remarks).encode()
     # after the point, as most programs read it, from 0 to 1
     colors = [] if shape.colors is None else list(np.round(shape.colors.T / 255, 4))
@@ -289,16 +277,6 @@ def _obj(shape: Shape) -> bytes:
             "".join(faces).encode(),
         ]
     )
-
-
-def _glb(shape: Shape) -> bytes:
-    if shape.faces is not None:
-        _need_normals(shape, ".glb", "choose .stl or .ply")
-    return glb(shape)
-
-
-def _mcap(shape: Shape) -> bytes:
-    return point_cloud_bag(in_unit(shape, "m"))
 
 
 def to_polydata(shape: Shape) -> Any:
@@ -322,28 +300,21 @@ def to_polydata(shape: Shape) -> Any:
     return data
 
 
-_WRITERS = {
-    ".ply": _ply,
+_WRITERS: dict[str, Callable[[Shape], bytes]] = {
+    ".ply": lambda shape: ply(shape.rows, shape.faces, shape.remarks),
     ".pcd": _pcd,
-    ".xyz": _xyz,
-    ".xyzn": _xyzn,
+    ".xyz": lambda shape: rows_as_text(_columns(shape, POINT), " "),
+    ".xyzn": lambda shape: rows_as_text(_columns(shape, POINT + NORMAL), " "),
     ".csv": _csv,
     ".stl": _stl,
     ".obj": _obj,
-    ".glb": _glb,
-    ".mcap": _mcap,
+    ".glb": glb,
+    ".mcap": lambda shape: point_cloud_bag(in_unit(shape, "m")),
 }
 
 
 def _columns(shape: Shape, names: Sequence[str]) -> list[NDArray[Any]]:
     return [shape.rows[name] for name in names]
-
-
-def _need_normals(shape: Shape, ending: str, instead: str) -> None:
-    normals = shape.normals
-    missing = int((~(np.linalg.norm(normals, axis=1) > 0)).sum())
-    if missing:
-        raise InputError(f"{missing} of {len(normals)} points have no normal, which {ending} requires; {instead}")
 
 
 # --- reading ---

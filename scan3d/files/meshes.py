@@ -153,7 +153,8 @@ def _against_hull(points: Array, faces: Index) -> tuple[Index, float, Array, flo
         return facets, 0.0, points[0], 1.0
     outer = outward_hull(points)
     dent, deepest = deepest_dent(points[faces], outer)
-    covered = float(areas(points[_distinct_faces(faces)]).sum() / areas(points[outer.facets]).sum())
+    distinct = distinct_rows(np.sort(faces, axis=1))[0]  # those with the same vertices as another one count once
+    covered = float(areas(points[faces[distinct]]).sum() / areas(points[outer.facets]).sum())
     return outer.facets, dent, deepest, covered
 
 
@@ -302,11 +303,6 @@ def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
     if is_turned(data):  # as exported by scan3d, with y up; back to the axes of the world
         meshes = [(z_up(vertices), faces) for vertices, faces in meshes]
     return meshes
-
-
-def _distinct_faces(faces: Index) -> Index:
-    """Faces (m, 3) without those that have the same vertices as another one."""
-    return faces[distinct_rows(np.sort(faces, axis=1))[0]]
 
 
 def _thickness(points: Array) -> float:

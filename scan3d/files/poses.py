@@ -41,7 +41,8 @@ def write_poses(poses: PoseList, path: str | Path) -> None:
     Raises InputError if they can't be written.
     """
     path = Path(path)
-    _write(path, to_yaml(poses) if path.suffix == ".yaml" else _to_csv(poses), poses)
+    columns = [poses.sweep, *poses.position_m.T, *poses.quaternion.T, np.array(MOVES)[poses.move]]
+    _write(path, to_yaml(poses) if path.suffix == ".yaml" else header() + rows_as_text(columns).decode(), poses)
 
 
 def write_header(poses: PoseList, path: str | Path) -> None:
@@ -62,11 +63,6 @@ def _write(path: Path, text: str, poses: PoseList) -> None:
 def header() -> str:
     """The first line of a .csv of poses."""
     return ",".join(COLUMNS) + "\n"
-
-
-def _to_csv(poses: PoseList) -> str:
-    columns = [poses.sweep, *poses.position_m.T, *poses.quaternion.T, np.array(MOVES)[poses.move]]
-    return header() + rows_as_text(columns).decode()
 
 
 def to_yaml(poses: PoseList) -> str:

@@ -110,9 +110,14 @@ def read_recording(path: str | Path) -> Recording:
     meta = _read_sidecar(path)
     noise = meta.section("noise")
     force, moment, pose = (noise.number(name, 0.0, at_least=0) for name in ("force_N", "moment_Nm", "pose_m"))
+    rig, of_rig = None, meta.section("rig")
+    if "rig" in meta:
+        quantities, exact = of_rig.texts("quantities"), of_rig.texts("exact")
+        with of_rig.errors_named():
+            rig = RigUncertainty(quantities, of_rig.any("covariance", []), exact)
     known: dict[str, Any] = {
         "rod": read_rod(meta.section("rod")),
-        "rig": _rig_of(meta.section("rig")) if "rig" in meta else None,
+        "rig": rig,
         "unit": meta.word("unit", tuple(UNITS_M), "mm"),
         "table_m": meta.number(TABLE, None),
         "source": meta.notes("source"),
@@ -171,9 +176,3 @@ def _read_sidecar(path: Path) -> Section:
     if schema != SCHEMA:
         raise meta.error("schema", f"{schema!r} is not known, expected {SCHEMA}; was it written by a newer version?")
     return meta
-
-
-def _rig_of(section: Section) -> RigUncertainty:
-    quantities, exact = section.texts("quantities"), section.texts("exact")
-    with section.errors_named():
-        return RigUncertainty(quantities, section.any("covariance", []), exact)

@@ -205,7 +205,10 @@ def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
     if columns.move is not None:
         sweeping = table.words(_find(table, map, columns.move, "move")[0], MOVES) == Move.SWEEP
     if columns.sweep is None:
-        return None if sweeping is None else runs_of(sweeping)
+        if sweeping is None:
+            return None
+        starts = np.diff(np.concatenate([[False], sweeping]).astype(np.int8)) == 1
+        return np.where(sweeping, np.cumsum(starts) - 1, -1)
     column, _ = _find(table, map, columns.sweep, "sweep")
     values = table.columns[column]
     if values.dtype.kind != "f":
@@ -215,12 +218,6 @@ def _sweeps(table: Table, map: Map) -> NDArray[np.int64] | None:
     else:
         sweep = np.maximum(table.whole_numbers(column, gaps=True), -1)
     return sweep if sweeping is None else np.where(sweeping, sweep, -1)
-
-
-def runs_of(rows: Mask) -> NDArray[np.int64]:
-    """Number (n,) of each run of rows (n,), -1 between runs."""
-    starts = np.diff(np.concatenate([[False], rows]).astype(np.int8)) == 1
-    return np.where(rows, np.cumsum(starts) - 1, -1)
 
 
 def stated_units(table: Table, column: int) -> Mapping[str, tuple[str, int | None]]:
