@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from typing import Any
 
     from scan3d.batches import Batch, batch
+    from scan3d.calibration.file import read_rig, write_rig
+    from scan3d.calibration.report import Calibration
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison
     from scan3d.errors import InputError
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, write_recording
     from scan3d.files.shapes import Shape
-    from scan3d.laboratory.calibration_file import read_rig, write_rig
-    from scan3d.laboratory.calibration_result import Calibration
     from scan3d.laboratory.importing import import_table
     from scan3d.pictures.notebook import plot
     from scan3d.planning import Plan
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
     "Batch": "batches",
-    "Calibration": "laboratory.calibration_result",
+    "Calibration": "calibration.report",
     "Cloud": "cloud",
     "Comparison": "comparison",
     "InputError": "errors",
@@ -63,14 +63,14 @@ _HOME = {
     "open": "results",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
-    "read_rig": "laboratory.calibration_file",
+    "read_rig": "calibration.file",
     "reconstruct": "steps",
     "save": "saving",
     "scan": "results",
     "simulate": "steps",
     "surface": "steps",
     "write_recording": "files.recordings",
-    "write_rig": "laboratory.calibration_file",
+    "write_rig": "calibration.file",
 }
 
 __all__ = [

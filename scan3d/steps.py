@@ -8,21 +8,20 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from scan3d import comparison
-from scan3d.choices import Method, Model
+from scan3d.calibration import report
+from scan3d.calibration.report import Calibration
+from scan3d.choices import Method, Model, Tare
 from scan3d.comparison import Comparison
 from scan3d.files.meshes import load_mesh, read_mesh
 from scan3d.files.recordings import read_recording
-from scan3d.laboratory import calibration
-from scan3d.laboratory.calibration_result import Calibration
 from scan3d.planning import Plan
 from scan3d.reconstruction import contacts
 from scan3d.recording import Recording
 from scan3d.simulation import scan
 from scan3d.surfaces import choice
-from scan3d.units import Unit
 
 if TYPE_CHECKING:
     import trimesh
@@ -77,21 +76,13 @@ def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> 
     return comparison.compare(first, second)
 
 
-@_described_by(
-    calibration.calibrate, "The recording, and the mesh of a reference, may be given as the paths of their files."
-)
+@_described_by(report.calibrate, "The recording may be given as the path of its file.")
 def calibrate(
     recording: Recording | _Path,
-    reference: float | str | os.PathLike[str] | trimesh.Trimesh | None = None,
+    reference: float | Literal["plane"] | None = None,
     *,
     sphere: float | None = None,
-    unit: Unit = "mm",
-    tare: str = "auto",
+    tare: Tare = "auto",
     pose_noise_m: float | None = None,
 ) -> Calibration:
-    # a word without an ending, such as "plane", is no file
-    is_mesh_file = isinstance(reference, os.PathLike) or (isinstance(reference, str) and "." in reference)
-    touched: Any = load_mesh(reference) if is_mesh_file else reference  # type: ignore[arg-type]
-    return calibration.calibrate(
-        _recording(recording), touched, sphere=sphere, unit=unit, tare=tare, pose_noise_m=pose_noise_m
-    )
+    return report.calibrate(_recording(recording), reference, sphere=sphere, tare=tare, pose_noise_m=pose_noise_m)

@@ -1,12 +1,11 @@
-"""Touches of a plane and of known bodies, for the rig of `tests.rigs`: exact sweeps, and where the reference is."""
+"""Touches of a plane, for the rig of `tests.rigs`: exact sweeps, and where the reference is."""
 
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-import scan3d
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.sweeping import sweep
 from tests import rigs
@@ -49,51 +48,10 @@ def at_plane(truth):
     return {**named, "plane_offset_mm": 1000 * float(normal @ truth.centre)}
 
 
-@cache
-def mesh(name):
-    """A body of the folder `meshes`, in mm, of the size of the reference sphere."""
-    found = scan3d.load_mesh(f"meshes/{name}")
-    found.apply_scale(1000 * rigs.DIAMETER / np.linalg.norm(found.extents) * 1.25)
-    return found
-
-
-@cache
-def body(
-    name="cube.stl",
-    samples=120,
-    friction=0.2,
-    sweeps=30,
-    directions=6,
-    rolls=5,
-    reach=rigs.REACH,
-    length=rigs.ROD.length_m,
-):
-    """Exact sweeps past a body whose frame is that of its mesh, turned in the world."""
-    axes = rigs.orientations(sweeps, directions, rolls)
-    scaled = mesh(name).copy()
-    scaled.apply_scale(0.001 / length)
-    middle = scaled.bounds.mean(axis=0)
-    radius = np.linalg.norm(scaled.vertices - middle, axis=1).max()
-    numbers = np.arange(sweeps)
-    away = np.array(reach)[(numbers + numbers // directions) % len(reach)]
-    height = radius * np.array([0.0, 0.2, -0.3, 0.1, -0.2])[numbers % 5] + 0.02
-    start = middle + (radius + 0.12) * axes[:, 0] - away[:, None] * axes[:, 1] + height[:, None] * axes[:, 2]
-    travel = (2 * radius + 0.5) * np.linspace(0, 1, samples)
-    return _swept(scaled, start[:, None] - travel[:, None] * axes[:, :1], axes, friction, length)
-
-
-def at_body(truth):
-    """The true quantities of a body."""
-    named = {f"mesh_{axis}_mm": 1000 * value for axis, value in zip("xyz", truth.centre, strict=True)}
-    return named | {f"mesh_turn_{axis}_deg": value for axis, value in zip("xyz", TURN, strict=True)}
-
-
-def of(kind, name, truth):
+def of(kind, truth):
     """What `scan3d.calibrate` is given, the exact sweeps, and the true quantities of a reference."""
     if kind == "plane":
         return "plane", plane, at_plane(truth)
-    if kind == "mesh":
-        return mesh(name), partial(body, name), at_body(truth)
     return rigs.DIAMETER, rigs.swept, None
 
 

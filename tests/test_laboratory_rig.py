@@ -15,7 +15,6 @@ import scan3d
 from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.text import to_toml
-from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from tests import rigs
 
 TRUTH = dataclasses.replace(rigs.EXACT, drift=(0.0,) * 6)
@@ -148,6 +147,6 @@ def test_frames_of_a_rig_that_are_no_frames_are_named(table, calibration, tmp_pa
 
 def test_the_recording_states_what_the_calibration_leaves_uncertain(table, calibration):
     stated = scan3d.import_table(table, a_map(), calibration).rig
-    assert stated == rig_uncertainty(calibration)
+    assert stated == calibration.uncertainty()
     assert stated.covariance.shape == (14, 14)
     assert scan3d.import_table(table, a_map()).rig is None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from scan3d.choices import Model, Tare
-from scan3d.cli.options import Body, File, Flag, Mesh, Number, Options, Output, Overwrite, Rig
+from scan3d.cli.options import Body, File, Flag, Number, Options, Output, Overwrite, Rig
 from scan3d.cli.terminal import print_result, printable, printable_json, say, table
 from scan3d.errors import InputError, UsageError
 from scan3d.rods import parse_rod
@@ -352,23 +352,21 @@ def calibrate(
     out: File,
     sphere: Annotated[float | None, Parameter(metavar="D")] = None,
     plane: Flag = False,
-    mesh: Mesh | None = None,
     unit: Unit = "mm",
     tare: Tare = "auto",
     pose_noise: float | None = None,
     overwrite: Overwrite = False,
     output: Output = Output(),
 ) -> int:
-    """Rod, clamp and sensor of a rig, from touches of a sphere, a plane or a known body.
+    """Rod, clamp and sensor of a rig, from touches of a sphere or a plane.
 
     The rod's stiffness and length, the clamp's offset and turn, the sensor's place and turn and its tare,
-    with uncertainties, from sweeps over a reference: a sphere of known diameter, a plane, or a convex body whose mesh
-    is known. Where the reference is need not be known.
+    with uncertainties, from sweeps over a reference: a sphere of known diameter, or a plane. Where it is need not
+    be known.
 
     For example:
       scan3d calibrate touches.csv --sphere 30 --out rig.toml
       scan3d calibrate touches.csv --plane --out rig.toml --pose-noise 0.02 --json
-      scan3d calibrate touches.csv --mesh gauge_block.stl --out rig.toml
 
     Parameters
     ----------
@@ -380,34 +378,28 @@ def calibrate(
         the reference is a sphere of this diameter, in mm or in --unit
     plane
         the reference is flat, such as a surface plate
-    mesh
-        the reference is the convex body of this mesh file, with coordinates in --unit
     unit
-        unit of --sphere, --mesh and --pose-noise
+        unit of --sphere and --pose-noise
     tare
         what the sensor shows in the air
     pose_noise
         standard deviation of the clamp's coordinates (default: estimated)
     """
-    from scan3d.files.meshes import load_mesh
+    from scan3d.calibration.file import check_path, sections, write_rig
+    from scan3d.calibration.report import calibrate as calibrate_rig
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.files.text import to_json
-    from scan3d.laboratory.calibration import calibrate as calibrate_rig
-    from scan3d.laboratory.calibration_file import check_path, sections, write_rig
     from scan3d.laboratory.importing import not_rigged
 
-    if (sphere is not None) + plane + (mesh is not None) != 1:
-        raise UsageError("the reference is one of --sphere D, --plane and --mesh MESH")
+    if (sphere is not None) == plane:
+        raise UsageError("the reference is either --sphere D or --plane")
     inputs = {"recording": recording, "TOML file of the recording": sidecar(recording)}
-    if mesh is not None:
-        inputs["mesh"] = mesh
     check_path(out, inputs, overwrite)
     scale = UNITS_M[unit]
     touches = read_recording(recording)
     not_rigged(touches.source, "the recording")
-    reference: Any = "plane" if plane else load_mesh(mesh) if mesh is not None else scale * (sphere or 0.0)
     noise = None if pose_noise is None else scale * pose_noise
-    found = calibrate_rig(touches, reference, unit=unit, tare=tare, pose_noise_m=noise)
+    found = calibrate_rig(touches, "plane" if plane else scale * (sphere or 0.0), tare=tare, pose_noise_m=noise)
     write_rig(found, out, overwrite=True)  # checked above
     output.progress.end()
     if output.json:
@@ -424,7 +416,7 @@ def rigged(recording: Any, rig: Path | None) -> Any:
     """The recording, corrected by a rig if one is named."""
     if rig is None:
         return recording
-    from scan3d.laboratory.calibration_file import read_rig
+    from scan3d.calibration.file import read_rig
     from scan3d.laboratory.importing import not_rigged
 
     not_rigged(recording.source, "the recording")

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
+from scan3d.calibration.file import read_rig
+from scan3d.calibration.report import Calibration
 from scan3d.errors import InputError
 from scan3d.files.section import Section
 from scan3d.files.text_tables import Table, read_table
@@ -22,9 +24,6 @@ from scan3d.frames import Frame, euler_of, wrench_matrix
 from scan3d.laboratory import filtering
 from scan3d.laboratory.air import find_air, given_air, robust_sd, tare
 from scan3d.laboratory.bags import is_bag, read_bag
-from scan3d.laboratory.calibration_file import read_rig
-from scan3d.laboratory.calibration_result import Calibration
-from scan3d.laboratory.calibration_uncertainty import rig_uncertainty
 from scan3d.laboratory.logs import CHANNELS, Log, read_log
 from scan3d.laboratory.maps import Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
@@ -140,7 +139,7 @@ def with_rig(map: Map, rig: Calibration | str | Path) -> Map:
         clamp=clamp,
         rod=found.rod,
         rig={"name": "calibration" if isinstance(rig, Calibration) else Path(rig).name, **used},
-        uncertainty=rig_uncertainty(found),
+        uncertainty=found.uncertainty(),
         noise_pose_m=found.pose_noise_m if map.noise_pose_m is None else map.noise_pose_m,
     )
 

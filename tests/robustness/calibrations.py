@@ -2,14 +2,12 @@
 
     python -m tests.robustness.calibrations [--reference sphere] [--count 200] [--first 0] [--samples 120] [--pink 0.5]
 
-The reference is a sphere, a plane, or a mesh: the cube of 22 mm of `tests.references`, or the body of another file of meshes.
-
 The rig is that of `tests.rigs.Truth`: 30 sweeps, force noise of 0.2 % of the largest force, a sensor turned by 30° and 20 mm
 away, a bias of 5 % and a drift of 1 %, pose jitter of 20 µm.
 
 The table has for each quantity its stated standard deviation, the root mean square of its errors, the mean error in standard
-deviations, and how many of the 95 % intervals hold.  Fails if these are not 93 to 97 % over all quantities of the rig, or fewer
-than 90 % for one of them.  With `--pink` that fraction of the noise's variance has the spectrum 1/f.
+deviations, and how many of the 95 % intervals hold.  Fails if these are not 90 to 98 % over all quantities of the rig.
+With `--pink` that fraction of the noise's variance has the spectrum 1/f.
 """
 
 import argparse
@@ -25,8 +23,7 @@ from tests import references, rigs
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reference", default="sphere", choices=("sphere", "plane", "mesh"), help="what is touched")
-    parser.add_argument("--mesh", default="cube.stl", help="the body, a file of meshes (default cube.stl)")
+    parser.add_argument("--reference", default="sphere", choices=("sphere", "plane"), help="what is touched")
     parser.add_argument("--count", type=int, default=200, help="seeds (default 200)")
     parser.add_argument("--samples", type=int, default=120, help="rows in a sweep (default 120)")
     parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
@@ -35,7 +32,7 @@ def main() -> int:
     )
     arguments = parser.parse_args()
     truth, deviations, errors, warned = rigs.Truth(), [], [], 0
-    touched, motion, reference = references.of(arguments.reference, arguments.mesh, truth)
+    touched, motion, reference = references.of(arguments.reference, truth)
     start = time.process_time()
     for seed in range(arguments.first, arguments.first + arguments.count):
         # the noise of a sensor with 1/f noise is not known beforehand
@@ -45,7 +42,7 @@ def main() -> int:
         found = scan3d.calibrate(recording, touched)
         warned += any("noise" in sentence for sentence in found.sentences)
         # where each sweep has a tare of its own, it has no true value to compare with
-        left_out = (("tare", "drift") if arguments.pink else ()) + ("mesh_turn",)  # bodies may be symmetric
+        left_out = ("tare", "drift") if arguments.pink else ()
         kept = [k for k, name in enumerate(found.names) if not name.startswith(left_out)]
         names = tuple(found.names[k] for k in kept)
         found_names = dataclasses.replace(found, names=names)
@@ -68,7 +65,7 @@ def main() -> int:
     rig = np.array([not name.startswith(("tare", "drift")) for name in names])
     print(f"{'quantities of the rig':24} {'':30} {holds[:, rig].mean():10.3f}")
     print(f"{'all quantities':24} {'':30} {holds.mean():10.3f}")
-    return 0 if 0.93 <= holds[:, rig].mean() <= 0.97 and holds.mean(axis=0).min() >= 0.9 else 1
+    return 0 if 0.9 <= holds[:, rig].mean() <= 0.98 else 1
 
 
 if __name__ == "__main__":

@@ -1,0 +1,302 @@
+"""The rig that has touched a reference: which rows are used, of what kind they are, and which parameters they determine.
+
+Kinds of contacts, rows, and the noise of the poses depend on the rig, and the rig on them: rounds of least squares end when
+all of them are at rest.  Neither a row's use nor its kind is decided by its own noise, but by its neighbours in the sweep.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scan3d.arrays import Array, Mask
+from scan3d.calibration.fit import PLACE_NOISE, Fit, Noise, Problem, adjusted, by_parameter, fitted, place_noise
+from scan3d.calibration.model import (
+    CLAMP,
+    LENGTH,
+    PLACE,
+    SENSOR,
+    STIFFNESS,
+    TARE,
+    TILT,
+    TURN,
+    Kind,
+    Rig,
+    Touches,
+    bent,
+    clamp_wrench,
+)
+from scan3d.calibration.references import Plane, Reference, Sphere
+from scan3d.calibration.rows import neighbours, unloaded
+from scan3d.calibration.start import first_rig
+from scan3d.choices import TARES
+from scan3d.errors import InputError
+from scan3d.recording import Recording
+
+FEWEST = 30
+"""Rows in contact that a calibration needs."""
+MORE_SWEEPS = (
+    "sweep it in more directions of the rod, with the clamp turned about the rod's axis, and bend the rod more"
+)
+# Forces in standard deviations of their noise from which a row is used, and the standard deviation of a contact's place
+# along the rod, over the reference's size, up to which it is: farther off, the reference curves within the errors of a row.
+_FELT, _ALONG = 20.0, 0.12
+# Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.
+# The reference's place and the tare have no nominal value.
+_FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, PLACE: 0.0, LENGTH: 1.0, TARE: 0.0}
+# Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
+# contacts' distance from the reference depends on it to the second order only, and linear uncertainties do not hold.
+_ABOUT_ROD = 0.01
+# Smallest eigenvalue of the normal matrix over its largest that is not rounding, and the least part of a parameter in it.
+_ROUNDING, _PART = 1e-12, 1e-3
+# Spread of the planes of planar sweeps, over the sphere's radius, up to which they count as one plane through the centre.
+_PLANE = 0.1
+# Rounds in which the rows, their kinds and the noise of the poses come to rest, and the change of the logarithm of the last.
+_ROUNDS, _SAME_NOISE = 8, 0.01
+# Difference of the sums of squares of both kinds from which the rows around a row make its kind certain.
+_LIKELIER = 12.0
+# What the cosine of a tangential contact, and s1 of a tip contact in rod lengths, may be off for a first rig.
+_ROUGH = 0.01
+# Lengths of the rod that are tried, as quantiles of s1, and the tip contacts that one needs.
+_LENGTHS, _FEWEST_TIPS = np.linspace(0.3, 1.0, 71), 8
+# Noise of the poses in rod lengths: the first estimate, and the misfit beyond which the touches are not of this reference.
+_PLACE_NOISE, _NO_FIT = 3e-4, 0.01
+# Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
+_USABLE, _STIFFEST = 0.3, 2.5
+# Rows in contact by which the fit is begun.
+_MANY = 10_000
+
+
+def calibrated(
+    recording: Recording,
+    reference: float | Literal["plane"] | None,
+    tare: str = "auto",
+    pose_noise_m: float | None = None,
+) -> Fit:
+    """The fit of a rig, as `scan3d.calibrate`."""
+    if tare not in TARES:
+        raise InputError(f"tare must be one of {', '.join(TARES)}, got {tare!r}")
+    if pose_noise_m is not None and not 0 <= pose_noise_m < math.inf:
+        raise InputError(f"the noise of the poses must be a number of metres >= 0, got {pose_noise_m!r}")
+    if isinstance(reference, str) and reference != Plane.kind:
+        raise InputError(
+            f"the reference sphere needs a diameter above 0, got {reference!r}; the other reference is {Plane.kind!r}"
+        )
+    rod = recording.rod
+    touched = Plane.of(rod) if isinstance(reference, str) else Sphere.of(reference, rod)  # type: ignore[arg-type]
+    place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
+    problem, nominal = measured(recording, touched, tare)
+    first = _PLACE_NOISE if place is None else max(place / rod.length_m, PLACE_NOISE[0])
+    noise = Noise(problem.air.force_noise, problem.air.moment_noise, first)
+    step = max(1, len(problem.touches.kind) // _MANY)
+    few = problem.rows(np.arange(0, len(problem.touches.kind), step))
+    rig = first_rig(few, nominal, noise)
+    strong, rig = _with_kinds(_strong(few, rig, noise), rig, noise, None, _ROUGH)
+    free = _determined(strong, rig, step * fitted(strong, rig, noise, 1).normal)
+    if (free != strong.free).any():
+        rig = fitted(replace(strong, free=free), _at_nominal(rig, nominal, free), noise).rig
+    length = rig.length if strong.free[LENGTH] else None
+    free[LENGTH] |= length is None  # tip contacts may turn up later
+    fit = _settled(replace(few, free=free), rig, noise, length, place is None)
+    if step > 1:  # the fit of some rows is near that of all
+        length = fit.rig.length if fit.problem.free[LENGTH] else None
+        fit = _settled(replace(problem, free=free), fit.rig, fit.noise, length, place is None)
+    _check(fit, recording)
+    return fit if fit.problem.free[LENGTH] else replace(fit, rig=replace(fit.rig, length=nominal.length))
+
+
+def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Problem, Rig]:
+    """The rows in contact and in the air, dimensionless, and the nominal rig."""
+    rod, known, six = recording.rod, recording.noise, recording.six_axis
+    if not six and not isinstance(reference, Sphere):
+        raise InputError(
+            f"a calibration by touches of {reference.title} needs forces and moments with all six components; with three, "
+            "touch a sphere"
+        )
+    channels, wrench = six_channels(recording)
+    unit = np.repeat([rod.force_unit_N, rod.moment_unit_Nm], 3)
+    wrench = wrench / unit
+    air = unloaded(recording.sweep, wrench, channels, (known.force_N / unit[0], known.moment_Nm / unit[3]), tare)
+    around = neighbours(wrench, recording.sweep, air.contact)
+    force = np.linalg.norm((around - air.basis @ air.tare.T)[:, :3], axis=1)
+    rows = np.flatnonzero(air.contact & (force > _FELT * air.force_noise))
+    if len(rows) < FEWEST:
+        raise InputError(
+            f"the recording has {len(rows)} rows in contact that stand out from the noise, and a calibration needs {FEWEST}: "
+            f"touch the {reference.kind} in more sweeps, and bend the rod more"
+        )
+    position = recording.position_m[rows] / rod.length_m
+    frame = recording.axes()[rows].swapaxes(1, 2)
+    kind = np.full(len(rows), Kind.EITHER, dtype=np.int8)
+    touches = Touches(wrench[rows], position, frame, air.basis[rows], recording.sweep[rows], rows, around[rows], kind)
+    free = np.ones(TARE + air.tare.size, dtype=bool)
+    reference = replace(reference, origin=position.mean(axis=0))
+    if not six:
+        free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
+        free[TARE:] = np.repeat(channels, air.basis.shape[1])
+        # sweeps in a plane do not determine how far the sphere's centre is from it: its normal is one of the axes
+        reference = replace(reference, axes=frame[0])
+        free[PLACE + 2] = np.ptp(position @ frame[0, :, 2]) > _PLANE * reference.size
+    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), reference, 1.0, air.tare)
+    return Problem(touches, air, channels, free), nominal
+
+
+def six_channels(recording: Recording) -> tuple[Mask, Array]:
+    """Which components of force and moment (6,) a recording has, and all of them (n, 6) in N and N·m, zero where it has not."""
+    if recording.six_axis:
+        return np.ones(6, dtype=bool), np.hstack(recording.wrench())
+    wrench = np.zeros((len(recording), 6))
+    wrench[:, :2], wrench[:, 5] = recording.force_N, recording.moment_Nm
+    return np.array([True, True, False, False, False, True]), wrench
+
+
+def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, estimate: bool) -> Fit:
+    """The fit of rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
+    seen = set()
+    for _ in range(_ROUNDS):
+        chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
+        fit = fitted(chosen, rig, noise)
+        rig, length = fit.rig, fit.rig.length if chosen.free[LENGTH] else None
+        if estimate:
+            noise = noise._replace(place=place_noise(fit))
+        # few rows may alternate between two states
+        state = chosen.touches.number.tobytes(), chosen.touches.kind.tobytes()
+        if state in seen and abs(math.log(noise.place / fit.noise.place)) < _SAME_NOISE:
+            break
+        seen.add(state)
+    return fit
+
+
+def _strong(problem: Problem, rig: Rig, noise: Noise) -> Problem:
+    """The rows whose contacts are known well enough along the rod, by their neighbours."""
+    scale = np.exp(-rig.stiffness)
+    force, moment = clamp_wrench(rig, problem.touches._replace(wrench=problem.touches.around))
+    by_s1 = scale * bent(scale * force, scale * moment).by_s1
+    deviation = np.repeat([noise.force, np.hypot(noise.moment, np.linalg.norm(rig.sensor) * noise.force)], 3)
+    with np.errstate(invalid="ignore"):
+        strong = np.linalg.norm(by_s1 * deviation, axis=1) < _ALONG * rig.reference.size
+    if (count := int(strong.sum())) < FEWEST:
+        raise _no_fit(
+            rig.reference,
+            f", or touch it too lightly: {count} rows place the contact to {rig.reference.extent}, and a calibration needs "
+            f"{FEWEST}",
+        )
+    return problem.rows(strong)
+
+
+def _with_kinds(
+    problem: Problem, rig: Rig, noise: Noise, length: float | None, slack: float = 0.0
+) -> tuple[Problem, Rig]:
+    """The problem with the kinds of contacts that their neighbours make likelier, and the rig with its free length.
+
+    `length` is that length if it is known; otherwise the contacts tell with which one they are likeliest.  Without tip
+    contacts it is not sought.  A tangential contact does not lie past the tip, and at the tip the rod does not point away
+    from the reference: what contradicts this counts as a misfit as well.
+    """
+    tangential, tip = (
+        adjusted(problem.with_kinds(np.full_like(problem.touches.kind, kind)), rig, noise, slack=slack)
+        for kind in (Kind.TANGENTIAL, Kind.TIP)
+    )
+    known = tangential.used[:, 3] & tip.used[:, 3]
+    variances = noise.variances(problem.channels)
+    cosine_sd, s1_sd = (np.sqrt(rows.by_row[:, 3] ** 2 @ variances + slack**2 + ~known) for rows in (tangential, tip))
+    tried = [rig.length if length is None else length]
+    if length is None and known.any():
+        tried = list(rig.length + np.quantile(tip.misclosure[known, 3], _LENGTHS))
+    costs = []
+    for shift in rig.length - np.array(tried):
+        # a shorter rod moves the fourth equation of the tip only
+        as_tip = tip.white + shift * tip.factor[:, :, 3]
+        costs.append(
+            (
+                (tangential.white**2).sum(axis=1) + np.maximum((tip.misclosure[:, 3] + shift) / s1_sd, 0) ** 2,
+                (as_tip**2).sum(axis=1) + np.maximum(tangential.misclosure[:, 3] / cosine_sd, 0) ** 2,
+            )
+        )
+    best = int(np.argmin([np.minimum(*cost)[known].sum() for cost in costs]))
+    likelier = np.where(known, costs[best][0] - costs[best][1], 0.0)
+    kind = _by_neighbours(likelier, problem.touches.sweep)
+    tips = kind == Kind.TIP
+    if tips.sum() < _FEWEST_TIPS:
+        kind[tips] = Kind.UNSURE
+    free = problem.free.copy()
+    free[LENGTH] &= bool((kind == Kind.TIP).any())
+    return replace(problem.with_kinds(kind), free=free), replace(rig, length=float(tried[best]))
+
+
+def _by_neighbours(likelier: Array, sweep: NDArray[np.int64]) -> NDArray[np.int8]:
+    """The kinds (n,) of contacts, by how much likelier the tip is for the rows before and after them in their sweep.
+
+    Contacts change their kind now and then.  A change costs as much as the evidence that makes a kind certain, so that no
+    more than this is handed on from row to row (the Viterbi algorithm for two states).
+    """
+    kind = np.full(len(likelier), Kind.UNSURE, dtype=np.int8)
+    for number in np.unique(sweep):
+        rows = np.flatnonzero(sweep == number)
+        around = np.zeros(len(rows))
+        for order in (slice(None), slice(None, None, -1)):
+            total = 0.0
+            for place in np.arange(len(rows))[order]:
+                around[place] += total
+                total = min(max(total + float(likelier[rows[place]]), -_LIKELIER), _LIKELIER)
+        kind[rows[around <= -_LIKELIER]] = Kind.TANGENTIAL
+        kind[rows[around >= _LIKELIER]] = Kind.TIP
+    return kind
+
+
+def _determined(problem: Problem, rig: Rig, normal: Array) -> Mask:
+    """The parameters (p,) that a normal matrix determines; of those it determines only together, some are left out."""
+    free = problem.free.copy()
+    widths, order = problem.widths, by_parameter(_FIXED_FIRST, len(free))
+    while True:
+        rows = np.flatnonzero(free)
+        size, vectors = np.linalg.eigh((normal * widths[:, None] * widths)[np.ix_(rows, rows)])
+        if size[0] > max(1.0, _ROUNDING * size[-1]):
+            break
+        part = np.abs(vectors[:, 0]) * order[rows]
+        if part.max() < _PART:
+            raise InputError(f"the touches do not determine the {rig.reference.kind}'s place: {MORE_SWEEPS}")
+        free[rows[np.argmax(part)]] = False
+    about_rod = rows == TURN + 1
+    if about_rod.any():
+        variance = float(((vectors[about_rod] * widths[TURN + 1]) ** 2 / size).sum())
+        free[TURN + 1] = variance < _ABOUT_ROD**2
+    return free
+
+
+def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
+    """The rig with the parameters that are not determined at their nominal values."""
+    return Rig(
+        rig.stiffness if free[STIFFNESS] else nominal.stiffness,
+        np.where(free[CLAMP:TILT], rig.clamp, nominal.clamp),
+        np.where(free[TILT:TURN], rig.tilt, nominal.tilt),
+        rig.turn if free[TURN:SENSOR].any() else nominal.turn,
+        np.where(free[SENSOR:PLACE], rig.sensor, nominal.sensor),
+        rig.reference,
+        rig.length if free[LENGTH] else nominal.length,
+        rig.tare,
+    )
+
+
+def _check(fit: Fit, recording: Recording) -> None:
+    """Raise InputError for a fit that is none."""
+    reference, used = fit.rig.reference, fit.rows.used[:, 2]
+    if fit.noise.place > _NO_FIT:
+        deviation = 1000 * fit.noise.place * recording.rod.length_m
+        raise _no_fit(reference, f", from which they deviate by {deviation:.2g} mm")
+    normal = np.diag(fit.normal)[fit.problem.free]
+    known = np.isfinite(normal).all() and (normal > 0).all()
+    usable = used.sum() >= max(FEWEST, _USABLE * len(used))
+    if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
+        raise _no_fit(reference, "")
+
+
+def _no_fit(reference: Reference, detail: str) -> InputError:
+    return InputError(
+        f"the touches do not fit {reference.title}{detail}: check {reference.check}, the rod, the units and signs of forces "
+        f"and moments, that each sweep begins and ends in the air, and that the {reference.kind} did not move"
+    )
