@@ -80,6 +80,16 @@ def distance_from_hull(points: Array) -> Callable[[Array], Array]:
     return distances
 
 
+def hull_about_mean(points: Array) -> ConvexHull | None:
+    """Qhull's hull of points (n, d) less their mean, where rounding is least; None if they do not span a body."""
+    if len(points) <= points.shape[1]:
+        return None
+    try:
+        return ConvexHull(points - points.mean(axis=0))
+    except (QhullError, ValueError):
+        return None
+
+
 def hull_near(points: Array, faces: Index) -> Any:
     """`hull` of points (n, 3) from the faces (m, 3) of a closed mesh, in a fraction of the time if it is convex."""
     middle, size = points.mean(axis=0), float(np.ptp(points, axis=0).max())

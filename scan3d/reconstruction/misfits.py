@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import Array, Index
+from scan3d.geometry.hulls import hull_about_mean
 from scan3d.spatial import inverse
 
 ROUNDING = 1e-7
@@ -113,14 +113,12 @@ def depths_in_hull(
         the rod's, in the unit of the points.
     """
     place, turn = errors
-    middle = points.mean(axis=0)
-    try:
-        hull = ConvexHull(points[of_hull] - middle)
-    except (QhullError, ValueError):
+    hull = hull_about_mean(points[of_hull])
+    if hull is None:
         return None
     outward, offset = hull.equations[:, :3], hull.equations[:, 3]
     rows, arm = np.concatenate([some, lines]), np.zeros(len(some) + len(lines))
-    height, slope = -(points[rows] - middle) @ outward.T - offset, tangents[rows] @ outward.T
+    height, slope = -(points[rows] - points[of_hull].mean(axis=0)) @ outward.T - offset, tangents[rows] @ outward.T
     arm[len(some) :] = _middle_of_lines(height[len(some) :], slope[len(some) :])
     below = height - arm[:, None] * slope
     facet = below.argmin(axis=1)

@@ -21,11 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 import planar
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
+from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.slices import SliceStack, SupportFunctions, stacks
 from scan3d.spatial.normals import angles
@@ -210,10 +211,8 @@ class HullNormals(NamedTuple):
 def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormals:
     """The normals of exact contacts (n, 3), with exact tangents (n, 3) where they are tangential (n,)."""
     unknown = HullNormals(np.full_like(points, np.nan), np.full(len(points), np.inf))
-    middle = points.mean(axis=0)
-    try:
-        hull = ConvexHull(points - middle)
-    except (QhullError, ValueError):
+    middle, hull = points.mean(axis=0), hull_about_mean(points)
+    if hull is None:
         return unknown
     first, second = (hull.simplices[:, [a, b]].T for a, b in ((0, 1), (1, 2)))
     third = hull.simplices[:, [2, 0]].T
@@ -408,9 +407,8 @@ def _fitted_sd(cloud: Cloud, normals: Array, turn: float) -> Array:
 def _start(cloud: Cloud) -> Array | None:
     """Rough normals (n, 3) of all contacts: those that are known well, else those of the hull; None if there is no hull."""
     assert cloud.normal_sd is not None
-    try:
-        hull = ConvexHull(cloud.points - cloud.points.mean(axis=0))
-    except (QhullError, ValueError):
+    hull = hull_about_mean(cloud.points)
+    if hull is None:
         return None
     corners = hull.points[hull.simplices]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -23,11 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 import planar
 from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.cloud import Cloud, Tilt
+from scan3d.geometry.hulls import hull_about_mean
 from scan3d.geometry.sections import slice_frame
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -435,13 +435,8 @@ def _slice(cloud: Cloud, frame: Array, number: int, rows: Index, known: Slice | 
 
 
 def _outline(points: Array) -> Array:
-    if len(points) < 3:
-        return np.empty((0, 2))
-    try:
-        vertices = ConvexHull(points - points.mean(axis=0)).vertices
-    except QhullError:
-        return np.empty((0, 2))
-    return np.asarray(points[vertices])
+    hull = hull_about_mean(points)
+    return np.empty((0, 2)) if hull is None else np.asarray(points[hull.vertices])
 
 
 def unproven(cloud: Cloud, recording: Recording, number: NDArray[np.int32], felt: float) -> Mask:
