@@ -509,6 +509,7 @@ def test_options_of_a_rig_need_poses(tmp_path, capsys):
         assert f"{option[0]} is for a rig: give --poses FILE as well" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
     (tmp_path / "raw.csv").write_text("mine")
     run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
@@ -524,6 +525,7 @@ def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
     assert "that this run reads, which is never overwritten" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):
     (tmp_path / "settings.toml").write_text('model = "spatial"\n')
     run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
@@ -531,6 +533,7 @@ def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):
     assert scan3d.read_recording(tmp_path / "raw.csv").six_axis
 
 
+@pytest.mark.slow
 def test_the_command_reports_what_it_wrote(folder, tmp_path, capsys):
     run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--json"]
     assert main([*run, "--model", "spatial", "--friction", "0.0:0.2", "--rod", "steel:0.3x50"]) == 0

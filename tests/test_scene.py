@@ -58,6 +58,7 @@ def test_a_folder_is_shown_as_it_was_scanned(folder):
     assert alone.truth is None
 
 
+@pytest.mark.slow
 def test_a_stored_scan_in_space_has_all_that_its_pictures_need(ellipsoid, tmp_path, no_pictures):
     scan3d.write_recording(ellipsoid.recording, tmp_path / "recording.csv")
     assert main(["reconstruct", str(tmp_path / "recording.csv"), "--out", str(tmp_path), "--quiet"]) == 0
@@ -234,6 +235,7 @@ def test_clamps_may_turn_during_a_sweep(ellipsoid):
     assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
 
 
+@pytest.mark.slow
 def test_rods_of_noisy_recordings_stay_near_the_body():
     noisy = scanned(CUBE, noise=1e-3)
     sweep = shown_sweep(noisy)

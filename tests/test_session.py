@@ -64,6 +64,7 @@ def test_further_sweeps_lie_where_none_were(batches):
     assert (session.ask(8).position_m == poses.position_m).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_further_sweeps_keep_clear_as_the_planned_ones_do(egg, model):
     session = Session("cylinder:60x60", model=model, slices=6, samples=33)
@@ -138,6 +139,7 @@ def test_what_a_session_refuses(egg):
         low.ask()
 
 
+@pytest.mark.slow
 def test_a_bounding_body_of_contacts(egg, batches):
     session, _ = batches
     body = around_contacts(session.recording, "planar")
@@ -159,6 +161,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
     run = ["next", str(folder / "out"), "--recording", str(folder / "log.csv"), "--out", str(tmp_path / "p.csv")]
     assert main([*run, "--json", "--samples", "40"]) == 0

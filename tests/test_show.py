@@ -102,6 +102,7 @@ def test_a_movie_that_fails_leaves_no_file(tmp_path, monkeypatch, call):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_charts_need_no_renderer_and_have_no_camera(tmp_path, shown, no_pictures):
     for view, ending in (("forces", "svg"), ("histogram", "png")):
         file = tmp_path / f"{view}.{ending}"

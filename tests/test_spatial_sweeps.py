@@ -121,6 +121,7 @@ def test_friction_is_against_the_slip(swept):
     assert amiss[long_enough].max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.3])
 def test_the_base_does_the_work_of_bending_and_of_friction(friction):
     """Trapezoids of work over the steps: the balance is of second order in them, as is theirs."""
@@ -216,6 +217,7 @@ def scene(request):
     return semi_axes, axes, position, clamps, request.param, sweep(body, position, clamps, request.param)
 
 
+@pytest.mark.slow
 def test_the_scene_may_be_turned_and_shifted(scene):
     semi_axes, axes, position, clamps, friction, result = scene
     rng = np.random.default_rng(12)
@@ -226,6 +228,7 @@ def test_the_scene_may_be_turned_and_shifted(scene):
     assert np.abs(result.moment - other.moment)[rows].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_scene_may_be_mirrored(scene):
     """A mirror image of the clamp's frame is left-handed, so its z is reversed: with it the reactions along z."""
     semi_axes, axes, position, clamps, friction, result = scene
@@ -249,6 +252,7 @@ def test_the_clamp_may_be_turned_about_its_axis(scene):
     assert np.abs(result.moment - np.einsum("mji,mnj->mni", about, other.moment))[rows].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_error_of_friction_is_of_the_first_order_in_the_steps_and_without_it_there_is_none():
     """Over the near side of an ellipsoid, without snaps."""
     body = Ellipsoid((0.9, 0.675, 0.45), (0.0, 1.075, 0.0))

@@ -20,6 +20,7 @@ def in_plane(angle, depth):
 
 # The plane is a mirror, so that the rod stays in it; but on bodies that are not deep enough it is unstable there (S23), and
 # what rounding and the solver's tolerance push it aside grows.  On these bodies it stays below the tolerance of the test.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("angle", "depth", "friction"),
     [
