@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import ArrayLike
 
 from planar.arrays import Array, Index, Mask
-from planar.rods import Rod
+from planar.rods import Profile, Rod
 
 # Rows that are marched at once: their stages stay in the processor's cache.
 _BLOCK = 1024
@@ -85,22 +86,18 @@ def _steps(rod: Rod, force: Array, moment: Array) -> int:
 
 
 @lru_cache(maxsize=64)
-def _grid_of(knots: tuple[float, ...], steps: int) -> Array:
+def grid(profile: Profile, steps: int) -> Array:
+    """Ends of the steps along a rod, its knots among them."""
     pieces = [
         np.linspace(start, end, max(round(np.ceil(steps * (end - start))), 1), endpoint=False)
-        for start, end in zip(knots[:-1], knots[1:], strict=True)
+        for start, end in pairwise(profile.knots)
     ]
     return np.append(np.concatenate(pieces), 1.0)
 
 
-def grid(rod: Rod, steps: int) -> Array:
-    """Ends of the steps along the rod, its knots among them."""
-    return _grid_of(tuple(rod.knots.tolist()), steps)
-
-
 def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
     """`contacts` by a given number of steps; force (2, n)."""
-    s, hangs = grid(rod, steps), overhang(rod)
+    s, hangs = grid(rod.profile, steps), overhang(rod)
     with np.errstate(all="ignore"):
         states = np.zeros((len(s), 4, len(moment)))
         states[0, 0], states[0, 1] = np.pi / 2 + rod.compliance * moment, moment
@@ -147,7 +144,7 @@ def _refine(
         change = (hangs(start + part, state[0]) - state[1]) / _across(force, state[0])
         part = part + change
     phi, moment, x, y = state
-    curvature = moment / rod.bending_stiffness(start + part) + rod.curvature
+    curvature = moment / rod.profile.bending_stiffness(start + part) + rod.curvature
     found.s1[rows], found.slope[rows] = start + part, phi + curvature * change
     middle = phi + curvature * change / 2
     found.x[rows], found.y[rows] = x + np.cos(middle) * change, y + np.sin(middle) * change
@@ -159,7 +156,7 @@ def _across(force: Array, phi: Array) -> Array:
 
 
 @lru_cache
-def _tableau() -> tuple[Array, Array, Array]:
+def tableau() -> tuple[Array, Array, Array]:
     """Coefficients (12, 12), weights (12,) and nodes (12,) of the stages of a step."""
     from scipy.integrate import DOP853  # imported late, so that `import planar` stays quick
 
@@ -168,9 +165,9 @@ def _tableau() -> tuple[Array, Array, Array]:
 
 def step(rod: Rod, state: Array, s: Array | float, length: Array | float, force: Array) -> Array:
     """States ``φ, M, x, y`` (4, n) of rods one step past arc length `s`; `s` and `length` are numbers or (n,), force (2, n)."""
-    stages, weights, nodes = _tableau()
+    stages, weights, nodes = tableau()
     at = np.multiply.outer(nodes, length) + s
-    stiffness, past = rod.bending_stiffness(at), rod.weight_past(at)
+    stiffness, past = rod.profile.bending_stiffness(at), rod.profile.weight_past(at)
     rates = np.empty((4, len(nodes), state.shape[1]))
     fx, fy = force
     for i in range(len(nodes)):
@@ -200,7 +197,8 @@ def overhang(rod: Rod) -> Overhang:
     orders = np.arange(-_TIP_SLOPES // 4, _TIP_SLOPES // 4 + 1)
     nodes = chebyshev.chebpts1(_LENGTHS)[::-1]
     tables = []
-    for start, end in zip(rod.knots[-2::-1], rod.knots[:0:-1], strict=True):
+    knots = np.array(rod.profile.knots)
+    for start, end in zip(knots[-2::-1], knots[:0:-1], strict=True):
         at, rows = end, []
         for place in np.append((start + end) / 2 + (end - start) / 2 * nodes, start):
             state = step(rod, state, at, place - at, no_force)
@@ -222,8 +220,8 @@ def overhang(rod: Rod) -> Overhang:
     series[:, :, 1:] *= 2
 
     def moment(s: ArrayLike, phi: Array) -> Array:
-        piece = np.clip(np.searchsorted(rod.knots, s, side="right") - 1, 0, len(series) - 1)
-        start, end = rod.knots[piece], rod.knots[piece + 1]
+        piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(series) - 1)
+        start, end = knots[piece], knots[piece + 1]
         powers = chebyshev.chebvander(
             np.clip((2 * np.asarray(s) - start - end) / (end - start), -1.0, 1.0), lengths - 1
         )

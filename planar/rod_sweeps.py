@@ -88,7 +88,7 @@ def _back(rod: Rod, course: Course, place: Array, tangential: Mask, force: Array
     state = np.stack([phi, hangs(at, phi), x, y])
     carried = force * np.stack([np.sin(alpha), -np.cos(alpha)])
     inflected = np.zeros(len(at), dtype=bool)
-    for lower in march.grid(rod, steps)[::-1]:
+    for lower in march.grid(rod.profile, steps)[::-1]:
         below = np.minimum(at, lower)
         if (below < at).any():
             state = march.step(rod, state, at, below - at, carried)
@@ -221,7 +221,7 @@ def _softness(rod: Rod, s1: Array) -> Array:
     """Small forces at s1 (n,) relative to those that bend the uniform rod as far there."""
     s = np.linspace(0.0, 1.0, 65)
     part = s[:, None] * s1
-    bent = np.trapezoid((s1 - part) ** 2 / rod.bending_stiffness(part), s, axis=0)
+    bent = np.trapezoid((s1 - part) ** 2 / rod.profile.bending_stiffness(part), s, axis=0)
     return np.asarray(s1**2 / 3 / bent)
 
 

@@ -14,6 +14,37 @@ from planar.arrays import Array
 
 
 @dataclass(frozen=True)
+class Profile:
+    """Diameter and weight along a rod, dimensionless."""
+
+    knots: tuple[float, ...] = (0.0, 1.0)
+    """Arc lengths (k,) between which the diameter is linear."""
+    diameters: tuple[float, ...] = (1.0, 1.0)
+    """Diameters (k,) there, over that at the clamp."""
+    weight: float = 0.0
+    """Weight of the whole rod, spread as the square of the diameter."""
+
+    def diameter(self, s: Array) -> Array:
+        """Diameters at arc lengths of any shape, over that at the clamp; past the tip that of the tip."""
+        return np.interp(s, self.knots, self.diameters)
+
+    def bending_stiffness(self, s: Array) -> Array:
+        """Bending stiffness at arc lengths of any shape, over that at the clamp."""
+        return np.asarray(self.diameter(s) ** 4)
+
+    def weight_past(self, s: Array) -> Array:
+        """Weight of the part of the rod past arc lengths of any shape, in ``EI(0)/L²``."""
+        if self.weight == 0:
+            return np.zeros(np.shape(s))
+        widths, d, knots = np.diff(self.knots), np.array(self.diameters), np.array(self.knots)
+        volumes = np.append(np.cumsum((widths * (d[:-1] ** 2 + d[:-1] * d[1:] + d[1:] ** 2))[::-1])[::-1], 0.0)
+        following = np.clip(np.searchsorted(self.knots, s, side="right"), 1, len(widths))
+        here, end = self.diameter(s), d[following]
+        rest = np.clip(knots[following] - s, 0.0, None) * (here**2 + here * end + end**2)
+        return np.asarray(self.weight * (rest + volumes[following]) / volumes[0])
+
+
+@dataclass(frozen=True)
 class Rod:
     """A rod in a plane, dimensionless; without arguments the straight, uniform, weightless rod in a rigid clamp.
 
@@ -33,10 +64,7 @@ class Rod:
     """Direction (2,) of gravity in the clamp's frame, along whose y axis the rod leaves; any length.  Needed with a weight."""
     compliance: float = 0.0
     """Angle by which the clamp gives, in radians per ``EI(0)/L`` of moment."""
-    knots: Array = field(init=False, repr=False, compare=False)
-    """Arc lengths (k,) between which the diameter is linear."""
-    diameters: Array = field(init=False, repr=False, compare=False)
-    """Diameters (k,) there, over that at the clamp."""
+    profile: Profile = field(init=False, repr=False, compare=False)
     down: Array = field(init=False, repr=False, compare=False)
     """Unit vector (2,) of gravity; 0 without weight."""
 
@@ -71,13 +99,14 @@ class Rod:
                 raise ValueError(f"a rod with weight needs the direction (2,) of gravity, got {self.gravity}")
             object.__setattr__(self, "gravity", tuple(down.tolist()))
             down = down / np.hypot(*down)
-        for name, value in (("knots", knots), ("diameters", diameters), ("down", down)):
-            object.__setattr__(self, name, value)
+        profile = Profile(tuple(knots.tolist()), tuple(diameters.tolist()), float(self.weight))
+        object.__setattr__(self, "profile", profile)
+        object.__setattr__(self, "down", down)
 
     @property
     def is_uniform(self) -> bool:
         """Whether the rod is of one stiffness, weightless and rigidly clamped: straight, or an arc of a circle."""
-        return bool((self.diameters == 1).all()) and self.weight == 0 and self.compliance == 0
+        return set(self.profile.diameters) == {1.0} and self.weight == 0 and self.compliance == 0
 
     @property
     def is_straight_and_uniform(self) -> bool:
@@ -88,22 +117,3 @@ class Rod:
         """The mirror image, x → -x."""
         gravity = None if self.gravity is None else np.asarray(self.gravity, dtype=float) * [-1.0, 1.0]
         return replace(self, curvature=-self.curvature, gravity=gravity)
-
-    def diameter(self, s: Array) -> Array:
-        """Diameters at arc lengths of any shape, over that at the clamp; past the tip that of the tip."""
-        return np.interp(s, self.knots, self.diameters)
-
-    def bending_stiffness(self, s: Array) -> Array:
-        """Bending stiffness at arc lengths of any shape, over that at the clamp."""
-        return np.asarray(self.diameter(s) ** 4)
-
-    def weight_past(self, s: Array) -> Array:
-        """Weight of the part of the rod past arc lengths of any shape, in ``EI(0)/L²``."""
-        if self.weight == 0:
-            return np.zeros(np.shape(s))
-        widths, d = np.diff(self.knots), self.diameters
-        volumes = np.append(np.cumsum((widths * (d[:-1] ** 2 + d[:-1] * d[1:] + d[1:] ** 2))[::-1])[::-1], 0.0)
-        following = np.clip(np.searchsorted(self.knots, s, side="right"), 1, len(widths))
-        here, end = self.diameter(s), d[following]
-        rest = np.clip(self.knots[following] - s, 0.0, None) * (here**2 + here * end + end**2)
-        return np.asarray(self.weight * (rest + volumes[following]) / volumes[0])

@@ -86,11 +86,11 @@ def integrated(rod, force, start, ends):
 
     def rates(s, state):
         phi, moment, _, _ = state
-        fx, fy = force + rod.weight_past(s) * rod.down
-        bent = moment / rod.bending_stiffness(s) + rod.curvature
+        fx, fy = force + rod.profile.weight_past(s) * rod.down
+        bent = moment / rod.profile.bending_stiffness(s) + rod.curvature
         return [bent, fx * np.sin(phi) - fy * np.cos(phi), np.cos(phi), np.sin(phi)]
 
-    knots = [s for s in rod.knots if ends[0] < s < ends[1]]
+    knots = [s for s in rod.profile.knots if ends[0] < s < ends[1]]
     state = np.asarray(start, dtype=float)
     for low, high in zip([ends[0], *knots], [*knots, ends[1]], strict=True):
         state = scipy.integrate.solve_ivp(rates, (low, high), state, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
@@ -133,8 +133,8 @@ def test_sweeps_solve_the_boundary_value_problem():
                 (values[4:], s1 + t * (1 - s1), 1 - s1, 0 * force),
             ):
                 phi, moment = values_of[:2]
-                fx, fy = carried[:, None] + rod.weight_past(s) * rod.down[:, None]
-                bent = moment / rod.bending_stiffness(s) + rod.curvature
+                fx, fy = carried[:, None] + rod.profile.weight_past(s) * rod.down[:, None]
+                bent = moment / rod.profile.bending_stiffness(s) + rod.curvature
                 rates_of = [bent, fx * np.sin(phi) - fy * np.cos(phi), np.cos(phi), np.sin(phi)]
                 parts += [length * rate for rate in rates_of]
             return np.stack(parts)
