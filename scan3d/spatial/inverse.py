@@ -26,11 +26,15 @@ import planar
 from planar.arrays import BLOCK
 from planar.elastica import bend_by_half_angle
 from scan3d.arrays import Array, Mask
+from scan3d.spatial import march
+from scan3d.spatial.march import SpatialRod
 
 # Reactions between this and its inverse have squares and products that are numbers; rows beyond are scaled first.
 _SAFE = 1e-75
 PAST_TIP = 0.999
 """Tolerance with which contacts that errors put past the tip by nearly the rod's length have a place as well."""
+# Relative step of the differences by which errors of any rod carry over.
+_DIFFERENCE = 3e-4
 
 
 class Status(IntEnum):
@@ -41,6 +45,7 @@ class Status(IntEnum):
     NO_MOMENT = 2
     NO_ROD = 3
     BEYOND_TIP = 4
+    SEVERAL = 5
 
     @property
     def sentence(self) -> str:
@@ -54,6 +59,7 @@ _SENTENCES = {
     "the contact along it are unknown",
     Status.NO_ROD: "no rod has these reactions: the moment is more than the force can hold, or the force pulls along the rod",
     Status.BEYOND_TIP: "the contact would lie past the rod's tip",
+    Status.SEVERAL: "the moment has several minima along the rod, so that the contact is not certain",
 }
 
 
@@ -78,9 +84,13 @@ class SpatialContacts:
     status: NDArray[np.int8]
     """(n,) of `Status`."""
     torsion: Array
-    """(n,) residual ``m0·t0``: the moment about the rod's axis, zero for a thin rod; known in all rows."""
+    """(n,) residual ``m0·t0``: the moment about the rod's axis, zero for a thin rod; known in all rows.  Of rods that do not
+    bend in a plane it is the moment about the rod at the contact."""
     skew: Array
-    """(n,) residual ``m0·f0``: zero for any single contact force; known in all rows."""
+    """(n,) residual ``m0·f0``: zero for any single contact force; known in all rows.  Of rods that do not bend in a plane it is
+    that of the contact's moment, over the force."""
+    in_plane: bool = True
+    """Whether the rods are straight, uniform and weightless, so that each bends in a plane."""
 
     def __len__(self) -> int:
         return len(self.s1)
@@ -98,6 +108,9 @@ class SpatialContacts:
     @property
     def friction_angle_bound(self) -> Array:
         """(n,) angle β with ``F·t1 = f sin β``: friction angles are at least ``|β|``, and β may be negative."""
+        if not self.in_plane:
+            along = _dot(self.force, self.tangent)
+            return np.asarray(np.arctan2(along, np.linalg.norm(np.cross(self.force, self.tangent), axis=1)))
         across = _dot(self.force, self.bending)
         slope = _dot(self.tangent, self.bending)
         along_rod = across * slope + self.force[:, 1] * self.tangent[:, 1]
@@ -110,6 +123,8 @@ def reconstruct(
     *,
     tolerance: ArrayLike = planar.TOLERANCE,
     noise: tuple[float, float] | None = None,
+    rod: SpatialRod | None = None,
+    gravity: ArrayLike | None = None,
 ) -> SpatialContacts:
     """Contacts from support reactions ``f0`` and clamping moments ``m0`` (n, 3) in the clamp's frame.
 
@@ -118,6 +133,10 @@ def reconstruct(
     noise
         standard deviations of each component of force and moment.  The bending plane is then that of the weighted total least
         squares of both lines in it, the force and the normal of the moment; without noise it is that of the moment.
+    rod, gravity
+        another rod than the straight, uniform, weightless one, and for a rod with weight unit vectors (n, 3) of gravity in the
+        clamp's frame; its reactions are the whole ones.  Then `bending` is the direction across the clamp's moment, and
+        `noise` is not used.
 
     `status` says why a row has no contact.  Raises ValueError for arrays of other shapes and for a tolerance or noise out of
     range.
@@ -133,6 +152,8 @@ def reconstruct(
         if not all(0 <= deviation < np.inf for deviation in noise):
             raise ValueError(f"noise must be two standard deviations >= 0, got {noise}")
         noise = noise if max(noise) > 0 else None
+    if rod is not None and not rod.is_straight_and_uniform:
+        return _marched(rod, f0, m0, zero, None if gravity is None else np.asarray(gravity, dtype=float))
     contacts = _empty(len(f0))
     np.negative(f0, out=contacts.force)
     with np.errstate(all="ignore"):
@@ -140,6 +161,33 @@ def reconstruct(
             rows = slice(first, first + BLOCK)
             _fill(contacts, rows, f0[rows].T, m0[rows].T, zero[rows] if zero.ndim else zero, noise)
     return contacts
+
+
+def _marched(rod: SpatialRod, f0: Array, m0: Array, zero: Array, gravity: Array | None) -> SpatialContacts:
+    """`reconstruct` for rods that do not bend in a plane."""
+    found = march.contacts(rod, f0.T, m0.T, None if gravity is None else gravity.T)
+    with np.errstate(all="ignore"):
+        ex, ez, m = _normalised(m0[:, 2], -m0[:, 0])
+        f = np.linalg.norm(found.force, axis=0)
+        q = m / (2 * np.sqrt(f))
+    known = np.isfinite(found.s1)
+    valid = known & (found.s1 <= 1 + zero) & ~found.several
+    tangential = valid & (found.s1 < 1 - zero)
+    status = np.full(len(f0), Status.OK, dtype=np.int8)
+    status[known & ~valid] = Status.BEYOND_TIP
+    status[found.several] = Status.SEVERAL
+    status[~known] = Status.NO_ROD
+    status[~(f > 0) | ~np.isfinite(m0).all(axis=1)] = Status.NO_FORCE
+    columns = [found.point.T, found.s1, found.tangent.T, np.stack([ex, 0 * ex, ez], axis=1), q]
+    for column in columns:
+        column[~valid] = np.nan
+    phase = planar.Phase.TANGENTIAL * tangential.astype(np.int8) + planar.Phase.TIP * (valid & ~tangential).astype(
+        np.int8
+    )
+    point, s1, tangent, bending, q = columns
+    return SpatialContacts(
+        point, s1, tangent, found.force.T, bending, q, phase, status, found.torsion, found.skew, in_plane=False
+    )
 
 
 def bending_direction(f0: Array, m0: Array, noise: tuple[float, float]) -> tuple[Array, Array]:
@@ -180,8 +228,17 @@ class SpatialErrors(NamedTuple):
     """(n,) of the direction of the force: root of the mean square angle, in radians."""
 
 
-def errors(f0: Array, m0: Array, noise: tuple[float, float]) -> SpatialErrors:
+def errors(
+    f0: Array,
+    m0: Array,
+    noise: tuple[float, float],
+    *,
+    rod: SpatialRod | None = None,
+    gravity: Array | None = None,
+) -> SpatialErrors:
     """Errors of the contacts that `reconstruct` finds for reactions (n, 3), by the noise of force and moment."""
+    if rod is not None and not rod.is_straight_and_uniform:
+        return _errors_by_differences(rod, f0, m0, noise, gravity)
     sigma_f, sigma_m = noise
     with np.errstate(all="ignore"):  # rows without a force have no errors that are numbers
         # exact reactions, of rods whose poses alone are noisy, give the same direction with any weights
@@ -210,6 +267,37 @@ def errors(f0: Array, m0: Array, noise: tuple[float, float]) -> SpatialErrors:
 
     point[~known] = np.inf
     return SpatialErrors(point, largest, *(certain(value) for value in (s1_sd, beta_sd, tangent, angle, force)))
+
+
+def _errors_by_differences(
+    rod: SpatialRod, f0: Array, m0: Array, noise: tuple[float, float], gravity: Array | None
+) -> SpatialErrors:
+    """`errors` of rods that do not bend in a plane, by central differences of their contacts."""
+    down = None if gravity is None else gravity.T
+    size = np.repeat([np.linalg.norm(f0, axis=1), np.linalg.norm(m0, axis=1)], 3, axis=0)
+    reactions = np.concatenate([f0.T, m0.T])
+    slopes = []
+    with np.errstate(all="ignore"):
+        for k, sigma in enumerate(np.repeat(noise, 3)):
+            ends = []
+            for sign in (-1, 1):
+                moved = reactions.copy()
+                moved[k] += sign * _DIFFERENCE * size[k]
+                found = march.contacts(rod, moved[:3], moved[3:], down)
+                along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
+                ends.append(np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]))
+            slopes.append(sigma * (ends[1] - ends[0]) / (2 * _DIFFERENCE * size[k]))
+        slope = np.stack(slopes, axis=2)  # of place, tangent, s1 and β (8, n, 6)
+        point = np.einsum("ink,jnk->nij", slope[:3], slope[:3])
+        tangent, s1, beta = (np.sqrt((part**2).sum(axis=(0, 2))) for part in (slope[3:6], slope[6:7], slope[7:]))
+        across_f, across_m = (np.hypot(v[:, 0], v[:, 2]) for v in (f0, m0))
+        plane = 1 / np.sqrt((across_m / noise[1]) ** 2 + (across_f / noise[0]) ** 2)
+        force = noise[0] * np.sqrt(2) / size[0]
+    known = np.isfinite(slope).all(axis=(0, 2))
+    point[~known] = np.inf
+    largest = np.full(len(f0), np.inf)
+    largest[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(point[known])[:, 2], 0.0))
+    return SpatialErrors(point, largest, *(np.where(known, v, np.inf) for v in (s1, beta, tangent, plane, force)))
 
 
 def _fill(

@@ -1,0 +1,311 @@
+"""Any rod in space, marched from its clamp: tapered, curved, twisted, heavy, in a clamp that gives.
+
+In the rod's material frame ``d1, d2, d3 = t`` the part past ``s`` acts on the part before it by the moment ``m`` and the force
+``n``; with the curvature ``u = K⁻¹ m + κ̂`` and ``K = diag(B, B, C B)``
+
+    ``m' = -u × m - d3 × n``,  ``n' = -u × n``,
+
+to which weight adds its part of the force.  At the clamp ``d1 = z, d2 = x, d3 = y``, turned by ``c M(0)`` where it gives.  The
+contact does not carry a moment: there the excess ``e = m - m_o`` over the moment of the part that hangs free vanishes.  Six
+reactions determine force and place, four unknowns: the place is where ``e·(t × F)`` falls through zero, a minimum of ``|e|``,
+and the residuals ``e·t`` and ``e·F`` remain.  Friction does not enter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.march import grid, tableau
+from planar.rods import Profile
+from scan3d.arrays import Array, Index, Mask
+
+_BLOCK = 512
+# Steps along the rod to start with, the most, and the difference of two runs, in rod lengths, at which they suffice.
+_STEPS, _MOST_STEPS, _AGREED, _TRIED = 8, 128, 1e-10, 32
+# Arc length up to which a contact past the tip is sought.
+_LONGEST = 2.0
+# Corrections of the moment of the part that hangs free, shots for each, and the moment left at the tip that ends them.
+_CORRECTIONS, _SHOTS, _SETTLED = 4, 8, 1e-13
+# Rows of the state: moment, force and gravity in the material frame, the frame's quaternion, and the place.
+_M, _N, _G, _Q, _R = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13), slice(13, 16)
+_CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+
+
+@dataclass(frozen=True)
+class SpatialRod:
+    """A rod in space, dimensionless; without arguments straight, uniform, weightless, in a rigid clamp."""
+
+    profile: Profile = field(default_factory=Profile)
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Curvature and twist ``κ̂`` of the free rod about d1, d2, d3, in ``1/L``."""
+    torsion: float = 1 / 1.3
+    """Torsional over bending stiffness: ``1/(1 + ν)`` of a round rod."""
+    compliance: float = 0.0
+    """Angle by which the clamp gives, in radians per ``EI(0)/L`` of moment, about any axis."""
+
+    @property
+    def is_straight_and_uniform(self) -> bool:
+        straight = not any(self.curvature) and self.compliance == 0
+        return straight and set(self.profile.diameters) == {1.0} and self.profile.weight == 0
+
+
+class Marched(NamedTuple):
+    """Contacts (n,) of marched rods in rod lengths, in the clamp's frame; NaN where there is none."""
+
+    s1: Array
+    point: Array
+    """(3, n) place relative to the clamp."""
+    tangent: Array
+    """(3, n)"""
+    force: Array
+    """(3, n) contact force on the rod."""
+    torsion: Array
+    """(n,) residual ``e·t`` of the moment along the rod at the contact."""
+    skew: Array
+    """(n,) residual ``e·F/f``."""
+    several: Mask
+    """(n,) where the moment has a second minimum, so that the contact is not certain."""
+
+
+def contacts(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None) -> Marched:
+    """Contacts of rods by support reactions ``f0`` and ``m0`` (3, n), and unit vectors (3, n) of gravity in the clamp's frame.
+
+    Reactions of rods with weight are the whole ones.  Raises ValueError for a weight without gravity.
+    """
+    down = _checked_gravity(rod, gravity, force)
+    contact_force = -force - rod.profile.weight * down
+    start = _start(rod, contact_force, -moment, down)
+    steps = _steps(rod, start, contact_force)
+    blocks = [slice(first, first + _BLOCK) for first in range(0, max(force.shape[1], 1), _BLOCK)]
+    parts = [_contacts(rod, start[:, rows], contact_force[:, rows], steps) for rows in blocks]
+    return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
+
+
+def free_reactions(rod: SpatialRod, gravity: ArrayLike) -> tuple[Array, Array]:
+    """Support reactions ``f0`` and ``m0`` (3,) of the rod in the air under gravity along a unit vector (3,)."""
+    down = np.asarray(gravity, dtype=float)[:, None]
+    moment = np.zeros((3, 1))
+    for _ in range(40):  # a clamp that gives turns the rod by its weight
+        state = _start(rod, np.zeros((3, 1)), moment, down)
+        free = _rotated(state[_Q], _hanging(rod, np.zeros(1), state))
+        moment, change = free, np.abs(free - moment).max()
+        if change < 1e-14:
+            break
+    return -rod.profile.weight * down[:, 0], -moment[:, 0]
+
+
+def _checked_gravity(rod: SpatialRod, gravity: Array | None, force: Array) -> Array:
+    if rod.profile.weight == 0:
+        return np.zeros_like(force)
+    if gravity is None:
+        raise ValueError("a rod with weight needs the direction of gravity in the clamp's frame")
+    return np.broadcast_to(gravity, force.shape)
+
+
+def _start(rod: SpatialRod, contact_force: Array, moment: Array, down: Array) -> Array:
+    """States (16, n) at the clamp."""
+    turn = rod.compliance * moment
+    angle = np.sqrt((turn * turn).sum(axis=0))
+    half = np.sinc(angle / (2 * np.pi)) / 2 * turn
+    # d1 = z, d2 = x, d3 = y: a turn by -120 degrees about (1, 1, 1)
+    quaternion = _product(np.concatenate([np.cos(angle / 2)[None], half]), np.array([[0.5], [-0.5], [-0.5], [-0.5]]))
+    inverse = quaternion * _CONJUGATE
+    carried = (_rotated(inverse, vector) for vector in (moment, contact_force, down))
+    return np.concatenate([*carried, quaternion, np.zeros_like(moment)])
+
+
+def _product(a: Array, b: Array) -> Array:
+    """Product of quaternions (4, n)."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def _rotated(quaternion: Array, vector: Array) -> Array:
+    """Vectors (3, n) turned by quaternions (4, n) of any length close to 1."""
+    w, axis = quaternion[:1], quaternion[1:]
+    twice = 2 * _cross(axis, vector)
+    return np.asarray(vector + (w * twice + _cross(axis, twice)) / (quaternion * quaternion).sum(axis=0))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _steps(rod: SpatialRod, start: Array, force: Array) -> int:
+    """The number of steps: doubled until two runs agree on some rows, the largest reactions among them."""
+    size = np.abs(start[:6]).sum(axis=0)
+    order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
+    rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), _TRIED).astype(np.intp))] if len(order) else order
+    steps, last = _STEPS, _contacts(rod, start[:, rows], force[:, rows], _STEPS)
+    while steps < _MOST_STEPS:
+        finer = _contacts(rod, start[:, rows], force[:, rows], 2 * steps)
+        if not (np.abs(finer.point - last.point) > _AGREED).any():
+            break
+        steps, last = 2 * steps, finer
+    return steps
+
+
+def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
+    n = start.shape[1]
+    s, approach = grid(rod.profile, steps), _approach(rod)
+    with np.errstate(all="ignore"):
+        states = [start]
+        for at, length in zip(s[:-1], np.diff(s), strict=True):
+            states.append(_step(rod, states[-1], at, length))
+        turning = np.stack(
+            [_turning(state, approach(np.full(n, at), state)) for at, state in zip(s, states, strict=True)]
+        )
+        falls = (turning[:-1] > 0) & (turning[1:] <= 0)
+        found = _nothing(n, force)
+        found.several[:] = falls.sum(axis=0) > 1
+        rows = np.flatnonzero(falls.any(axis=0))
+        k = np.argmax(falls, axis=0)[rows]
+        before = np.stack(states)[k, :, rows].T
+        _refine(rod, found, rows, before, s[k], s[k + 1] - s[k], (turning[k, rows], turning[k + 1, rows]))
+        # the others go on past the tip, with its stiffness and without weight
+        rows, state = np.flatnonzero(~falls.any(axis=0) & np.isfinite(turning[-1])), states[-1]
+        state, low = state[:, rows], turning[-1][rows]
+        ends = np.linspace(1.0, _LONGEST, steps + 1)
+        for at, length in zip(ends[:-1], np.diff(ends), strict=True):
+            after = _step(rod, state, at, length)
+            high = _turning(after, np.zeros((3, len(rows))))
+            here = (low > 0) & (high <= 0)
+            m = int(here.sum())
+            _refine(rod, found, rows[here], state[:, here], np.full(m, at), np.full(m, length), (low[here], high[here]))
+            rows, state, low = rows[~here], after[:, ~here], high[~here]
+    return found
+
+
+def _nothing(n: int, force: Array) -> Marched:
+    unknown = np.full((9, n), np.nan)
+    return Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8], np.zeros(n, dtype=bool))
+
+
+def _turning(state: Array, hanging: Array) -> Array:
+    """``e·(t × F)``, the rate at which ``|e|²/2`` falls."""
+    return np.asarray((state[1] - hanging[1]) * state[3] - (state[0] - hanging[0]) * state[4])
+
+
+def _refine(
+    rod: SpatialRod, found: Marched, rows: Index, before: Array, start: Array, length: Array, ends: tuple[Array, Array]
+) -> None:
+    """Fill in rows (m,) whose `_turning` falls through zero in steps (m,) from the states `before` (16, m)."""
+    if not len(rows):
+        return
+    part = np.clip(length * ends[0] / (ends[0] - ends[1]), 0.0, length)
+    offset, approach = np.zeros((3, len(rows))), _approach(rod)
+    for correction in range(_CORRECTIONS if rod.profile.weight else 1):
+        for _ in range(3):
+            state = _step(rod, before, start, part)
+            hanging = approach(start + part, state) + offset
+            change = _turning(state, hanging) / (state[3] ** 2 + state[4] ** 2)
+            part = part + change
+        if rod.profile.weight and correction < _CORRECTIONS - 1:
+            offset = offset + _hanging(rod, np.minimum(start + part, 1.0), state) - hanging
+    excess, size = state[_M] - hanging, np.sqrt((state[_N] ** 2).sum(axis=0))
+    tangent = _rotated(state[_Q], np.stack([0 * part, 0 * part, np.ones_like(part)]))
+    bend = state[:2] / rod.profile.bending_stiffness(start + part) + np.array(rod.curvature)[:2, None]
+    turned = _rotated(state[_Q], np.stack([bend[1], -bend[0], 0 * part]))
+    found.s1[rows] = start + part
+    found.point[:, rows] = state[_R] + tangent * change
+    moved = tangent + turned * change
+    found.tangent[:, rows] = moved / np.sqrt((moved * moved).sum(axis=0))
+    found.torsion[rows], found.skew[rows] = excess[2], (excess * state[_N]).sum(axis=0) / size
+
+
+def _hanging(rod: SpatialRod, s: Array, state: Array) -> Array:
+    """Moments (3, n) in the material frame of the parts past s (n,) that hang free, by shooting from their first estimates."""
+    moment = _approach(rod)(s, state)
+    if rod.profile.weight == 0:
+        return moment
+    inverse = state[_Q] * _CONJUGATE
+    for _ in range(_SHOTS):
+        free, at = state.copy(), s
+        free[_M], free[_N] = moment, 0.0
+        for upper in grid(rod.profile, _STEPS):
+            end = np.maximum(at, upper)
+            if (end > at).any():
+                free = _step(rod, free, at, end - at)
+            at = end
+        left = _rotated(inverse, _rotated(free[_Q], free[_M]))
+        moment = moment - left
+        if not (np.abs(left) > _SETTLED).any():
+            break
+    return np.asarray(moment)
+
+
+@lru_cache(maxsize=8)
+def _shape(rod: SpatialRod) -> tuple[Array, Array]:
+    """Arc lengths (k,), and ``∫ (weight past σ) t dσ`` (k, 3) over the parts of the free rod past them, in frames there."""
+    s = np.linspace(0.0, 1.0, 129)
+    free = SpatialRod(Profile(rod.profile.knots, rod.profile.diameters), rod.curvature, rod.torsion)
+    state = np.zeros((16, 1))
+    state[9] = 1.0
+    frames = [state]
+    for at, length in zip(s[:-1], np.diff(s), strict=True):
+        frames.append(_step(free, frames[-1], at, length))
+    quaternions = np.stack(frames)[:, _Q, 0].T
+    axis = np.zeros((3, len(s)))
+    axis[2] = 1.0
+    density = rod.profile.weight_past(s) * _rotated(quaternions, axis)
+    pieces = (density[:, 1:] + density[:, :-1]) / 2 * np.diff(s)
+    total = np.concatenate([np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1], np.zeros((3, 1))], axis=1)
+    inverse = quaternions * _CONJUGATE
+    return s, _rotated(inverse, total).T
+
+
+def _approach(rod: SpatialRod) -> Callable[[Array, Array], Array]:
+    """First estimates of the moments of parts that hang free: those of their shapes without weight."""
+    if rod.profile.weight == 0:
+        return lambda s, state: np.zeros((3, state.shape[1]))
+    grid_s, arms = _shape(rod)
+
+    def moment(s: Array, state: Array) -> Array:
+        arm = np.stack([np.interp(s, grid_s, column) for column in arms.T])
+        return _cross(arm, state[_G])
+
+    return moment
+
+
+def _step(rod: SpatialRod, state: Array, s: Array | float, length: Array | float) -> Array:
+    """States (16, n) one step past arc length `s`; `s` and `length` are numbers or (n,)."""
+    stages, weights, nodes = tableau()
+    at = np.multiply.outer(nodes, length) + s
+    stiffness, past = rod.profile.bending_stiffness(at), rod.profile.weight_past(at)
+    heavy = rod.profile.weight > 0
+    k1, k2, k3 = rod.curvature
+    rates = np.zeros((16, len(nodes), state.shape[1]))
+    now = state
+    for i in range(len(nodes)):
+        if i:
+            now = state + length * (stages[i, :i] @ rates[:, :i])
+        m1, m2, m3, n1, n2, n3, g1, g2, g3, w, x, y, z = now[:13]
+        b = stiffness[i]
+        u1, u2, u3 = m1 / b + k1, m2 / b + k2, m3 / (rod.torsion * b) + k3
+        f1, f2 = (n1 + past[i] * g1, n2 + past[i] * g2) if heavy else (n1, n2)
+        rate = rates[:, i]
+        rate[0], rate[1], rate[2] = m2 * u3 - m3 * u2 + f2, m3 * u1 - m1 * u3 - f1, m1 * u2 - m2 * u1
+        rate[3], rate[4], rate[5] = n2 * u3 - n3 * u2, n3 * u1 - n1 * u3, n1 * u2 - n2 * u1
+        if heavy:
+            rate[6], rate[7], rate[8] = g2 * u3 - g3 * u2, g3 * u1 - g1 * u3, g1 * u2 - g2 * u1
+        rate[9] = -(x * u1 + y * u2 + z * u3) / 2
+        rate[10] = (w * u1 + y * u3 - z * u2) / 2
+        rate[11] = (w * u2 + z * u1 - x * u3) / 2
+        rate[12] = (w * u3 + x * u2 - y * u1) / 2
+        rate[13], rate[14] = 2 * (x * z + w * y), 2 * (y * z - w * x)
+        rate[15] = w * w - x * x - y * y + z * z
+    return np.asarray(state + length * (weights @ rates))
