@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from numbers import Real
 
+import numpy as np
+
+import planar
+from planar.rods import Profile
 from scan3d.errors import InputError
+from scan3d.spatial.march import SpatialRod
 
 # Young's moduli in Pa of the materials that whisker sensors are made of.
 MODULI_PA = {"steel": 210e9, "nitinol": 75e9, "carbon": 120e9, "nylon": 3e9}
@@ -18,18 +26,42 @@ SLENDERNESS = 0.006
 _SMALLEST_UNIT = 1e-100
 
 
+Table = tuple[tuple[float, float], ...]
+
+
 @dataclass(frozen=True)
 class Rod:
-    """A straight cylindrical rod: its length in m and its bending stiffness EI in N·m²."""
+    """A rod: by length and bending stiffness alone a straight, uniform, weightless one in a rigid clamp.
+
+    Stiffness and diameter are numbers or tables ``((s_m, value), ...)`` from the clamp, ``s_m = 0``, to the tip.  Tables are
+    kept in `stiffness_table` and `diameter_table`, and the field itself is the value at the clamp.  Between the rows the
+    diameter of a round rod is linear.  Raises InputError for numbers that belong to no rod or contradict each other.
+    """
 
     length_m: float
     bending_stiffness_Nm2: float
+    """EI at the clamp."""
     diameter_m: float = 0.0
-    """Of the rod; 0 where it is neglected.  The planar model does not need it."""
+    """At the clamp; 0 where it is neglected."""
+    tip_diameter_m: float | None = None
+    """Of a cone."""
+    curvature_per_m: float | tuple[float, float, float] = 0.0
+    """Of the free rod, about the clamp's z axis; or three numbers, about z, about x and the twist about y, carried along it."""
+    weight_N: float = 0.0
+    """Of the whole rod, spread as the square of the diameter."""
+    clamp_compliance_rad_per_Nm: float = 0.0
+    """Angle by which the clamp gives per moment."""
+    stiffness_table: Table = ()
+    diameter_table: Table = ()
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.length_m) and self.length_m > 0):
+        if not (_is_number(self.length_m) and math.isfinite(self.length_m) and self.length_m > 0):
             raise InputError(f"a rod needs a positive length in metres, got {self.length_m}")
+        for name, kept in (("bending_stiffness_Nm2", "stiffness_table"), ("diameter_m", "diameter_table")):
+            given = getattr(self, name)
+            if not _is_number(given):
+                object.__setattr__(self, kept, self._checked_table(name, given))
+                object.__setattr__(self, name, getattr(self, kept)[0][1])
         if not (math.isfinite(self.bending_stiffness_Nm2) and self.bending_stiffness_Nm2 > 0):
             raise InputError(f"a rod needs a positive bending stiffness in N·m², got {self.bending_stiffness_Nm2}")
         if not (math.isfinite(self.diameter_m) and 0 <= self.diameter_m < self.length_m):
@@ -39,6 +71,101 @@ class Rod:
                 f"a rod of {self.length_m:g} m with a bending stiffness of {self.bending_stiffness_Nm2:g} N·m² has reactions "
                 "that are no numbers of a computer; check the units of its length and its stiffness"
             )
+        tip = self.tip_diameter_m
+        if tip is not None and not (_is_number(tip) and 0 < tip < self.length_m):
+            raise InputError(f"a rod needs a tip_diameter_m in metres above 0 and below its length, got {tip}")
+        if tip is not None and not self.diameter_m > 0:
+            raise InputError("a rod with a tip_diameter_m needs the diameter_m at its clamp")
+        if (tip is not None) + bool(self.stiffness_table) + bool(self.diameter_table) > 1:
+            raise InputError(
+                "a rod has one of tip_diameter_m, a table of bending_stiffness_Nm2 and a table of diameter_m, got several"
+            )
+        curvature = self.curvature_per_m
+        if not _is_number(curvature):
+            given = tuple(curvature) if isinstance(curvature, Sequence | np.ndarray) else ()
+            if len(given) != 3:
+                raise InputError(f"a rod's curvature_per_m is a number or three, got {curvature!r}")
+            object.__setattr__(self, "curvature_per_m", given)
+        if not all(_is_number(part) and math.isfinite(part) for part in self.curvatures):
+            raise InputError(f"a rod's curvature_per_m must be finite, got {curvature!r}")
+        for name in ("weight_N", "clamp_compliance_rad_per_Nm"):
+            value = getattr(self, name)
+            if not (_is_number(value) and 0 <= value < math.inf):
+                raise InputError(f"a rod needs a {name} of at least 0, got {value!r}")
+
+    def _checked_table(self, name: str, given: object) -> Table:
+        """Rows of places in m from clamp to tip and positive values."""
+        given = given.tolist() if isinstance(given, np.ndarray) else given
+        rows = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else ()
+        if len(rows) < 2 or not all(isinstance(row, Sequence) and len(row) == 2 for row in rows):
+            raise InputError(f"a rod's {name} is a number or a table of at least two rows [s_m, value], got {given!r}")
+        if not all(_is_number(value) and math.isfinite(value) for row in rows for value in row):
+            raise InputError(f"a rod's table {name} must hold numbers, got {given!r}")
+        places = [row[0] for row in rows]
+        ends = places[0] == 0 and math.isclose(places[-1], self.length_m, rel_tol=1e-9)
+        if not (ends and all(a < b for a, b in pairwise(places))):
+            raise InputError(
+                f"places in the table {name} must rise from 0 to the rod's length {self.length_m:g} m, got {places}"
+            )
+        if not all(row[1] > 0 for row in rows):
+            raise InputError(f"values in the table {name} must be positive, got {[row[1] for row in rows]}")
+        return tuple((float(s), float(value)) for s, value in rows)
+
+    @property
+    def curvatures(self) -> tuple[float, float, float]:
+        """Curvature of the free rod about z and x and its twist about y, in 1/m."""
+        given = self.curvature_per_m
+        return given if isinstance(given, tuple) else (given, 0.0, 0.0)
+
+    @property
+    def is_simple(self) -> bool:
+        """Whether it is straight, uniform, weightless and rigidly clamped."""
+        return (
+            not any(self.curvatures) and not self.weight_N and not self.clamp_compliance_rad_per_Nm and not self.varies
+        )
+
+    @property
+    def varies(self) -> bool:
+        """Whether the stiffness changes along the rod."""
+        return len(set(self.profile.diameters)) > 1
+
+    @property
+    def profile(self) -> Profile:
+        """Diameter and weight along the rod in the units (1)."""
+        weight = self.weight_N / self.force_unit_N
+        if self.stiffness_table:
+            rows, power = self.stiffness_table, 0.25
+        elif self.diameter_table:
+            rows, power = self.diameter_table, 1.0
+        else:
+            tip = self.diameter_m if self.tip_diameter_m is None else self.tip_diameter_m
+            rows, power = ((0.0, self.diameter_m or 1.0), (self.length_m, tip or 1.0)), 1.0
+        knots = (*(s / self.length_m for s, _ in rows[:-1]), 1.0)
+        return Profile(knots, tuple((value / rows[0][1]) ** power for _, value in rows), weight)
+
+    def in_plane(self) -> planar.Rod:
+        """The rod of `planar`, in the units (1).  Raises InputError if it does not stay in the plane of a sweep."""
+        if self.weight_N:
+            raise InputError("a rod with weight needs the spatial model, which knows gravity: a recording of six axes")
+        about, *out_of_plane = self.curvatures
+        if any(out_of_plane):
+            raise InputError(
+                "a rod curved out of its clamp's xy plane needs the spatial model: a recording of six axes"
+            )
+        profile = self.profile
+        stiffness = [(s, d**4) for s, d in zip(profile.knots, profile.diameters, strict=True)]
+        return planar.Rod(
+            stiffness=stiffness if self.varies else None,
+            curvature=about * self.length_m,
+            compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm,
+        )
+
+    def in_space(self) -> SpatialRod:
+        """The rod of `scan3d.spatial`, in the units (1)."""
+        bend_z, bend_x, twist = (self.length_m * part for part in self.curvatures)
+        return SpatialRod(
+            self.profile, (bend_z, bend_x, twist), compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm
+        )
 
     def _units(self) -> tuple[float, float]:
         """The units (1) of force and moment; infinite where they are too large for a number."""
@@ -71,6 +198,10 @@ class Rod:
     def of_length(cls, length_m: float) -> Rod:
         """The steel wire that is taken by default where only the length of the rod is known."""
         return cls.wire(length_m, SLENDERNESS * length_m, MODULI_PA["steel"])
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def parse_rod(text: str) -> Rod | None:

@@ -17,7 +17,8 @@ from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit
 
 if TYPE_CHECKING:
-    from scan3d.files.text_tables import Table
+    from scan3d.files.section import rod_section
+from scan3d.files.text_tables import Table
     from scan3d.laboratory.importing import Imported
     from scan3d.simulation.rig import RawLog
 
@@ -136,7 +137,7 @@ def plan(
         "seconds": seconds,
         "clearance": clearance,
         "largest_force_N": largest,
-        "rod": dataclasses.asdict(used),
+        "rod": rod_section(used),
     }
     text = (
         f"{data['sweeps']} sweeps with {data['rows']} poses, {seconds / 60:.0f} minutes, for a rod of "
@@ -330,7 +331,7 @@ def _write_log(log: RawLog, path: Path) -> None:
         "euler_deg": list(nominal.euler_deg),
         "shows": log.faults.shows,
     }
-    write_log(columns, dataclasses.asdict(log.rod), sensor, path, log.table_m)
+    write_log(columns, rod_section(log.rod), sensor, path, log.table_m)
 
 
 def _write_placed(body: Any, unit: str, path: Path) -> None:

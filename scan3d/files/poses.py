@@ -5,7 +5,6 @@ The TOML file has the rod, the speed, and how the poses were planned.
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.recordings import SCHEMA, sidecar
-from scan3d.files.section import read_rod, read_section
+from scan3d.files.section import read_rod, read_section, rod_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import Inputs, check_pair, write_together
@@ -55,7 +54,7 @@ def _write(path: Path, text: str, poses: PoseList) -> None:
     meta: dict[str, Any] = {"schema": SCHEMA, "unit": poses.unit}
     meta |= {"model": poses.model, "speed_m_s": poses.speed_m_s}
     if poses.rod is not None:
-        meta["rod"] = asdict(poses.rod)
+        meta["rod"] = rod_section(poses.rod)
     meta["source"] = {**poses.source, "kind": KIND}
     write_together(path, {sidecar(path).name: to_toml(meta).encode(errors="replace"), path.name: text.encode()})
 

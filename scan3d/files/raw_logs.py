@@ -56,7 +56,7 @@ def write_exact_log(recording: Recording, time_s: Array, move: NDArray[np.int8],
 
 def write_log(
     columns: dict[str, Array],
-    rod: dict[str, float],
+    rod: dict[str, Any],
     sensor: dict[str, Any],
     path: str | Path,
     table_m: float | None = None,

@@ -8,7 +8,6 @@ The TOML file contains the rod, the noise, what is not known exactly of a calibr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from scan3d.errors import InputError
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.parquet import parquet_bytes
-from scan3d.files.section import Section, read_rod, read_section
+from scan3d.files.section import Section, read_rod, read_section, rod_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import locate, source_kind, write_together
@@ -72,10 +71,10 @@ def recording_files(
     """The two files of a recording by name, of which `name` is that of the table, with `further` columns (n,)."""
     values = [recording.sweep, *recording.position_m.T, *recording.quaternion.T, *recording.force_N.T]
     columns = dict(zip(COLUMNS, [*values, recording.moment_Nm], strict=True))
-    rod = asdict(recording.rod)
+    rod = rod_section(recording.rod)
     if recording.six_axis:
         columns |= {name: getattr(recording, field) for name, field in SIX_AXES.items()}
-    else:
+    elif not recording.rod.diameter_table and recording.rod.tip_diameter_m is None:
         del rod["diameter_m"]
     columns |= further or {}
     noise = {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm}

@@ -132,6 +132,15 @@ class Section:
             raise self.error(key, f"must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {value!r}")
         return number
 
+    def table(self, key: str, default: T) -> float | tuple[tuple[float, ...], ...] | T:
+        """A number, or a table of rows of numbers, which who takes it checks."""
+        value = self.any(key)
+        if not isinstance(value, list):
+            return self.number(key, default)
+        if not all(isinstance(row, list) for row in value):
+            raise self.error(key, f"must be a number or a list of rows, got {value!r}")
+        return tuple(map(tuple, value))
+
     def integer(self, key: str, default: int | T = REQUIRED, *, at_least: int) -> int | T:
         value = self._value(key, default)
         if key not in self.data:
@@ -179,13 +188,35 @@ def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name
 
 
 def read_rod(section: Section) -> Rod:
-    """The rod of a table [rod]: its length, and its stiffness or the diameter and modulus of a wire."""
-    length, stiffness = section.number("length_m", None), section.number("bending_stiffness_Nm2", None)
-    diameter, modulus = section.number("diameter_m", None), section.number("modulus_Pa", None)
+    """The rod of a table [rod]: its length, its stiffness or a wire's diameter and modulus, and in what it is not simple."""
+    length, modulus = section.number("length_m", None), section.number("modulus_Pa", None)
+    stiffness: Any
+    diameter: Any
+    stiffness, diameter = (section.table(name, None) for name in ("bending_stiffness_Nm2", "diameter_m"))
+    curvature: Any = section.any("curvature_per_m", 0.0)
+    further: dict[str, Any] = {
+        "tip_diameter_m": section.number("tip_diameter_m", None),
+        "curvature_per_m": tuple(curvature) if isinstance(curvature, list) else curvature,
+        "weight_N": section.number("weight_N", 0.0),
+        "clamp_compliance_rad_per_Nm": section.number("clamp_compliance_rad_per_Nm", 0.0),
+    }
     with section.errors_named():
         if length is not None and stiffness is not None:
-            return Rod(length, stiffness, diameter or 0.0)
+            return Rod(length, stiffness, 0.0 if diameter is None else diameter, **further)
         if length is not None and diameter is not None and modulus is not None:
-            return Rod.wire(length, diameter, modulus)
+            at_clamp = diameter if isinstance(diameter, float) else diameter[0][1]
+            wire = Rod.wire(length, at_clamp, modulus)
+            return Rod(length, wire.bending_stiffness_Nm2, diameter, **further)
     section.finish()  # a name that is nearly right is the likelier reason
     raise section.error("", "needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
+
+
+def rod_section(rod: Rod) -> dict[str, Any]:
+    """The table [rod] of a rod, without what is as for a straight, uniform, weightless rod."""
+    table: dict[str, Any] = {
+        "length_m": rod.length_m,
+        "bending_stiffness_Nm2": rod.stiffness_table or rod.bending_stiffness_Nm2,
+        "diameter_m": rod.diameter_table or rod.diameter_m,
+    }
+    further = ("tip_diameter_m", "curvature_per_m", "weight_N", "clamp_compliance_rad_per_Nm")
+    return table | {name: value for name in further if (value := getattr(rod, name))}
