@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from scan3d.planning import Plan
     from scan3d.recording import Recording
     from scan3d.results import Result, open, scan
-    from scan3d.rods import Rod
+    from scan3d.rods import Gravity, Rod
     from scan3d.saving import load, save
     from scan3d.session import Session
     from scan3d.steps import calibrate, compare, reconstruct, simulate, surface
@@ -47,6 +47,7 @@ _HOME = {
     "Calibration": "calibration.report",
     "Cloud": "cloud",
     "Comparison": "comparison",
+    "Gravity": "rods",
     "InputError": "errors",
     "Plan": "planning.plan",
     "Recording": "recording",
@@ -78,6 +79,7 @@ __all__ = [
     "Calibration",
     "Cloud",
     "Comparison",
+    "Gravity",
     "InputError",
     "Plan",
     "Recording",

@@ -26,8 +26,9 @@ from scan3d.arrays import Array, evenly
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations
 from scan3d.rigs import RigUncertainty, one_rig
-from scan3d.rods import Rod
+from scan3d.rods import Gravity, Rod
 from scan3d.shown import Rows, Shown
+from scan3d.spatial.march import free_reactions
 from scan3d.units import UNITS_M, unit_symbol
 
 # Distinct normals of slices that a table lists: scans along the three axes have three.
@@ -141,6 +142,8 @@ class Recording(Shown):
     """Unit in which clouds and surfaces made from this recording are written."""
     table_m: float | None = None
     """Height z of the table on which the body stands: nothing of the body lies below.  None if no table is known."""
+    gravity: Gravity | None = None
+    """Needed with a rod that has a weight."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """Where the data came from, for the report."""
     rig: RigUncertainty | None = None
@@ -184,6 +187,12 @@ class Recording(Shown):
             )
         if self.table_m is not None and not (isinstance(self.table_m, Real) and math.isfinite(self.table_m)):
             raise InputError(f"recording: the height of the table must be a number or None, got {self.table_m!r}")
+        if self.gravity is not None and not isinstance(self.gravity, Gravity):
+            raise InputError(f"recording: gravity must be a scan3d.Gravity, got {type(self.gravity).__name__}")
+        if self.rod.weight_N and self.gravity is None:
+            raise InputError(
+                "recording: a rod with weight_N needs [gravity], with direction in the world and whether the log is tared"
+            )
         if self.rig is not None and not isinstance(self.rig, RigUncertainty):
             raise InputError(f"recording: rig must be a scan3d.rigs.RigUncertainty, got {type(self.rig).__name__}")
 
@@ -224,6 +233,7 @@ class Recording(Shown):
     def reactions(self, six_axis: bool) -> tuple[Array, Array]:
         """(n, 3) support reaction and (n, 3) clamping moment, in EI/L² and EI/L; zero in channels that are not asked for.
 
+        What a tared sensor leaves out of the weight of the rod is added.
         Raises InputError if six axes are asked for and not known.
         """
         if six_axis:
@@ -232,7 +242,18 @@ class Recording(Shown):
             zero = np.zeros(len(self))
             force = np.column_stack([self.force_N, zero])
             moment = np.column_stack([zero, zero, self.moment_Nm])
-        return force / self.rod.force_unit_N, moment / self.rod.moment_unit_Nm
+        force, moment = force / self.rod.force_unit_N, moment / self.rod.moment_unit_Nm
+        down = self.down()
+        if down is not None and self.gravity is not None and self.gravity.tared:
+            in_air = free_reactions(self.rod.in_space(), down.T)
+            force, moment = force + in_air[0].T, moment + in_air[1].T
+        return force, moment
+
+    def down(self) -> Array | None:
+        """(n, 3) unit vectors of gravity in the clamp's frame; None for rods without weight."""
+        if not self.rod.weight_N or self.gravity is None:
+            return None
+        return np.asarray(self.axes() @ np.array(self.gravity.direction))
 
     def axes(self) -> Array:
         """(n, 3, 3) the clamp's x, y and z axes in the world, as rows."""
@@ -354,7 +375,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     last = recordings[-1]
     if len(recordings) == 1:
         return last
-    for name, what in (("rod", "rod"), ("unit", "unit"), ("table_m", "table")):
+    for name, what in (("rod", "rod"), ("gravity", "gravity"), ("unit", "unit"), ("table_m", "table")):
         if any(getattr(recording, name) != getattr(last, name) for recording in recordings):
             raise InputError(
                 f"the recording has another {what} than those before; recordings are joined with one {what}"
@@ -381,6 +402,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         noise_pose_m=max(recording.noise_pose_m for recording in recordings),
         unit=last.unit,
         table_m=last.table_m,
+        gravity=last.gravity,
         source=last.source,
         rig=one_rig([recording.rig for recording in recordings]),
     )

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from numbers import Real
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-import planar
-from planar.rods import Profile
 from scan3d.errors import InputError
-from scan3d.spatial.march import SpatialRod
+
+if TYPE_CHECKING:  # settings have rods, and help must not wait for numpy
+    import planar
+    from planar.rods import Profile
+    from scan3d.spatial.march import SpatialRod
 
 # Young's moduli in Pa of the materials that whisker sensors are made of.
 MODULI_PA = {"steel": 210e9, "nitinol": 75e9, "carbon": 120e9, "nylon": 3e9}
@@ -82,7 +83,8 @@ class Rod:
             )
         curvature = self.curvature_per_m
         if not _is_number(curvature):
-            given = tuple(curvature) if isinstance(curvature, Sequence | np.ndarray) else ()
+            given = _plain(curvature)
+            given = tuple(given) if isinstance(given, Sequence) else ()
             if len(given) != 3:
                 raise InputError(f"a rod's curvature_per_m is a number or three, got {curvature!r}")
             object.__setattr__(self, "curvature_per_m", given)
@@ -95,7 +97,7 @@ class Rod:
 
     def _checked_table(self, name: str, given: object) -> Table:
         """Rows of places in m from clamp to tip and positive values."""
-        given = given.tolist() if isinstance(given, np.ndarray) else given
+        given = _plain(given)
         rows = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else ()
         if len(rows) < 2 or not all(isinstance(row, Sequence) and len(row) == 2 for row in rows):
             raise InputError(f"a rod's {name} is a number or a table of at least two rows [s_m, value], got {given!r}")
@@ -132,6 +134,8 @@ class Rod:
     @property
     def profile(self) -> Profile:
         """Diameter and weight along the rod in the units (1)."""
+        from planar.rods import Profile
+
         weight = self.weight_N / self.force_unit_N
         if self.stiffness_table:
             rows, power = self.stiffness_table, 0.25
@@ -145,6 +149,8 @@ class Rod:
 
     def in_plane(self) -> planar.Rod:
         """The rod of `planar`, in the units (1).  Raises InputError if it does not stay in the plane of a sweep."""
+        import planar
+
         if self.weight_N:
             raise InputError("a rod with weight needs the spatial model, which knows gravity: a recording of six axes")
         about, *out_of_plane = self.curvatures
@@ -162,6 +168,8 @@ class Rod:
 
     def in_space(self) -> SpatialRod:
         """The rod of `scan3d.spatial`, in the units (1)."""
+        from scan3d.spatial.march import SpatialRod
+
         bend_z, bend_x, twist = (self.length_m * part for part in self.curvatures)
         return SpatialRod(
             self.profile, (bend_z, bend_x, twist), compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm
@@ -198,6 +206,33 @@ class Rod:
     def of_length(cls, length_m: float) -> Rod:
         """The steel wire that is taken by default where only the length of the rod is known."""
         return cls.wire(length_m, SLENDERNESS * length_m, MODULI_PA["steel"])
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Where gravity points, and whether the sensor's zero was taken with the rod in the air in the same pose.
+
+    Raises InputError for a direction that is none.
+    """
+
+    direction: tuple[float, float, float]
+    """In the world, of any length; kept as a unit vector."""
+    tared: bool
+
+    def __post_init__(self) -> None:
+        given = _plain(self.direction)
+        numbers = isinstance(given, Sequence) and len(given) == 3 and all(_is_number(part) for part in given)
+        if not (numbers and all(map(math.isfinite, given)) and any(given)):
+            raise InputError(f"gravity needs a direction of three numbers that are not all 0, got {self.direction!r}")
+        if not isinstance(self.tared, bool):
+            raise InputError(f"gravity needs tared, true or false, got {self.tared!r}")
+        size = math.hypot(*given)
+        object.__setattr__(self, "direction", tuple(float(part / size) for part in given))
+
+
+def _plain(value: Any) -> Any:
+    """An array as lists."""
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _is_number(value: object) -> bool:

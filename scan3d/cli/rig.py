@@ -17,8 +17,7 @@ from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit
 
 if TYPE_CHECKING:
-    from scan3d.files.section import rod_section
-from scan3d.files.text_tables import Table
+    from scan3d.files.text_tables import Table
     from scan3d.laboratory.importing import Imported
     from scan3d.simulation.rig import RawLog
 
@@ -109,6 +108,7 @@ def plan(
         unit of the bounding body, of floor, workspace and speed
     """
     from scan3d.files.poses import check_poses, write_poses
+    from scan3d.files.section import rod_section
     from scan3d.files.whole import folder
     from scan3d.planning.rig import FORCE_FACTOR, RigPlan, parse_envelope, plan_poses
 
@@ -319,6 +319,7 @@ def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
     from scan3d.files.raw_logs import RAW_COLUMNS, write_exact_log, write_log
+    from scan3d.files.section import rod_section
 
     if log.faults is None:
         write_exact_log(log.recording(slice(None)), log.time_s, log.move, path)

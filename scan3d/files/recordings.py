@@ -24,6 +24,7 @@ from scan3d.files.whole import locate, source_kind, write_together
 from scan3d.poses import MOVES, Move
 from scan3d.recording import Recording
 from scan3d.rigs import RigUncertainty
+from scan3d.rods import Gravity
 from scan3d.units import UNITS_M
 
 COLUMNS = ("sweep", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "fx_N", "fy_N", "mz_Nm")
@@ -82,6 +83,8 @@ def recording_files(
     if recording.table_m is not None:
         meta[TABLE] = recording.table_m
     meta |= {"rod": rod, "noise": noise | ({"pose_m": recording.noise_pose_m} if recording.noise_pose_m else {})}
+    if recording.gravity is not None:
+        meta["gravity"] = {"direction": recording.gravity.direction, "tared": recording.gravity.tared}
     if recording.rig is not None:
         known = recording.rig
         meta["rig"] = {"quantities": known.names, "covariance": known.covariance.tolist(), "exact": known.exact}
@@ -91,6 +94,12 @@ def recording_files(
     else:
         table = f"{','.join(columns)}\n".encode() + rows_as_text(columns.values())
     return {sidecar(name).name: to_toml(meta).encode(errors="replace"), name: table}
+
+
+def _gravity_of(section: Section) -> Gravity:
+    x, y, z = section.numbers("direction", 3)
+    with section.errors_named():
+        return Gravity((x, y, z), section.boolean("tared"))
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -117,6 +126,7 @@ def read_recording(path: str | Path) -> Recording:
     known: dict[str, Any] = {
         "rod": read_rod(meta.section("rod")),
         "rig": rig,
+        "gravity": _gravity_of(meta.section("gravity")) if "gravity" in meta else None,
         "unit": meta.word("unit", tuple(UNITS_M), "mm"),
         "table_m": meta.number(TABLE, None),
         "source": meta.notes("source"),

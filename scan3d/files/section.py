@@ -101,8 +101,8 @@ class Section:
             raise self.error(key, f"must be one of {', '.join(words)}; got {value!r}{near}")
         return str(value)
 
-    def boolean(self, key: str, default: bool) -> bool:
-        value = self.any(key, default)
+    def boolean(self, key: str, default: bool = REQUIRED) -> bool:
+        value = self._value(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f"must be true or false, got {value!r}")
         return value

@@ -23,7 +23,6 @@ from scan3d.reconstruction.errors import NoContactError, felt, torsion_sd, with_
 from scan3d.reconstruction.misfits import ROUNDING, against_single_force, beyond_tangents, depths_in_hull
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
-from scan3d.spatial import inverse
 
 BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
@@ -177,7 +176,7 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     pressed = int(known.felt.sum())
     without = 1 - int((known.touching | known.light).sum()) / pressed if pressed else 0.0
     rows, kappa = cloud.row, _kappa(len(cloud))
-    of_rows = inverse.SpatialContacts(**{name: column[rows] for name, column in vars(known.found).items()})
+    of_rows = known.found.rows(rows)
     force, moment = (part[rows] for part in recording.reactions(six_axis=True))
     radius = cloud.rod_radius / cloud.rod_length
     about_rod, along_force = against_single_force(force, moment, of_rows, known.noise, kappa, radius)

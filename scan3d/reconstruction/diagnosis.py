@@ -20,6 +20,7 @@ from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, to
 from scan3d.reconstruction.misfits import Misfit, against_single_force, beyond_tangents, depths_in_hull
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import Recording
+from scan3d.rods import Rod
 from scan3d.spatial import inverse
 
 # A fault is named if its correction removes at least this part of the root mean square misfit.
@@ -211,7 +212,8 @@ def _sample(
         position=recording.position_m[rows] / recording.rod.length_m,
         axes=axes[rows],
         noise=noise,
-        radius=recording.rod.diameter_m / 2 / recording.rod.length_m,
+        rod=recording.rod,
+        down=None if (down := recording.down()) is None else down[rows],
     )
 
 
@@ -231,7 +233,9 @@ class _Sample:
     axes: Array
     """(k, 3, 3)"""
     noise: tuple[float, float]
-    radius: float
+    rod: Rod
+    down: Array | None
+    """(k, 3) gravity in the clamp's frame, for rods with weight."""
 
     def misfit(self, undone: Undone) -> Array:
         """Residuals (r, k) without a fault, as parts and in rod lengths, 0 where noise explains them.
@@ -259,10 +263,10 @@ class _Sample:
     ) -> tuple[Mask, list[Array]]:
         """Which rows (k,) have a contact, and how far others lie beyond the tangent there."""
         reactions = force[:, 0], force[:, 1], moment[:, 2]
-        error = planar.errors(*reactions, noise=noise)
-        found = planar.reconstruct(
-            np.zeros(len(force)), *reactions, tolerance=np.maximum(contact_tolerance(error), _TIP)
-        )
+        rod = self.rod.in_plane()
+        error = planar.errors(*reactions, noise=noise, rod=rod)
+        tolerance = np.maximum(contact_tolerance(error), _TIP)
+        found = planar.reconstruct(np.zeros(len(force)), *reactions, tolerance=tolerance, rod=rod)
         known, beyond = found.phase != planar.Phase.NONE, np.zeros(len(force))
         usable = pressed & known
         usable &= ~too_light(error.largest, usable)
@@ -287,10 +291,12 @@ class _Sample:
     ) -> tuple[Mask, list[Array]]:
         """Which rows (k,) have a contact, what contradicts a single force, and how deep the contacts lie in their hull."""
         n, noisy = len(force), max(noise) > 0
-        error = inverse.errors(force, moment, noise) if noisy else None
+        rod, down = self.rod.in_space(), self.down
+        error = inverse.errors(force, moment, noise, rod=rod, gravity=down) if noisy else None
         s1, place, turn = (np.zeros(n),) * 3 if error is None else (error.s1, error.largest, _SIGMAS * error.tangent)
         tolerance = np.maximum(tip_sigmas(np.nan_to_num(s1, posinf=0.0)), _TIP)
-        found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise if noisy else None)
+        weights = noise if noisy else None
+        found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=weights, rod=rod, gravity=down)
         known, depth = found.status == inverse.Status.OK, np.zeros(n)
         usable = pressed & known
         rows = np.flatnonzero(usable & ~too_light(place, usable))
@@ -302,7 +308,8 @@ class _Sample:
         if len(rows) > 4:  # fewer lie on their hull
             misfit = depths_in_hull(points, every, every, lines, tangents, errors, length)
             np.maximum.at(depth, rows[np.concatenate([every, lines])], _LARGEST if misfit is None else _beyond(misfit))
-        single = against_single_force(force, moment, found, noise, _SIGMAS, self.radius / length)
+        radius = self.rod.diameter_m / 2 / self.rod.length_m / length
+        single = against_single_force(force, moment, found, noise, _SIGMAS, radius)
         return known, [*map(_beyond, single), depth]
 
 

@@ -59,13 +59,26 @@ class Reactions(NamedTuple):
     """Whether the computation found no equilibrium, after which there are no reactions."""
 
 
-def felt(mesh: Any, tracks: list[Track], length: float, radius: float, model: str) -> list[Reactions]:
-    """The reactions of a rod that sweeps a convex `trimesh.Trimesh`; its length, and its radius in space, in the mesh's unit.
+def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) -> list[Reactions]:
+    """The reactions of a rod that sweeps a convex `trimesh.Trimesh` whose unit is so many metres.
 
     Raises InputError for sweeps that begin in the body, and in the planar model for clamps that do not move along -x of their
     frames.
     """
-    return _felt_in_space(mesh, tracks, length, radius) if model == "spatial" else _felt_in_planes(mesh, tracks, length)
+    length = rod.length_m / metres
+    if model == "spatial":
+        check_simple(rod)
+        return _felt_in_space(mesh, tracks, length, rod.diameter_m / metres / 2)
+    return _felt_in_planes(mesh, tracks, length, rod.in_plane())
+
+
+def check_simple(rod: Rod) -> None:
+    """Raise InputError for rods of which no scan in space is simulated."""
+    if not rod.is_simple:
+        raise InputError(
+            "scans in space are simulated with straight, uniform, weightless rods in rigid clamps; simulate this rod with "
+            "the planar model"
+        )
 
 
 def drawn_friction(bounds: tuple[float, float], samples: int, key: Sequence[int]) -> Array:
@@ -136,7 +149,7 @@ def recorded(
     )
 
 
-def _felt_in_planes(mesh: Any, tracks: list[Track], length: float) -> list[Reactions]:
+def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, rod: planar.Rod) -> list[Reactions]:
     for track in tracks:
         _check_planar(track, length)
     outlines = _outlines(mesh, tracks, length)
@@ -149,7 +162,8 @@ def _felt_in_planes(mesh: Any, tracks: list[Track], length: float) -> list[React
                 raise InputError(_begins_in_body(tracks[k].number))
         base = [_base(tracks[k], length) for k in within]
         contours = [planar.Polygon(outlines[k]) for k in within]
-        swept = planar.sweep_all(contours, [tracks[k].friction for k in within], base=base) if within else []
+        frictions = [tracks[k].friction for k in within]
+        swept = planar.sweep_all(contours, frictions, base=base, rod=rod) if within else []
         results = dict(zip(within, swept, strict=True))
         for k in part:
             reactions.append(_in_plane(tracks[k], results.get(k)))

@@ -153,7 +153,7 @@ def simulate_rig(
     length, radius = real.length_m / metres, real.diameter_m / metres / 2 if model == "spatial" else 0.0
     tracks, members = _tracks(rows, friction, seed, metres)
     _check_begins(mesh, tracks, length, radius)
-    reactions = felt(mesh, tracks, length, radius, model)
+    reactions = felt(mesh, tracks, real, metres, model)
     wrench = np.zeros((len(rows.time), 6))
     for part, where in zip(reactions, members, strict=True):
         wrench[where] = np.hstack([part.force * real.force_unit_N, part.moment * real.moment_unit_Nm])

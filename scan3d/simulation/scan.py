@@ -365,7 +365,9 @@ class AxisScan:
         bounds, samples, seed = self.plan.friction_range, self.plan.samples, self.plan.seed
         friction = [drawn_friction(bounds, samples, [seed, 0, self.number, i, number]) for i, number, _ in aims]
         try:
-            results = planar.sweep_all([planar.Polygon(o) for o in outlines], friction, shares=base_fractions(samples))
+            contours, shares = [planar.Polygon(o) for o in outlines], base_fractions(samples)
+            rod = None if self.plan.rod is None else self.plan.rod.in_plane()
+            results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
         except ValueError as error:
             raise InputError(
                 f"this body can't be swept with a rod {self.length:.3g} {self.plan.unit} long and a clearance of "

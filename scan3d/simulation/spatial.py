@@ -13,7 +13,7 @@ from scan3d.planning.aims import Lines, aimed, rasters
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.simulation.felt import drawn_friction, recorded, rounded_body
+from scan3d.simulation.felt import check_simple, drawn_friction, recorded, rounded_body
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.sweeping import Sweeps, sweep
 from scan3d.spatial.touchdown import passages
@@ -57,6 +57,7 @@ def simulate_spatial(mesh: Any, plan: Plan, progress: Progress | None = None) ->
     metres = UNITS_M[plan.unit]
     vertices = np.asarray(mesh.vertices, dtype=float)
     rod = plan.rod or Rod.of_length(metres * float(np.ptp(vertices, axis=0).max()))
+    check_simple(rod)
     length = rod.length_m / metres
     body, middle = rounded_body(mesh, length, rod.diameter_m / metres / 2)
     points = (vertices - middle) / length

@@ -15,9 +15,9 @@ independent of each other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 import planar
 from planar.arrays import BLOCK
 from planar.elastica import bend_by_half_angle
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import Array, Index, Mask
 from scan3d.spatial import march
 from scan3d.spatial.march import SpatialRod
 
@@ -88,12 +88,19 @@ class SpatialContacts:
     bend in a plane it is the moment about the rod at the contact."""
     skew: Array
     """(n,) residual ``m0·f0``: zero for any single contact force; known in all rows.  Of rods that do not bend in a plane it is
-    that of the contact's moment, over the force."""
+    ``e·F`` with the moment e at the contact."""
     in_plane: bool = True
     """Whether the rods are straight, uniform and weightless, so that each bends in a plane."""
 
     def __len__(self) -> int:
         return len(self.s1)
+
+    def rows(self, rows: Index) -> SpatialContacts:
+        """The contacts of some rows."""
+        columns: dict[str, Any] = {
+            name: column[rows] for name, column in vars(self).items() if isinstance(column, np.ndarray)
+        }
+        return replace(self, **columns)
 
     @property
     def bending_angle(self) -> Array:

@@ -19,7 +19,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from planar.march import grid, tableau
 from planar.rods import Profile
@@ -68,7 +67,7 @@ class Marched(NamedTuple):
     torsion: Array
     """(n,) residual ``e·t`` of the moment along the rod at the contact."""
     skew: Array
-    """(n,) residual ``e·F/f``."""
+    """(n,) residual ``e·F``."""
     several: Mask
     """(n,) where the moment has a second minimum, so that the contact is not certain."""
 
@@ -87,17 +86,17 @@ def contacts(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
 
 
-def free_reactions(rod: SpatialRod, gravity: ArrayLike) -> tuple[Array, Array]:
-    """Support reactions ``f0`` and ``m0`` (3,) of the rod in the air under gravity along a unit vector (3,)."""
-    down = np.asarray(gravity, dtype=float)[:, None]
-    moment = np.zeros((3, 1))
+def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
+    """Support reactions ``f0`` and ``m0`` (3, n) of the rod in the air under gravity along unit vectors (3, n)."""
+    down = np.asarray(gravity, dtype=float)
+    moment = np.zeros_like(down)
     for _ in range(40):  # a clamp that gives turns the rod by its weight
-        state = _start(rod, np.zeros((3, 1)), moment, down)
-        free = _rotated(state[_Q], _hanging(rod, np.zeros(1), state))
+        state = _start(rod, np.zeros_like(down), moment, down)
+        free = _rotated(state[_Q], _hanging(rod, np.zeros(down.shape[1]), state))
         moment, change = free, np.abs(free - moment).max()
         if change < 1e-14:
             break
-    return -rod.profile.weight * down[:, 0], -moment[:, 0]
+    return -rod.profile.weight * down, -moment
 
 
 def _checked_gravity(rod: SpatialRod, gravity: Array | None, force: Array) -> Array:
@@ -216,7 +215,7 @@ def _refine(
             part = part + change
         if rod.profile.weight and correction < _CORRECTIONS - 1:
             offset = offset + _hanging(rod, np.minimum(start + part, 1.0), state) - hanging
-    excess, size = state[_M] - hanging, np.sqrt((state[_N] ** 2).sum(axis=0))
+    excess = state[_M] - hanging
     tangent = _rotated(state[_Q], np.stack([0 * part, 0 * part, np.ones_like(part)]))
     bend = state[:2] / rod.profile.bending_stiffness(start + part) + np.array(rod.curvature)[:2, None]
     turned = _rotated(state[_Q], np.stack([bend[1], -bend[0], 0 * part]))
@@ -224,7 +223,7 @@ def _refine(
     found.point[:, rows] = state[_R] + tangent * change
     moved = tangent + turned * change
     found.tangent[:, rows] = moved / np.sqrt((moved * moved).sum(axis=0))
-    found.torsion[rows], found.skew[rows] = excess[2], (excess * state[_N]).sum(axis=0) / size
+    found.torsion[rows], found.skew[rows] = excess[2], (excess * state[_N]).sum(axis=0)
 
 
 def _hanging(rod: SpatialRod, s: Array, state: Array) -> Array:

@@ -1,0 +1,141 @@
+"""Rods that are not straight, uniform and weightless: their descriptions, their files, and scans with them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import planar
+import scan3d
+from scan3d import Gravity, InputError, Rod
+from scan3d.geometry.distance import distances
+from scan3d.spatial import march
+
+MESH = "meshes/egg.stl"
+WIRE = Rod.wire(0.04, 0.25e-3, 210e9)
+CONE = replace(WIRE, tip_diameter_m=0.1e-3)
+TABLE = Rod(0.04, ((0.0, 4e-5), (0.01, 3e-5), (0.04, 1e-5)))
+CURVED = replace(WIRE, curvature_per_m=-7.5)
+RODS = [
+    CONE,
+    TABLE,
+    CURVED,
+    Rod(0.04, 4e-5, [[0, 3e-4], [0.04, 2e-4]]),
+    replace(WIRE, clamp_compliance_rad_per_Nm=20.0),
+]
+
+
+def test_descriptions_of_one_rod_agree():
+    cone = CONE.in_plane()
+    by_diameters = Rod(0.04, CONE.bending_stiffness_Nm2, ((0.0, 0.25e-3), (0.04, 0.1e-3))).in_plane()
+    np.testing.assert_allclose(cone.profile.diameters, by_diameters.profile.diameters)
+    stiffness = [(s, CONE.bending_stiffness_Nm2 * (1 - 0.6 * s / 0.04) ** 4) for s in np.linspace(0, 0.04, 5)]
+    by_stiffness = Rod(0.04, tuple(stiffness)).in_plane()
+    np.testing.assert_allclose(by_stiffness.profile.diameter(np.linspace(0, 1, 9)), 1 - 0.6 * np.linspace(0, 1, 9))
+    assert WIRE.in_plane() == planar.Rod()
+    assert WIRE.is_simple
+    assert not any(rod.is_simple for rod in RODS)
+    heavy = replace(WIRE, weight_N=0.05, curvature_per_m=(1.0, 2.0, 3.0)).in_space()
+    assert heavy.profile.weight == pytest.approx(0.05 / WIRE.force_unit_N)
+    assert heavy.curvature == pytest.approx((0.04, 0.08, 0.12))
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (dict(tip_diameter_m=-1.0), "tip_diameter_m in metres above 0"),
+        (dict(diameter_m=0.0, tip_diameter_m=1e-4), "needs the diameter_m at its clamp"),
+        (dict(diameter_m=((0, 1e-4), (0.04, 1e-4)), tip_diameter_m=1e-4), "has one of tip_diameter_m"),
+        (dict(bending_stiffness_Nm2=((0, 1e-5), (0.03, 1e-5))), "must rise from 0 to the rod's length"),
+        (dict(bending_stiffness_Nm2=((0, 1e-5), (0.04, -1e-5))), "must be positive"),
+        (dict(bending_stiffness_Nm2="stiff"), "a number or a table"),
+        (dict(curvature_per_m=(1.0, 2.0)), "a number or three"),
+        (dict(curvature_per_m=math.nan), "must be finite"),
+        (dict(weight_N=-1.0), "weight_N of at least 0"),
+    ],
+)
+def test_what_is_no_rod(settings, words):
+    with pytest.raises(InputError, match=words):
+        replace(WIRE, **settings)
+
+
+@pytest.mark.parametrize("rod", RODS)
+def test_planar_scans_with_any_rod_find_the_body(rod, tmp_path):
+    mesh = scan3d.load_mesh(MESH)
+    plan = scan3d.Plan(slices=6, sweeps=3, samples=30, friction=0.3, rod=rod)
+    recording = scan3d.simulate(mesh, plan)
+    scan3d.write_recording(recording, tmp_path / "recording.csv")
+    stored = scan3d.read_recording(tmp_path / "recording.csv")
+    assert replace(stored.rod, diameter_m=rod.diameter_m) == rod
+    cloud = scan3d.reconstruct(stored)
+    length = 1000 * rod.length_m
+    assert len(cloud) > 300
+    assert distances(cloud.points, mesh).max() < 1e-9 * length
+    assert np.nanmedian(cloud.friction) == pytest.approx(0.3, abs=1e-6)
+    # read as straight and uniform the contacts are elsewhere
+    wrong = scan3d.reconstruct(replace(recording, rod=replace(WIRE, bending_stiffness_Nm2=rod.bending_stiffness_Nm2)))
+    assert distances(wrong.points, mesh).max() > 1e-3 * length
+
+
+def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
+    # reactions of a rod in any orientation under its weight, by the march itself with the contact's moment for its start
+    rod = replace(CONE, curvature_per_m=(-3.0, 2.0, 4.0), weight_N=0.001)
+    rng, n = np.random.default_rng(0), 40
+    quaternion = rng.normal(size=(n, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    force, moment = rng.normal(size=(2, n, 3)) * [[[0.3, 0.1, 0.3]], [[0.25, 0.03, 0.25]]]
+    position = rng.normal(size=(n, 3)) * 0.01
+    gravity = Gravity((0.0, 0.0, -2.0), tared=False)
+    columns = dict(sweep=np.zeros(n, int), position_m=position, quaternion=quaternion, rod=rod)
+
+    def recording(force, moment, gravity):
+        force, moment = force * rod.force_unit_N, moment * rod.moment_unit_Nm
+        return scan3d.Recording(
+            **columns,
+            force_N=force[:, :2],
+            force_z_N=force[:, 2],
+            moment_Nm=moment[:, 2],
+            moment_x_Nm=moment[:, 0],
+            moment_y_Nm=moment[:, 1],
+            gravity=gravity,
+        )
+
+    whole = recording(force, moment, gravity)
+    down = whole.down()
+    np.testing.assert_allclose(np.einsum("nij,ni->nj", whole.axes(), down), np.tile([0, 0, -1.0], (n, 1)), atol=1e-12)
+    found = march.contacts(rod.in_space(), force.T, moment.T, down.T)
+    known = found.s1 < 1
+    assert known.sum() > 5
+    from scan3d.reconstruction.contacts import readings
+
+    got = readings(whole).found
+    np.testing.assert_allclose(got.point[known], found.point.T[known], atol=1e-9)
+    # a sensor that was tared in the air shows what the contact adds
+    in_air = march.free_reactions(rod.in_space(), down.T)
+    tared = recording(force - in_air[0].T, moment - in_air[1].T, replace(gravity, tared=True))
+    np.testing.assert_allclose(readings(tared).found.point[known], found.point.T[known], atol=1e-9)
+    scan3d.write_recording(tared, tmp_path / "tared.csv")
+    back = scan3d.read_recording(tmp_path / "tared.csv")
+    assert back.gravity == tared.gravity
+    assert back.rod == rod
+    with pytest.raises(InputError, match="needs \\[gravity\\]"):
+        recording(force, moment, None)
+    with pytest.raises(InputError, match="needs the spatial model"):
+        scan3d.reconstruct(whole, model="planar")
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 0), (1, 2), (np.nan, 0, 1)])
+def test_gravity_needs_a_direction(direction):
+    with pytest.raises(InputError, match="gravity needs a direction"):
+        Gravity(direction, tared=True)
+
+
+def test_scans_in_space_are_simulated_with_simple_rods_only():
+    mesh = scan3d.load_mesh(MESH)
+    with pytest.raises(InputError, match="simulate this rod with the planar model"):
+        scan3d.simulate(mesh, scan3d.Plan(slices=4, model="spatial", rod=CONE))
+    with pytest.raises(InputError, match="needs the spatial model"):
+        scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, weight_N=0.01)))
+    with pytest.raises(InputError, match="out of its clamp's xy plane"):
+        scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, curvature_per_m=(0.0, 1.0, 0.0))))
