@@ -128,17 +128,10 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
     bent = rod.in_plane()
     error = planar.errors(fx, fy, moment, noise=noise, rod=bent)
     columns = np.zeros(len(moment)), fx, fy, moment
-<<<<<<< HEAD
     pressed = felt(recording.force_N / rod.force_unit_N, noise)
     tolerance = tip_tolerance(recording, pressed, contact_tolerance(error), "planar")
-    in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance)
-    touching = pressed & (in_plane.phase != planar.Phase.NONE)
-=======
-    felt = np.hypot(fx, fy) > FORCE_SIGMAS * max(noise)
-    tolerance = tip_tolerance(recording, felt, contact_tolerance(error), "planar")
     in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
-    touching = felt & (in_plane.phase != planar.Phase.NONE)
->>>>>>> ec9e618 (Planar scans with tapered, curved rods and clamps that give; recordings of any rod are read, in space with its weight too)
+    touching = pressed & (in_plane.phase != planar.Phase.NONE)
     light = too_light(error.largest, touching)
     touching &= ~light
     common = _common_friction(in_plane.friction_angle[touching], max(noise)) if tips else None
@@ -310,17 +303,10 @@ def readings(recording: Recording) -> Readings:
     tolerance: float | Array = planar.TOLERANCE
     if error is not None:
         tolerance = tip_sigmas(np.where(np.isfinite(error.s1), error.s1, 0.0))
-<<<<<<< HEAD
     pressed = felt(force, noise)
     tolerance = tip_tolerance(recording, pressed, tolerance, "spatial")
-    found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise)
-    touching = pressed & (found.status == inverse.Status.OK)
-=======
-    felt: Mask = np.linalg.norm(force, axis=1) > FORCE_SIGMAS * max(noise)
-    tolerance = tip_tolerance(recording, felt, tolerance, "spatial")
     found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=noise, rod=bent, gravity=down)
-    touching = felt & (found.status == inverse.Status.OK)
->>>>>>> ec9e618 (Planar scans with tapered, curved rods and clamps that give; recordings of any rod are read, in space with its weight too)
+    touching = pressed & (found.status == inverse.Status.OK)
     light = np.zeros_like(touching) if error is None else too_light(error.largest, touching)
     return Readings(found, error, pressed, touching & ~light, light, noise)
 
