@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from scan3d.cloud import Cloud
-    from scan3d.surfaces import Enclosure, Tuning
+    from scan3d.surfaces import Enclosure
 
 _Path = str | os.PathLike[str]
 _Step = TypeVar("_Step", bound=Callable[..., Any])
@@ -60,10 +60,8 @@ def reconstruct(recording: Recording | _Path, method: str = "closed-form", model
 
 
 @_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")
-def surface(
-    cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None = None, tuning: Tuning | None = None
-) -> trimesh.Trimesh:
-    mesh: trimesh.Trimesh = choice.surface(cloud, method, bounds=bounds, tuning=tuning)
+def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None = None) -> trimesh.Trimesh:
+    mesh: trimesh.Trimesh = choice.surface(cloud, method, bounds=bounds)
     mesh.units = cloud.unit
     return mesh
 

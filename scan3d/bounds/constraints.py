@@ -36,8 +36,8 @@ EXACT = 2e-9
 """Error of an exact contact's place, in rod lengths, and of its tangent, in radians: what solvers and their input leave."""
 # Errors of heights that two slices lie apart at least for a secant between them; at 2 its slope is infinite.
 _APART = 4.0
-# Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's.
-_STRAIGHT = 0.03
+STRAIGHT = 0.03
+"""Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's."""
 # Radius of the ball within which tangents' errors are allowed for, in sizes of the contacts beyond the contacts themselves.
 _BALL = 1.0
 
@@ -263,7 +263,7 @@ def _goes_on_straight(slice_: Slice, behind: tuple[Slice, ...], ahead: tuple[Sli
     across = (h3 - h) / (beyond.height - slice_.height)
     closest = min(abs(slice_.height - nearest.height), abs(nearest.height - next_.height))
     rounding = ROUNDING * np.abs(slice_.value).max() / closest
-    straight: Mask = np.abs(near - far) <= _STRAIGHT * np.abs(near - across) + rounding
+    straight: Mask = np.abs(near - far) <= STRAIGHT * np.abs(near - across) + rounding
     return straight
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
 from scan3d.geometry.triangles import dot
-from scan3d.geometry.vectors import across
+from scan3d.geometry.vectors import across, highest
 
 # Distance, in sizes of the body, of the planes that close a polytope.
 _FAR = 2.0
@@ -79,7 +79,7 @@ def cut_polytope(first: Array, others: Array, inside: Array, size: float, tolera
 
 def clipped(vertices: Array, planes: Array) -> Array:
     """Vertices (w, 3) of what planes (k, 4) leave of the hull of points (v, 3); the points themselves if none cuts it."""
-    heights = (vertices @ planes[:, :3].T).max(axis=0) - planes[:, 3]
+    heights = highest(vertices, planes[:, :3]) - planes[:, 3]
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     cutting = planes[heights > NEGLIGIBLE * size]
     middle = vertices.mean(axis=0)

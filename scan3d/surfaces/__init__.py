@@ -2,7 +2,6 @@
 
 from scan3d.bounds import Certificate, Enclosure, Gap, certificate, enclosure
 from scan3d.choices import METHODS
-from scan3d.surfaces.between import Tuning
 from scan3d.surfaces.choice import surface
 
-__all__ = ["METHODS", "Certificate", "Enclosure", "Gap", "Tuning", "certificate", "enclosure", "surface"]
+__all__ = ["METHODS", "Certificate", "Enclosure", "Gap", "certificate", "enclosure", "surface"]

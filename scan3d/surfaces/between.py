@@ -1,4 +1,4 @@
-"""An estimate of where the true surface lies between the inner and the outer body.
+"""An estimate of where the true surface lies between the hull of the contacts and the outer body.
 
 Notation.  At a fixed angle θ of the in-plane normal, the support function h(θ, z) is concave in the height z.  A slab of
 thickness d lies between two slices, and its *chord* is the straight line between the values of h at the two.  Let σ be the
@@ -11,7 +11,7 @@ below the neighbouring secants, which join each slice to the one behind it: extr
 *secants' apex*, a corner of the outer body.  How close to that corner the true surface comes depends on how the turn is
 distributed over the slab:
 
-- If the slopes behind both ends are constant, the body is taken for a polyhedron, whose turn is concentrated in a crease. The
+- If they are constant behind both ends, the body is taken for a polyhedron, whose turn is concentrated in a crease.  The
   surface reaches the corner.
 - If they change steadily, the turn is taken to be distributed evenly.  Then h is a parabola, which passes d τ/8 above the chord
   at mid-height, half as high as the tangents' apex.
@@ -20,136 +20,136 @@ distributed over the slab:
   d τl/4 below the apex, where 2l is the length of the arc relative to d.  If the slope of the straight part falls slightly
   towards the slab, the arc has begun before the slice.
 
-In the cells between slices along several axes the estimate is a fraction of the way from the hull to the corners.  Of a
-polyhedron the surface reaches them; of a body that is bent evenly it passes at a quarter of the way, as a parabola does.  Which
-fraction predicts held-out slices best is tried.
+Three slices on either side may mislead, so that the same fraction of the way to the corners is tried everywhere as well: which
+of them predicts held-out slices best is found by cross-validation.  In the cells between slices along several axes there is no
+other estimate.  Past the end slices nothing tells where the body ends, and half way the error is at most half the gap.
 
 The estimate rests on assumptions about the body.  The certificate does not: it holds whether or not the estimate is good.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.bounds.cells import applicable, cells_of_cloud
+from scan3d.bounds.constraints import STRAIGHT
+from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.geometry.hulls import hull
+from scan3d.geometry.merging import distance_of_readers, kept_apart
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
 
-FRACTIONS = (0.25, 0.4, 0.7, 1.0)
-"""Fractions of the way from the hull of the contacts to the corners."""
-# Gaps, over the size of the body, that are left out.
-_LEAST = 1e-7
-# Where between two slices contours are estimated, as fractions of the slab's thickness.
-_CONTOUR_FRACTIONS = (1 / 3, 2 / 3)
-# Every second point of an estimated contour is left out that is nearer to the chord of its neighbours than this fraction of the
-# widest slice: contours have the angles of two slices.
-_SAGITTA = 2e-5
+FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Fractions of the way from the hull of the contacts to the corners of the outer body that are tried; 0 is the hull alone, an
+evenly bent body passes at 0.25, and a polyhedron at 1."""
+UNKNOWN = 0.5
+"""The fraction where nothing tells how far the body reaches: the error is at most half the gap."""
 
 
-@dataclass(frozen=True)
-class Tuning:
-    """Numbers of the estimate between the bounds; a fraction is 0 at the inner body and 1 at an outer corner.
+class Gaps(NamedTuple):
+    """The largest gaps in the slabs between the slices along one axis."""
 
-    None of them affects the enclosure.  ``tests/benchmarks/tuning.py`` prints the error over each of them.
+    axis: Array
+    """(3,)"""
+    heights: Array
+    """(s,) of the slices."""
+    gap: Array
+    """(s + 1,) slab i lies below slice i."""
+
+
+class Room(NamedTuple):
+    """Where a body may reach beyond the hull of its contacts."""
+
+    points: Array
+    """(n, 3) the contacts."""
+    foot: Array
+    """(w, 3) points of the hull of the contacts, nearest to the corners of the outer body."""
+    away: Array
+    """(w, 3) from there to the corners."""
+    local: Array
+    """(w,) fraction of the way by the turn in each slab."""
+    past: Mask
+    """(w,) whether a corner lies past the end slices."""
+    contours: Array
+    """(m, 3) points on estimated contours between the slices."""
+    axes: list[Gaps]
+    """Of each axis."""
+
+    def gap_at(self, points: Array) -> Array:
+        """(n,) the largest distance from the hull to the outer body in the slabs that points (n, 3) lie in, or between."""
+        gap = np.full(len(points), np.inf)
+        for axis, heights, of_slab in self.axes:
+            near = NEGLIGIBLE * np.ptp(heights)
+            sides = (of_slab[np.searchsorted(heights, points @ axis + off)] for off in (-near, near))
+            gap = np.minimum(gap, np.maximum(*sides))
+        return gap
+
+
+def _gaps(stack: SliceStack, number: Index, gap: Array) -> Gaps:
+    """The largest gaps, from gaps (w,) at corners in slabs (w,)."""
+    largest = np.zeros(len(stack.slices) + 1)
+    np.maximum.at(largest, number, gap)
+    return Gaps(stack.frame[2], stack.heights, largest)
+
+
+def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = False) -> Room:
+    """The room that contacts in slices leave, taken as they are: noise may let the body reach farther.
+
+    bounds
+        the enclosure of the cloud, if it has been computed already.
+    by_cells
+        whether the corners are those of the cells between the slices of several axes, where there are any, instead of those
+        of the slabs along one.
     """
-
-    unknown: float = 0.5
-    """Fraction in the caps and where slices lack normals: the error is at most half the gap."""
-    damping: float = 0.6
-    """Weight by which every estimated fraction is drawn towards `unknown`, unless the body is bent everywhere: where the
-    estimate is wrong, as where facets end within two slices of each other, the error is smaller."""
-    unseen_corners: float = 0.3
-    """Fraction of the remaining distance to the corner that is added for a polyhedron where too few slices show its planes."""
-    straight: float = 0.03
-    """Slopes beyond a slab are equal if they differ by less than this fraction of their difference to the slab's."""
-    parabola: float = 0.25
-    """Height of an evenly sliced parabola above the chord, relative to that of the secants' apex: used where slices on one
-    side only are known.  It follows from the geometry of a parabola."""
-    crease: float = 0.7
-    """Fraction where a curved body with some edges goes on straight on both sides of a slab."""
-    sharp_advantage: float = 0.9
-    """Sharp edges are chosen only if their error at held-out slices is below this many times that of bent ones."""
-    round_advantage: float = 0.95
-    """As `sharp_advantage`, for a body that is bent everywhere."""
-    flat_advantage: float = 0.8
-    """As `sharp_advantage`, for a body that is flat between its slices, which is the hull but for the caps."""
-    fit_gain: float = 0.65
-    """The fitted body is chosen if its error at held-out slices is below this many times that of the estimate between the
-    bounds.  With all slices the error of the estimate falls to about two thirds, that of the fit stays."""
-    fit_close: float = 0.1
-    """The fitted body of exact contacts is chosen, and no estimate between the bounds is made, if its error at held-out slices
-    is below this fraction of the hull's bound.  Of smooth bodies the best estimate has errors of 0.16 to 0.57 of the bound."""
-    proven: float = 1e-4
-    """A hull with a bound this small, relative to the diagonal, is taken as it is."""
+    by_axis = stacks(cloud)
+    if by_cells and applicable(cloud, by_axis):
+        cells = cells_of_cloud(cloud, by_axis, hull(cloud.points))
+        axes = [_gaps(stack, cells.number[cells.cell, k], cells.gap) for k, stack in enumerate(by_axis)]
+        open_ = np.isfinite(cells.gap) & (cells.gap > 0)
+        foot, past = cells.foot[open_], np.zeros(int(open_.sum()), dtype=bool)
+        away, half_way = cells.corners[open_] - foot, np.full(len(foot), UNKNOWN)
+        return Room(cloud.points, foot, away, half_way, past, np.empty((0, 3)), axes)
+    if bounds is None or bounds.margin or bounds.confidence < 1:
+        bounds = slice_enclosure(cloud, margin=0.0)
+    slabs = bounds.slabs
+    assert slabs is not None
+    open_ = np.isfinite(bounds.gap) & (bounds.gap > 0)
+    foot, past = slabs.foot[open_], np.isin(slabs.number[open_], (0, len(slabs.stack.slices)))
+    away, axes = bounds.corners[open_] - foot, [_gaps(slabs.stack, slabs.number, bounds.gap)]
+    local = _local(slabs.stack, slabs.number[open_], away)
+    return Room(cloud.points, foot, away, local, past, contours_between(slabs.stack), axes)
 
 
-class Edges(Enum):
-    """What is assumed of the body where it goes on straight on both sides of a slab."""
-
-    NONE = "none"
-    """The body is flat between its slices: the surface is that of the hull, except in the caps."""
-    SOME = "some"
-    """The body is curved, with some edges: the surface lies at the fraction `Tuning.crease` of the distance to the corner."""
-    ROUND = "round"
-    """The body is curved everywhere: as `SOME`, but the estimated fractions are not drawn towards `Tuning.unknown`."""
-    SHARP = "sharp"
-    """The body is a polyhedron: the surface reaches the outer corner."""
+def _local(stack: SliceStack, number: Index, away: Array) -> Array:
+    """(w,) fractions of the way to corners in slabs (w,), by the turns in the directions (w, 3) to them."""
+    x, y = stack.frame[:2] @ away.T
+    angle, found = np.arctan2(y, x), np.empty(len(away))
+    for i in np.unique(number):
+        found[number == i] = _turn(stack, int(i), angle[number == i]).fraction()
+    return found
 
 
-def fractions(
-    stack: SliceStack, away: Array, slab: Index, straight: Mask, assumed: Sequence[Edges], tuning: Tuning
-) -> list[Array]:
-    """Estimated distances (w,) of the surface from the inner body, as fractions of the distances to the outer body's corners,
-    by each of the assumptions on the edges.
-
-    away
-        (w, 3) vectors from the inner body's nearest points to the corners.
-    slab, straight
-        (w,) and (w, 2), the corners' as in the `Enclosure`.
-    """
-    in_cap = (slab == 0) | (slab == len(stack.slices))
-    flat = np.where(in_cap, tuning.unknown, 0.0)
-    if all(edges is Edges.NONE for edges in assumed):
-        return [flat for _ in assumed]
-    across = away @ stack.frame[:2].T
-    angle = np.arctan2(across[:, 1], across[:, 0])
-    known, turn_is_straight = np.full(len(angle), tuning.unknown), np.zeros(len(angle), dtype=bool)
-    for i in np.unique(slab):
-        rows = slab == i
-        turn = _turn(stack, int(i), angle[rows], tuning)
-        # where slices on one side only are known, the fraction of a parabola; in the caps nothing is known
-        one_sided = tuning.unknown if i in (0, len(stack.slices)) else tuning.parabola
-        known[rows], turn_is_straight[rows] = turn.fraction(one_sided), turn.straight
-
-    def by(edges: Edges) -> Array:
-        if edges is Edges.NONE:
-            return flat
-        damping = 0.0 if edges is Edges.ROUND else tuning.damping
-        fraction = (1 - damping) * known + damping * tuning.unknown
-        if edges is Edges.SHARP:
-            # a polyhedron is straight on both sides, even where too few slices show it
-            fraction = np.where(in_cap, fraction, fraction + tuning.unseen_corners * (1 - fraction))
-            return np.where(straight.any(axis=1), 1.0, fraction)
-        return np.where(turn_is_straight, tuning.crease, fraction)
-
-    return [by(edges) for edges in assumed]
+def between(found: Room, fraction: Array | float) -> Any:
+    """The estimate at a fraction of the way from the hull to the outer body, a `trimesh.Trimesh`."""
+    way = np.where(found.past, UNKNOWN, fraction)
+    points = np.concatenate([found.points, found.foot + way[:, None] * found.away])
+    if np.any(way[~found.past]):
+        points = np.concatenate([points, found.contours])
+    # the hull of what its readers would merge would have to be computed again
+    return hull(points[kept_apart(points, 2 * distance_of_readers(points))])
 
 
-def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
+def contours_between(stack: SliceStack) -> Array:
     """Points (n, 3) in the world on estimated contours of the body, at one and two thirds of the height between its slices.
 
     Where a flat face ends inside a slab, the outer body has few corners; the contours go all around the body.
     """
     contours = [np.empty((0, 3))]
-    size = max(float(np.ptp(slice_.points, axis=0).max()) for slice_ in stack.slices)
     for i in range(1, len(stack.slices)):
         below, above = stack.slices[i - 1], stack.slices[i]
         if not all(slice_.closed and len(slice_.outline) for slice_ in (below, above)):
@@ -157,15 +157,15 @@ def contours_between(stack: SliceStack, tuning: Tuning) -> Array:
         before = stack.slices[i - 2] if i > 1 else None
         after = stack.slices[i + 1] if i + 1 < len(stack.slices) else None
         angle = np.concatenate([below.angle, above.angle])
-        turn = _turn(stack, i, angle, tuning)
+        turn = _turn(stack, i, angle)
         support = stack.supports(angle, i - 1, i + 1)
         middle = np.stack([slice_.outline.mean(axis=0) for slice_ in (below, above)])
-        for up in _CONTOUR_FRACTIONS:
+        for up in (1 / 3, 2 / 3):
             mix = np.array([1 - up, up])
             level = below.height + up * (above.height - below.height)
             upper = np.concatenate([_extrapolated(below, before, level), _extrapolated(above, after, level)])
-            contour = _contour(angle, np.minimum(mix @ support + turn.above_chord(up), upper), mix @ middle)
-            contour = _thinned(contour, _SAGITTA * size)
+            # every second point, since the contour has the angles of two slices
+            contour = _contour(angle, np.minimum(mix @ support + turn.above_chord(up), upper), mix @ middle)[::2]
             contours.append(np.column_stack([contour, np.full(len(contour), level)]) @ stack.frame)
     return np.concatenate(contours)
 
@@ -204,16 +204,6 @@ def _contour(angle: Array, support: Array, inside: Array) -> Array:
     return middles
 
 
-def _thinned(points: Array, limit: float) -> Array:
-    """The points (n, 2) around a contour, without every second one nearer than a limit to the chord of its neighbours."""
-    odd = np.arange(1, len(points), 2)
-    before, after = points[odd - 1], points[(odd + 1) % len(points)]
-    chord, way = after - before, points[odd] - before
-    off = np.abs(chord[:, 0] * way[:, 1] - chord[:, 1] * way[:, 0])
-    kept: Array = np.delete(points, odd[off < limit * np.linalg.norm(chord, axis=1)], axis=0)
-    return kept
-
-
 @dataclass(frozen=True)
 class _Turn:
     """How the slope ∂h/∂z turns in a slab, at angles (n,) of the normal; NaN where there are too few slices.
@@ -231,18 +221,16 @@ class _Turn:
     """Height of the secants' apex above the chord, divided by d."""
     half_arc: Array
     """l, half the length of the arc about the tangents' apex, divided by d."""
-    straight: Mask
-    """Whether the body goes on straight behind both ends."""
 
-    def fraction(self, unknown: float) -> Array:
-        """Height of h above the chord at the tangents' apex, divided by that of the secants' apex; `unknown` if not known.
+    def fraction(self) -> Array:
+        """Height of h above the chord at the tangents' apex, divided by that of the secants' apex; `UNKNOWN` if not known.
 
         That is ``(ρφ/τ - τl/4) / secant_apex``, clipped to the interval from 0 to 1.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             turn = self.rise + self.fall
             fraction = (self.rise * self.fall / turn - turn * self.half_arc / 4) / self.secant_apex
-        return np.where(np.isfinite(fraction), np.clip(fraction, 0.0, 1.0), unknown)
+        return np.where(np.isfinite(fraction), np.clip(fraction, 0.0, 1.0), UNKNOWN)
 
     def above_chord(self, up: float) -> Array:
         """Height (n,) of h above the chord at the fraction `up` of the thickness, u.
@@ -261,7 +249,7 @@ class _Turn:
         return above
 
 
-def _turn(stack: SliceStack, i: int, angle: Array, tuning: Tuning) -> _Turn:
+def _turn(stack: SliceStack, i: int, angle: Array) -> _Turn:
     """The turn in the slab below slice i, at angles (n,)."""
     # three slices on either side; of the five slabs between them, with their thicknesses and secants, number 2 is this one
     h = stack.supports(angle, i - 3, i + 3)
@@ -271,8 +259,8 @@ def _turn(stack: SliceStack, i: int, angle: Array, tuning: Tuning) -> _Turn:
     ]
     thickness = np.diff(np.array(z))
     secant = np.diff(h, axis=0) / thickness[:, None]
-    below = _End(secant[0] - secant[2], secant[1] - secant[2], thickness[1], thickness[2], tuning.straight)
-    above = _End(secant[2] - secant[4], secant[2] - secant[3], thickness[3], thickness[2], tuning.straight)
+    below = _End(secant[0] - secant[2], secant[1] - secant[2], thickness[1], thickness[2])
+    above = _End(secant[2] - secant[4], secant[2] - secant[3], thickness[3], thickness[2])
     curvature = np.fmax(below.curvature(), above.curvature())
     rise, fall = below.slope(curvature), above.slope(curvature)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -281,7 +269,7 @@ def _turn(stack: SliceStack, i: int, angle: Array, tuning: Tuning) -> _Turn:
         to_end = np.minimum(rise, fall) / (rise + fall)
         half_arc = to_end * np.minimum(1.0, 2 * curvature * to_end * thickness[2] / (rise + fall))
         secant_apex = below.near * above.near / (below.near + above.near)
-    return _Turn(float(thickness[2]), rise, fall, secant_apex, half_arc, below.straight & above.straight)
+    return _Turn(float(thickness[2]), rise, fall, secant_apex, half_arc)
 
 
 @dataclass(frozen=True)
@@ -300,13 +288,11 @@ class _End:
     """d'"""
     thickness: float
     """d, the thickness of the slab itself."""
-    tolerance: float
-    """The body is straight behind the end if η and ν differ by no more than this fraction of ν."""
 
     @property
     def straight(self) -> Mask:
         """(n,) whether the body goes on straight behind the end."""
-        equal: Mask = np.abs(self.far - self.near) <= self.tolerance * np.abs(self.near)
+        equal: Mask = np.abs(self.far - self.near) <= STRAIGHT * np.abs(self.near)
         return equal
 
     def curvature(self) -> Array:
@@ -329,22 +315,3 @@ class _End:
             before = np.minimum(before, self.near_thickness)
         arc = np.minimum(self.near, np.maximum(self.far - curvature * before, curvature * self.thickness / 2))
         return np.where(self.straight, np.where(curvature > 0, arc, self.near), parabola)
-
-
-def has_cells(cloud: Cloud) -> bool:
-    """Whether a cloud has `between_cells`; a part of its slices may have them where all are too many."""
-    return applicable(cloud, stacks(cloud))
-
-
-def between_cells(cloud: Cloud, tried: Iterable[float] = FRACTIONS) -> Iterator[tuple[float, Any]]:
-    """Fractions and their estimates; none unless the contacts are exact and in slices along several axes."""
-    by_axis = stacks(cloud)
-    if not applicable(cloud, by_axis):
-        return
-    inner = hull(cloud.points)
-    found = cells_of_cloud(cloud, by_axis, inner)
-    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    rows = np.isfinite(found.gap) & (found.gap > _LEAST * size)
-    away = found.corners[rows] - found.foot[rows]
-    for fraction in tried:
-        yield fraction, hull(np.concatenate([cloud.points, found.foot[rows] + fraction * away]))

@@ -14,13 +14,14 @@ L. Hannah and D. Dunson, *Multivariate convex regression with adaptive partition
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
@@ -32,29 +33,21 @@ from scan3d.reconstruction.slices import stacks
 # Decrease of the sum of squared misfits for which a plane is added, and below which it is left out. Its three parameters alone
 # explain 3 on average; Akaike's criterion asks for 6.
 _GAIN = 10.0
-# Contacts that each half of a split plane has at least.
-_HALF = 8
-# Contacts of a plane at least, which has three parameters.
+# Contacts of a plane at least, which has three parameters; a half of a split plane has twice as many.
 _FEWEST = 4
-# Standard deviation of a plane's turn in one step, in radians. It keeps planes whose contacts lie on a line from turning about
-# it.
+# Standard deviation of a plane's turn in one step, in radians, and its largest tangent. It keeps planes whose contacts lie on a
+# line from turning about it.
 _TURN = 0.3
-# Largest tangent of a turn in one step.
-_LARGEST_TURN = 0.5
 # Squared misfit from which on a contact is an outlier, where the median of the squared misfits is that of Gaussian errors.
 _OUTLIER, _MEDIAN = 25.0, 0.455
-# Steps of assignment and least squares between two splits at most, and rounds of splits, each of which may double the planes.
-_STEPS, _ROUNDS = 20, 16
+# Steps of assignment and least squares between two splits at most.
+_STEPS = 20
 # Rounds without improvement after which the splits end.
 _PATIENCE = 3
 # Directions across a plane in which it may be split.
 _DIRECTIONS = 6
-# Subdivisions of the icosahedron by whose directions contacts are first grouped.
-_CELLS = 1
 # Contacts that are fitted at most, evenly spread over all.
 _MOST = 20_000
-# Rows of a matrix of contacts and planes that are computed at once.
-_BLOCK = 4000
 # A vertex counts where each of its planes has contacts within this many median distances between neighbouring contacts; other
 # vertices are drawn half way to the contacts.
 _NEAR = 8.0
@@ -95,8 +88,7 @@ class Planes:
     def highest(self, points: Array) -> Index:
         """(n, 2) planes that the points (n, 3) lie highest over, and second highest."""
         found = np.empty((len(points), 2), dtype=np.intp)
-        for first in range(0, len(points), _BLOCK):
-            block = slice(first, first + _BLOCK)
+        for block in np.array_split(np.arange(len(points)), 1 + len(points) * len(self) // AT_ONCE):
             heights = points[block] @ self.normals.T - self.offsets
             rows = np.arange(len(heights))
             found[block, 0] = heights.argmax(axis=1)
@@ -140,7 +132,7 @@ def _groups(points: Array, normals: Array) -> Index:
     direction = np.where(known[:, None], normals, points - points.mean(axis=0))
     if known.any():
         direction[~known] = normals[known][cKDTree(points[known]).query(points[~known])[1]]
-    group: Index = (direction @ icosphere(subdivisions=_CELLS).vertices.view(np.ndarray).T).argmax(axis=1)
+    group: Index = (direction @ icosphere(subdivisions=1).vertices.view(np.ndarray).T).argmax(axis=1)
     return group
 
 
@@ -150,7 +142,7 @@ def fit_planes(contacts: Contacts, group: Index) -> Planes:
     group = _numbered(group)
     planes, group = _fitted(contacts, _means(unit(points - points.mean(axis=0)), group), group)
     best, best_round, least = planes, 0, np.inf
-    for number in range(_ROUNDS):
+    for number in itertools.count():
         for _ in range(_STEPS):
             before, (planes, group) = group, _refitted(contacts, planes)
             if np.array_equal(before, group):
@@ -197,7 +189,7 @@ def _fitted(contacts: Contacts, normals: Array, group: Index) -> tuple[Planes, I
     ridge = 1 / _TURN**2 + ROUNDING * np.trace(matrix, axis1=1, axis2=2)
     matrix += ridge[:, None, None] * np.eye(2)
     slope = np.linalg.solve(matrix, _sums(group, weight, flat * height[:, None], count)[..., None])[..., 0]
-    slope *= (np.minimum(size := np.linalg.norm(slope, axis=1), _LARGEST_TURN) / np.maximum(size, 1e-300))[:, None]
+    slope *= (np.minimum(size := np.linalg.norm(slope, axis=1), _TURN) / np.maximum(size, 1e-300))[:, None]
     first, second = across(normals)
     turned = unit(normals - slope[:, :1] * first - slope[:, 1:] * second)
     return Planes(turned, (turned * centre).sum(axis=1)), group
@@ -247,10 +239,10 @@ def _split(contacts: Contacts, planes: Planes, group: Index) -> Planes:
         decrease = np.where(inwards, product**2 / np.maximum(square, 1e-300), 0.0) * size**2
         better = decrease > gain
         gain[better], angle[better], bend[better] = decrease[better], direction, product[better] / square[better]
-    divided = (gain > _GAIN) & (np.bincount(group, minlength=count) >= 2 * _HALF)
+    divided = (gain > _GAIN) & (np.bincount(group, minlength=count) >= 4 * _FEWEST)
     first, second = across(planes.normals)
     direction = (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)[divided]
-    step = np.minimum(-bend[divided], _LARGEST_TURN)[:, None] * direction
+    step = np.minimum(-bend[divided], _TURN)[:, None] * direction
     halves = unit(np.concatenate([planes.normals[divided] - step, planes.normals[divided] + step]))
     offsets = (halves * np.tile(centre[divided], (2, 1))).sum(axis=1)
     return Planes(

@@ -1,4 +1,4 @@
-"""Estimates of a convex surface from contacts anywhere, with normals, and their cross-validation by held-out sweeps.
+"""Estimates of a convex surface from contacts anywhere, with normals.
 
 Between neighbouring contacts i and j of a curved surface the middle of the chord lies ``<n_j - n_i, p_j - p_i> / 8`` below the
 surface, to the third order of the chord's length.  A surface with edges is estimated by the planes in which several contacts
@@ -7,105 +7,32 @@ lie, which meet in its edges and vertices, and by the tangent planes of the cont
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array, Index, Mask, evenly
+from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.polytopes import cut_polytope, plane_faces
-from scan3d.geometry.support import fit_support
-from scan3d.surfaces.cross_validation import HeldOutError, error_of_fit, error_of_surface
-from scan3d.surfaces.regression import regression
 
 # Distance from a plane, in diagonals, of the contacts that lie in it.
 _PLANE = 5e-6
 # Depth, in diagonals, of the smallest cut by a contact's tangent plane.
 _CUT = 1e-4
-# Fraction of the contacts that lie in plane faces of a body with edges.
-_IN_FACES = 0.05
-# Standard deviation of a normal, in radians, above which its contact does not count for a body with edges, if half of the
-# normals are better known.
-_WELL_KNOWN = 1e-3
-# Contacts whose tangent planes limit the estimate of a place.
+# Contacts beside a place whose normals tell how the body is bent there.
 _BESIDE = 32
 # Where contacts beside the ends of an edge of the hull, nearer than the first part of its length, leave no more than the second
 # part of the turn from end to end, both lie on edges of the body. Of a surface that curves evenly they leave as much as 1 less
-# twice the first part. The third number is that of the contacts beside each end; more take longer.
-_AT_END, _AS_MUCH, _AROUND = 0.2, 0.55, 32
+# twice the first part.
+_AT_END, _AS_MUCH = 0.2, 0.55
 # Tangent planes that are used at most.
 _TANGENT_PLANES = 6000
-# Sweeps with contacts that are needed before any is held out.
-_FEWEST_SWEEPS = 6
-# Every how-many-th sweep is held out, and the number of held-out contacts at most.
-_EVERY, _HELD_OUT = 4, 3000
-# Contacts that are kept at most for cross-validation, evenly spread over all.
-_KEPT = 12_000
 
 
-REGRESSION = "planes fitted to the contacts with their uncertainties"
-"""What the estimate by convex regression is called."""
-
-
-class HeldOutErrors(NamedTuple):
-    """Errors at held-out sweeps."""
-
-    estimate: HeldOutError
-    """Of the best estimate."""
-    fit: HeldOutError | None
-    """Of the fitted body; None if the body was not fitted."""
-
-
-def best_estimate(cloud: Cloud, *, with_fit: bool) -> tuple[Any, str, HeldOutErrors | None]:
-    """The estimate that predicts held-out sweeps best, what it is, and the errors; the errors are None with too few sweeps.
-
-    Raises InputError for contacts that do not span a body.
-    """
-    cloud = cloud.select(np.flatnonzero(np.isfinite(cloud.points + cloud.normals).all(axis=1)))
-    parts = _hold_out_sweeps(cloud)
-    if parts is None:
-        return hull(cloud.points), "convex hull of the contacts", None
-    kept, held_out = parts
-    estimates = dict(_ESTIMATES)
-    if with_fit and cloud.noisy:
-        estimates[REGRESSION] = _regression
-    errors = {name: error_of_surface(estimate(kept), held_out) for name, estimate in estimates.items()}
-    best = min(errors, key=lambda name: errors[name].rms)
-    fit = None
-    if with_fit and cloud.fit is not None:
-        near = cKDTree(kept.points).query(held_out.points)[1]
-        fitted = fit_support(kept.points, kept.normals, cloud.fit.degree, kept.sd_along(kept.normals))
-        fit = error_of_fit(fitted, held_out, kept.normals[near])
-    return estimates[best](cloud), best, HeldOutErrors(errors[best], fit)
-
-
-def _hold_out_sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
-    """The cloud without every fourth sweep, and the cloud of held-out contacts; None with too few sweeps."""
-    sweeps, number = np.unique(cloud.sweep, return_inverse=True)
-    if len(sweeps) < _FEWEST_SWEEPS:
-        return None
-    held_out = number % _EVERY == _EVERY // 2
-    rows = np.flatnonzero(held_out)
-    rows = evenly(rows, _HELD_OUT)
-    kept = np.flatnonzero(~held_out)
-    kept = kept[:: -(-len(kept) // _KEPT)]
-    return replace(cloud.select(kept), fit=None, fit_error=np.inf), cloud.select(rows)
-
-
-def _regression(cloud: Cloud) -> Any:
-    return regression(cloud)[0]
-
-
-def _hull(cloud: Cloud) -> Any:
-    return hull(cloud.points)
-
-
-def _curved(cloud: Cloud) -> Any:
+def curved(cloud: Cloud) -> Any:
     """The hull with the middles of its edges moved out onto the curved surface, but for edges in plane faces."""
     points, normals = cloud.points, cloud.normals
     try:
@@ -151,7 +78,7 @@ def _between_edges(cloud: Cloud, ends: Index) -> Mask:
     turn = ((normals[ends[:, 1]] - normals[ends[:, 0]]) * chord).sum(axis=1)
     near_to = _AT_END * np.linalg.norm(chord, axis=1)[:, None]
     known, end = np.unique(ends, return_inverse=True)
-    distance, near = cKDTree(points).query(points[known], k=np.arange(1, min(_AROUND, len(points)) + 1))
+    distance, near = cKDTree(points).query(points[known], k=np.arange(1, min(_BESIDE, len(points)) + 1))
     least = np.zeros(len(ends))
     for rows, towards in zip(end.reshape(ends.shape).T, (-1, 1), strict=True):
         along = towards * np.einsum("nkj,nj->nk", normals[near[rows]], chord)
@@ -181,19 +108,18 @@ def _room(cloud: Cloud, opposite: Index, places: Array, outward: Array) -> Array
 
 
 def _well_known(cloud: Cloud) -> Index:
-    """The contacts whose normals are well known, or the better half of all."""
+    """The contacts whose normals are known better than in the median, or as well."""
     assert cloud.normal_sd is not None
-    return np.flatnonzero(cloud.normal_sd <= max(_WELL_KNOWN, float(np.median(cloud.normal_sd))))
+    return np.flatnonzero(cloud.normal_sd <= np.median(cloud.normal_sd))
 
 
-def _with_edges(cloud: Cloud) -> Any:
+def with_edges(cloud: Cloud) -> Any:
     """The polytope of the plane faces, cut by the contacts' tangent planes."""
     if cloud.normal_sd is not None:
         cloud = cloud.select(_well_known(cloud))
     points, normals, diagonal = cloud.points, cloud.normals, _diagonal(cloud)
     faces = plane_faces(points, _PLANE * diagonal)
-    in_face = (faces[:, 3, None] - faces[:, :3] @ points.T <= _PLANE * diagonal).any(axis=0)
-    if in_face.mean() < _IN_FACES:
+    if not len(faces):
         return hull(points)
     tangent = np.column_stack([normals, (normals * points).sum(axis=1)])
     tangent = tangent[:: -(-len(tangent) // _TANGENT_PLANES)]
@@ -203,10 +129,3 @@ def _with_edges(cloud: Cloud) -> Any:
 
 def _diagonal(cloud: Cloud) -> float:
     return float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-
-
-_ESTIMATES: dict[str, Callable[[Cloud], Any]] = {
-    "convex hull of the contacts": _hull,
-    "curved between the contacts": _curved,
-    "a polyhedron's, with sharp edges": _with_edges,
-}
