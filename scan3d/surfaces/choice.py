@@ -25,9 +25,6 @@ from scan3d.surfaces.regression import regression
 
 # A hull with a bound this small, over the diagonal, is taken as it is.
 _PROVEN = 1e-4
-# The fitted body of exact contacts is taken, and no other estimate made, if its error at held-out contacts is below this
-# fraction of the hull's bound: of smooth bodies the best other estimate has errors of 0.16 to 0.57 of the bound.
-_CLOSE = 0.1
 Estimates = dict[str, Callable[[], Any]]
 """Estimates of a surface by what they are, in words."""
 
@@ -99,10 +96,15 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return f"held-out {sweeps} lie within {error.largest:.2g} {cloud.unit}"
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
-    close = _CLOSE * bounds.bound if np.isfinite(bounds.bound) and not cloud.noisy else 0.0
-    if fit is not None and fit.largest <= close:
-        return _fitted(cloud, lie_within(fit))
-    estimates, of_kept, falls = _estimates(cloud, bounds, kept, held_out)
+    by_cells = bounds.tighter is not None
+    of_kept, part = _estimates(kept, None, by_cells)
+    if fit is not None and not cloud.noisy:
+        # a body with a close fit is smooth: of the other estimates the first is the best, or nearly
+        first = next(iter(of_kept.values()))
+        if fit.largest <= error_of_surface(first(), held_out).largest:
+            return _fitted(cloud, lie_within(fit))
+    estimates, whole = _estimates(cloud, bounds, by_cells)
+    falls = _falls(part, whole, held_out)
     errors = {name: error_of_surface(make(), held_out, falls) for name, make in of_kept.items()}
     best = min(errors, key=lambda name: errors[name].expected)
     regressed = None
@@ -121,35 +123,18 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     return _labelled(mesh, "bracket", f"{best}: {lie_within(errors[best])}")
 
 
-def _estimates(
-    cloud: Cloud, bounds: Enclosure, kept: Cloud, held_out: Cloud
-) -> tuple[Estimates, Estimates, Array | float]:
-    """The estimates from a cloud, those from its kept part, and by which factor their errors at held-out contacts differ.
-
-    Each is computed when it is called.  Between slices the error is taken to fall as the room between the hull and the outer
-    body does.
-    """
+def _estimates(cloud: Cloud, bounds: Enclosure | None, by_cells: bool) -> tuple[Estimates, Room | None]:
+    """The estimates from a cloud, each of which is computed when it is called, and the room between slices."""
     if cloud.model == "spatial":
-        return _anywhere(cloud), _anywhere(kept), 1.0
-    by_cells = bounds.tighter is not None
-    whole, part = room(cloud, bounds, by_cells=by_cells), room(kept, by_cells=by_cells)
-    gap, wider = whole.gap_at(held_out.points), part.gap_at(held_out.points)
-    falls = np.divide(gap, wider, out=np.ones(len(gap)), where=np.isfinite(wider) & (wider > gap))
-    return _between(whole), _between(part), falls
-
-
-def _anywhere(cloud: Cloud) -> Estimates:
-    return {
-        "convex hull of the contacts": partial(hull, cloud.points),
-        "curved between the contacts": partial(curved, cloud),
-        "a polyhedron's, with sharp edges": partial(with_edges, cloud),
-    }
-
-
-def _between(found: Room) -> Estimates:
+        return {
+            "curved between the contacts": partial(curved, cloud),
+            "convex hull of the contacts": partial(hull, cloud.points),
+            "a polyhedron's, with sharp edges": partial(with_edges, cloud),
+        }, None
+    found = room(cloud, bounds, by_cells=by_cells)
     everywhere: Estimates = {_part_of_the_way(fraction): partial(between, found, fraction) for fraction in FRACTIONS}
     if not len(found.contours):
-        return everywhere
+        return everywhere, found
     half_way = (found.local + UNKNOWN) / 2  # which errs by less where the turns mislead
     return {
         "as far from the contacts' hull as the slopes of neighbouring slices tell": partial(
@@ -157,7 +142,15 @@ def _between(found: Room) -> Estimates:
         ),
         "half as far from the middle as the slopes of neighbouring slices tell": partial(between, found, half_way),
         **everywhere,
-    }
+    }, found
+
+
+def _falls(part: Room | None, whole: Room | None, held_out: Cloud) -> Array | float:
+    """By which factors (n,) errors are expected to fall at held-out contacts: between slices as the room does."""
+    if part is None or whole is None:
+        return 1.0
+    gap, wider = whole.gap_at(held_out.points), part.gap_at(held_out.points)
+    return np.divide(gap, wider, out=np.ones(len(gap)), where=np.isfinite(wider) & (wider > gap))
 
 
 def _part_of_the_way(fraction: float) -> str:
