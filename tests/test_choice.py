@@ -194,15 +194,15 @@ def test_the_choice_follows_the_cross_validation(box, monkeypatch):
         assert said in surface(cloud).metadata["reason"]
 
 
-def test_the_error_with_all_slices_is_predicted_from_those_held_out(box):
-    """Held-out errors, in proportion to how the room falls, are about the true distances of the surfaces."""
+def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box):
     mesh, cloud = box
     kept, held_out = hold_out(cloud)
     (of_kept, part), (estimates, whole) = choice._estimates(kept, None, False), choice._estimates(cloud, None, False)
     falls = choice._falls(part, whole, held_out)
-    for name, make in estimates.items():
-        true = scan3d.compare(make(), mesh).hausdorff
-        assert error_of_surface(of_kept[name](), held_out, falls).expected == pytest.approx(true, rel=0.5, abs=0.05)
+    assert 0 < falls.min() < falls.max() <= 1
+    expected = {name: error_of_surface(make(), held_out, falls).expected for name, make in of_kept.items()}
+    true = {name: scan3d.compare(make(), mesh).hausdorff for name, make in estimates.items()}
+    assert true[min(expected, key=expected.get)] <= 1.2 * min(true.values())
 
 
 def test_a_fit_that_is_closer_than_the_first_estimate_is_compared_with_no_others(ball, monkeypatch):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, evenly
 from scan3d.cloud import Cloud
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
@@ -32,7 +32,8 @@ class HeldOutError(NamedTuple):
     as_held_out: float
     """What counts: the largest, and under noise, where one contact decides that, the rms."""
     expected: float
-    """What is expected of it if no contacts are held out."""
+    """What is to be expected if no contacts are held out: of exact ones the rms over the largest error of each slice or sweep,
+    since the one largest of all depends on chance."""
 
 
 def hold_out(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
@@ -45,8 +46,7 @@ def hold_out(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     if parts is None:
         return None
     kept, held_out = parts
-    step = -(-len(held_out) // _MOST)
-    return replace(kept, fit=None, fit_error=np.inf), held_out.select(np.arange(0, len(held_out), step))
+    return replace(kept, fit=None, fit_error=np.inf), held_out.select(evenly(np.arange(len(held_out)), _MOST))
 
 
 def _sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
@@ -54,8 +54,7 @@ def _sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     if len(sweeps) < _FEWEST:
         return None
     held_out = number % _EVERY == _EVERY // 2
-    kept = np.flatnonzero(~held_out)
-    return cloud.select(kept[:: -(-len(kept) // _MOST)]), cloud.select(held_out)
+    return cloud.select(evenly(np.flatnonzero(~held_out), _MOST)), cloud.select(held_out)
 
 
 def _slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
@@ -113,9 +112,12 @@ def _error(distance: Array, directions: Array, held_out: Cloud, falls: Array | f
     largest = float(np.abs(distance).max())
     sd, own = held_out.sd_along(directions), held_out.sd_along(held_out.normals)
     if sd is None or own is None:
-        return HeldOutError(
-            largest, float(np.sqrt(np.mean(distance**2))), largest, float(np.abs(falls * distance).max())
-        )
+        part = held_out.sweep if held_out.model == "spatial" else held_out.slice
+        number = np.unique(part, return_inverse=True)[1]
+        of_part = np.zeros(number.max() + 1)
+        np.maximum.at(of_part, number, np.abs(falls * distance))
+        rms, expected = (float(np.sqrt(np.mean(values**2))) for values in (distance, of_part))
+        return HeldOutError(largest, rms, largest, expected)
     # at an edge the nearest point lies across another face than the contact's own
     sd = np.fmax(sd, own)
     weight = np.where(np.isfinite(sd), 1 / sd**2, 0.0)
