@@ -17,8 +17,8 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces.between import FRACTIONS, between_cells, has_cells
-from scan3d.surfaces.cross_validation import hold_out_slices
+from scan3d.surfaces.between import between, has_cells, room
+from scan3d.surfaces.held_out import hold_out
 from tests.sample_bodies import outside
 
 
@@ -61,22 +61,22 @@ def test_estimates_lie_between_the_hull_and_the_corners():
     mesh, cloud = scanned(1)
     found, inner = found_in(cloud), hull(cloud.points)
     size = np.linalg.norm(mesh.extents)
-    estimates = dict(between_cells(cloud, (0.0, 0.5, 1.0)))
+    by_cells = room(cloud, by_cells=True)
+    estimates = {fraction: between(by_cells, fraction) for fraction in (0.0, 0.5, 1.0)}
     assert scan3d.compare(estimates[0.0], inner).hausdorff < 1e-9 * size
     assert outside(found.corners, estimates[1.0]).max() < 1e-6 * size
     assert outside(inner.vertices, estimates[0.5]).max() < 1e-9 * size
     assert outside(estimates[0.5].vertices, estimates[1.0]).max() < 1e-9 * size
     assert estimates[0.0].volume < estimates[0.5].volume < estimates[1.0].volume
-    assert tuple(dict(between_cells(cloud))) == FRACTIONS
 
 
 @pytest.mark.slow
 def test_no_estimates_by_cells_of_one_axis_or_of_noisy_contacts():
     mesh = body(0)
     plan = scan3d.Plan(slices=6, spacing="cosine", samples=24)
-    assert not list(between_cells(contacts(scan3d.simulate(mesh, plan))))
+    assert not has_cells(contacts(scan3d.simulate(mesh, plan)))
     noisy = replace(plan, axis="xyz", noise=1e-3)
-    assert not list(between_cells(scan3d.reconstruct(scan3d.simulate(mesh, noisy))))
+    assert not has_cells(scan3d.reconstruct(scan3d.simulate(mesh, noisy)))
 
 
 def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monkeypatch):
@@ -87,10 +87,12 @@ def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monk
     crossings = cells.crossings(len(stack.slices) for stack in stacks(cloud))
     monkeypatch.setattr(cells, "MOST_CROSSINGS", crossings - 1)
     assert not has_cells(cloud)
-    assert has_cells(hold_out_slices(cloud)[0])
+    assert has_cells(hold_out(cloud)[0])
     surface = scan3d.surface(cloud, "bracket", bounds=bounds)
     assert surface.is_watertight
-    assert "of the way to its corners" not in surface.metadata["reason"]
+    monkeypatch.undo()
+    by_cells = between(room(cloud, by_cells=True), 1.0)
+    assert not np.array_equal(surface.vertices, by_cells.vertices)
 
 
 @pytest.mark.slow

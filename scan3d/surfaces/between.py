@@ -97,17 +97,22 @@ def _gaps(stack: SliceStack, number: Index, gap: Array) -> Gaps:
     return Gaps(stack.frame[2], stack.heights, largest)
 
 
+def has_cells(cloud: Cloud) -> bool:
+    """Whether a cloud has `room` by cells; a part of its slices may have it where all are too many."""
+    return applicable(cloud, stacks(cloud))
+
+
 def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = False) -> Room:
     """The room that contacts in slices leave, taken as they are: noise may let the body reach farther.
 
     bounds
         the enclosure of the cloud, if it has been computed already.
     by_cells
-        whether the corners are those of the cells between the slices of several axes, where there are any, instead of those
-        of the slabs along one.
+        whether the corners are those of the cells between the slices of several axes (`has_cells`) instead of those of the
+        slabs along one.
     """
-    by_axis = stacks(cloud)
-    if by_cells and applicable(cloud, by_axis):
+    if by_cells:
+        by_axis = stacks(cloud)
         cells = cells_of_cloud(cloud, by_axis, hull(cloud.points))
         axes = [_gaps(stack, cells.number[cells.cell, k], cells.gap) for k, stack in enumerate(by_axis)]
         open_ = np.isfinite(cells.gap) & (cells.gap > 0)

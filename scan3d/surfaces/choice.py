@@ -19,7 +19,7 @@ from scan3d.geometry.merging import collapsed, distance_of_readers, representati
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fitted_body
 from scan3d.surfaces.anywhere import curved, with_edges
-from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, room
+from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, has_cells, room
 from scan3d.surfaces.held_out import HeldOutError, error_of_fit, error_of_surface, hold_out
 from scan3d.surfaces.regression import regression
 
@@ -96,7 +96,7 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
         return f"held-out {sweeps} lie within {error.largest:.2g} {cloud.unit}"
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
-    by_cells = bounds.tighter is not None
+    by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
     of_kept, part = _estimates(kept, None, by_cells)
     if fit is not None and not cloud.noisy:
         # a body with a close fit is smooth: of the other estimates the first is the best, or nearly

@@ -14,7 +14,6 @@ L. Hannah and D. Dunson, *Multivariate convex regression with adaptive partition
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -40,8 +39,9 @@ _FEWEST = 4
 _TURN = 0.3
 # Squared misfit from which on a contact is an outlier, where the median of the squared misfits is that of Gaussian errors.
 _OUTLIER, _MEDIAN = 25.0, 0.455
-# Steps of assignment and least squares between two splits at most.
-_STEPS = 20
+# Steps of assignment and least squares between two splits at most, and rounds of splits, each of which may double the planes:
+# without noise they would go on for as long as there are contacts.
+_STEPS, _ROUNDS = 20, 16
 # Rounds without improvement after which the splits end.
 _PATIENCE = 3
 # Directions across a plane in which it may be split.
@@ -142,7 +142,7 @@ def fit_planes(contacts: Contacts, group: Index) -> Planes:
     group = _numbered(group)
     planes, group = _fitted(contacts, _means(unit(points - points.mean(axis=0)), group), group)
     best, best_round, least = planes, 0, np.inf
-    for number in itertools.count():
+    for number in range(_ROUNDS):
         for _ in range(_STEPS):
             before, (planes, group) = group, _refitted(contacts, planes)
             if np.array_equal(before, group):
