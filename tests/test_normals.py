@@ -135,7 +135,7 @@ def test_the_slope_of_a_pyramid_is_found():
 def many_slices(request):
     """One stack of more slices than a slope follows from."""
     mesh = house() if request.param == "house" else formulas.make("egg", subdivisions=20)
-    return one_stack(mesh, slices=5 * NEIGHBOURS, samples=8)
+    return one_stack(mesh, slices=5 * NEIGHBOURS, samples=8, spacing="cosine")
 
 
 def test_the_slices_nearby_give_the_slopes_that_all_slices_give(many_slices, monkeypatch):
