@@ -88,6 +88,7 @@ def test_derivatives_of_the_equations_are_those_of_difference_quotients(kind, co
         assert np.quantile(np.abs(exact - quotient)[good], 0.99) < 1e-6 * np.abs(exact[good]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "truth"), [("sphere", TURNED), ("plane", rigs.EXACT)])
 def test_every_parameter_is_recovered_without_noise(kind, truth):
     recording, touched = recorded(kind, truth, **SHORT)
@@ -154,6 +155,7 @@ def test_noise_that_is_not_stated_or_understated_is_found_in_the_air(on_sphere, 
     assert any("In the air the reactions scatter by" in sentence for sentence in found.sentences) == bool(stated)
 
 
+@pytest.mark.slow
 def test_a_given_pose_noise_is_tested():
     jittering = rigs.recorded(dataclasses.replace(rigs.Truth(), jitter=200e-6), **SHORT)
     found = scan3d.calibrate(jittering, rigs.DIAMETER, pose_noise_m=20e-6)
@@ -199,6 +201,7 @@ def part(recording, rows):
     return dataclasses.replace(recording, **columns)
 
 
+@pytest.mark.slow
 def test_one_direction_of_the_rod_leaves_the_offset_along_it_at_its_nominal_value():
     raster = dict(directions=1, rolls=30, **SHORT)
     truth = dataclasses.replace(rigs.EXACT, clamp=(0.0006, 0.0, 0.0008), drift=(0.0,) * 6)
@@ -213,6 +216,7 @@ def test_one_direction_of_the_rod_leaves_the_offset_along_it_at_its_nominal_valu
     assert max(error[name] for name in names) < 1e-6
 
 
+@pytest.mark.slow
 def test_without_friction_the_turn_about_the_rod_is_not_determined():
     raster = dict(friction=0.0, **SHORT)
     recording = rigs.recorded(**raster)
@@ -223,6 +227,7 @@ def test_without_friction_the_turn_about_the_rod_is_not_determined():
     assert np.abs(errors(found, recording, **raster) / found.standard_deviations).max() < 4
 
 
+@pytest.mark.slow
 def test_few_light_touches_determine_poorly():
     recording = rigs.recorded()
     found = scan3d.calibrate(part(recording, recording.sweep < 8), rigs.DIAMETER)
@@ -250,6 +255,7 @@ def test_touches_with_the_tip_alone_on_a_plane():
     assert found.details["tip_contacts"] > 0.9 * found.details["contacts"]
 
 
+@pytest.mark.slow
 def test_the_corrected_recording_is_that_of_the_clamp():
     recording = rigs.recorded(rigs.EXACT, **SHORT)
     found = scan3d.calibrate(recording, rigs.DIAMETER)
@@ -280,6 +286,7 @@ def test_contacts_of_another_recording_lie_on_the_sphere_after_the_correction(on
     assert np.abs(kept.force_N - on_sphere.applied(rigs.recorded()).force_N).max() < 0.02 * np.abs(kept.force_N).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "tip"), [(0.0, True), (0.0, False), (0.001, True)])
 def test_a_rod_in_a_plane_has_fewer_parameters(noise, tip):
     recording, truth = rigs.planar_recorded(3, noise=noise, tip=tip)
@@ -347,6 +354,7 @@ def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_
     assert np.abs((found.values[rig] - true) / found.standard_deviations[rig]).max() < 4
 
 
+@pytest.mark.slow
 def test_long_recordings_are_begun_with_some_rows_and_end_with_all(on_sphere, monkeypatch):
     monkeypatch.setattr(estimate, "_MANY", 700)
     found = scan3d.calibrate(rigs.recorded(), rigs.DIAMETER)
@@ -355,6 +363,7 @@ def test_long_recordings_are_begun_with_some_rows_and_end_with_all(on_sphere, mo
     assert found.standard_deviations == pytest.approx(on_sphere.standard_deviations, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

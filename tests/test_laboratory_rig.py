@@ -85,6 +85,7 @@ def about_the_rod(rig):
     return Rotation.from_euler("xyz", rig.clamp_turn, degrees=True).as_euler("xyz", degrees=True)[1]
 
 
+@pytest.mark.slow
 def test_a_calibration_and_the_true_frames_agree(table, calibration):
     assert about_the_rod(TRUTH) == pytest.approx(0, abs=1e-12)
     expected = scan3d.import_table(table, a_map(**true_frames()))
@@ -104,6 +105,7 @@ def test_the_sign_is_that_of_the_map(table, calibration):
     assert_same(found, scan3d.import_table(table, a_map(), rig=calibration), 1e-12)
 
 
+@pytest.mark.slow
 def test_an_import_with_a_rig_is_an_import_that_is_corrected_by_it(table, tmp_path):
     # the touches were imported with frames that are wrong, which the calibration corrects
     wrong = a_map(sensor=NOMINAL, clamp=CLAMP)

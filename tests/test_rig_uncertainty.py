@@ -93,6 +93,7 @@ def test_recordings_are_joined_with_one_calibration():
             joined([one, random_recording(rig=other)])
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_finite_changes_of_the_calibration(tmp_path):
     """The quantities of a calibration are moved one by one, and the recording is corrected again.
 

@@ -79,6 +79,7 @@ def test_the_bound_of_smooth_bodies_is_a_few_times_the_true_distance(semi_axes, 
     assert bounds.bound < 5e-3 * body.size or count < 10_000
 
 
+@pytest.mark.slow
 def test_the_bound_of_polyhedra_is_close_to_the_true_distance():
     for seed in (1, 2):
         body = Polyhedron(random_polyhedron(seed).vertices, corners=0.0)
@@ -86,6 +87,7 @@ def test_the_bound_of_polyhedra_is_close_to_the_true_distance():
         assert bounds.bound < 2.5 * largest_difference(bounds.inner, body)
 
 
+@pytest.mark.slow
 def test_the_volume_is_bounded():
     body = Ellipsoid(np.array([1.0, 0.7, 0.5]))
     volume = 4 / 3 * np.pi * body.semi_axes.prod()
@@ -94,6 +96,7 @@ def test_the_volume_is_bounded():
         assert 0.9 * volume < lower <= volume <= upper < 1.2 * volume
 
 
+@pytest.mark.slow
 def test_turning_scaling_and_shifting_change_nothing_but_the_unit():
     body, radius = box([1, 0.7, 0.5], 0.05, corners=0.1), 0.01
     first = enclosure(spatial_cloud(body, 1500, 3, radius))
@@ -106,12 +109,14 @@ def test_turning_scaling_and_shifting_change_nothing_but_the_unit():
     assert moved.bound >= true
 
 
+@pytest.mark.slow
 def test_no_measured_normal_enters_without_a_radius():
     cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 1000, 4)
     blind = dataclasses.replace(cloud, normals=np.full_like(cloud.normals, np.nan))
     assert enclosure(blind).bound == enclosure(cloud).bound
 
 
+@pytest.mark.slow
 def test_wrong_normals_make_the_bound_larger_not_false():
     body, radius = Ellipsoid(np.array([1.0, 0.8, 0.6])), 0.05
     cloud = spatial_cloud(body, 2000, 5, radius)
@@ -125,6 +130,7 @@ def test_wrong_normals_make_the_bound_larger_not_false():
     assert bounds.bound >= largest_difference(bounds.inner, body)
 
 
+@pytest.mark.slow
 def test_unknown_normals_leave_a_smaller_body():
     body, radius = Ellipsoid(np.array([1.0, 0.8, 0.6])), 0.05
     cloud = spatial_cloud(body, 2000, 6, radius)
@@ -134,6 +140,7 @@ def test_unknown_normals_leave_a_smaller_body():
     assert bounds.bound >= largest_difference(bounds.inner, body)
 
 
+@pytest.mark.slow
 def test_an_unseen_spot_is_within_the_bound():
     """What is missing between the contacts is bounded by the tangents around it."""
     body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
@@ -143,6 +150,7 @@ def test_an_unseen_spot_is_within_the_bound():
     assert bounds.bound >= largest_difference(bounds.inner, body) > 0.03
 
 
+@pytest.mark.slow
 def test_contacts_along_sweeps():
     """Contacts in rows, as sweeps leave them: dense along a curve, and sparse across."""
     body = Ellipsoid(np.array([1.0, 0.8, 0.6]))
@@ -221,6 +229,7 @@ def test_noisy_contacts_are_bounded_with_confidence():
     assert bounds.bound > enclosure(cloud).bound
 
 
+@pytest.mark.slow
 def test_the_report_states_the_parts_of_the_bound():
     cloud = spatial_cloud(box([1, 0.7, 0.5]), 2000, 1, 0.01)
     bounds = enclosure(cloud)
@@ -236,6 +245,7 @@ def test_the_report_states_the_parts_of_the_bound():
     assert 0 < coverage(cloud, bounds, mesh, analysis.certificate)["surface"] <= 1
 
 
+@pytest.mark.slow
 def test_under_noise_the_bound_follows_from_the_errors_of_centre_points_and_tangents():
     """The place on the surface may be much less certain than the centre point, by the rod's radius; the bound needs neither."""
     cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.7, 0.5])), 2000, 3, 0.02)

@@ -92,6 +92,7 @@ def test_unknown_normals_leave_an_error_of_the_radius(few):
     np.testing.assert_allclose(cloud.centre_points, points[cloud.row], atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [(1e-4, 1e-4), pytest.param((1e-3, 1e-4), marks=pytest.mark.trust)])
 def test_noise_gives_the_errors_that_are_stated(noise):
     recording, points, normals = recorded(0.3, noise=noise, substeps=2, directions=8, heights=10)
@@ -214,6 +215,7 @@ def test_single_rows_of_nonsense_cost_their_contacts_only(few):
     assert len(cloud) == np.isfinite(points[:, 0]).sum() - len(touching)
 
 
+@pytest.mark.slow
 def test_under_noise_centre_points_and_tangents_have_errors_as_stated(few):
     exact = scan3d.reconstruct(few[0])
     assert exact.centre_sd is None

@@ -63,6 +63,7 @@ def test_friction_per_sample_is_that_of_its_sample_in_a_mirror_plane():
     assert np.abs(swept.moment[0, :, 2] - exact.m0z)[1:].max() < AGREES
 
 
+@pytest.mark.slow
 def test_a_frictionless_sphere_at_any_height_is_its_great_circle():
     """(S24): the rod bends in the plane of the clamp's axis and the centre, as past the circle at that distance."""
     radius, centre = 0.9, np.array([0.1, 1.3, -0.2])

@@ -52,6 +52,7 @@ def test_without_friction():
     assert np.abs(mirrored * signs - expected).max() < 0.51e-7
 
 
+@pytest.mark.slow
 def test_without_friction_steps_do_not_matter():
     base = np.linspace(0.92, -0.92, 47)
     once, often, jump = columns(base, 0.0, 1), columns(base, 0.0, 5), columns(base[::4], 0.0, 1)
@@ -72,6 +73,7 @@ def test_with_friction_extrapolated_to_step_zero():
     assert np.abs(second[1] - expected).max() < 1.5e-6
 
 
+@pytest.mark.slow
 def test_friction_is_of_first_order_in_the_step():
     base = np.linspace(0.92, -0.10, 52)
     found = [columns(base, 0.3, n)[10:] for n in (1, 2, 4, 8)]

@@ -41,6 +41,7 @@ def test_poses_between_samples_turn_steadily():
     assert np.abs((ahead.y - behind.y) / (2 * step) - turning_of_rod)[:, inner].max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.3])
 def test_a_clamp_that_turns_about_the_rod_changes_nothing(friction):
     body, _, _ = random_ellipsoid(1)
@@ -74,6 +75,7 @@ def test_an_orbit_about_a_sphere_keeps_the_reactions():
     assert np.abs(swept.moment[0, 14:] - swept.moment[0, 14]).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.3])
 def test_turning_sweeps_keep_the_laws(friction):
     body, semi_axes, axes = random_ellipsoid(2)

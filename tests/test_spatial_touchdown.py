@@ -118,6 +118,7 @@ def test_paths_that_end_before_the_body_do_not_touch():
     assert np.isnan(swept.s1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.3])
 def test_samples_may_be_unevenly_spaced(friction):
     """The rod is at the same place at the same clamp; with friction the steps differ, hence its small difference."""

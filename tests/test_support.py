@@ -177,6 +177,7 @@ def errors_of(fitted):
     return np.sqrt(np.mean((fitted.points(elsewhere) - ellipsoid((9.0, 6.0, 5.0), elsewhere)) ** 2))
 
 
+@pytest.mark.slow
 def test_noise_is_smoothed_and_the_degree_hardly_matters():
     """An ellipsoid is mapped to a ball, whose series ends at once: whatever else is in the fit is noise."""
     for seed in range(3):

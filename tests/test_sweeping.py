@@ -134,6 +134,7 @@ def test_the_rod_does_not_touch_again_after_it_has_left():
     assert swept.phase.tolist() == [Phase.TIP, Phase.TIP, Phase.NONE, Phase.NONE]
 
 
+@pytest.mark.slow
 def test_samples_run_from_touch_down_to_the_end():
     for contour in CONTOURS.values():
         events = planar.events(contour, 0.3)
@@ -201,6 +202,7 @@ def test_circles_of_all_sizes_at_all_heights(radius, lowest, friction):
     assert planar.events(circle, friction).kind[-1] == EventKind.SNAP_OFF
 
 
+@pytest.mark.slow
 def test_a_contour_only_just_within_reach():
     # by 1e-12: the height of the contact is known to 1e-16, and the base position to the square root of that
     lowest = 1 - 1e-12

@@ -105,6 +105,7 @@ def test_the_table_cuts_slices_along_other_axes(axis):
     assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.0, 0.02])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_table_closes_contacts_in_space(seed, radius):
@@ -136,6 +137,7 @@ def test_contacts_below_the_table_contradict_it(recording):
     assert found.diagnosis.fault == "table"
 
 
+@pytest.mark.slow
 def test_contacts_in_space_below_the_table_contradict_it():
     plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3)
     recording = dataclasses.replace(scan3d.simulate(body(4), plan), table_m=0.0)
@@ -146,6 +148,7 @@ def test_contacts_in_space_below_the_table_contradict_it():
     assert found.diagnosis.fault == "table"
 
 
+@pytest.mark.slow
 def test_noise_below_the_table_is_no_contradiction():
     plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3, noise=1e-4)
     recording = scan3d.simulate(body(4), plan)
@@ -204,6 +207,7 @@ def test_the_commands_know_the_table(logs, tmp_path, capsys):
     assert lower["bound"] > known["bound"]
 
 
+@pytest.mark.slow
 def test_a_table_above_the_contacts_withdraws_the_certificate(logs, tmp_path, capsys):
     folder, _ = logs
     run = ["reconstruct", str(folder / "log.csv"), "--out", str(tmp_path), "--table", "20", "--strict"]
@@ -220,6 +224,7 @@ def test_a_body_left_where_it_is_stands_on_no_table(logs, tmp_path):
     assert scan3d.read_recording(tmp_path / "log.csv").table_m is None
 
 
+@pytest.mark.slow
 def test_a_map_states_the_table(logs, tmp_path):
     folder, poses = logs
     (tmp_path / "faults.toml").write_text("rate_hz = 50\n[noise]\nfraction = 1e-4\n")

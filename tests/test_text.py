@@ -57,6 +57,7 @@ def same(a, b):
     return type(a) is type(b) and a == b
 
 
+@pytest.mark.slow
 @given(st.dictionaries(text, values, max_size=5))
 def test_toml_against_tomllib(data):
     assert same(data, tomllib.loads(to_toml(data)))

@@ -88,6 +88,7 @@ def place(tmp_path):
     return prepare
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("how", "step"), HOW)
 def test_a_result_is_the_old_or_the_new_one(place, monkeypatch, how, step):
     out = place()
@@ -118,6 +119,7 @@ def test_a_result_is_the_old_or_the_new_one(place, monkeypatch, how, step):
     assert {*outcomes} == {False, True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("how", "step"), HOW)
 def test_a_first_result_is_there_or_not(place, how, step):
     out = place(())
