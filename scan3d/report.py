@@ -417,6 +417,10 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if errors:
         error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths){of_hull}"
         rows.append(("contact error", error))
+    most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
+    if data.get("model") != "spatial" and swept < most:
+        slices = f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
+        rows.append(("slices", slices))
     median = data["friction"]["estimated_median"]
     if median is not None:
         given = data["friction"]["set"]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d.bounds import certificate, enclosure, sigmas
+from scan3d.bounds import Gap, certificate, enclosure, sigmas
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
@@ -548,12 +548,15 @@ def test_adaptive_slices_go_where_the_body_has_edges():
 @pytest.mark.slow
 def test_adaptive_slices_stop_at_their_tolerance():
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
-    number = [
-        len(places(mesh, slices=32, spacing="adaptive", samples=24, tolerance=tolerance)[1].slice_height)
-        for tolerance in (0.0, 0.02)
-    ]
-    assert number[0] == 32 + 2  # those beyond the ends
-    assert 10 <= number[1] < 20
+    every, few, wide = (
+        places(mesh, slices=slices, spacing="adaptive", samples=24, tolerance=tolerance)[1]
+        for slices, tolerance in ((32, 0.0), (14, 0.0), (32, 0.02))
+    )
+    assert 10 <= len(wide.slice_height) < 14 + 2 == len(few.slice_height)  # two beyond the ends
+    # without a tolerance as many as the plan has, or until the contacts in the planes of slices leave as much open
+    assert len(few.slice_height) < len(every.slice_height) <= 32 + 2
+    found = enclosure(every)
+    assert found.part(Gap.SLICES) < 1.02 * found.part(Gap.CONTACTS)
 
 
 @pytest.mark.slow
