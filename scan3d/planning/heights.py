@@ -150,7 +150,9 @@ def next_heights(
     if not cloud.noise:
         in_plane = np.zeros(len(parts))
         np.maximum.at(in_plane, number, np.where(kind == Gap.CONTACTS, gap, 0.0))
-        between &= gap > _NO_WIDER * in_plane[number]
+        # to which corners the body goes on straight is known where slabs are thicker than what the contacts leave open
+        vertex = straight.all(axis=1) & (in_plane < np.diff(_levels(stack)))[number]
+        between &= vertex | (gap > _NO_WIDER * in_plane[number])
         enough = max(enough, float(np.median(in_plane)))
     if not between.any():
         return np.empty(0)
