@@ -40,7 +40,7 @@ from scan3d.geometry.convexity import (
     prepare_facets,
 )
 
-MESHES = [Path(__file__).parents[1] / "meshes" / name for name in ("cube.stl", "cylinder.off", "gem.glb", "sphere.ply")]
+MESHES = [Path(__file__).parents[1] / "meshes" / name for name in ("cube.stl", "cylinder.off", "gem.glb")]
 
 
 def facets_of(mesh):

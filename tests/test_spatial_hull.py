@@ -66,7 +66,7 @@ def test_contacts_on_faces_and_inside_edges_of_a_cube():
     np.testing.assert_allclose(normal[8:28], np.tile([0, 0, 1], (20, 1)), atol=1e-9)
     assert found.half_width[8:28].max() < 1e-6
     np.testing.assert_allclose(normal[28:], np.tile([0, 0.6, 1] / np.sqrt(1.36), (20, 1)), atol=1e-9)
-    assert found.half_width[28:].max() == 0
+    assert found.half_width[28:].max() < 1e-10  # rounding
     # at a corner the normal is only known to lie between those of three faces
     assert (found.half_width[:8] > 0.9).all()
 

@@ -21,6 +21,7 @@ from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import support_values
+from scan3d.geometry.triangles import spanned
 from scan3d.geometry.vectors import highest
 
 # Corners of the outer body that are measured at once.
@@ -99,7 +100,7 @@ def _depths(bounds: Enclosure, surface: Any) -> Array:
     vertices: Array = surface.vertices.view(np.ndarray)
     faces: Index = surface.faces
     corner = vertices[faces]
-    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])  # twice the areas long
+    normals = spanned(corner)
     if bounds.slabs is not None and not bounds.closed:
         of_vertices = np.zeros_like(vertices)
         np.add.at(of_vertices, faces.ravel(), np.repeat(normals, 3, axis=0))

@@ -31,13 +31,15 @@ of length does not matter.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
-from scan3d.geometry.distance import bounding_box, welded
+from scan3d.errors import InputError
+from scan3d.geometry.distance import bounding_box, check_mesh, welded
+from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import (
     areas,
     distinct_rows,
@@ -315,18 +317,24 @@ class Hull:
     """Of the normals of the planes."""
 
 
+def outward_facets(qhull: ConvexHull) -> Index | None:
+    """The facets (h, 3) of a hull, which Qhull orients at random, counterclockwise from outside; None if they are no closed
+    surface."""
+    facets: Index = qhull.simplices.astype(np.int64)
+    mirrored = mirrored_faces(facets)
+    if mirrored is None:
+        return None
+    facets[mirrored] = facets[mirrored, ::-1]
+    return facets[:, ::-1] if np.linalg.det(qhull.points[facets]).sum() < 0 else facets
+
+
 def outward_hull(points: Array) -> Hull:
     """Convex hull of points (n, 3) with its facets turned outwards."""
-    hull = ConvexHull(points)
-    facets = hull.simplices.astype(np.int64)
-    # Qhull orients facets at random
-    mirrored = mirrored_faces(facets)
-    assert mirrored is not None  # the hull of a body is one closed surface
-    facets[mirrored] = facets[mirrored, ::-1]
-    if np.linalg.det(points[facets]).sum() < 0:
-        facets = facets[:, ::-1]
-    first, facet_plane = distinct_rows(hull.equations)
-    planes = hull.equations[first]
+    qhull = ConvexHull(points)
+    facets = outward_facets(qhull)
+    assert facets is not None  # the hull of a body is one closed surface
+    first, facet_plane = distinct_rows(qhull.equations)
+    planes = qhull.equations[first]
     return Hull(facets, planes, facet_plane, cKDTree(points[facets].mean(axis=1)), cKDTree(planes[:, :3]))
 
 
@@ -375,8 +383,7 @@ def _depths(points: Array, planes: Array) -> Array:
 
 def _bounds(corners: Array, hull: Hull) -> Array:
     """Upper bounds (t,) of the depth of triangles, by the planes of the nearest facets and those with the nearest normals."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(np.float64).tiny)[:, None]
+    normal = unit_or_zero(spanned(corners))
     facet = hull.by_place.query(corners.mean(axis=1), distance_upper_bound=_NEARBY)[1]
     # the triangle may be turned inwards
     along, against = (hull.by_direction.query(n, distance_upper_bound=_NEARBY)[1] for n in (normal, -normal))
@@ -386,3 +393,19 @@ def _bounds(corners: Array, hull: Hull) -> Array:
         np.minimum(bound, -(np.einsum("tcx,tx->tc", corners, plane[:, :3]) + plane[:, 3:]).min(axis=1), out=bound)
     np.maximum(bound, 0, out=bound)
     return bound
+
+
+def check_body(mesh: Any) -> None:
+    """Raises InputError unless a mesh is a closed and convex `trimesh.Trimesh`, as bodies that are scanned must be."""
+    check_mesh(mesh, "body")
+    deviation = distance_to_hull(mesh)
+    diagonal = float(
+        np.linalg.norm(np.ptp(np.asarray(mesh.vertices)[without_unused(np.asarray(mesh.faces))[0]], axis=0))
+    )
+    # twice, because a body that `load_mesh` has judged may have been moved, which rounds its vertices
+    if not deviation <= 2 * DENT_TOLERANCE * diagonal:
+        raise InputError(
+            f"the body isn't a closed convex surface: it lies up to {deviation:.3g} from its convex hull "
+            f"({deviation / diagonal:.3g} of its diagonal, where {DENT_TOLERANCE:g} is allowed); to scan the hull instead, "
+            "give mesh.convex_hull"
+        )

@@ -10,10 +10,10 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
-from scan3d.geometry.convexity import outward_faces
+from scan3d.geometry.convexity import outward_faces, outward_facets
 from scan3d.geometry.distance import locator, nearest
 from scan3d.geometry.merging import representatives, without_unused
-from scan3d.geometry.triangles import distance_to, dot, longest_first, mirrored_faces
+from scan3d.geometry.triangles import distance_to, dot, longest_first, spanned
 from scan3d.geometry.vectors import highest
 
 # A hull whose volume is less than this fraction of its area times the points' extent is one of points in a plane or on a line,
@@ -31,7 +31,7 @@ def hull(points: Array) -> Any:
     Raises InputError if the points do not span a body.
     """
     qhull = _spanned_hull(points)[0]
-    faces = _outward(qhull)
+    faces = outward_facets(qhull)
     if faces is None:
         # between points that nearly coincide Qhull leaves edges with one face, or with three
         apart = np.unique(representatives(qhull.points, _COINCIDENT))
@@ -103,22 +103,10 @@ def _no_body(points: Array) -> InputError:
     )
 
 
-def _outward(qhull: ConvexHull) -> Index | None:
-    """The facets (m, 3), counterclockwise from outside; None if they are no closed surface."""
-    faces: Index = qhull.simplices.astype(np.int64)
-    mirrored = mirrored_faces(faces)
-    if mirrored is None:
-        return None
-    faces[mirrored] = faces[mirrored, ::-1]
-    return faces[:, ::-1] if np.linalg.det(qhull.points[faces]).sum() < 0 else faces
-
-
 def _by_planes(qhull: ConvexHull) -> Index:
     """The facets (m, 3), each turned by its own plane, which leaves the sides of slivers to rounding."""
     faces: Index = qhull.simplices.astype(np.int64)
-    corners = qhull.points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (normals * qhull.equations[:, :3]).sum(axis=1) < 0
+    inward = dot(spanned(qhull.points[faces]), qhull.equations[:, :3]) < 0
     faces[inward] = faces[inward, ::-1]
     return faces
 

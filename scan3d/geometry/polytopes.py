@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
-from scan3d.geometry.triangles import dot
+from scan3d.geometry.triangles import areas, dot
 from scan3d.geometry.vectors import across, highest
 
 # Distance, in sizes of the body, of the planes that close a polytope.
@@ -27,7 +27,7 @@ def plane_faces(points: Array, tolerance: float) -> Array:
     """The planes (k, 4), n and c with <n, x> <= c, of the hull of points (n, 3) in which many of them lie, to a tolerance."""
     qhull = ConvexHull(points)
     corners = points[qhull.simplices]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = areas(corners)
     planes = np.column_stack([qhull.equations[:, :3], -qhull.equations[:, 3]])
     # facets in a plane face are linked with each other, to their neighbours in it
     depths = planes[:, 3, None, None] - np.einsum("fkcx,fx->fkc", corners[qhull.neighbors], planes[:, :3])

@@ -24,9 +24,10 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull, cKDTree
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.geometry.hulls import hull_about_mean
+from scan3d.geometry.arcs import arcs_at
+from scan3d.geometry.hulls import edges_of, hull_about_mean
 from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.slices import SliceStack, SupportFunctions, stacks
 from scan3d.spatial.normals import angles
@@ -210,40 +211,19 @@ class HullNormals(NamedTuple):
 
 def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormals:
     """The normals of exact contacts (n, 3), with exact tangents (n, 3) where they are tangential (n,)."""
-    unknown = HullNormals(np.full_like(points, np.nan), np.full(len(points), np.inf))
+    normal, half_width = np.full_like(points, np.nan), np.full(len(points), np.inf)
     middle, hull = points.mean(axis=0), hull_about_mean(points)
     if hull is None:
-        return unknown
-    first, second = (hull.simplices[:, [a, b]].T for a, b in ((0, 1), (1, 2)))
-    third = hull.simplices[:, [2, 0]].T
-    start, end = np.concatenate([first, second, third], axis=1)
-    start, end = np.concatenate([start, end]), np.concatenate([end, start])
+        return HullNormals(normal, half_width)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    kept = tangential[start] & (np.linalg.norm(points[end] - points[start], axis=1) > _ROUNDING * size)
-    start, end = start[kept], end[kept]
-
-    # in the plane across the tangent, with the first axis towards the middle of the body
-    inward = middle - points
-    inward -= (inward * tangents).sum(axis=1, keepdims=True) * tangents
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    side = np.cross(tangents, inward)
-    step = points[end] - points[start]
-    along, across = (step * inward[start]).sum(axis=1), (step * side[start]).sum(axis=1)
-    seen = np.hypot(along, across) > _ROUNDING * size  # others lie along the tangent
-    angle = np.arctan2(across, along)
-    low, high = np.full(len(points), np.inf), np.full(len(points), -np.inf)
-    np.minimum.at(low, start[seen], angle[seen])
-    np.maximum.at(high, start[seen], angle[seen])
-    with np.errstate(invalid="ignore"):
-        half_width = (np.pi - (high - low)) / 2
-        bisector = (low + high) / 2
-    known = np.isfinite(half_width) & (half_width >= -_ROUNDING) & np.isfinite(inward[:, 0])
-    normal = -(np.cos(bisector)[:, None] * inward + np.sin(bisector)[:, None] * side)
-    normal = np.where(known[:, None], normal, np.nan)
-    half_width = np.where(known, np.maximum(half_width, 0.0), np.inf)
+    vertices, edges = edges_of(hull)
+    rounding = np.full(len(points), ROUNDING * size)
+    rows, errors = np.flatnonzero(tangential), rounding[vertices]
+    arcs = arcs_at(points[rows], tangents[rows], rounding[rows], np.zeros(len(rows)), points[vertices], errors, edges)
+    known = np.isfinite(arcs.half_width)
+    normal[rows[known]], half_width[rows[known]] = arcs.middle[known], arcs.half_width[known]
     # tip contacts, and contacts inside faces and edges of the hull
-    rows = np.flatnonzero(~known | (half_width > _WIDE))
+    rows = np.flatnonzero(half_width > _WIDE)
     axis, width, edge = _cones(hull, points[rows] - middle, NEGLIGIBLE * size)
     sharp = tangential[rows] & np.isfinite(edge[:, 0])
     # the supporting plane contains the edge and the tangent

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.geometry.meshes import check_body
+from scan3d.geometry.convexity import check_body
 from scan3d.geometry.segments import segments_meet
 from scan3d.memory import check_memory
 from scan3d.poses import Move, PoseList

@@ -13,7 +13,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
-from scan3d.geometry.meshes import check_body
+from scan3d.geometry.convexity import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.memory import check_memory
 from scan3d.planning.aims import (
