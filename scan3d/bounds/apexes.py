@@ -30,8 +30,8 @@ from scan3d.geometry.arcs import Arcs
 _FLATTEST = 1e-7
 # Distance of the planes that close the polytope where no normals are known, in sizes of the body.
 _FAR = 300.0
-# Rounds in which planes are removed whose triangles turn over, and of the refinement.
-_REPAIRS, _ROUNDS = 60, 80
+# Rounds of the refinement.
+_ROUNDS = 80
 # Half-widths below this, in radians, count as equal: rounding does not choose between arcs.
 _NARROW = 1e-5
 # Spacing of the normals of the first choice, in radians and in half-widths of their arcs, and the widest half-width that is
@@ -184,7 +184,7 @@ def cover(planes: Arcs, chosen: Index) -> Cover | None:
     """The triangles of some of the planes; None if the rounding is too large."""
     far = _far_planes()
     removed: list[Index] = [np.empty(0, dtype=np.intp)]
-    for _ in range(_REPAIRS):
+    while True:  # each time there are fewer planes
         some = far.joined(planes.select(chosen))
         offset = (some.middle * some.points).sum(axis=1)
         positive = offset > 1 / _FAR
@@ -208,7 +208,6 @@ def cover(planes: Arcs, chosen: Index) -> Cover | None:
             return None
         removed.append(chosen[widest])
         chosen = np.delete(chosen, widest)
-    return None
 
 
 def _needless(planes: Arcs, triangles: Index, far: int) -> Index:

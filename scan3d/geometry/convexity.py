@@ -65,8 +65,6 @@ CONVEX_DEPTH = NEGLIGIBLE
 """A surface less deep than this below its hull counts as convex: such depths are rounding."""
 NEAR_CONVEX_DEPTH = 1e-4
 """A surface with more faces deeper than this than can be examined counts as not convex."""
-# Depth of a face below which it is not examined further where only the distance to the hull is wanted.
-_PRECISION = 1e-10
 # Distances between faces and planes that are computed for one surface at most, which limits the time.
 _MAX_DISTANCES = 200_000_000
 # Largest fraction of the full solid angle that may lack a surface, and its rounding, which is added to it in an open surface.
@@ -230,7 +228,7 @@ def distance_to_hull(mesh: trimesh.Trimesh) -> float:
     facets = prepare_facets(mesh, box.mean(axis=0), scale)
     if not facets.closed:
         facets = _wound_alike(facets)
-    return against_hull(facets, _PRECISION)[1] * scale
+    return against_hull(facets)[1] * scale
 
 
 def _wound_alike(facets: Facets) -> Facets:
@@ -256,20 +254,20 @@ def _planes(points: Array) -> Array:
         return np.empty((0, 4))
 
 
-def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[Array, float]:
+def against_hull(facets: Facets) -> tuple[Array, float]:
     """A supporting plane (m, 4) for every face, and a bound of the distance between the surface and the surface of its hull.
 
-    They follow from the edges of a closed surface without its hull, where the bound is then no larger than `precision`.
+    They follow from the edges of a closed surface without its hull, where the bound is then a tenth of `CONVEX_DEPTH` at most.
     Otherwise the surface is held against the hull's planes.  The depth below the hull's surface is concave on a face and not
     negative, so it is nowhere more than three times that of the face's middle.  If the surface winds once around a point c
     inside, every ray from c meets the surface, at no more than the largest depth; along the ray the hull's surface is within
-    depth * R / r, with r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than
-    `precision` are not examined further.
+    depth * R / r, with r and R the smallest and the largest distance of c from it.  Faces that are known to be no deeper than a
+    tenth of `CONVEX_DEPTH` are not examined further.
     """
     vertices, faces, corners, normals, closed, _, opposite = facets
     if closed:
         planes, distance = planes_by_edges(faces, corners, normals, opposite)
-        if distance <= precision:
+        if distance <= CONVEX_DEPTH / 10:
             return planes, distance
     unbounded = np.empty((0, 4)), np.inf
     planes = _planes(vertices)
@@ -294,7 +292,7 @@ def against_hull(facets: Facets, precision: float = CONVEX_DEPTH / 10) -> tuple[
     trials = max(1, _MAX_DISTANCES // len(planes))
     if depth[order[trials - 1 :]].max(initial=0.0) > NEAR_CONVEX_DEPTH:
         return unbounded
-    deepest = order[:trials][depth[order[:trials]] > precision]
+    deepest = order[:trials][depth[order[:trials]] > CONVEX_DEPTH / 10]
     for part in np.array_split(deepest, 1 + len(deepest) * len(planes) // AT_ONCE):
         depths = planes[:, 3] - middles[part] @ planes[:, :3].T
         chosen[part], depth[part] = depths.argmin(axis=1), depths.min(axis=1)

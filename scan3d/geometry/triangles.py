@@ -10,8 +10,6 @@ from scan3d.arrays import Array, Index, Mask
 
 # Points and triangles whose offsets are computed at once.
 _AT_ONCE = 8000
-# Fraction of rows that share their last number up to which these are sorted a second time.
-_FEW_ALIKE = 0.1
 
 # The corners of a triangle from each of them on.
 _FROM_CORNER = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
@@ -118,9 +116,9 @@ def _offsets(points: Array, corners: Array) -> Array:
 def distinct_rows(rows: Array) -> tuple[Index, Index]:
     """Index (n,) of one row for each of the n distinct rows, and for every row (m,) the number of its distinct row.
 
-    Several times as fast as np.unique.
+    In less time than np.unique.
     """
-    order = _sorted_rows(rows)
+    order = np.lexsort(rows.T)
     new = np.ones(len(rows), bool)
     new[1:] = False
     for column in rows.T:
@@ -129,24 +127,6 @@ def distinct_rows(rows: Array) -> tuple[Index, Index]:
     inverse = np.empty(len(rows), np.int64)
     inverse[order] = np.cumsum(new) - 1
     return order[new], inverse
-
-
-def _sorted_rows(rows: Array) -> Index:
-    """``np.lexsort(rows.T)`` of rows (m, k), in a fraction of its time where few rows share their last number."""
-    last = np.ascontiguousarray(rows[:, -1])
-    order = np.argsort(last)
-    ordered = last[order]
-    alike = ordered[1:] == ordered[:-1]
-    if np.count_nonzero(alike) > _FEW_ALIKE * len(rows):
-        return np.lexsort(rows.T)
-    shared = np.zeros(len(rows), dtype=bool)
-    shared[1:] |= alike
-    shared[:-1] |= alike
-    if shared.any():
-        chosen = order[shared]
-        # where rows are equal, in their own order
-        order[shared] = chosen[np.lexsort((chosen, *rows[chosen].T))]
-    return order
 
 
 def mirrored_faces(faces: Index) -> Mask | None:
