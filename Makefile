@@ -51,7 +51,6 @@ trust: .venv/installed ## the long tests of what is promised: bounds, crashes, o
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.covariances
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --reference plane
-	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.calibrations --reference mesh
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.loops
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.rig_bounds
 	OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/coverage.py
