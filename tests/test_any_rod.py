@@ -97,6 +97,7 @@ def integrated(rod, force, start, ends):
     return state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", RODS)
 def test_an_integration_from_the_clamp_ends_without_moment(rod):
     # with the contact force up to the contact and without it behind
@@ -116,6 +117,7 @@ def test_an_integration_from_the_clamp_ends_without_moment(rod):
         np.testing.assert_allclose(-force + weight, [swept.f0x[i], swept.f0y[i]], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sweeps_solve_the_boundary_value_problem():
     rod, friction = EVERYTHING, 0.3
     swept = planar.sweep(CIRCLE, friction, samples=30, rod=rod)
@@ -162,6 +164,7 @@ def test_sweeps_solve_the_boundary_value_problem():
         np.testing.assert_allclose(-solution.y[1, 0], swept.m0z[i], atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contour", CONTOURS)
 @pytest.mark.parametrize("rod", RODS)
 @pytest.mark.parametrize("direction", [-1, 1])

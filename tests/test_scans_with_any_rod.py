@@ -60,6 +60,7 @@ def test_what_is_no_rod(settings, words):
         replace(WIRE, **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", RODS)
 def test_planar_scans_with_any_rod_find_the_body(rod, tmp_path):
     mesh = scan3d.load_mesh(MESH)
