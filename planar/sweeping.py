@@ -274,6 +274,8 @@ def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], sp
     if any(base is None for base in bases):
         lowest = np.array([np.arctan(mu.min()) if mu.size else 0.0 for mu in frictions])
         spans = rod_sweeps.spans(rod, path, lowest)
+        if np.isnan(spans).any():
+            raise ValueError("the object is out of the rod's reach: nowhere on it is the rod in equilibrium")
     x0 = [
         np.where(spread == 1, end, start + spread * (end - start)) if base is None else base
         for base, (start, end) in zip(bases, spans, strict=True)
