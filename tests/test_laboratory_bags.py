@@ -1,5 +1,7 @@
 """ROS bags of both generations, written by rosbags for these tests."""
 
+import contextlib
+
 import numpy as np
 import pytest
 import trimesh
@@ -12,6 +14,8 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d import InputError
 from scan3d.laboratory.bags import is_bag
+from scan3d.laboratory.importing import convert, load
+from scan3d.laboratory.maps import read_map
 
 RIG = Rig((0.0, 30.0, 0.0), (0.0, -20.0, 0.0), drift=0.0)
 START = 1_700_000_000 * 10**9
@@ -73,19 +77,22 @@ class Bag:
         self.put(topic, kind, ns, self.make(kind, [one]))
 
 
-def written(path, generation, log, poses):
-    """A bag with the wrenches of a log at 1 kHz, and its poses by 'pose' or 'tf' at the same times."""
+def written(path, generation, log, poses, static=(0,), turned=None):
+    """A bag with the wrenches of a log at 1 kHz, and its poses by 'pose' or 'tf' at the same times.
+
+    The static transform is published at the rows `static`; `turned` has other quaternions by row, of 'pose'.
+    """
     values, _ = disturbed(sensed(log.wrench, RIG), RIG)
     bag = Bag(path, generation)
     flange = Rotation.from_euler("xyz", [0.3, -0.2, 0.5])
     offset = np.array([0.01, -0.02, 0.03])
     with bag.writer:
-        if poses == "tf":
-            bag.transform("/tf_static", START, "flange", "clamp", offset, flange.as_quat(scalar_first=True))
         for k, ns in enumerate((START + np.round(log.time * 1e9).astype(np.int64)).tolist()):
             bag.wrench("/ft", ns, values[k])
+            if poses == "tf" and k in static:
+                bag.transform("/tf_static", ns, "flange", "clamp", offset, flange.as_quat(scalar_first=True))
             if poses == "pose":
-                bag.pose("/tool", ns, log.position[k], log.quaternion[k])
+                bag.pose("/tool", ns, log.position[k], (turned or {}).get(k, log.quaternion[k]))
             else:
                 turn = Rotation.from_quat(log.quaternion[k], scalar_first=True) * flange.inv()
                 place = log.position[k] - turn.apply(offset)
@@ -112,6 +119,48 @@ def test_a_bag_gives_the_recording_back(tmp_path, recording, generation, poses):
     assert np.abs(back.axes() - recording.axes()[rows]).max() < 1e-12
     assert back.force_N == pytest.approx(recording.force_N[rows], abs=1e-12)
     assert back.moment_Nm == pytest.approx(recording.moment_Nm[rows], abs=1e-14)
+
+
+def test_static_transforms_hold_for_all_times(tmp_path, recording):
+    log = track(recording, air=25)
+    path = written(tmp_path / "run", 2, log, "tf", static=(20, 23, 40))
+    map = read_map(made(recording, {"tf": ["world", "clamp"]}))
+    summary = convert(load(path, map), map).summary
+    assert (summary.rows, summary.left_out["without a pose"]) == (len(log.time), 0)
+
+
+def test_rows_without_a_pose_are_counted(tmp_path, recording):
+    log = track(recording, air=25)
+    map = read_map(made(recording, {}))
+    path = written(tmp_path / "run", 2, log, "pose", turned={0: (0, 0, 0, 0), 1: (0, 0, 0, 0), 9: (np.nan,) * 4})
+    summary = convert(load(path, map), map).summary
+    assert (summary.rows, summary.left_out["without a pose"]) == (len(log.time), 3)
+    path = written(tmp_path / "none.bag", 1, log, "pose", turned=dict.fromkeys(range(len(log.time)), (0, 0, 0, 0)))
+    with pytest.raises(InputError, match=r"none\.bag: all poses have a quaternion of length 0"):
+        load(path, map)
+    path = written(tmp_path / "half.bag", 1, log, "pose", turned={6: (0.5, 0, 0, 0)})
+    with pytest.raises(InputError, match=r"half\.bag: message 7 of /tool has a quaternion of length 0\.5, where 1 is"):
+        load(path, map)
+
+
+def test_damaged_bags_are_refused_in_a_sentence(tmp_path, recording):
+    log = track(recording, air=25)
+    map = read_map(made(recording, {}))
+    whole = written(tmp_path / "whole.bag", 1, log, "pose").read_bytes()
+    path = tmp_path / "run.bag"
+    for part in np.random.default_rng(7).integers(0, len(whole), 20):
+        for data in (
+            whole[:part],
+            whole[:part] + bytes(4) + whole[part + 4 :],
+            whole[:part] + b"\xff" * 9 + whole[part + 9 :],
+        ):
+            path.write_bytes(data)
+            with contextlib.suppress(InputError):
+                load(path, map)
+    folder = written(tmp_path / "run", 2, log, "pose")
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: x}")
+    with pytest.raises(InputError, match=r"can't read the bag .*run"):
+        load(folder, map)
 
 
 def test_topics_that_are_not_there(tmp_path, recording):

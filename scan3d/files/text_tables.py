@@ -110,6 +110,8 @@ class Table:
     wrong: Mapping[int, tuple[int, str]] = field(default_factory=dict)
     """The first row and its cell that is no number, of columns of numbers that have one."""
     sha256: str = ""
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    """Rows of the file that are not in the table, by reason."""
 
     def __len__(self) -> int:
         return len(self.columns[0]) if self.columns else 0

@@ -1,11 +1,13 @@
 """ROS bags of both generations as tables, by `rosbags`, which is optional.
 
 The rows are the wrenches (``geometry_msgs/WrenchStamped``); poses come from ``geometry_msgs/PoseStamped`` or from tf and are
-interpolated at the times of the wrenches: positions linearly, orientations along great circles.
+interpolated at the times of the wrenches: positions linearly, orientations along great circles.  Transforms on /tf_static, and
+those that never change, hold for all times.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +27,7 @@ NAMES = ("t", "x", "y", "z", "qw", "qx", "qy", "qz", "Fx", "Fy", "Fz", "Tx", "Ty
 
 
 class _Poses(NamedTuple):
-    """Poses at times in ns (k,): positions (k, 3) and orientations (k, 4), w first."""
+    """Poses at times in ns (k,): positions (k, 3), NaN where the pose is not known, and orientations (k, 4), w first."""
 
     time: NDArray[np.int64]
     position: Array
@@ -42,33 +44,40 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
     """The table of a bag, with the columns `NAMES`.  Raises InputError if rosbags is missing or a topic can't be found."""
     path = Path(path)
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError("ROS bags need rosbags: pip install 'scan3d[ros]', or export the topics as a table") from None
     folder = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists() else path
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            wrench_topic = _topic(path.name, reader, _WRENCH, topics.wrench, "wrench")
-            stamps, values = _wrenches(reader, wrench_topic)
-            if topics.frames is not None:
-                poses = _by_tf(path.name, reader, *topics.frames)
+            stamps, values = _wrenches(path.name, reader, _topic(path.name, reader, _WRENCH, topics.wrench, "wrench"))
+            if topics.frames is None:
+                poses = _stamped(path.name, reader, _topic(path.name, reader, _POSE, topics.pose, "pose"))
             else:
-                poses = _stamped(reader, _topic(path.name, reader, _POSE, topics.pose, "pose"))
-    except (AnyReaderError, OSError) as error:
-        raise InputError(f"can't read the bag {path}: {error}") from None
-    covered = (
-        (stamps >= poses.time[0]) & (stamps <= poses.time[-1]) if len(poses.time) > 1 else np.ones(len(stamps), bool)
-    )
-    if not covered.any():
+                edges = _transforms(path.name, reader)
+    except (InputError, MemoryError):
+        raise
+    except (
+        Exception
+    ) as error:  # rosbags has an exception of its own in each part, and lets those of damaged files through
+        raise InputError(f"can't read the bag {path}: {str(error) or type(error).__name__}") from None
+    if topics.frames is not None:
+        poses = _by_tf(path.name, edges, *topics.frames)
+    if np.isnan(poses.position).all():
+        raise InputError(
+            f"{path.name}: all poses have a quaternion of length 0, or no numbers; the bag states no orientation"
+        )
+    position, quaternion = _at(poses, stamps)
+    known = np.isfinite(position).all(axis=1)
+    if not known.any():
         raise InputError(
             f"{path.name}: the poses and the wrenches have no time in common; check the clocks, and [ros] of the map"
         )
-    stamps, values = stamps[covered], values[covered]
-    position, quaternion = _at(poses, stamps)
-    seconds = (stamps - stamps[0]) * 1e-9
-    table = np.column_stack([seconds, position, quaternion, values])
-    return Table(path.name, NAMES, tuple(np.ascontiguousarray(column) for column in table.T))
+    seconds = (stamps - stamps[known][0]) * 1e-9
+    table = np.column_stack([seconds, position, quaternion, values])[known]
+    columns = tuple(np.ascontiguousarray(column) for column in table.T)
+    return Table(path.name, NAMES, columns, left_out={"without a pose": int((~known).sum())})
 
 
 def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
@@ -100,22 +109,39 @@ def _stamp(message: Any, received: int) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec) or received
 
 
-def _wrenches(reader: Any, topic: str) -> tuple[NDArray[np.int64], Array]:
+def _wrenches(name: str, reader: Any, topic: str) -> tuple[NDArray[np.int64], Array]:
     stamps, values = [], []
     for received, message in _messages(reader, topic):
         force, torque = message.wrench.force, message.wrench.torque
         stamps.append(_stamp(message, received))
         values.append((force.x, force.y, force.z, torque.x, torque.y, torque.z))
-    return np.array(stamps, dtype=np.int64), np.array(values, dtype=np.float64).reshape(-1, 6)
+    if not stamps:
+        raise InputError(f"{name} has no message on {topic}")
+    return np.array(stamps, dtype=np.int64), np.array(values, dtype=np.float64)
 
 
-def _stamped(reader: Any, topic: str) -> _Poses:
+def _pose(where: str, place: Any, turn: Any) -> tuple[float, ...]:
+    """Position and quaternion of a message, NaN where it states none: a quaternion that was never set is zero.
+
+    Raises InputError for other quaternions that are not of length 1, as in tables.
+    """
+    values = (place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z)
+    length = math.hypot(*values[3:])
+    if length == 0 or not math.isfinite(sum(values)):
+        return (math.nan, math.nan, math.nan, 1.0, 0.0, 0.0, 0.0)
+    if abs(length - 1) > 1e-3:
+        raise InputError(f"{where} has a quaternion of length {length:.4g}, where 1 is expected")
+    return values
+
+
+def _stamped(name: str, reader: Any, topic: str) -> _Poses:
     stamps: list[int] = []
     values: list[tuple[float, ...]] = []
-    for received, message in _messages(reader, topic):
-        position, turn = message.pose.position, message.pose.orientation
+    for number, (received, message) in enumerate(_messages(reader, topic), 1):
         stamps.append(_stamp(message, received))
-        values.append((position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z))
+        values.append(_pose(f"{name}: message {number} of {topic}", message.pose.position, message.pose.orientation))
+    if not stamps:
+        raise InputError(f"{name} has no message on {topic}")
     return _poses(stamps, values)
 
 
@@ -126,24 +152,44 @@ def _poses(stamps: list[int], values: list[tuple[float, ...]]) -> _Poses:
     return _Poses(time, table[:, :3], table[:, 3:])
 
 
-def _by_tf(name: str, reader: Any, world: str, clamp: str) -> _Poses:
-    """The poses of one frame in another, along the chain of transforms between them."""
-    edges: dict[str, tuple[str, list[int], list[tuple[float, ...]]]] = {}
-    for connection in (c for c in reader.connections if c.msgtype.split("/")[-1] == _TF):
-        for received, message in _messages(reader, connection.topic):
+class _Edge(NamedTuple):
+    """What tf says of a frame in its parent."""
+
+    parent: str
+    stamps: list[int]
+    values: list[tuple[float, ...]]
+
+
+def _transforms(name: str, reader: Any) -> dict[str, _Edge]:
+    """The edges of tf by their child; of a static one only the last message, which holds for all times."""
+    edges: dict[str, _Edge] = {}
+    for topic in sorted({c.topic for c in reader.connections if c.msgtype.split("/")[-1] == _TF}):
+        is_static = topic.split("/")[-1] == "tf_static"
+        for number, (received, message) in enumerate(_messages(reader, topic), 1):
             for one in message.transforms:
                 parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
-                shift, turn = one.transform.translation, one.transform.rotation
-                edge = edges.setdefault(child, (parent, [], []))
-                edge[1].append(_stamp(one, received))
-                edge[2].append((shift.x, shift.y, shift.z, turn.w, turn.x, turn.y, turn.z))
+                where = f"{name}: message {number} of {topic}, from {parent!r} to {child!r},"
+                edge = edges.setdefault(child, _Edge(parent, [], []))
+                values = _pose(where, one.transform.translation, one.transform.rotation)
+                if is_static:
+                    edge.stamps.clear()
+                    edge.values.clear()
+                edge.stamps.append(_stamp(one, received))
+                edge.values.append(values)
+    return edges
+
+
+def _by_tf(name: str, edges: dict[str, _Edge], world: str, clamp: str) -> _Poses:
+    """The poses of one frame in another, along the chain of transforms between them."""
     chain: list[_Poses] = []
     frame = clamp.lstrip("/")
     while frame != world.lstrip("/") and frame in edges and len(chain) <= len(edges):
-        chain.append(_poses(*edges[frame][1:]))
-        frame = edges[frame][0]
+        edge = edges[frame]
+        unchanged = len(set(edge.values)) == 1
+        chain.append(_poses(edge.stamps[:1], edge.values[:1]) if unchanged else _poses(edge.stamps, edge.values))
+        frame = edge.parent
     if frame != world.lstrip("/"):
-        known = sorted({*edges, *(edge[0] for edge in edges.values())})
+        known = sorted({*edges, *(edge.parent for edge in edges.values())})
         raise InputError(
             f"{name}: tf has no chain from {world!r} to {clamp!r}, which [ros] tf of the map names; it has "
             f"{', '.join(known) or 'no frames'}{did_you_mean([world, clamp], known)}"
@@ -151,9 +197,7 @@ def _by_tf(name: str, reader: Any, world: str, clamp: str) -> _Poses:
     moving = [poses for poses in chain if len(poses.time) > 1]
     if not moving:
         raise InputError(f"{name}: nothing moves between {world!r} and {clamp!r} in tf; check [ros] tf of the map")
-    start, end = max(poses.time[0] for poses in moving), min(poses.time[-1] for poses in moving)
     time = np.unique(np.concatenate([poses.time for poses in moving]))
-    time = time[(time >= start) & (time <= end)]
     position, turn = np.zeros((len(time), 3)), Rotation.identity(len(time))
     for poses in chain:  # from the clamp to the world
         shift, quaternion = _at(poses, time)
@@ -163,10 +207,13 @@ def _by_tf(name: str, reader: Any, world: str, clamp: str) -> _Poses:
 
 
 def _at(poses: _Poses, time: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Positions (n, 3) and orientations (n, 4) at times (n,) in ns; a single pose holds for all times."""
+    """Positions (n, 3) and orientations (n, 4) at times (n,) in ns; a single pose holds for all times.
+
+    Positions are NaN outside the times of the poses, and beside a pose that is not known.
+    """
     if len(poses.time) == 1:
         return np.repeat(poses.position, len(time), axis=0), np.repeat(poses.quaternion, len(time), axis=0)
     seconds, at = (poses.time - poses.time[0]) * 1e-9, (time - poses.time[0]) * 1e-9
-    position = np.stack([np.interp(at, seconds, column) for column in poses.position.T], axis=1)
+    columns = [np.interp(at, seconds, column, left=np.nan, right=np.nan) for column in poses.position.T]
     turns = Slerp(seconds, Rotation.from_quat(poses.quaternion, scalar_first=True))
-    return position, turns(np.clip(at, seconds[0], seconds[-1])).as_quat(scalar_first=True)
+    return np.stack(columns, axis=1), turns(np.clip(at, seconds[0], seconds[-1])).as_quat(scalar_first=True)

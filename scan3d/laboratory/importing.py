@@ -176,7 +176,7 @@ def convert(table: Table, map: Map) -> Imported:
     touching = felt(recording.force_N, noise[0])
     summary = Summary(
         table=table.name,
-        rows=len(table),
+        rows=len(table) + sum(table.left_out.values()),
         seconds=None if log.time_s is None else float(clock[-1] - clock[0]),
         rate_hz=None if log.time_s is None or clock[-1] == clock[0] else float((len(log) - 1) / (clock[-1] - clock[0])),
         samples=len(recording),
@@ -184,6 +184,7 @@ def convert(table: Table, map: Map) -> Imported:
         sweeps_with_contact=len(np.unique(recording.sweep[touching])),
         six_axis=recording.six_axis,
         left_out={
+            **table.left_out,
             "without numbers": len(table) - len(log),
             "between sweeps": int((sweep < 0).sum()),
             "blurred by the filter": int((sensed.blurred & (sweep >= 0)).sum()),
