@@ -212,9 +212,12 @@ def test_the_window(spatial):
         built.plotter.close()
 
 
-def test_without_a_display_there_is_no_window(shown, monkeypatch):
+@pytest.mark.parametrize("display", [None, ":98765"])
+def test_without_a_display_there_is_no_window(shown, monkeypatch, display):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
+    if display:
+        monkeypatch.setenv("DISPLAY", display)
     monkeypatch.setattr(window.sys, "platform", "linux")
     window.can_open.cache_clear()
     try:

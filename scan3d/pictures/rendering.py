@@ -11,6 +11,7 @@ from scan3d.errors import InputError
 from scan3d.processes import python
 
 # Without X and EGL, VTK ends the process that renders: a child process tries first, by drawing a sphere on a black image.
+# Where a display does not answer, VTK falls back to a window that is never shown.
 _PROBE = """
 import sys
 from vtkmodules.vtkFiltersSources import vtkSphereSource
@@ -21,6 +22,8 @@ mapper.SetInputConnection(sphere.GetOutputPort())
 actor.SetMapper(mapper)
 renderer.AddActor(actor)
 window.SetOffScreenRendering(sys.argv[1] == "off screen")
+if sys.argv[1] == "on screen" and not window.GetShowWindow():
+    sys.exit(3)
 window.SetSize(32, 32)
 window.AddRenderer(renderer)
 window.Render()
@@ -64,7 +67,8 @@ def renders(*, on_screen: bool = False) -> bool:
         done = subprocess.run(
             python(_PROBE, target),
             capture_output=True,
-            timeout=120,  # a busy machine may take as long to import VTK
+            # a busy machine may take as long to import VTK; a display that accepts the connection may never answer
+            timeout=20 if on_screen else 120,
             check=False,
             start_new_session=True,
         )
