@@ -68,6 +68,49 @@ def test_read_mesh_keeps_the_surface_as_it_is(tmp_path):
     assert mesh.volume == pytest.approx(9)
 
 
+def relative_obj(mesh, reference):
+    """The mesh as OBJ whose faces count back from the last of its vertices, each written as `reference`."""
+    back = mesh.faces - len(mesh.vertices)
+    faces = (" ".join(["f", *(reference.format(corner) for corner in face)]) for face in back)
+    points = [" ".join(map(str, vertex)) for vertex in mesh.vertices]
+    return "\n".join([*(f"v {p}" for p in points), *(f"vn {p}" for p in points), "vt 0 0", *faces, ""])
+
+
+@pytest.mark.parametrize("reference", ["{0}", "{0}//{0}", "{0}/-1/{0}", "{0}/1"])
+def test_relative_indices_of_obj_count_from_the_vertices_read_so_far(tmp_path, reference):
+    halves = [as_mesh(box(3, 2, 1).vertices, box().faces[part]) for part in (slice(5), slice(5, None))]
+    path = tmp_path / "halves.obj"
+    path.write_text("".join(f"o half\n{relative_obj(half, reference)}" for half in halves))
+    body = load_mesh(path)
+    assert (body.metadata["file_faces"], body.volume) == (12, pytest.approx(6))
+    corners = box(3, 2, 1).triangles  # each face directly after its vertices
+    parts = ["".join("v {} {} {}\n".format(*point) for point in corner) + "f -3 \\\n -2 -1\n" for corner in corners]
+    path.write_text("".join(parts))
+    assert load_mesh(path).extents == pytest.approx([3, 2, 1])
+    path.write_text(relative_obj(halves[0], reference) + "f -1 -2 -9\n")
+    assert "relative index -9, and only 8 entries of that kind come before it" in error(path)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end"),
+    [
+        ("solid vertex_clamp", "endsolid vertex_clamp"),
+        ("solid normal endsolid facet", "endsolid"),
+        ("solid cube", "end solid cube"),
+        ("SOLID a solid Vertex", "ENDSOLID a solid Vertex"),
+        ("\ufeffsolid M\u00fcller", " EndSolid M\u00fcller\r"),
+    ],
+)
+def test_names_of_solids_in_text_stl_may_be_any(tmp_path, begin, end):
+    facets = "\n".join(box(3, 2, 1).export(file_type="stl_ascii").strip().split("\n")[1:-1])
+    facets = facets.upper() if begin.startswith("SOLID") else facets
+    path = tmp_path / "named.stl"
+    path.write_text(f"{begin}\n{facets}\n{end}\n", encoding="utf-8", newline="")
+    assert load_mesh(path).volume == pytest.approx(6)
+    path.write_text(f"{begin}\n{facets[: len(facets) // 2]}", encoding="utf-8", newline="")
+    assert "cut off" in error(path)
+
+
 def text(*rows):
     return "\n".join(rows).encode()
 

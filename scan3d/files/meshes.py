@@ -17,6 +17,7 @@ from trimesh.exchange.load import mesh_loaders
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.gltf import is_turned, z_up
+from scan3d.files.mesh_text import plain
 from scan3d.files.reading import check_file, dent_size
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_faces, outward_hull
 from scan3d.geometry.distance import bounding_box
@@ -277,7 +278,7 @@ def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
 
     trimesh's loaders are called directly, because trimesh.load drops vertices that aren't finite without a warning.
     """
-    raw = mesh_loaders[kind](io.BytesIO(data), file_type=kind, resolver=None, skip_materials=True)
+    raw = mesh_loaders[kind](io.BytesIO(plain(kind, data)), file_type=kind, resolver=None, skip_materials=True)
     geometries = {
         name: {"vertices": part["vertices"], "faces": part["faces"], "process": False}
         for name, part in raw.get("geometry", {"mesh": raw}).items()
