@@ -24,7 +24,9 @@ def renderer(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.rendering
-def test_a_child_draws_the_same_picture_as_this_process(tmp_path):
+def test_a_child_draws_the_same_picture_as_this_process_whatever_its_matplotlibrc(tmp_path, monkeypatch):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\naxes.linewidth: 5\n")
+    monkeypatch.setenv("MATPLOTLIBRC", str(tmp_path / "matplotlibrc"))
     views.picture(scanned(CUBE), tmp_path / "a.png", "cloud")
     assert drawing.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
 

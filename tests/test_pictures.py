@@ -175,6 +175,18 @@ def test_letters_of_a_pdf_are_truetype(egg, tmp_path):
     assert "Type3" in fonts((tmp_path / "b.pdf").read_bytes())[0]
 
 
+def test_the_user_s_settings_of_matplotlib_change_nothing(egg, tmp_path):
+    theirs = {
+        "text.usetex": True, "savefig.bbox": "tight", "savefig.transparent": True, "axes.linewidth": 5.0,
+        "path.sketch": (5, 50, 2), "font.family": "serif",
+    }  # fmt: skip
+    views.picture(egg, tmp_path / "a.svg", "histogram", sheet=sheet("85x60mm"))
+    with matplotlib.rc_context(theirs):
+        views.picture(egg, tmp_path / "b.svg", "histogram", sheet=sheet("85x60mm"))
+        assert matplotlib.rcParams["text.usetex"]
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
 @pytest.mark.rendering
 @pytest.mark.slow
 @pytest.mark.parametrize("dpi", [100, pytest.param(600, marks=pytest.mark.trust)])
@@ -243,7 +255,7 @@ SIZES = (None, "70x55mm", "85x60mm", "200x50mm", "60x200mm")
 def test_no_part_of_a_picture_is_cut_off_or_written_over(view, size):
     scene = scanned_in_space() if size == "85x60mm" else scanned(EGG)
     scene = replace(scene, truth=scene.surface) if scene.truth is None else scene
-    with figures.quiet():
+    with figures.own_style():
         figure = views.figure(scene, view, "phase" if size == "200x50mm" else "force", sheet(size, 100))
         figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()

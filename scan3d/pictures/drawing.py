@@ -147,14 +147,16 @@ def _warm_up() -> None:
     from matplotlib.figure import Figure
 
     from scan3d.pictures import movie, views  # noqa: F401 - imported before they are needed
+    from scan3d.pictures.figures import own_style
 
     plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
     plotter.add_mesh(pyvista.Sphere())
     plotter.screenshot(None, return_img=True)
     plotter.close()
-    figure = Figure(figsize=(1, 1))
-    figure.text(0.5, 0.5, "$10^{-1}$")
-    FigureCanvasAgg(figure).draw()
+    with own_style():
+        figure = Figure(figsize=(1, 1))
+        figure.text(0.5, 0.5, "$10^{-1}$")
+        FigureCanvasAgg(figure).draw()
 
 
 def _pictures(scene: Scene, jobs: Sequence[Job]) -> list[bytes]:

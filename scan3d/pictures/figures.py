@@ -274,12 +274,19 @@ def save(figure: Any, path: Path) -> None:
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Within it matplotlib does not log warnings, such as those on its font cache, to stderr."""
+def own_style() -> Iterator[None]:
+    """All that is drawn and saved within it has matplotlib's defaults, whatever the user's matplotlibrc says.
+
+    Matplotlib does not log warnings, such as those on its font cache, to stderr.
+    """
     log = logging.getLogger("matplotlib")
     before = log.level
     log.setLevel(logging.ERROR)
     try:
-        yield
+        from matplotlib import rc_context, rcdefaults
+
+        with rc_context():
+            rcdefaults()
+            yield
     finally:
         log.setLevel(before)

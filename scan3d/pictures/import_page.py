@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scan3d.arrays import Array, Mask
-from scan3d.pictures.figures import SPATIAL_LABELS, open_axes, quiet
+from scan3d.pictures.figures import SPATIAL_LABELS, open_axes, own_style
 from scan3d.pictures.parts import evenly_chosen
 from scan3d.pictures.shading import INK, REACTION_COLORS, UNKNOWN
 from scan3d.pictures.sheet import FONT
@@ -35,7 +35,7 @@ def import_page(imported: Imported, facts: Sequence[tuple[str, str]], rows: Sequ
     rows
         the first rows of the recording as text, below the names of their columns.
     """
-    with quiet():
+    with own_style():
         raw = _svg(_curves(imported, imported.log.wrench, imported.zero, "the sensor shows"))
         converted = _svg(_curves(imported, imported.wrench, None, "reaction at the clamp"))
         path = _svg(_path(imported))

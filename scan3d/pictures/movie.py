@@ -17,7 +17,7 @@ from scan3d.choices import MOVIES
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
 from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, open_axes, quiet
+from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, open_axes, own_style
 from scan3d.pictures.parts import ShownSweep, evenly_chosen, is_spatial, outlines, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
@@ -70,7 +70,7 @@ def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = 
     if subject not in MOVIES:
         raise InputError(f"a movie is of {' or '.join(MOVIES)}, got {subject!r}")
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
-    with quiet():
+    with own_style():
         write(path, (_sweep_frames if subject == "sweep" else _growth_frames)(scene, frames))
 
 

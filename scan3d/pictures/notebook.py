@@ -22,7 +22,7 @@ from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
 from scan3d.files.whole import atomic, check_file
 from scan3d.pictures import charts, rendering, views
-from scan3d.pictures.figures import quiet, save
+from scan3d.pictures.figures import own_style, save
 from scan3d.pictures.scene import Scene, of_cloud
 from scan3d.pictures.sheet import WITH_OTHER, Sheet, sheet
 from scan3d.recording import Recording
@@ -154,7 +154,7 @@ def _written(draw: Callable[[], Any], path: str | os.PathLike[str] | None) -> Im
     """The image of a figure, which is also written to a path if there is one."""
     from PIL import Image as Pillow
 
-    with quiet():
+    with own_style():
         figure = draw()
         if path is not None:
             with atomic(Path(path), "path") as place:

@@ -9,7 +9,7 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array, Mask
-from scan3d.pictures.figures import blank_figure, quiet, save
+from scan3d.pictures.figures import blank_figure, own_style, save
 from scan3d.pictures.parts import evenly_chosen
 from scan3d.pictures.shading import INK, TANGENTIAL, TIP, UNKNOWN
 from scan3d.pictures.sheet import FONT, WIDTH
@@ -27,7 +27,7 @@ _ROOM = 0.06
 
 def sweep_picture(found: SweepContacts, path: str | Path) -> None:
     """Draw contour and friction of a sweep into a .png or a .pdf."""
-    with quiet():
+    with own_style():
         save(sweep_figure(found), Path(path))
 
 

@@ -21,7 +21,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.pictures.figures import quiet
+from scan3d.pictures.figures import own_style
 from scan3d.pictures.parts import (
     SWEEP_DIRECTION,
     area_of_vertices,
@@ -65,7 +65,7 @@ def page(scene: Scene) -> bytes:
     if not len(corners):
         raise InputError(f"{scene.name} has nothing to show: neither contacts nor a surface")
     center = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    with quiet():
+    with own_style():
         layers = list(_layers(scene, center))
     data: dict[str, Any] = {
         "name": scene.name,

@@ -13,7 +13,16 @@ from scan3d.choices import VIEWS
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import DIRECTION, Canvas
 from scan3d.pictures.charts import histograms, reactions
-from scan3d.pictures.figures import blank_figure, box_of, color_bar, legend, picture_height, quiet, save, show_canvas
+from scan3d.pictures.figures import (
+    blank_figure,
+    box_of,
+    color_bar,
+    legend,
+    own_style,
+    picture_height,
+    save,
+    show_canvas,
+)
 from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, sections, shown_sweep, sweep_direction
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
@@ -46,7 +55,7 @@ def picture(
     rendered.
     """
     path = check_path(path)
-    with quiet():
+    with own_style():
         save(figure(scene, view, color, sheet), path)
 
 
