@@ -43,7 +43,7 @@ def spelled(unit: str, quantity: str) -> str | None:
     text = unit.strip()
     for other, usual in _SPELLINGS.items():
         text = text.replace(other, usual) if len(other) == 1 else (usual if text.lower() == other else text)
-    compact = re.sub(r"[\s·*.⋅]", "", text)
+    compact = re.sub(r"[\s·*.⋅-]", "", text)
     return next((name for name in FACTORS[quantity] if name == text or name.replace(" ", "") == compact), None)
 
 

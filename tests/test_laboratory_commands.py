@@ -158,6 +158,49 @@ def test_a_first_map_is_written_and_completed(place, recording, capsys):
             {"force": ["(force x)", "(force y)", "(force z)"]},
             {"position", "force", "moment"},
         ),
+        (  # rostopic echo -p
+            "%time,field.header.seq,"
+            + ",".join(f"field.pose.position.{k}" for k in "xyz")
+            + ","
+            + ",".join(f"field.pose.orientation.{k}" for k in "xyzw")
+            + ","
+            + ",".join(f"field.wrench.{v}.{k}" for v in ("force", "torque") for k in "xyz"),
+            {
+                "time": "%time",
+                "position": [f"field.pose.position.{k}" for k in "xyz"],
+                "orientation": {"quaternion": [f"field.pose.orientation.{k}" for k in "wxyz"]},
+                "force": [f"field.wrench.force.{k}" for k in "xyz"],
+                "moment": [f"field.wrench.torque.{k}" for k in "xyz"],
+            },
+            {"unit of time"},
+        ),
+        (  # the recorder of Universal Robots
+            "timestamp," + ",".join(f"actual_TCP_{v}_{k}" for v in ("pose", "speed", "force") for k in range(6)),
+            {
+                "position": [f"actual_TCP_pose_{k}" for k in range(3)],
+                "orientation": {"rotvec": [f"actual_TCP_pose_{k}" for k in range(3, 6)]},
+                "force": [f"actual_TCP_force_{k}" for k in range(3)],
+                "moment": [f"actual_TCP_force_{k}" for k in range(3, 6)],
+            },
+            {"sensor"},
+        ),
+        (  # libfranka
+            "time,"
+            + ",".join(f"state.O_T_EE[{k}]" for k in range(16))
+            + ","
+            + ",".join(f"state.{v}_F_ext_hat_K[{k}]" for v in "OK" for k in range(6)),
+            {
+                "position": [f"state.O_T_EE[{k}]" for k in (12, 13, 14)],
+                "force": [f"state.K_F_ext_hat_K[{k}]" for k in range(3)],
+                "moment": [f"state.K_F_ext_hat_K[{k}]" for k in range(3, 6)],
+            },
+            {"orientation"},
+        ),
+        (  # ATI
+            "Status (hex),RDT Sequence,F/T Sequence,Fx (N),Fy (N),Fz (N),Tx (N-m),Ty (N-m),Tz (N-m),Time",
+            {"force": [f"F{k} (N)" for k in "xyz"], "moment": [f"T{k} (N-m)" for k in "xyz"], "time": "Time"},
+            {"position"},
+        ),
     ],
 )
 def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
@@ -167,6 +210,23 @@ def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
     columns = tomllib.loads(guess.text)["columns"]
     assert {name: columns[name] for name in entries} == entries
     assert left <= set(guess.open)
+
+
+@pytest.mark.parametrize(
+    ("step", "start", "unit"),
+    [
+        (0.01, 0, "s"),
+        (0.01, 1.76e9, "s"),
+        (10, 1.76e12, "ms"),
+        (1e4, 0, "us"),
+        (1e4, 1.76e15, "us"),
+        (1e7, 0, "ns"),
+        (1e7, 1.76e18, "ns"),
+    ],
+)
+def test_times_state_their_unit_by_their_size(tmp_path, step, start, unit):
+    (tmp_path / "log.csv").write_text("time,x\n" + "".join(f"{start + step * k:.2f},0\n" for k in range(200)))
+    assert tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]["time"] == unit
 
 
 def test_titles_and_units_are_found_by_the_guess(tmp_path):

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from scan3d.files.text_tables import PARQUET, Layout, Table, guessed_layout, read_table
 from scan3d.laboratory.bags import is_bag
 from scan3d.laboratory.logs import stated_units
@@ -18,7 +20,7 @@ from scan3d.units import without_unit
 
 # Names of columns without units, capital letters, underscores and the like, as laboratories and robots use them.
 _WORDS = {
-    "time": r"t|time|timestamp|times|stamp|zeit|elapsed|elapsedtime|timesec|clock",
+    "time": r"t|time|timestamp|times|stamp|headerstamp|rosbagtimestamp|zeit|elapsed|elapsedtime|timesec|clock",
     "sweep": r"sweep|sweepnumber|sweepno|scan|stroke|line",
     "move": r"move|motion|phase|segment|state",
 }
@@ -27,8 +29,12 @@ _PREFIX = {
     "position": r"(?:tcp|pos|position|pose|p|clamp|ee|tool|flange|actual|cart|translation|poseposition|actualtcppose)*",
     "force": r"(?:ft|sensor|wrench|tcp|wrenchforce|ati|actual)*(?:f|force|kraft)",
     "moment": r"(?:ft|sensor|wrench|tcp|wrenchtorque|ati|actual)*(?:t|m|torque|moment|tau|mz)",
-    "quaternion": r"(?:tcp|pose|ori|orientation|rot|rotation|poseorientation|ee|tool)*(?:q|quat|quaternion|o|orientation)",
+    "quaternion": r"(?:tcp|pose|ori|orientation|rot|rotation|ee|tool)*(?:q|quat|quaternion|o|orientation|rotation)",
 }
+# Vectors of numbered columns.  A pose is a position and a rotation vector, as of Universal Robots, or Franka's matrix, whose
+# last column is the position.  Franka's wrench in the frame K of the tool comes before that in the base's.
+_POSES = ((r"(?:actual|tcp|ee|tool|pose)+", range(6)), (r"otee", range(12, 15)))
+_WRENCHES = (r"kfexthatk", r"(?:actual|tcp|ft|ati|sensor|o)*(?:f|ft|force|wrench|forcetorque|fexthatk)")
 _EULER = ((("roll", "pitch", "yaw"), "xyz"), (("a", "b", "c"), "ZYX"), (("rx", "ry", "rz"), "xyz"))
 """Names of angles, and the convention that goes with them: A, B and C are those of KUKA."""
 
@@ -49,6 +55,12 @@ def guess_map(path: str | Path) -> Guess:
     table = read_table(path, layout)
     left: list[str] = []
     position, force, moment = ([_first(table, _PREFIX[entry] + axis) for axis in "xyz"] for entry in _VECTORS)
+    pose = next((found for words, numbers in _POSES if (found := _numbered(table, words, numbers))), [])
+    wrench = next((found for words in _WRENCHES if (found := _numbered(table, words, range(6)))), [])
+    if None in position and pose:
+        position = pose[:3]
+    if None in (*force, *moment) and wrench:
+        force, moment = wrench[:3], wrench[3:]
     if force[2] is None and None not in force[:2]:
         force = force[:2]
     if None in moment and moment[2] is not None:
@@ -56,7 +68,7 @@ def guess_map(path: str | Path) -> Guess:
     columns = [
         f"{entry} = {_toml(name)}" for entry, words in _WORDS.items() if (name := _first(table, words)) is not None
     ]
-    angles, orientation = _orientation(table, left)
+    angles, orientation = _orientation(table, pose[3:], left)
     vectors = dict(zip(_VECTORS, (position, force, moment), strict=True))
     for entry, found in vectors.items():
         if None in found:
@@ -68,7 +80,7 @@ def guess_map(path: str | Path) -> Guess:
     time = [_first(table, _WORDS["time"])]
     angle = ("angle", angles, "rad" if "rotvec" in orientation else "deg")
     quantities = [
-        ("time", time, "s"),
+        ("time", time, _unit_of_time(table, time[0])),
         ("length", position, "m"),
         angle,
         ("force", force, "N"),
@@ -81,12 +93,30 @@ def guess_map(path: str | Path) -> Guess:
     return Guess(text + _rest("as the sensor's manual says"), (*left, "sensor", "rod"))
 
 
-def _first(table: Table, pattern: str) -> str | None:
-    """The first column whose name, without its unit, in small letters and digits, matches a pattern."""
-    return next(
-        (name for name in table.names if re.fullmatch(pattern, re.sub(r"[^a-z0-9]", "", without_unit(name).lower()))),
-        None,
-    )
+def _first(table: Table, pattern: str, parts: int = 2) -> str | None:
+    """The first column whose name, without its unit, in small letters and digits, matches a pattern.
+
+    Of names in parts, such as field.pose.position.x or /tool/pose/position/x, so many of the last parts will do, or more.
+    """
+    for name in table.names:
+        if re.fullmatch(pattern, _bare(name)):
+            return name
+    for name in table.names:
+        all_parts = re.split("[./]", name)
+        if any(re.fullmatch(pattern, _bare(".".join(all_parts[k:]))) for k in range(1, len(all_parts) - parts + 1)):
+            return name
+    return None
+
+
+def _bare(name: str) -> str:
+    """A name without its unit, in small letters and digits."""
+    return re.sub("[^a-z0-9]", "", without_unit(re.sub(r"\[(\d+)\]", r"_\1", name)).lower())
+
+
+def _numbered(table: Table, pattern: str, numbers: Sequence[int]) -> list[str | None]:
+    """The columns of a vector whose names match a pattern and end with numbers; none if one of them is missing."""
+    found = [_first(table, f"(?:{pattern}){number}", parts=1) for number in numbers]
+    return [] if None in found else found
 
 
 def _layout(layout: Layout) -> list[str]:
@@ -102,13 +132,15 @@ def _layout(layout: Layout) -> list[str]:
     return ["[table]", *lines, ""] if lines else []
 
 
-def _orientation(table: Table, left: list[str]) -> tuple[list[str | None], str]:
-    """The columns of angles, if there are any, and the entry of the map."""
+def _orientation(table: Table, turn: list[str | None], left: list[str]) -> tuple[list[str | None], str]:
+    """The columns of angles, if there are any, and the entry of the map; `turn` are those of a pose's rotation vector."""
     quaternion = [_first(table, _PREFIX["quaternion"] + axis) for axis in "wxyz"]
     if None not in quaternion:
         return [], f"{{quaternion = {_toml(quaternion)}}}"
     for names, convention in _EULER:
         found = [_first(table, _PREFIX["position"] + name) for name in names]
+        if names[0] == "rx" and None in found and turn:
+            found = turn
         if None in found:
             continue
         if names[0] == "rx":
@@ -117,6 +149,19 @@ def _orientation(table: Table, left: list[str]) -> tuple[list[str | None], str]:
         return found, f'{{euler = {_toml(found)}, convention = "{convention}"}}  # a guess: check the convention'
     left.append("orientation")
     return [], '{quaternion = ["(qw)", "(qx)", "(qy)", "(qz)"]}'
+
+
+def _unit_of_time(table: Table, name: str | None) -> str:
+    """The unit in which a time, also one since 1970, and the rows' distance have a plausible size."""
+    values = table.columns[table.names.index(name)] if name is not None else np.empty(0)
+    if values.dtype.kind != "f" or not np.isfinite(values).any():
+        return "s"
+    largest, step = np.nanmax(np.abs(values)), (np.nanmax(values) - np.nanmin(values)) / len(values)
+    if largest > 1e17 or (step > 1e5 and largest < 1e14):
+        return "ns"
+    if largest > 1e14 or (step > 1e2 and largest < 1e11):
+        return "us"
+    return "ms" if largest > 1e11 else "s"
 
 
 def _unit(table: Table, quantity: str, names: Sequence[str | None], usual: str, left: list[str]) -> str:
