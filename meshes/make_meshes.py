@@ -265,7 +265,7 @@ def rows(prefix: str, table: Floats | Integers) -> str:
 
 
 def glb(mesh: trimesh.Trimesh) -> bytes:
-    """Return the mesh as binary glTF 2.0."""
+    """Return the mesh, in millimetres, as binary glTF 2.0, which is in metres."""
     vertices, faces = mesh.vertices.astype("<f4").tobytes(), mesh.faces.astype("<u4").tobytes()
     count, (low, high) = len(mesh.vertices), mesh.bounds.tolist()
     single, unsigned = 5126, 5125  # the format's numbers for component types
@@ -273,7 +273,7 @@ def glb(mesh: trimesh.Trimesh) -> bytes:
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0, "scale": [0.001, 0.001, 0.001]}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
         "accessors": [
             {"bufferView": 0, "componentType": single, "type": "VEC3", "count": count, "min": low, "max": high},

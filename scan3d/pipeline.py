@@ -92,7 +92,10 @@ def scan(
 
     def record(clock: Clock) -> tuple[Recording, Any]:
         with clock("load"):
-            body = (load_mesh if is_path else judge_mesh)(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+            if is_path:
+                body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
+            else:
+                body = judge_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
         with clock("simulate"):
             return with_origin(simulate_judged(body, plan, progress), body), body
 

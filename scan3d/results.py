@@ -188,7 +188,7 @@ class Result(Shown):
         drawn, scene = sheet(size, dpi, camera), self._scene()
         if truth is not None:
             is_path = isinstance(truth, (str, os.PathLike))
-            body = load_mesh(truth, hull=True) if is_path else judge_mesh(truth, hull=True)
+            body = load_mesh(truth, hull=True, unit=scene.unit) if is_path else judge_mesh(truth, hull=True)
             scene = dataclasses.replace(scene, truth=body)
         other = None if against is None else other_surface(against, scene.unit)
         return notebook.scene_image(scene, view, color, drawn, against=other, path=path, overwrite=overwrite)
@@ -224,7 +224,9 @@ class Result(Shown):
             return pipeline.to_scene(self.analysis)
         mesh = find_truth(self._place, self.report)
         hull = bool((self.report.get("mesh") or {}).get("hull"))
-        return dataclasses.replace(self._files, truth=None if mesh is None else load_mesh(mesh, hull=hull))
+        return dataclasses.replace(
+            self._files, truth=None if mesh is None else load_mesh(mesh, hull=hull, unit=self._files.unit)
+        )
 
 
 @shows_settings

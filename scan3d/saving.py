@@ -21,11 +21,10 @@ from scan3d.files.formats import (
     CLOUD_ENDINGS,
     SURFACE_ENDINGS,
     read_cloud,
-    stated_unit,
     to_polydata,
     write_shape,
 )
-from scan3d.files.meshes import FORMATS, read_mesh
+from scan3d.files.meshes import FORMATS, read_mesh, stated_unit
 from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import Shape, cloud_table, surface_table, table
@@ -120,7 +119,8 @@ def _is_scan3d_ply(path: Path) -> bool:
 
 
 def _mesh(path: Path, unit: str | None) -> trimesh.Trimesh:
-    mesh, stated = read_mesh(path), stated_unit(path)
+    stated = stated_unit(path)
+    mesh = read_mesh(path, stated)
     if unit is not None and stated not in (None, unit):
         raise InputError(f"{path.name} is in {stated}, as it states itself, and not in {unit}; leave the unit out")
     if stated or unit:
@@ -162,7 +162,7 @@ def _of_mesh(mesh: trimesh.Trimesh, unit: str | None) -> Shape:
 
 def _with_quality(shape: Shape, truth: trimesh.Trimesh | _Path) -> Shape:
     """The table with the distances of its points from the true body as the column ``quality``."""
-    body = read_mesh(truth) if isinstance(truth, (str, os.PathLike)) else truth
+    body = read_mesh(truth, shape.unit) if isinstance(truth, (str, os.PathLike)) else truth
     columns = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
     return replace(shape, rows=table(columns | {"quality": distances(shape.points, body)}))
 

@@ -220,7 +220,7 @@ def _read(path: Path, unit: str) -> tuple[Any, str]:
     else:
         raise InputError(f"{path} has no surface to compare with: {_WANTED}")
     if scene is None:
-        return read_mesh(path), unit
+        return read_mesh(path, unit), unit
     if scene.surface is None:
         raise InputError(f"{path} has no surface to compare with, but contacts only: {_WANTED}")
     return scene.surface, scene.unit

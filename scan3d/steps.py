@@ -15,13 +15,14 @@ from scan3d.calibration import report
 from scan3d.calibration.report import Calibration
 from scan3d.choices import Method, Model, Tare
 from scan3d.comparison import Comparison
-from scan3d.files.meshes import load_mesh, read_mesh
+from scan3d.files.meshes import common_unit, load_mesh, read_mesh
 from scan3d.files.recordings import read_recording
 from scan3d.planning import Plan
 from scan3d.reconstruction import contacts
 from scan3d.recording import Recording
 from scan3d.simulation import scan
 from scan3d.surfaces import choice
+from scan3d.units import UNITS_M
 
 if TYPE_CHECKING:
     import trimesh
@@ -51,7 +52,9 @@ def _described_by(inner: Callable[..., Any], further: str) -> Callable[[_Step], 
 def simulate(
     mesh: trimesh.Trimesh | _Path, plan: Plan | None = None, progress: scan.Progress | None = None
 ) -> Recording:
-    return scan.simulate(load_mesh(mesh) if isinstance(mesh, (str, os.PathLike)) else mesh, plan, progress)
+    if isinstance(mesh, (str, os.PathLike)):
+        mesh = load_mesh(mesh, unit=(plan or Plan()).unit)
+    return scan.simulate(mesh, plan, progress)
 
 
 @_described_by(contacts.reconstruct, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
@@ -70,7 +73,13 @@ def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None =
     comparison.compare, "Either may be given as the path of a mesh file, whose triangles are taken as they are."
 )
 def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> Comparison:
-    first, second = (read_mesh(given) if isinstance(given, (str, os.PathLike)) else given for given in (surface, mesh))
+    paths = [Path(given) for given in (surface, mesh) if isinstance(given, (str, os.PathLike))]
+    stated = [getattr(given, "units", None) for given in (surface, mesh)]
+    known = [unit for unit in stated if unit in UNITS_M]
+    unit = known[0] if known else common_unit(*paths)
+    first, second = (
+        read_mesh(given, unit) if isinstance(given, (str, os.PathLike)) else given for given in (surface, mesh)
+    )
     return comparison.compare(first, second)
 
 

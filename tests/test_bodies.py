@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,12 @@ import trimesh
 from mesh_files import assert_sound, error, save
 from shapes import as_mesh, box, letter_l, rotation, soup, without
 
+import scan3d
+from scan3d.__main__ import main
+from scan3d.errors import InputError
+from scan3d.files.formats import export
 from scan3d.files.meshes import FORMATS, load_mesh, read_mesh
+from scan3d.units import UNITS_M
 
 KINDS = {**{kind: kind for kind in FORMATS}, "stl_ascii": "stl"}
 
@@ -22,7 +28,7 @@ def test_formats_agree(tmp_path, kind):
     hull = trimesh.convex.convex_hull(points)
     name = f"body.{KINDS[kind].upper()}"  # endings in capitals count as well
     path = save(tmp_path, hull, name, kind)
-    body = load_mesh(path)
+    body = load_mesh(path, unit="m")  # in which GLB is
     assert_sound(body)
     assert {tuple(v) for v in body.vertices} == {tuple(v) for v in hull.vertices}
     assert body.metadata == {
@@ -35,7 +41,7 @@ def test_formats_agree(tmp_path, kind):
         "hull": False,
         "geometry_sha256": hashlib.sha256(np.array(body.vertices, dtype=float).tobytes()).hexdigest(),
     }
-    assert len(load_mesh(str(path)).vertices) == len(body.vertices)
+    assert len(load_mesh(str(path), unit="m").vertices) == len(body.vertices)
 
 
 def test_a_scene_is_put_together_by_its_transforms(tmp_path):
@@ -49,10 +55,40 @@ def test_a_scene_is_put_together_by_its_transforms(tmp_path):
         scene.add_geometry(without(cube, keep), geom_name=name, node_name=name, transform=turn)
     path = tmp_path / "scene.glb"
     path.write_bytes(scene.export(file_type="glb"))
-    body = load_mesh(path)
+    body = load_mesh(path, unit="m")
     assert body.metadata["file_faces"] == 12
     assert body.volume == pytest.approx(6, rel=1e-6)
     np.testing.assert_allclose(body.bounds.mean(axis=0), [5, 6, 7], atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", UNITS_M)
+@pytest.mark.parametrize("ending", [".glb", ".obj", ".ply", ".stl"])
+def test_units_that_files_state_are_read(tmp_path, ending, unit):
+    mesh, path = box(30, 20, 12), tmp_path / f"box{ending}"
+    mesh.units = "mm"
+    scan3d.save(mesh, tmp_path / "mm.ply")
+    export(tmp_path / "mm.ply", path, unit=None if ending == ".glb" else unit)
+    factor = UNITS_M["mm"] / UNITS_M[unit]
+    for read in (load_mesh, read_mesh):
+        assert read(path, unit=unit).extents == pytest.approx(factor * mesh.extents, rel=1e-6)
+    assert load_mesh(path).extents == pytest.approx(mesh.extents, rel=1e-6)
+    for compared in (scan3d.compare(path, tmp_path / "mm.ply"), scan3d.compare(path, mesh)):
+        assert compared.hausdorff < 1e-6 * max(1, factor) * compared.diagonal
+        assert compared.relative < 1e-6
+    with pytest.raises(InputError, match="unit must be one of m, cm"):
+        load_mesh(path, unit="ell")
+
+
+def test_a_glb_of_another_program_is_in_metres(tmp_path, capsys):
+    glb, stl = save(tmp_path, box(0.03, 0.02, 0.012), "box.glb"), save(tmp_path, box(30, 20, 12), "box.stl")
+    assert load_mesh(glb).extents == pytest.approx([30, 20, 12])
+    assert load_mesh(glb, unit="cm").extents == pytest.approx([3, 2, 1.2])
+    assert scan3d.simulate(glb, scan3d.Plan(slices=2, sweeps=2, samples=2)).unit == "mm"
+    assert main(["compare", str(glb), str(stl), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["relative"] < 1e-7
+    save(tmp_path, box(3, 2, 1.2), "box.stl")
+    assert main(["compare", str(glb), str(stl), "--unit", "cm", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["diagonal"] == pytest.approx(np.linalg.norm([3, 2, 1.2]))
 
 
 def test_vertices_without_faces_are_left_out(tmp_path):

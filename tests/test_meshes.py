@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+
+from scan3d.files.meshes import read_mesh
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 SCRIPT = FOLDER / "make_meshes.py"
@@ -57,7 +58,7 @@ def test_the_script_makes_the_files_beside_it(tmp_path):
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_the_file_reads_back_as_an_exactly_convex_body(file):
-    mesh = trimesh.load_mesh(file)
+    mesh = read_mesh(file)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume > 0

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 import planar
 import scan3d
 from scan3d.bounds import Gap, certificate, enclosure, sigmas
+from scan3d.files.meshes import read_mesh
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
@@ -75,7 +76,7 @@ def contour_errors(cloud, recording, vertices, faces):
 
 
 def as_in_the_file(path):
-    mesh = trimesh.load_mesh(path)
+    mesh = read_mesh(path)
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
 
 

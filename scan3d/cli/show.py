@@ -173,8 +173,8 @@ def read_scene(path: Path, truth: Path | None, hull: bool, unit: str) -> Any:
         scene = _recording_scene(path)
     else:
         stored_scene = scenes.read_ply_scene(path, unit) if path.suffix.lower() == ".ply" else None
-        scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path))
-    return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull)) if truth else scene
+        scene = stored_scene or Scene(path.stem, unit, surface=read_mesh(path, unit))
+    return dataclasses.replace(scene, truth=load_mesh(truth, hull=hull, unit=scene.unit)) if truth else scene
 
 
 def _recording_scene(path: Path) -> Any:

@@ -135,7 +135,7 @@ def simulate(
     check_pair(out, sidecar(out), {"mesh": mesh, "file of settings": options.config}, overwrite)
     plan = chosen.plan()
     output.progress.tell("reading")
-    body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+    body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
     with folder(out.parent):
         recording = simulate_scan(body, plan, output.progress.counter(_parts(chosen)))
         write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
@@ -229,7 +229,9 @@ def reconstruct(
         measured = rigged(read_recording(recording), rig)
         if table is not None:
             measured = dataclasses.replace(measured, table_m=UNITS_M[measured.unit] * table)
-        return measured, load_mesh(truth, hull=hull, clip_dent=clip_dent) if truth else None
+        if truth is None:
+            return measured, None
+        return measured, load_mesh(truth, hull=hull, clip_dent=clip_dent, unit=measured.unit)
 
     inputs = {
         "recording": recording,
@@ -255,7 +257,7 @@ def _refuse(given: list[str], needed: str) -> None:
         raise UsageError(f"{', '.join(f'--{name}' for name in given)} can be used only with {needed}")
 
 
-def compare(first: Mesh, second: Mesh, /, *, unit: Unit = "mm", output: Output = Output()) -> int:
+def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: Output = Output()) -> int:
     """Hausdorff distance and other measures of two meshes, convex or not.
 
     For example:
@@ -269,14 +271,15 @@ def compare(first: Mesh, second: Mesh, /, *, unit: Unit = "mm", output: Output =
     second
         the mesh to compare with, such as the truth
     unit
-        unit to print
+        unit to print, and of files that state none (default: what one of them states, or mm)
     """
     from scan3d.comparison import compare as compare_meshes
-    from scan3d.files.meshes import read_mesh
+    from scan3d.files.meshes import common_unit, read_mesh
     from scan3d.report import comparison_summary
 
-    comparison = compare_meshes(read_mesh(first), read_mesh(second))
-    return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, unit)))
+    in_unit = unit or common_unit(first, second)
+    comparison = compare_meshes(read_mesh(first, in_unit), read_mesh(second, in_unit))
+    return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, in_unit)))
 
 
 def export(

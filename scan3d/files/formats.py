@@ -346,16 +346,6 @@ def read_cloud(path: str | Path, unit: str | None = None) -> Shape:
     return Shape(rows, faces, stated or unit or "mm")
 
 
-def stated_unit(path: Path) -> str | None:
-    """The unit that a mesh file states if scan3d has written it, or None."""
-    with open(path, "rb") as file:
-        head = file.read(1 << 12).decode(errors="replace")
-    if path.suffix.lower() == ".glb":
-        return "m"  # by its specification
-    match = re.search(rf"scan3d surface(?s:.*?)unit ({_UNIT})\b", head)
-    return match[1] if match else None
-
-
 _Read = tuple[NDArray[Any], NDArray[np.int32] | None, str | None]
 
 

@@ -24,17 +24,23 @@ from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.memory import check_memory
+from scan3d.units import UNITS_M
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")
 FLAT = 1e-6
 """Smallest thickness of a body over the diagonal of its bounding box: float32 leaves flat sheets 1e-8 to 1e-7 thick."""
 OPEN_TOLERANCE = 1e-3
 """Largest fraction of the hull's area that may lack a surface, far above the rounding of the areas of fine meshes."""
+# What scan3d writes on the unit at the beginning of a PLY, an STL or an OBJ, and how many bytes are searched for it.
+_UNIT = re.compile(rb"(?m)(?:scan3d surface\W+|^comment )unit (%s)\b" % "|".join(UNITS_M).encode())
+_HEAD = 1 << 12
 # Memory while a mesh is read: per byte of its file, and per triangle with its corners, in bytes.
 _MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 1200
 
 
-def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: float | str = 0.0) -> trimesh.Trimesh:
+def load_mesh(
+    path: str | os.PathLike[str], *, hull: bool = False, clip_dent: float | str = 0.0, unit: str = "mm"
+) -> trimesh.Trimesh:
     """The convex body in a mesh file: STL (binary or ASCII), PLY, OBJ, OFF or GLB.
 
     path
@@ -42,16 +48,19 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: fl
     hull
         whether the convex hull is taken even of a body that is dented or open.
     clip_dent
-        depth of the dents that are filled, in the file's unit, or as text such as ``"0.05%"`` of the diagonal of the bounding
-        box: of a closed body without deeper ones the convex hull is taken.
+        depth of the dents that are filled, in `unit`, or as text such as ``"0.05%"`` of the diagonal of the bounding box: of a
+        closed body without deeper ones the convex hull is taken.
+    unit
+        of the body that is returned.  Lengths are converted from the unit of the file where it is known: GLB is in metres by
+        its specification, and scan3d states the unit in the files that it writes.  Those of other files are in `unit`.
 
-    Returns the triangulated convex hull of the file's surface, watertight and outward, with the hull's vertices only, in the
-    file's unit.  A body that is convex within `DENT_TOLERANCE` differs from its file by at most the dent, so that everything
-    else may rely on exact convexity.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that size
-    must be brought to unit size before they are computed.)
+    Returns the triangulated convex hull of the file's surface, watertight and outward, with the hull's vertices only.  A body
+    that is convex within `DENT_TOLERANCE` differs from its file by at most the dent, so that everything else may rely on exact
+    convexity.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that size must be brought to unit
+    size before they are computed.)
 
-    Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in the file's
-    unit), `dent_relative` (to the diagonal of the bounding box), `hull` (whether the body is the hull of a mesh that is not
+    Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in
+    `unit`), `dent_relative` (to the diagonal of the bounding box), `hull` (whether the body is the hull of a mesh that is not
     convex, or was asked for), and `geometry_sha256` (of the vertices returned).  Where the body differs from the mesh it also
     has the mesh itself (`mesh_vertices` and `mesh_faces`), and `filled`: `depth` and place (`at`) of the deepest dent, whether
     the mesh is `open`, and `volume_relative`, the part of the hull's volume that the mesh lacks, None if its triangles enclose
@@ -62,7 +71,7 @@ def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, clip_dent: fl
     """
     path = Path(path)
     data = _read(path)
-    body = _judged(path.name, *_merged(*_triangles(path, data)), hull, clip_dent)
+    body = _judged(path.name, *_merged(*_triangles(path, data, unit)), hull, clip_dent)
     body.metadata.update(file=path.name, path=str(path.resolve()), sha256=hashlib.sha256(data).hexdigest())
     return body
 
@@ -195,13 +204,33 @@ def _check_closed(name: str, covered: float) -> None:
         )
 
 
-def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
+def read_mesh(path: str | os.PathLike[str], unit: str | None = None) -> trimesh.Trimesh:
     """The triangles of a mesh file as they are, convex or not, with equal vertices merged.
+
+    unit
+        as in `load_mesh`; by default that which the file states, and mm for GLB.
 
     Raises InputError if the file can't be read, has no triangles or isn't finite.
     """
     path = Path(path)
-    return trimesh.Trimesh(*_merged(*_triangles(path, _read(path))), process=False)
+    return trimesh.Trimesh(*_merged(*_triangles(path, _read(path), unit or common_unit(path))), process=False)
+
+
+def stated_unit(path: Path) -> str | None:
+    """The unit of a mesh file where it is known: GLB is in metres by its specification, and scan3d states what it writes."""
+    with open(path, "rb") as file:
+        return _stated_unit(path.suffix[1:].lower(), file.read(_HEAD))
+
+
+def _stated_unit(kind: str, head: bytes) -> str | None:
+    found = _UNIT.search(head)
+    return "m" if kind == "glb" else found[1].decode() if found else None
+
+
+def common_unit(*paths: Path) -> str:
+    """The unit in which mesh files are read together: the first that one of them states, and mm; GLB has no other."""
+    others = [path for path in paths if path.suffix.lower() != ".glb" and path.is_file()]
+    return next((unit for path in others if (unit := stated_unit(path)) is not None), "mm")
 
 
 def _read(path: Path) -> bytes:
@@ -224,16 +253,19 @@ def _read(path: Path) -> bytes:
     return data
 
 
-def _triangles(path: Path, data: bytes) -> tuple[Array, Index]:
-    """Vertices (v, 3) and faces (t, 3) of all triangles in a file, without merging or dropping any."""
+def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
+    """Vertices (v, 3) in a unit and faces (t, 3) of all triangles in a file, without merging or dropping any."""
+    if unit not in UNITS_M:
+        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
     kind = path.suffix[1:].lower()
+    scale = UNITS_M[_stated_unit(kind, data[:_HEAD]) or unit] / UNITS_M[unit]
     try:
         with warnings.catch_warnings():
             # On a broken number older versions of numpy only warn, and return the numbers before it, which are part of a
             # body.
             warnings.filterwarnings("error", message="string or file could not be read")
             warnings.filterwarnings("ignore", category=RuntimeWarning)  # of numbers that are not finite, judged below
-            meshes = _parse(kind, data)
+            meshes = _parse(kind, data, scale)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
     # trimesh's parsers raise various errors for foreign bytes: KeyError, IndexError, struct.error, MemoryError and others.
@@ -273,8 +305,8 @@ def _declared_faces(kind: str, data: bytes) -> int:
     return int(found[1]) if found else 0
 
 
-def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
-    """Vertices (v, 3) in the world and faces (f, 3) of each mesh in a file.
+def _parse(kind: str, data: bytes, scale: float) -> list[tuple[Array, Index]]:
+    """Vertices (v, 3) in the world, multiplied by a scale, and faces (f, 3) of each mesh in a file.
 
     trimesh's loaders are called directly, because trimesh.load drops vertices that aren't finite without a warning.
     """
@@ -300,6 +332,7 @@ def _parse(kind: str, data: bytes) -> list[tuple[Array, Index]]:
             mesh = scene.geometry[name]
             if len(mesh.faces) and (mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices)):
                 raise IndexError("a face has a vertex that does not exist")
+            transform = np.diag([scale, scale, scale, 1]) @ transform  # exact where the file scales by the inverse
             meshes.append((trimesh.transform_points(mesh.vertices, transform), np.asarray(mesh.faces)))
     if is_turned(data):  # as exported by scan3d, with y up; back to the axes of the world
         meshes = [(z_up(vertices), faces) for vertices, faces in meshes]

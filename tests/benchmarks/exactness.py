@@ -25,6 +25,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import scan3d
+from scan3d.files.meshes import read_mesh
 from scan3d.geometry.distance import nearest
 from scan3d.pipeline import analyse
 from scan3d.settings import SLICES_FOR_TOLERANCE
@@ -74,7 +75,7 @@ def examples():
     """Hulls of the meshes that come with this project and with pyvista, by name."""
     import pyvista
 
-    found = {path.stem: trimesh.load(path, force="mesh").vertices for path in sorted(MESHES.glob("*.[!p]*"))}
+    found = {path.stem: read_mesh(path).vertices for path in sorted(MESHES.glob("*.[!p]*"))}
     for name in ("ant", "airplane", "nut"):
         found[name] = getattr(pyvista.examples, f"load_{name}")().points
     return {name: hull_of(points) for name, points in found.items()}
