@@ -46,8 +46,6 @@ class Solved(NamedTuple):
     """Where no rod has these reactions."""
     undefined: Mask
     """Where the method does not have a solution."""
-    several: Mask
-    """Where the moment vanishes at more than one place of the rod."""
 
 
 def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
@@ -65,13 +63,13 @@ def solve(method: str, rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     exists = (complement >= 0) & (q > 0)
     alpha = 2 * np.arctan2(s, c)
     q = q if exists.all() else np.where(exists, q, np.nan)
-    undefined = nowhere = np.zeros(len(q), dtype=bool)
+    undefined = np.zeros(len(q), dtype=bool)
     if method == "will":
         s1, x, y, undefined = _will(alpha, q, root_f)
     else:
         shape, _, _ = bend_by_half_angle(s, c, q)
         s1, x, y = shape.length / root_f, shape.x / root_f, shape.y / root_f
-    return Solved(force, alpha, s1, x, y, beta, m0z <= 0, complement < 0, undefined, nowhere)
+    return Solved(force, alpha, s1, x, y, beta, m0z <= 0, complement < 0, undefined)
 
 
 def _will(alpha: Array, q: Array, root_f: Array) -> tuple[Array, Array, Array, Mask]:
@@ -106,9 +104,7 @@ def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     nowhere = np.zeros(len(q), dtype=bool)
     wrong_side = m0z <= 0
     no_rod = (np.abs(cosine) > 1) & (m < 1)
-    solved = Solved(
-        force, alpha, length / root_f, x / root_f, y / root_f, beta, wrong_side, no_rod, nowhere, nowhere.copy()
-    )
+    solved = Solved(force, alpha, length / root_f, x / root_f, y / root_f, beta, wrong_side, no_rod, nowhere)
     rows = np.flatnonzero(m >= 1)
     if len(rows):
         for column, values in zip(solved, _marched(rod, f0x[rows], f0y[rows], m0z[rows]), strict=True):
@@ -123,9 +119,7 @@ def _marched(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     alpha = 2 * np.arctan2(s, c)
     beta = np.remainder(alpha - found.slope + np.pi, 2 * np.pi) - np.pi
     undefined = np.zeros(len(alpha), dtype=bool)
-    return Solved(
-        force, alpha, found.s1, found.x, found.y, beta, found.start >= 0, np.isnan(found.s1), undefined, found.several
-    )
+    return Solved(force, alpha, found.s1, found.x, found.y, beta, found.start >= 0, np.isnan(found.s1), undefined)
 
 
 def _polar(fx: Array, fy: Array) -> tuple[Array, Array, Array]:

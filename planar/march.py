@@ -7,7 +7,8 @@ The part past ``s`` acts on the part before it by the force ``N`` and the moment
 with ``φ(0) = π/2 + c M(0)``, ``M(0) = -m0z`` and ``N(0) = -f0``, so that the contact force ``F = -f0 - W g`` is known at
 once.  A contact does not carry a moment: it is the first place at which ``e = M - M_o`` vanishes, where ``M_o(s, φ)`` is the
 moment at the root of the part past ``s`` that hangs free with the slope ``φ`` there.  There ``e' = f cos β``, whatever the rod.
-Friction does not enter: reconstruction is friction invariant for any rod.
+The moment keeps its sign up to the contact: rods with an
+inflection before it are not looked for.  Friction does not enter: reconstruction is friction invariant for any rod.
 
 All rods take the same fixed steps of the explicit Runge-Kutta method of order 8 of Dormand and Prince (E. Hairer, S. P.
 Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993); no step crosses a knot of the rod's table.
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Index, Mask
+from planar.arrays import Array, Index
 from planar.rods import Profile, Rod
 
 # Rows that are marched at once: their stages stay in the processor's cache.
@@ -49,8 +50,6 @@ class Marched(NamedTuple):
     """(n,) slope angle φ1 of the rod at the contact, in radians."""
     start: Array
     """(n,) excess of the moment at the clamp over that of the free rod: negative for rods bent by a sweep in -x."""
-    several: Mask
-    """(n,) where the moment vanishes at a second place, so that the contact is not certain."""
 
 
 def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
@@ -105,11 +104,9 @@ def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
             states[k + 1] = step(rod, states[k], s[k], length, force)
         excess = np.stack([state[1] - hangs(at, state[0]) for at, state in zip(s, states, strict=True)])
         rises = (excess[:-1] < 0) & (excess[1:] >= 0)
-        falls = (excess[:-1] >= 0) & (excess[1:] < 0)
         crosses = rises.any(axis=0)
         nowhere = np.full((4, len(moment)), np.nan)
-        several = rises.sum(axis=0) + falls.sum(axis=0) > 1
-        found = Marched(nowhere[0], nowhere[1], nowhere[2], nowhere[3], excess[0], several)
+        found = Marched(nowhere[0], nowhere[1], nowhere[2], nowhere[3], excess[0])
         rows = np.flatnonzero(crosses)
         k = np.argmax(rises, axis=0)[rows]
         ends = excess[[k, k + 1], rows]

@@ -37,7 +37,6 @@ class Status(IntEnum):
     INFLECTION = 4
     BEYOND_TIP = 5
     UNDEFINED = 6
-    SEVERAL = 7
 
     @property
     def sentence(self) -> str:
@@ -53,7 +52,6 @@ _SENTENCES = {
     "inflection before its contact",
     Status.BEYOND_TIP: "the contact would lie past the rod's tip",
     Status.UNDEFINED: "equation (10) is undefined here: the force is steeper than the clamp",
-    Status.SEVERAL: "the line of the force crosses the rod more than once, so that the contact is not certain",
 }
 
 
@@ -225,7 +223,7 @@ def _fill(
             pulled[:] = False  # (10) errs in s1, so that nothing follows from its s1 < 1
         beyond = solved.s1 > 1 + tolerance
         valid = np.isfinite(solved.s1) & np.isfinite(x)
-        for refused in (beyond, solved.wrong_side, solved.no_rod, pulled, solved.undefined, solved.several):
+        for refused in (beyond, solved.wrong_side, solved.no_rod, pulled, solved.undefined):
             valid &= ~refused
     tangential &= valid
     tip = valid & ~tangential
@@ -249,7 +247,6 @@ def _fill(
         # where several reasons apply, the last one counts
         reasons = [
             (Status.UNDEFINED, solved.undefined),
-            (Status.SEVERAL, solved.several),
             (Status.INFLECTION, pulled),
             (Status.BEYOND_TIP, beyond),
             (Status.NO_ROD, solved.no_rod),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,7 @@ _SMALLEST_UNIT = 1e-100
 Table = tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rod:
     """A rod: by length and bending stiffness alone a straight, uniform, weightless one in a rigid clamp.
 
@@ -174,6 +174,10 @@ class Rod:
         return SpatialRod(
             self.profile, (bend_z, bend_x, twist), compliance=self.clamp_compliance_rad_per_Nm * self.moment_unit_Nm
         )
+
+    def __repr__(self) -> str:
+        given = ((entry.name, getattr(self, entry.name), entry.default) for entry in fields(self))
+        return f"Rod({', '.join(f'{name}={value!r}' for name, value, default in given if value != default)})"
 
     def _units(self) -> tuple[float, float]:
         """The units (1) of force and moment; infinite where they are too large for a number."""

@@ -8,7 +8,7 @@ from scan3d.cloud import NormalSource
 
 MEMBERS = {
     planar.Phase: ["NONE", "TIP", "TANGENTIAL"],
-    planar.Status: ["OK", "NO_FORCE", "WRONG_SIDE", "NO_ROD", "INFLECTION", "BEYOND_TIP", "UNDEFINED", "SEVERAL"],
+    planar.Status: ["OK", "NO_FORCE", "WRONG_SIDE", "NO_ROD", "INFLECTION", "BEYOND_TIP", "UNDEFINED"],
     planar.EventKind: ["TOUCH_DOWN", "TO_TANGENTIAL", "TO_TIP", "SNAP", "SNAP_OFF"],
     planar.NormalSource: ["NONE", "TANGENTIAL", "FRICTION"],
     NormalSource: ["UNKNOWN", "SLICES", "FIT", "FRICTION", "SLIP", "PATH", "FORCE", "HULL"],

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
+from scan3d.files.section import rod_section
 from scan3d.files.text import to_toml
 from tests import rigs
 
@@ -35,7 +36,7 @@ def a_map(**sections):
             "moment": ["Tx", "Ty", "Tz"],
         },
         "units": {"time": "s", "length": "m", "force": "N", "moment": "N m"},
-        "rod": dataclasses.asdict(rigs.ROD),
+        "rod": rod_section(rigs.ROD),
         **sections,
     }
 
@@ -44,7 +45,7 @@ def true_frames():
     return {
         "sensor": {"position_mm": [1000 * x for x in TRUTH.sensor], "euler_deg": list(TRUTH.sensor_turn)},
         "clamp": {"position_mm": [1000 * x for x in TRUTH.clamp], "euler_deg": list(TRUTH.clamp_turn)},
-        "rod": {**dataclasses.asdict(rigs.ROD), "bending_stiffness_Nm2": TRUTH.stiffness},
+        "rod": {**rod_section(rigs.ROD), "bending_stiffness_Nm2": TRUTH.stiffness},
     }
 
 

@@ -133,6 +133,7 @@ def test_the_summary_says_what_was_moved():
         "hausdorff": None,
         "contact_error": None,
         "source": {},
+        "settings": {},
         "friction": {"estimated_median": None},
         "surface": {"method": "hull", "faces": 4, "watertight": True},
         "certificate": {"bound": None},

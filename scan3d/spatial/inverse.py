@@ -45,7 +45,6 @@ class Status(IntEnum):
     NO_MOMENT = 2
     NO_ROD = 3
     BEYOND_TIP = 4
-    SEVERAL = 5
 
     @property
     def sentence(self) -> str:
@@ -59,7 +58,6 @@ _SENTENCES = {
     "the contact along it are unknown",
     Status.NO_ROD: "no rod has these reactions: the moment is more than the force can hold, or the force pulls along the rod",
     Status.BEYOND_TIP: "the contact would lie past the rod's tip",
-    Status.SEVERAL: "the moment has several minima along the rod, so that the contact is not certain",
 }
 
 
@@ -178,11 +176,10 @@ def _marched(rod: SpatialRod, f0: Array, m0: Array, zero: Array, gravity: Array 
         f = np.linalg.norm(found.force, axis=0)
         q = m / (2 * np.sqrt(f))
     known = np.isfinite(found.s1)
-    valid = known & (found.s1 <= 1 + zero) & ~found.several
+    valid = known & (found.s1 <= 1 + zero)
     tangential = valid & (found.s1 < 1 - zero)
     status = np.full(len(f0), Status.OK, dtype=np.int8)
     status[known & ~valid] = Status.BEYOND_TIP
-    status[found.several] = Status.SEVERAL
     status[~known] = Status.NO_ROD
     status[~(f > 0) | ~np.isfinite(m0).all(axis=1)] = Status.NO_FORCE
     columns = [found.point.T, found.s1, found.tangent.T, np.stack([ex, 0 * ex, ez], axis=1), q]

@@ -8,7 +8,7 @@ In the rod's material frame ``d1, d2, d3 = t`` the part past ``s`` acts on the p
 to which weight adds its part of the force.  At the clamp ``d1 = z, d2 = x, d3 = y``, turned by ``c M(0)`` where it gives.  The
 contact does not carry a moment: there the excess ``e = m - m_o`` over the moment of the part that hangs free vanishes.  Six
 reactions determine force and place, four unknowns: the place is where ``e·(t × F)`` falls through zero, a minimum of ``|e|``,
-and the residuals ``e·t`` and ``e·F`` remain.  Friction does not enter.
+the first one, and the residuals ``e·t`` and ``e·F`` remain.  Friction does not enter.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 from planar.march import grid, tableau
 from planar.rods import Profile
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index
 
 _BLOCK = 512
 # Steps along the rod to start with, the most, and the difference of two runs, in rod lengths, at which they suffice.
@@ -68,8 +68,6 @@ class Marched(NamedTuple):
     """(n,) residual ``e·t`` of the moment along the rod at the contact."""
     skew: Array
     """(n,) residual ``e·F``."""
-    several: Mask
-    """(n,) where the moment has a second minimum, so that the contact is not certain."""
 
 
 def contacts(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None) -> Marched:
@@ -170,7 +168,6 @@ def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marche
         )
         falls = (turning[:-1] > 0) & (turning[1:] <= 0)
         found = _nothing(n, force)
-        found.several[:] = falls.sum(axis=0) > 1
         rows = np.flatnonzero(falls.any(axis=0))
         k = np.argmax(falls, axis=0)[rows]
         before = np.stack(states)[k, :, rows].T
@@ -191,7 +188,7 @@ def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marche
 
 def _nothing(n: int, force: Array) -> Marched:
     unknown = np.full((9, n), np.nan)
-    return Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8], np.zeros(n, dtype=bool))
+    return Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8])
 
 
 def _turning(state: Array, hanging: Array) -> Array:
