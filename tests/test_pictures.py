@@ -361,9 +361,10 @@ def test_the_surface_by_its_deviation(cube, tmp_path):
 @pytest.mark.slow
 @pytest.mark.rendering
 def test_the_surface_by_its_bound(egg, tmp_path):
-    # as asked for, or where there is no truth
-    image = draw(egg, tmp_path / "bound.png", "bound")
-    np.testing.assert_array_equal(draw(replace(egg, truth=None), tmp_path / "surface.png", "surface"), image)
+    # as asked for, or where there is no truth, to which the picture is fitted as well
+    alone = replace(egg, truth=None)
+    image = draw(alone, tmp_path / "bound.png", "bound")
+    np.testing.assert_array_equal(draw(alone, tmp_path / "surface.png", "surface"), image)
     # sequential: from pale yellow to dark blue
     bar = bar_of(image)
     assert bar[0] == pytest.approx([8, 29, 88], abs=40)
