@@ -414,7 +414,7 @@ def _meant(name: str) -> list[Path]:
     is_pattern = glob.has_magic(name) and not path.exists()
     if not path.is_dir() and not is_pattern:
         return [path]
-    files = [Path(match) for match in glob.glob(name, recursive=True)] if is_pattern else path.iterdir()
+    files = map(Path, _matches(name)) if is_pattern else path.iterdir()
     meshes = [file for file in sorted(files) if file.suffix[1:].lower() in FORMATS and file.is_file()]
     written = {folder: earlier_files(folder) for folder in {file.parent for file in meshes}}
     meshes = [file for file in meshes if file.name not in written[file.parent]]
@@ -422,6 +422,26 @@ def _meant(name: str) -> list[Path]:
         what = "the pattern" if is_pattern else "the folder"
         raise InputError(f"{what} {name} has no mesh file; expected files that end with .{', .'.join(FORMATS)}")
     return meshes
+
+
+def _matches(pattern: str) -> list[str]:
+    """What a pattern finds.  ``**`` enters each folder once: a link may lead back to a folder that it stands in."""
+    if pattern.endswith("/**"):
+        pattern += "/*"
+    recursive = re.fullmatch(r"((?:.*?/)?)\*\*/(.*)", pattern, re.DOTALL)
+    if not recursive:
+        return glob.glob(pattern)
+    before, after = recursive.groups()
+    found: list[str] = []
+    entered: set[str] = set()
+    folders = glob.glob(before) if before else [""]
+    for folder in folders:  # the nearest first, which it also grows by
+        place = os.path.realpath(folder)
+        if place not in entered:
+            entered.add(place)
+            found += _matches(glob.escape(folder) + after)
+            folders += sorted(glob.glob(glob.escape(folder) + "*/"))
+    return found
 
 
 def read_grid(path: str | os.PathLike[str]) -> Grid:
@@ -563,13 +583,26 @@ def _ranks(rows: Sequence[Row]) -> Ranks:
 
 
 def _csv(rows: Sequence[Row]) -> bytes:
-    """The rows as CSV in UTF-8, with a header; what is not known is empty, and numbers have all digits."""
+    """The rows as CSV in UTF-8, with a header; what is not known is empty, and numbers have all digits.
+
+    A text that a spreadsheet would take for a formula, such as the name of a mesh, begins with an apostrophe.
+    """
     stream = io.StringIO()
     writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
     writer.writeheader()
-    words = {True: "true", False: "false"}
-    writer.writerows({k: words[v] if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     return stream.getvalue().encode(errors="replace")  # file names may hold bytes that are no characters
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@")):
+        try:
+            float(value)
+        except ValueError:
+            return f"'{value}"
+    return value
 
 
 _PAGE = """\

@@ -1,6 +1,7 @@
 """Batches: meshes, grids and names; failures, repetition and continuation; the same results wherever they are computed."""
 
 import csv
+import io
 import json
 import os
 import re
@@ -18,7 +19,7 @@ from small_scans import CUBE, EGG, FEW, FOLDER
 
 import scan3d
 from scan3d import batches, workers
-from scan3d.batches import COLUMNS, body_names, combinations, mesh_files, read_grid, run_name
+from scan3d.batches import COLUMNS, _csv, body_names, combinations, mesh_files, read_grid, run_name
 from scan3d.cli import main
 from scan3d.pictures import rendering
 from scan3d.settings import settings, varied_settings
@@ -122,6 +123,25 @@ def test_meshes_are_files_folders_patterns_and_lists(tmp_path, monkeypatch):
     Path("@odd.stl").touch()
     Path("[1].stl").touch()
     assert mesh_files(["@odd.stl", "[1].stl"]) == [Path("@odd.stl"), Path("[1].stl")]
+
+
+def test_patterns_enter_each_folder_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a/b[1]").mkdir(parents=True)
+    Path("elsewhere").mkdir()
+    for name in ("a/b[1]/one.stl", "elsewhere/two.stl"):
+        Path(name).touch()
+    for name, aim in {"a/up": "..", "a/b[1]/top": "../..", "a/b[1]/again": "../../a", "a/far": "../elsewhere"}.items():
+        Path(name).symlink_to(aim, target_is_directory=True)
+    assert mesh_files(["a/**/*.stl"]) == [Path("a/b[1]/one.stl"), Path("a/far/two.stl")]
+    assert mesh_files(["**/b*/*.stl"]) == [Path("a/b[1]/one.stl")]
+
+
+def test_formulas_in_the_summary_are_text():
+    texts = {"run": "=1+1", "mesh": "@x.stl", "error": "-2 is no friction", "friction": "-2", "noise": -1e-3}
+    (row,) = csv.DictReader(io.StringIO(_csv([texts]).decode()))
+    expected = {"run": "'=1+1", "mesh": "'@x.stl", "error": "'-2 is no friction", "friction": "-2", "noise": "-0.001"}
+    assert {name: row[name] for name in texts} == expected
 
 
 def test_what_a_scan_has_written_is_no_mesh(serial, tmp_path):

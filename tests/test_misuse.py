@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 import subprocess
 import sys
 import tracemalloc
@@ -14,6 +15,7 @@ import trimesh
 import planar
 import scan3d
 from scan3d import InputError, comparison, memory
+from scan3d.cli import main
 from scan3d.files.reading import check_file
 from scan3d.reconstruction import contacts
 from scan3d.simulation import scan
@@ -213,3 +215,19 @@ def test_special_files_are_not_read(tmp_path):
             check_file(path)
     with pytest.raises(IsADirectoryError):
         check_file(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "words", ["import raw.csv --guess", "import raw.bag --map {map} --out r.csv", "reconstruct raw.csv --out r"]
+)
+def test_pipes_are_refused(tmp_path, words, capsys):
+    (tmp_path / "map.toml").write_text("[rod]\nlength_m = 0.1\nbending_stiffness_Nm2 = 1e-4\n[ros]\npose = '/a'\n")
+    for name in ("raw.csv", "raw.bag"):
+        os.mkfifo(tmp_path / name)
+    command, raw, *rest = words.format(map=tmp_path / "map.toml").split()
+    signal.alarm(20)  # ends the tests, instead of waiting without end
+    try:
+        assert main([command, str(tmp_path / raw), *rest]) == 1
+    finally:
+        signal.alarm(0)
+    assert f"{raw} is a device or a pipe, where a file is expected" in capsys.readouterr().err

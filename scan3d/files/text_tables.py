@@ -219,6 +219,7 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
 def guessed_layout(path: Path) -> Layout:
     """The layout of a text table as its first lines suggest.  Raises InputError if it can't be read."""
     try:
+        check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
         return guessed_head(_first_lines(path.name, _decoded(path.read_bytes())), Layout()).layout
     except OSError as error:
         raise InputError(f"can't read the table {path}: {error.strerror or error}") from None

@@ -362,6 +362,8 @@ def earlier_files(place: Path, kind: Kind = SCAN) -> dict[str, str | None]:
 
 def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
     try:
+        if not report.is_file():  # a pipe could be read without end
+            return {}
         data: Any = json.loads(report.read_text(encoding="utf-8"))
         if kind.report not in data["files"] or "scan3d" not in data["versions"]:
             return {}
@@ -475,6 +477,8 @@ def check_pair(
 def source_kind(sidecar: Path) -> str | None:
     """What the TOML file beside a table says of its source, "" if nothing; None if it is no such file."""
     try:
+        if not sidecar.is_file():
+            return None
         data: Any = tomllib.loads(sidecar.read_text(encoding="utf-8-sig"))
         return str(data.get("source", {}).get("kind", "")) if "length_m" in data["rod"] else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.files.reading import did_you_mean
+from scan3d.files.reading import check_file, did_you_mean
 from scan3d.files.text_tables import Table
 from scan3d.laboratory.maps import Topics
 
@@ -50,6 +50,9 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
         raise InputError("ROS bags need rosbags: pip install 'scan3d[ros]', or export the topics as a table") from None
     folder = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists() else path
     try:
+        for file in folder.iterdir() if folder.is_dir() else [folder]:
+            if not file.is_dir():
+                check_file(file, memory_per_byte=0)  # bags are read message by message
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             stamps, values = _wrenches(path.name, reader, _topic(path.name, reader, _WRENCH, topics.wrench, "wrench"))
             if topics.frames is None:

@@ -131,13 +131,13 @@ class SweepContacts:
 def is_sweep(path: str | Path) -> bool:
     """Whether a file is a table of one sweep, by the names in its first line; also if some of its columns are missing."""
     path = Path(path)
-    if path.suffix.lower() != ".csv":
-        return False
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return False  # the reader of recordings says what is wrong
     try:
         with open(path, "rb") as file:
             line = file.readline(1 << 16).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError):
-        return False  # the reader of recordings says what is wrong
+        return False
     names = {name.strip().strip('"') for name in re.split("[,;\t]", line)}
     return bool(names & {*COLUMNS, *SI_COLUMNS}) and not names & _POSE
 
