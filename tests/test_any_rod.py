@@ -235,6 +235,7 @@ def test_derivatives_agree_with_those_of_the_closed_form():
         assert np.abs((differences - exact) / largest).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_stated_errors_are_those_of_noisy_reactions():
     rod, noise, rng = EVERYTHING, 1e-4, np.random.default_rng(0)
     swept = planar.sweep(CIRCLE, 0.3, samples=12, rod=rod)

@@ -312,6 +312,7 @@ def shaken(recording, normal, sag):
     return dataclasses.replace(recording, position_m=recording.position_m + height[:, None] * normal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["facets", "planar", "diameter", "sag"])
 def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case):
     touched, raster, sentence = rigs.DIAMETER, {}, "a reference that is no sphere, such as one of facets"
@@ -343,6 +344,7 @@ def test_a_sensor_whose_channels_mix_is_noticed(mixed):
     assert not ((np.abs(errors(found, recording)) > 4 * found.standard_deviations) & found.well).any()
 
 
+@pytest.mark.slow
 def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_sphere):
     """Half of the noise's variance is 1/f."""
     recording = rigs.recorded(pink=0.5, stated=False)
@@ -384,6 +386,7 @@ def test_wrong_arguments_have_a_sentence(arguments, sentence):
         scan3d.calibrate(rigs.recorded(**SHORT), **arguments)
 
 
+@pytest.mark.slow
 def test_recordings_that_can_not_be_calibrated_have_a_sentence():
     recording = rigs.recorded(**SHORT)
     touching = np.isfinite(rigs.swept(**SHORT)[4].s1).ravel()
@@ -464,6 +467,7 @@ def test_what_the_command_refuses(call, touches, tmp_path):
         assert call("calibrate", touches, *wrong, "--out", tmp_path / "rig.toml")[0] == 2
 
 
+@pytest.mark.slow
 def test_touches_of_a_plane_without_the_tip_as_files(call, tmp_path):
     """What is not determined is said on stderr, and has no uncertainty in the file; a rig may be written again."""
     raster = dict(reach=(0.7, 0.75, 0.8, 0.85, 0.9), **SHORT)

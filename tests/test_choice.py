@@ -68,6 +68,7 @@ def test_a_proven_hull_is_taken_without_an_estimate():
     assert "proven" in proven.metadata["reason"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(1, 8))])
 def test_the_estimate_lies_between_the_bounds(seed):
     """Whatever the body: no point lies outside the outer body by more than interpolation, and the certificate holds."""
@@ -165,6 +166,7 @@ def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     assert certificate(bounds, made).bound < 2e-3 * np.linalg.norm(mesh.extents)
 
 
+@pytest.mark.slow
 def test_where_no_planes_can_be_fitted_the_other_estimates_are_compared(monkeypatch):
     def fitted(_):
         raise scan3d.InputError("the 0 contacts span no body")
@@ -185,6 +187,7 @@ def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
         surface(cloud, "hull")
 
 
+@pytest.mark.slow
 def test_the_choice_follows_the_cross_validation(box, monkeypatch):
     _, cloud = box
     nothing, least = HeldOutError(1.0, 1.0, 1.0, 1.0), HeldOutError(0.5, 0.5, 0.5, 0.5)
@@ -194,6 +197,7 @@ def test_the_choice_follows_the_cross_validation(box, monkeypatch):
         assert said in surface(cloud).metadata["reason"]
 
 
+@pytest.mark.slow
 def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box):
     mesh, cloud = box
     kept, held_out = hold_out(cloud)
@@ -205,6 +209,7 @@ def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box):
     assert true[min(expected, key=expected.get)] <= 1.2 * min(true.values())
 
 
+@pytest.mark.slow
 def test_a_fit_that_is_closer_than_the_first_estimate_is_compared_with_no_others(ball, monkeypatch):
     monkeypatch.setattr(choice, "_falls", None)
     assert surface(ball[1]).metadata["method"] == "support"

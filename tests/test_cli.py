@@ -316,6 +316,7 @@ def test_the_command_and_the_module_in_a_terminal_with_ascii_only():
     assert done.stderr.startswith('scan3d: Unknown command "peel"')
 
 
+@pytest.mark.slow
 def test_bash_completes_commands_options_and_values(call, tmp_path):
     for shell in SHELLS:
         script = call("completion", shell)[1]

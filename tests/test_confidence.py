@@ -33,6 +33,7 @@ def scanned(name, noise, seed=1, slices=16, **plan):
 # --- slices ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "noise"), [("cube.stl", 1e-3), ("egg.stl", 1e-4), ("pebble.obj", 1e-5), ("needle.ply", 1e-3)]
 )
@@ -52,6 +53,7 @@ def test_the_section_lies_between_the_polygons(name, noise):
         assert ((normals @ slice_.points.T).max(axis=1) <= support + rounding).all()
 
 
+@pytest.mark.slow
 def test_a_slice_that_proves_no_point_is_left_out():
     _, _, cloud = scanned("egg.stl", 1e-3)
     (stack,) = stacks(cloud)
@@ -61,6 +63,7 @@ def test_a_slice_that_proves_no_point_is_left_out():
     assert np.isinf(certificate(enclosure(uncertain), surface(cloud, "hull")).bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BODIES)
 def test_a_slice_whose_contacts_prove_little_leaves_the_bound_to_the_slices_beside_it(name):
     """More touches do not widen a bound: of the uppermost slice, or of one in the middle, no support line is certain."""
@@ -129,6 +132,7 @@ def test_a_mean_of_contacts_lies_as_close_as_its_covariance_says():
     np.testing.assert_allclose(averages.variance(covariance), expected)
 
 
+@pytest.mark.slow
 def test_means_of_rounded_numbers_are_no_more_accurate():
     """Of 500 samples of 8 bit many have the same error; their means were taken for accurate, and false."""
     mesh = trimesh.convex.convex_hull(np.random.default_rng(24).standard_normal((4, 3)) * 10)
@@ -186,6 +190,7 @@ def test_exact_contacts_need_no_confidence():
     assert enclosure(cloud).bound == enclosure(cloud, margin=0.0).bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2))])
 def test_the_certificates_that_were_false(seed):
     """One standard deviation for all contacts certified 0.056 mm; the truth was 0.074 to 0.10 mm."""

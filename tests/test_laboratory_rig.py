@@ -100,6 +100,7 @@ def test_a_calibration_and_the_true_frames_agree(table, calibration):
     assert np.median(np.abs(distance - rigs.DIAMETER / 2)) < 1e-5
 
 
+@pytest.mark.slow
 def test_the_sign_is_that_of_the_map(table, calibration):
     minus = table.with_name("minus.csv")
     found = scan3d.import_table(minus, a_map(sensor={"shows": "rod-on-clamp"}), rig=calibration)

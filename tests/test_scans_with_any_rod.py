@@ -79,6 +79,7 @@ def test_planar_scans_with_any_rod_find_the_body(rod, tmp_path):
     assert distances(wrong.points, mesh).max() > 1e-3 * length
 
 
+@pytest.mark.slow
 def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
     # reactions of a rod in any orientation under its weight, by the march itself with the contact's moment for its start
     rod = replace(CONE, curvature_per_m=(-3.0, 2.0, 4.0), weight_N=0.001)
