@@ -24,6 +24,10 @@ NOMINAL = {"position_mm": [2.0, -15.0, 1.0], "euler_deg": [5.0, 20.0, -3.0]}
 CLAMP = {"position_mm": [1.0, 2.0, -0.5], "euler_deg": [1.0, 0.0, 2.0]}
 
 
+# all share one calibration, which takes long
+pytestmark = pytest.mark.slow
+
+
 def a_map(**sections):
     """The map of the table: everything in SI units."""
     return {
@@ -86,7 +90,6 @@ def about_the_rod(rig):
     return Rotation.from_euler("xyz", rig.clamp_turn, degrees=True).as_euler("xyz", degrees=True)[1]
 
 
-@pytest.mark.slow
 def test_a_calibration_and_the_true_frames_agree(table, calibration):
     assert about_the_rod(TRUTH) == pytest.approx(0, abs=1e-12)
     expected = scan3d.import_table(table, a_map(**true_frames()))
@@ -100,14 +103,12 @@ def test_a_calibration_and_the_true_frames_agree(table, calibration):
     assert np.median(np.abs(distance - rigs.DIAMETER / 2)) < 1e-5
 
 
-@pytest.mark.slow
 def test_the_sign_is_that_of_the_map(table, calibration):
     minus = table.with_name("minus.csv")
     found = scan3d.import_table(minus, a_map(sensor={"shows": "rod-on-clamp"}), rig=calibration)
     assert_same(found, scan3d.import_table(table, a_map(), rig=calibration), 1e-12)
 
 
-@pytest.mark.slow
 def test_an_import_with_a_rig_is_an_import_that_is_corrected_by_it(table, tmp_path):
     # the touches were imported with frames that are wrong, which the calibration corrects
     wrong = a_map(sensor=NOMINAL, clamp=CLAMP)
