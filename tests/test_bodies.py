@@ -91,6 +91,29 @@ def test_a_glb_of_another_program_is_in_metres(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["diagonal"] == pytest.approx(np.linalg.norm([3, 2, 1.2]))
 
 
+FAR = np.array([412345.0, 801234.0, 50.0])
+
+
+@pytest.mark.parametrize(
+    "shape", [trimesh.creation.icosphere(4, radius=12), box(0.02, 0.03, 0.02)], ids=["ball", "box"]
+)
+@pytest.mark.parametrize("ending", [".stl", ".glb"])
+def test_float32_far_from_the_origin_is_named_as_the_cause(tmp_path, shape, ending):
+    moved = as_mesh(shape.vertices + FAR, shape.faces)
+    assert "lost its shape in float32, whose numbers are 0.062 apart" in error(save(tmp_path, moved, f"far{ending}"))
+    assert load_mesh(save(tmp_path, moved, "far.off")).extents == pytest.approx(shape.extents, rel=1e-6)
+    # what is dented, or flat, in itself
+    for mesh, why in ((letter_l(), "isn't convex"), (as_mesh(box().vertices * [5, 5, 0], box().faces), "flat")):
+        assert why in error(save(tmp_path, mesh, f"near{ending}"))
+    assert "isn't convex" in error(save(tmp_path, as_mesh(letter_l().vertices + FAR, letter_l().faces), "far.stl"))
+
+
+def test_separate_bodies_in_a_file_are_counted(tmp_path):
+    pair = trimesh.util.concatenate([box(), as_mesh(box().vertices + np.array([3, 0, 0]), box().faces)])
+    assert "holds 2 separate bodies, where one is expected; keep one of them" in error(save(tmp_path, pair))
+    assert "separate" not in error(save(tmp_path, letter_l()))
+
+
 def test_vertices_without_faces_are_left_out(tmp_path):
     cube = box()
     body = load_mesh(save(tmp_path, as_mesh(np.vstack([cube.vertices, [9, 9, 9]]), cube.faces), "body.off"))

@@ -14,9 +14,9 @@ from other_programs import FORMATS, HERE, PROGRAMS
 
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
+from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export, write_shape
 from scan3d.files.ply import ply, read_ply
-from scan3d.files.shapes import read_shape
+from scan3d.files.shapes import Shape, read_shape, surface_table
 
 ROOT = Path(__file__).parents[1]
 
@@ -185,6 +185,21 @@ def test_a_triangle_without_area_has_no_normal_in_an_stl(tmp_path, surface):
     data = written(tmp_path, tmp_path / "a.stl")
     assert struct.unpack("<3f", data[84:96]) == (0, 0, 0)
     assert np.isfinite(np.frombuffer(data[84:], [("f", "<f4", 12), ("attribute", "<u2")])["f"]).all()
+
+
+@pytest.mark.parametrize("ending", [".stl", ".glb", ".pcd", ".ply", ".obj", ".csv"])
+def test_a_shape_is_not_written_where_float32_would_lose_it(tmp_path, ending):
+    ball = trimesh.creation.icosphere(3, radius=12)
+    rows = surface_table(ball, np.full(len(ball.vertices), 0.02))
+    rows["x"] += 801234.0
+    shape = Shape(rows, None if ending in (".pcd", ".csv") else ball.faces.astype(np.int32), "mm")
+    if ending in (".stl", ".glb", ".pcd"):
+        with pytest.raises(
+            InputError, match=r"in float32, whose numbers are 0\.062 mm apart at coordinates of 801246 mm"
+        ):
+            write_shape(shape, tmp_path / f"far{ending}")
+        rows["bound"] = 0.2  # more than the steps of float32
+    write_shape(shape, tmp_path / f"far{ending}")
 
 
 def glb(data):

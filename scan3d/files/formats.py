@@ -47,8 +47,8 @@ POINT_ENDINGS = (*CLOUD_ENDINGS, ".glb", ".mcap")
 SURFACE_ENDINGS = (".stl", ".ply", ".obj", ".glb", ".vtp")
 # The formats of each of `EXPORTS`, the default first.
 _ENDINGS = dict(zip(EXPORTS, (SURFACE_ENDINGS, POINT_ENDINGS), strict=True))
-# Formats whose coordinates are in float32.
-_SINGLE = (".stl", ".glb")
+# Formats whose coordinates are in float32, and the largest part of the diagonal to which it may round them.
+_SINGLE, _COARSE = (".stl", ".glb", ".pcd", ".mcap"), 1e-4
 # Formats in metres by their specification, those without a place for colours, and that whose names of scalars are chosen.
 _METRES, _COLORLESS, _NAMED = (".glb", ".mcap"), (".stl", ".xyz", ".xyzn"), ".ply"
 
@@ -141,6 +141,8 @@ def write_shape(
     before = len(shape.rows)
     if shape.faces is not None:
         shape = _readable(shape, ending)
+    if ending in _SINGLE:
+        _check_digits(shape, ending)
     known = np.linalg.norm(shape.normals, axis=1) > 0
     if ending in _WITH_NORMALS and not known.all() and not (ending == ".glb" and shape.faces is None):
         raise InputError(
@@ -160,6 +162,26 @@ def write_shape(
     unit = "m" if ending in _METRES else shape.unit
     written = {"file": str(to), "what": shape.what, "points": len(shape.rows), "faces": faces, "unit": unit}
     return written | {"left_out": left_out}
+
+
+def _check_digits(shape: Shape, ending: str) -> None:
+    """Raises InputError if float32 rounds the points by more than the bound to which they are known."""
+    points = shape.points[np.isfinite(shape.points).all(axis=1)]
+    if len(points) < 2:
+        return
+    bound = shape.columns.get("bound", np.zeros(0))
+    bound = bound[np.isfinite(bound)]
+    allowed = max(_COARSE * np.linalg.norm(np.ptp(points, axis=0)), np.median(bound) if len(bound) else 0.0)
+    largest = np.abs(points).max()
+    with np.errstate(all="ignore"):  # beyond the range of float32
+        step = np.spacing(np.float32(largest))
+    if step > allowed > 0:
+        double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
+        raise InputError(
+            f"{ending} is in float32, whose numbers are {step:.2g} {shape.unit} apart at coordinates of {largest:.6g} "
+            f"{shape.unit}, so that the shape of this {shape.what} would be lost; choose {one_of(double)}, which keep all "
+            "digits, or scan the body nearer to the origin"
+        )
 
 
 def _readable(shape: Shape, ending: str) -> Shape:

@@ -71,7 +71,7 @@ def load_mesh(
     """
     path = Path(path)
     data = _read(path)
-    body = _judged(path.name, *_merged(*_triangles(path, data, unit)), hull, clip_dent)
+    body = _judged(path.name, *_merged(*_triangles(path, data, unit)), hull, clip_dent, _scale(path, data, unit))
     body.metadata.update(file=path.name, path=str(path.resolve()), sha256=hashlib.sha256(data).hexdigest())
     return body
 
@@ -110,12 +110,15 @@ def _merged(vertices: Array, faces: Index) -> tuple[Array, Index]:
     return vertices[used[first]], number[faces]
 
 
-def _judged(name: str, vertices: Array, faces: Index, hull: bool, clip_dent: float | str) -> trimesh.Trimesh:
+def _judged(
+    name: str, vertices: Array, faces: Index, hull: bool, clip_dent: float | str, scale: float = 1.0
+) -> trimesh.Trimesh:
     """The convex body of distinct vertices (v, 3) and faces (t, 3), as `load_mesh` describes it.
 
-    `name` is that of the mesh in messages.
+    `name` is that of the mesh in messages, and `scale` what its coordinates were multiplied by.
     """
     if len(vertices) < 4:
+        _check_digits(name, vertices, scale, 0.0)
         raise InputError(f"{name} has only {len(vertices)} distinct vertices, where a body needs at least 4")
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -123,13 +126,19 @@ def _judged(name: str, vertices: Array, faces: Index, hull: bool, clip_dent: flo
     diagonal = float(extent * np.linalg.norm((high - low) / extent))  # squares of very small numbers would vanish
     center = low + (high - low) / 2
     points = (vertices - center) / diagonal
-    _check_thickness(name, _thickness(points), diagonal)
+    thickness = _thickness(points)
+    if thickness < FLAT:
+        _check_digits(name, vertices, scale, thickness * diagonal)
+    _check_thickness(name, thickness, diagonal)
 
     outer, dent, deepest, covered = _against_hull(points, faces)
     place = center + diagonal * deepest
     if not hull:
         size, share = dent_size(clip_dent)
-        _check_convex(name, dent, diagonal, place, max(DENT_TOLERANCE, size / diagonal + share))
+        allowed = max(DENT_TOLERANCE, size / diagonal + share)
+        if dent > allowed:
+            _check_digits(name, vertices, scale, dent * diagonal)
+        _check_convex(name, dent, diagonal, place, allowed, _bodies(vertices, faces) if dent > allowed else 1)
         _check_closed(name, covered)
 
     used, facets = without_unused(outer)
@@ -177,14 +186,39 @@ def _check_thickness(name: str, thickness: float, diagonal: float) -> None:
         )
 
 
-def _check_convex(name: str, dent: float, diagonal: float, deepest: Array, allowed: float) -> None:
+def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None:
+    """Raises InputError if a thickness or a dent is within the rounding of a file far from the origin to float32."""
+    in_file = vertices / scale
+    largest = float(np.abs(in_file).max())
+    with np.errstate(all="ignore"):  # beyond the range of float32
+        single, step = in_file.astype(np.float32), float(np.spacing(np.float32(largest)))
+    is_coarse = step > DENT_TOLERANCE * np.linalg.norm(np.ptp(in_file, axis=0)) and size <= np.sqrt(3) * step * scale
+    if is_coarse and np.abs(single - in_file).max() <= 1e-12 * largest:
+        raise InputError(
+            f"{name} has lost its shape in float32, whose numbers are {step:.2g} apart at its coordinates of up to "
+            f"{largest:.6g}; move the body to the origin and export it again, or export it in double precision"
+        )
+
+
+def _bodies(vertices: Array, faces: Index) -> int:
+    """Number of separate closed surfaces; 1 if any is open."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    return int(mesh.body_count) if mesh.is_watertight else 1
+
+
+def _check_convex(name: str, dent: float, diagonal: float, deepest: Array, allowed: float, bodies: int) -> None:
     """Raises InputError for a dented body; `dent` and `allowed` are relative to the diagonal, `deepest` (3,) is where it is."""
     if dent > allowed:
+        if bodies > 1:
+            raise InputError(
+                f"{name} isn't convex: it holds {bodies} separate bodies, where one is expected; keep one of them, or to scan "
+                "the convex hull of all give --hull (hull=True)"
+            )
         place = ", ".join(f"{x:.6g}" for x in deepest)
         raise InputError(
-            f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep, in the unit of the mesh ({dent:.3g} of its "
-            f"diagonal, where {allowed:.3g} is allowed), at ({place}); to scan its convex hull instead, give --hull "
-            f"(hull=True), or to fill dents up to that depth --clip-dent {_above(dent * diagonal):g} (clip_dent)"
+            f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep, in the unit of the mesh "
+            f"({dent:.3g} of its diagonal, where {allowed:.3g} is allowed), at ({place}); to scan its convex hull instead, "
+            f"give --hull (hull=True), or to fill dents up to that depth --clip-dent {_above(dent * diagonal):g} (clip_dent)"
         )
 
 
@@ -227,6 +261,13 @@ def _stated_unit(kind: str, head: bytes) -> str | None:
     return "m" if kind == "glb" else found[1].decode() if found else None
 
 
+def _scale(path: Path, data: bytes, unit: str) -> float:
+    """What the lengths of a file are multiplied by to be in a unit."""
+    if unit not in UNITS_M:
+        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
+    return UNITS_M[_stated_unit(path.suffix[1:].lower(), data[:_HEAD]) or unit] / UNITS_M[unit]
+
+
 def common_unit(*paths: Path) -> str:
     """The unit in which mesh files are read together: the first that one of them states, and mm; GLB has no other."""
     others = [path for path in paths if path.suffix.lower() != ".glb" and path.is_file()]
@@ -255,10 +296,7 @@ def _read(path: Path) -> bytes:
 
 def _triangles(path: Path, data: bytes, unit: str) -> tuple[Array, Index]:
     """Vertices (v, 3) in a unit and faces (t, 3) of all triangles in a file, without merging or dropping any."""
-    if unit not in UNITS_M:
-        raise InputError(f"unit must be one of {', '.join(UNITS_M)}, got {unit!r}")
-    kind = path.suffix[1:].lower()
-    scale = UNITS_M[_stated_unit(kind, data[:_HEAD]) or unit] / UNITS_M[unit]
+    kind, scale = path.suffix[1:].lower(), _scale(path, data, unit)
     try:
         with warnings.catch_warnings():
             # On a broken number older versions of numpy only warn, and return the numbers before it, which are part of a
