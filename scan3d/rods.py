@@ -167,7 +167,7 @@ class Rod:
         )
 
     def in_space(self) -> SpatialRod:
-        """The rod of `scan3d.spatial`, in the units (1)."""
+        """The rod of the spatial model, in the units (1)."""
         from scan3d.spatial.march import SpatialRod
 
         bend_z, bend_x, twist = (self.length_m * part for part in self.curvatures)
