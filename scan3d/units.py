@@ -20,14 +20,15 @@ def unit_symbol(unit: str) -> str:
 
 
 _STANDARD_GRAVITY = 9.80665
+_POUND = 0.45359237 * _STANDARD_GRAVITY
 FACTORS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "length": UNITS_M,
     "angle": {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3},
-    "force": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 1e-3 * _STANDARD_GRAVITY},
+    "force": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 1e-3 * _STANDARD_GRAVITY, "lbf": _POUND},
     "moment": {
         "N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "N um": 1e-6, "mN m": 1e-3, "mN mm": 1e-6, "uN m": 1e-6, "uN mm": 1e-9,
-        "kN m": 1e3,
+        "kN m": 1e3, "lbf in": 0.0254 * _POUND, "lbf ft": 0.3048 * _POUND,
     },
 }  # fmt: skip
 """Each measured quantity's units by their symbols, and what they are in s, m, rad, N and N m."""

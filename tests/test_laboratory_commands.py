@@ -16,6 +16,7 @@ from scan3d.cli import main
 from scan3d.files.parquet import parquet_bytes
 from scan3d.files.text import to_toml
 from scan3d.laboratory.guessing import guess_map
+from scan3d.units import FACTORS
 
 RIG = Rig(noise=0.002)
 
@@ -227,6 +228,13 @@ def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
 def test_times_state_their_unit_by_their_size(tmp_path, step, start, unit):
     (tmp_path / "log.csv").write_text("time,x\n" + "".join(f"{start + step * k:.2f},0\n" for k in range(200)))
     assert tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]["time"] == unit
+
+
+def test_pounds_are_units(tmp_path):
+    (tmp_path / "log.csv").write_text("Fx (lbf),Fy (lbf),Fz (lbf),Tx (lbf-in),Ty (lbf-in),Tz (lbf-in)\n1,2,3,4,5,6\n")
+    units = tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]
+    assert (units["force"], units["moment"]) == ("lbf", "lbf in")
+    assert FACTORS["moment"]["lbf in"] == pytest.approx(0.1129848290276167, rel=1e-15)
 
 
 def test_titles_and_units_are_found_by_the_guess(tmp_path):

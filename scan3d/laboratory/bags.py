@@ -59,11 +59,9 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
                 poses = _stamped(path.name, reader, _topic(path.name, reader, _POSE, topics.pose, "pose"))
             else:
                 edges = _transforms(path.name, reader)
-    except (InputError, MemoryError):
+    except InputError:
         raise
-    except (
-        Exception
-    ) as error:  # rosbags has an exception of its own in each part, and lets those of damaged files through
+    except Exception as error:  # rosbags has one of its own in each part; a damaged length gives a MemoryError
         raise InputError(f"can't read the bag {path}: {str(error) or type(error).__name__}") from None
     if topics.frames is not None:
         poses = _by_tf(path.name, edges, *topics.frames)
