@@ -38,6 +38,7 @@ from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces import surface
 from scan3d.surfaces.open3d_methods import check_method
+from scan3d.units import unit_question
 
 PICTURES = ("cloud", "surface")
 """The views of the pictures in a result's folder."""
@@ -94,6 +95,8 @@ def scan(
         with clock("load"):
             if is_path:
                 body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
+                if question := unit_question(float(body.extents.max()), plan.unit):
+                    notify(question)
             else:
                 body = judge_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
         with clock("simulate"):

@@ -14,6 +14,34 @@ def unit_of(mesh: Any, given: str | None) -> str:
     return given or (mesh.units if mesh.units in UNITS_M else "mm")
 
 
+# Units that are taken for one another, the longer one first, the likeliest pairs first.
+_CONFUSED = (("m", "mm"), ("in", "mm"), ("cm", "mm"), ("m", "in"), ("m", "cm"), ("in", "cm"))
+
+
+def unit_remark(first: float, second: float) -> str | None:
+    """A sentence on two sizes whose ratio is within 5 % that of two units; None otherwise."""
+    if not (0 < first < math.inf and 0 < second < math.inf):
+        return None
+    ratio = max(first, second) / min(first, second)
+    for longer, shorter in _CONFUSED:
+        factor = UNITS_M[longer] / UNITS_M[shorter]
+        if abs(ratio / factor - 1) < 0.05:
+            large, small = ("first", "second") if first > second else ("second", "first")
+            return (
+                f"the {large} body is {ratio:.4g} times as large as the {small}, as if the {large} were in {shorter} and the "
+                f"{small} in {longer}; check their units"
+            )
+    return None
+
+
+def unit_question(size: float, unit: str) -> str | None:
+    """A question on a body of less than 1 mm or more than 5 m that in another unit has 5 mm to 1 m; None for others."""
+    if 1e-3 <= size * UNITS_M[unit] <= 5:
+        return None
+    meant = next((other for other in ("m", "mm", "in", "cm", "um") if 5e-3 <= size * UNITS_M[other] <= 1), None)
+    return None if meant is None else f"the body measures {size:.3g} {unit_symbol(unit)}; did you mean --unit {meant}?"
+
+
 def unit_symbol(unit: str) -> str:
     """The symbol of a unit as it is printed."""
     return unit.replace("um", "µm")

@@ -114,6 +114,34 @@ def test_separate_bodies_in_a_file_are_counted(tmp_path):
     assert "separate" not in error(save(tmp_path, letter_l()))
 
 
+@pytest.mark.parametrize(
+    ("factor", "units"), [(1000, "mm and the first in m"), (25.4, "mm and the first in in"), (9.9, "mm")]
+)
+def test_bodies_that_differ_by_a_unit_are_remarked_on(tmp_path, capsys, factor, units):
+    paths = [
+        str(save(tmp_path, box(*size), name))
+        for size, name in (((3, 2, 1), "a.stl"), (np.array([3, 2, 1]) * factor, "b.stl"))
+    ]
+    assert main(["compare", *paths, "--json"]) == 0
+    assert f"times as large as the first, as if the second were in {units}" in capsys.readouterr().err
+    assert main(["compare", *paths[::-1], "--json"]) == 0
+    assert "the first body is" in capsys.readouterr().err
+    save(tmp_path, box(6, 4, 2), "b.stl")
+    assert main(["compare", *paths, "--json"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "meant"), [(0.04, "mm", "m"), (40, "m", "mm"), (40, "mm", None), (0.04, "m", None)]
+)
+def test_a_body_too_small_or_too_large_is_asked_about(tmp_path, capsys, size, unit, meant):
+    path = save(tmp_path, box(size, size, size / 2), "box.stl")
+    counts = ["--slices", "2", "--sweeps", "2", "--samples", "2"]
+    assert main(["simulate", str(path), "--out", str(tmp_path / "log.csv"), "--unit", unit, *counts]) == 0
+    question = f"scan3d: the body measures {size:g} {unit}; did you mean --unit {meant}?\n" if meant else ""
+    assert capsys.readouterr().err == question
+
+
 def test_vertices_without_faces_are_left_out(tmp_path):
     cube = box()
     body = load_mesh(save(tmp_path, as_mesh(np.vstack([cube.vertices, [9, 9, 9]]), cube.faces), "body.off"))

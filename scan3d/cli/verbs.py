@@ -20,7 +20,7 @@ from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simula
 from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
 from scan3d.errors import UsageError
 from scan3d.settings import Settings, settings, varied_settings
-from scan3d.units import UNITS_M, Unit
+from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
 
 DEMO = Path(__file__).with_name("demo.glb")
 """The body of the demonstration, that of ``meshes/gem.glb``."""
@@ -136,6 +136,8 @@ def simulate(
     plan = chosen.plan()
     output.progress.tell("reading")
     body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
+    if question := unit_question(float(body.extents.max()), plan.unit):
+        say(question)
     with folder(out.parent):
         recording = simulate_scan(body, plan, output.progress.counter(_parts(chosen)))
         write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
@@ -273,12 +275,17 @@ def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: O
     unit
         unit to print, and of files that state none (default: what one of them states, or mm)
     """
+    import numpy as np
+
     from scan3d.comparison import compare as compare_meshes
     from scan3d.files.meshes import common_unit, read_mesh
     from scan3d.report import comparison_summary
 
     in_unit = unit or common_unit(first, second)
-    comparison = compare_meshes(read_mesh(first, in_unit), read_mesh(second, in_unit))
+    bodies = [read_mesh(path, in_unit) for path in (first, second)]
+    comparison = compare_meshes(*bodies)
+    if remark := unit_remark(*(float(np.linalg.norm(body.extents)) for body in bodies)):
+        say(remark)
     return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, in_unit)))
 
 
