@@ -95,8 +95,6 @@ def scan(
         with clock("load"):
             if is_path:
                 body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
-                if question := unit_question(float(body.extents.max()), plan.unit):
-                    notify(question)
             else:
                 body = judge_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
         with clock("simulate"):
@@ -109,7 +107,11 @@ def scan(
         analysis = analyse(*record(clock), chosen.method, clock=clock)
         return analysis, report(analysis, settings=settings, friction_set=chosen.friction, timings_s=clock.seconds)
     with replacing(out, with_recording=True, inputs=read, overwrite=overwrite) as result:
-        return _performed(record, result, settings, chosen.method, None, True, notify, step)
+        performed = _performed(record, result, settings, chosen.method, None, True, notify, step)
+    truth = performed[0].truth
+    if is_path and truth is not None and (question := unit_question(float(truth.extents.max()), plan.unit)):
+        notify(question)
+    return performed
 
 
 def reconstruct(

@@ -136,11 +136,11 @@ def simulate(
     plan = chosen.plan()
     output.progress.tell("reading")
     body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
-    if question := unit_question(float(body.extents.max()), plan.unit):
-        say(question)
     with folder(out.parent):
         recording = simulate_scan(body, plan, output.progress.counter(_parts(chosen)))
         write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
+    if question := unit_question(float(body.extents.max()), plan.unit):
+        say(question)
     data = {"recording": str(out), "samples": len(recording), "sweeps": len(np.unique(recording.sweep))}
     text = printable(f"{data['samples']} samples in {data['sweeps']} sweeps, written to {data['recording']}")
     return print_result(output, data, text)
