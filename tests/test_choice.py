@@ -209,12 +209,6 @@ def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box):
     assert true[min(expected, key=expected.get)] <= 1.2 * min(true.values())
 
 
-@pytest.mark.slow
-def test_a_fit_that_is_closer_than_the_first_estimate_is_compared_with_no_others(ball, monkeypatch):
-    monkeypatch.setattr(choice, "_falls", None)
-    assert surface(ball[1]).metadata["method"] == "support"
-
-
 # --- what is held out, and the errors there ---
 
 

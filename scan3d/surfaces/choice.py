@@ -98,11 +98,6 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
     by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
     of_kept, part = _estimates(kept, None, by_cells)
-    if fit is not None and not cloud.noisy:
-        # a body with a close fit is smooth: of the other estimates the first is the best, or nearly
-        first = next(iter(of_kept.values()))
-        if fit.largest <= error_of_surface(first(), held_out).largest:
-            return _fitted(cloud, lie_within(fit))
     estimates, whole = _estimates(cloud, bounds, by_cells)
     falls = _falls(part, whole, held_out)
     errors = {name: error_of_surface(make(), held_out, falls) for name, make in of_kept.items()}
