@@ -31,7 +31,7 @@ from planar.rods import Profile, Rod
 # Rows that are marched at once: their stages stay in the processor's cache.
 _BLOCK = 1024
 # Steps along the rod to start with, the most, and the difference of two runs, in rod lengths, at which they suffice.
-_STEPS, _MOST_STEPS, _AGREED = 8, 256, 1e-10
+STEPS, _MOST_STEPS, _AGREED = 8, 256, 1e-10
 # Rows by which the number of steps is chosen.
 _TRIED = 32
 # Arc length up to which a contact past the tip is sought.
@@ -54,7 +54,12 @@ class Marched(NamedTuple):
 
 def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
     """Contacts of rods under contact forces (2, n) and internal moments (n,) at the clamp, ``M(0) = -m0z``."""
-    steps = _steps(rod, force, moment)
+
+    def places(rows: Index, steps: int) -> Array:
+        found = _contacts(rod, force[:, rows], moment[rows], steps)
+        return np.stack([found.x, found.y])
+
+    steps = enough_steps(places, np.hypot(*force) + np.abs(moment))
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(len(moment), 1), _BLOCK)]
     parts = [_contacts(rod, force[:, rows], moment[rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
@@ -70,15 +75,17 @@ def free_reactions(rod: Rod) -> tuple[float, float, float]:
     return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
 
 
-def _steps(rod: Rod, force: Array, moment: Array) -> int:
-    """The number of steps: doubled until two runs agree on some rows, the largest reactions among them."""
-    size = np.hypot(*force) + np.abs(moment)
+def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
+    """The number of steps: doubled until two runs agree on some rows, those of the largest `size` (n,) among them.
+
+    `march` gives places of rows by a number of steps.
+    """
     order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
     rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), _TRIED).astype(np.intp))] if len(order) else order
-    steps, last = _STEPS, _contacts(rod, force[:, rows], moment[rows], _STEPS)
+    steps, last = STEPS, march(rows, STEPS)
     while steps < _MOST_STEPS:
-        finer = _contacts(rod, force[:, rows], moment[rows], 2 * steps)
-        if not (np.hypot(finer.x - last.x, finer.y - last.y) > _AGREED).any():
+        finer = march(rows, 2 * steps)
+        if not (np.abs(finer - last) > _AGREED).any():
             break
         steps, last = 2 * steps, finer
     return steps

@@ -20,13 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planar.march import grid, tableau
+from planar.march import STEPS, enough_steps, grid, tableau
 from planar.rods import Profile
 from scan3d.arrays import Array, Index
 
 _BLOCK = 512
-# Steps along the rod to start with, the most, and the difference of two runs, in rod lengths, at which they suffice.
-_STEPS, _MOST_STEPS, _AGREED, _TRIED = 8, 128, 1e-10, 32
 # Arc length up to which a contact past the tip is sought.
 _LONGEST = 2.0
 # Corrections of the moment of the part that hangs free, shots for each, and the moment left at the tip that ends them.
@@ -78,7 +76,11 @@ def contacts(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None
     down = _checked_gravity(rod, gravity, force)
     contact_force = -force - rod.profile.weight * down
     start = _start(rod, contact_force, -moment, down)
-    steps = _steps(rod, start, contact_force)
+
+    def places(rows: Index, steps: int) -> Array:
+        return _contacts(rod, start[:, rows], contact_force[:, rows], steps).point
+
+    steps = enough_steps(places, np.abs(start[:6]).sum(axis=0))
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     parts = [_contacts(rod, start[:, rows], contact_force[:, rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
@@ -140,20 +142,6 @@ def _rotated(quaternion: Array, vector: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _steps(rod: SpatialRod, start: Array, force: Array) -> int:
-    """The number of steps: doubled until two runs agree on some rows, the largest reactions among them."""
-    size = np.abs(start[:6]).sum(axis=0)
-    order = np.argsort(np.where(np.isfinite(size), size, -1.0))[::-1]
-    rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), _TRIED).astype(np.intp))] if len(order) else order
-    steps, last = _STEPS, _contacts(rod, start[:, rows], force[:, rows], _STEPS)
-    while steps < _MOST_STEPS:
-        finer = _contacts(rod, start[:, rows], force[:, rows], 2 * steps)
-        if not (np.abs(finer.point - last.point) > _AGREED).any():
-            break
-        steps, last = 2 * steps, finer
-    return steps
 
 
 def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
@@ -232,7 +220,7 @@ def _hanging(rod: SpatialRod, s: Array, state: Array) -> Array:
     for _ in range(_SHOTS):
         free, at = state.copy(), s
         free[_M], free[_N] = moment, 0.0
-        for upper in grid(rod.profile, _STEPS):
+        for upper in grid(rod.profile, STEPS):
             end = np.maximum(at, upper)
             if (end > at).any():
                 free = _step(rod, free, at, end - at)
