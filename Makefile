@@ -11,7 +11,7 @@ FUZZ ?= 2000
 # Pictures of `make figures`, by name; empty: all.
 FIGURES ?=
 PYTEST = OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n $(WORKERS) --dist worksteal
-PIP = .venv/bin/python -m pip install --quiet --disable-pip-version-check
+PIP = .venv/bin/python -m pip install --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .PHONY: help scan test fast trust lint format check mutants docs figures dev
@@ -23,11 +23,11 @@ help: ## list the targets
 scan: .venv/installed ## scan MESH=meshes/egg.stl into OUT=out
 	.venv/bin/scan3d scan $(MESH) --out $(OUT)
 
-test: .venv/installed ## run all tests but the long ones of make trust (10 minutes on two cores)
+test: .venv/test ## run all tests but the long ones of make trust (10 minutes on two cores)
 	@echo "All tests, $(WORKERS) at a time: about 10 minutes on two cores.  make fast takes 3 minutes."
 	$(PYTEST) $(ARGS)
 
-fast: .venv/installed ## run the tests that are not marked slow (3 minutes on two cores)
+fast: .venv/test ## run the tests that are not marked slow (3 minutes on two cores)
 	@echo "The tests that are not marked slow, $(WORKERS) at a time: about 3 minutes on two cores."
 	$(PYTEST) -m "not slow and not trust" $(ARGS)
 
@@ -43,7 +43,7 @@ format: .venv/dev ## put the code into the project's format
 
 check: lint fast ## lint and fast: what to run before a commit
 
-trust: .venv/installed ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
+trust: .venv/test ## the long tests of what is promised: bounds, crashes, odd files, FUZZ=2000 random inputs (hours)
 	$(PYTEST) -m trust $(ARGS)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.fuzz --count $(FUZZ)
 	OMP_NUM_THREADS=1 .venv/bin/python -m tests.robustness.kills --kills 100
@@ -67,7 +67,7 @@ figures: .venv/installed ## remake the pictures of README and manual (half an ho
 
 dev: .venv/dev .venv/docs ## set up .venv with the linters, the type checker and Sphinx
 
-.venv/dev: .venv/installed
+.venv/dev: .venv/test
 	$(PIP) --editable '.[dev]'
 	touch $@
 
@@ -76,7 +76,12 @@ dev: .venv/dev .venv/docs ## set up .venv with the linters, the type checker and
 	touch $@
 
 .venv/installed: pyproject.toml
-	@echo "Setting up .venv with everything that the tests need: a minute or more, as the network is."
+	@echo "Setting up .venv with what a scan needs (0.96 GB): a minute or more, as the network is."
 	$(PYTHON) -m venv .venv
+	$(PIP) --editable .
+	touch $@
+
+.venv/test: .venv/installed
+	@echo "Adding what the tests need (another 0.9 GB)."
 	$(PIP) --editable '.[test]'
 	touch $@

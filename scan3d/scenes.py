@@ -25,6 +25,8 @@ from scan3d.pictures.scene import Scene, columns
 from scan3d.report import SCHEMA, key_figures, summary
 from scan3d.units import UNITS_M
 
+DEMO = Path(__file__).with_name("egg.glb")
+"""The body of the demonstration, that of ``meshes/egg.stl`` with fewer facets."""
 # Columns of a cloud that are used as numbers of something, with their smallest and their largest value.
 _INDICES = {
     "phase": (int(planar.Phase.TIP), int(planar.Phase.TANGENTIAL)),
@@ -99,13 +101,14 @@ def scene_of_folder(folder: Path, report: Mapping[str, Any], unit: str) -> Scene
 def find_truth(folder: Path, report: Mapping[str, Any]) -> str | None:
     """The mesh file that a report names, None if it is not found unchanged.
 
-    It is looked for in the folder, beside it, in the current directory, and in the folders there.
+    It is looked for in the folder, beside it, in the current directory, in the folders there, and where the demonstration's is.
     """
     mesh = report.get("mesh") or {}
     name, digest = Path(str(mesh.get("file"))).name, mesh.get("sha256")
     if not digest:
         return None
-    places = (folder, folder.resolve().parent, Path(), *sorted(path for path in Path().iterdir() if path.is_dir()))
+    below = sorted(path for path in Path().iterdir() if path.is_dir())
+    places = (folder, folder.resolve().parent, Path(), *below, DEMO.parent)
     for path in (place / name for place in places):
         with suppress(OSError, ValueError):  # a name that can't be one of a file, or a file that can't be read
             if path.is_file() and sha256(path) == digest:

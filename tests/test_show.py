@@ -58,7 +58,7 @@ def test_a_colour_shows_the_contacts(tmp_path, shown, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ("--view bound", "--view says what a picture shows: give --screenshot FILE as well"),
+        ("--view bound --html x.html", "--view says what a picture shows: give --screenshot FILE as well"),
         ("--color phase --html x.html", "--color is for a picture or the window: give --screenshot FILE as well"),
         ("--color phase --view bound --screenshot x.png", "--color is that of the contacts in the view cloud: leave"),
         ("--movie-of growth --html x.html", "--movie-of says what a movie shows: give --movie FILE as well"),

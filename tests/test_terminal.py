@@ -108,8 +108,9 @@ def test_long_runs_leave_few_lines_in_a_pipe(monkeypatch):
             now += 1
             count(second + 1, 3600)
     lines = stream.getvalue().splitlines()
-    assert len(lines) == 9  # after 10, 20, 40, ... 2560 seconds
-    assert lines[0] == "scan3d: simulating 10/3600 slices, 10 s so far"
+    assert len(lines) == 10  # the step, and after 10, 20, 40, ... 2560 seconds
+    assert lines[0] == "scan3d: 0.0 s: reading"
+    assert lines[1] == "scan3d: simulating 10/3600 slices, 10 s so far"
     assert lines[-1] == "scan3d: simulating 2560/3600 slices, 42 min 40 s so far"
 
 
@@ -124,8 +125,22 @@ def test_a_message_stays_and_a_closed_stream_does_no_harm(monkeypatch):
         progress.tell("on")
 
 
+def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_lasted_a_second(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    monkeypatch.setattr(sys, "stderr", stream := Stream(False))
+    with Progress("scan", quiet=False) as progress:
+        for name in terminal._STEPS:
+            assert bool(stream.getvalue()) == (now > 101.3)
+            progress.step(name)
+            now += 0.4
+    lines = stream.getvalue().splitlines()
+    assert lines == [f"scan3d: {0.4 * k:.1f} s: {words}" for k, words in enumerate(terminal._STEPS.values())]
+
+
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(12.3, "12 s"), (59.7, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")]
+    ("seconds", "text"),
+    [(3.42, "3.4 s"), (12.3, "12 s"), (59.7, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],
 )
 def test_durations(seconds, text):
     assert duration(seconds) == text

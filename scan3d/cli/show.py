@@ -40,6 +40,7 @@ def show(
 
     For example:
       scan3d show out
+      scan3d show out --view compare
       scan3d show out --screenshot egg.png --view compare
       scan3d show out --screenshot egg.pdf --size 85x60mm --dpi 600 --camera 300,25
       scan3d show out --screenshot forces.svg --view forces
@@ -59,7 +60,7 @@ def show(
     movie
         a .gif, or an .mp4 (needs imageio-ffmpeg)
     view
-        what the picture shows (default: surface, with --color cloud)
+        what the picture shows (default: surface, with --color cloud); without --screenshot it is NAME-VIEW.png
     color
         colour of the contacts in a picture or the window (default: force)
     size
@@ -80,6 +81,8 @@ def show(
     unit
         unit of a mesh
     """
+    if view and not (screenshot or html or movie):
+        screenshot = Path(f"{path.resolve().stem}-{view}.png")
     _check_picture(screenshot, html or movie, {"view": view, "size": size, "dpi": dpi, "camera": camera}, color)
     if movie_of and not movie:
         raise UsageError("--movie-of says what a movie shows: give --movie FILE as well")

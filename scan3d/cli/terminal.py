@@ -111,8 +111,10 @@ class Progress:
 
     def __init__(self, command: str, quiet: bool) -> None:
         self._command, self._quiet = command, quiet
-        # without a terminal the first line comes after 10 s, and each further one after twice the time of the one before
+        # without a terminal what is counted is told after 10 s, and again after twice the time of the line before
         self._begun, self._due = time.monotonic(), 10.0
+        # and the steps of a scan one by one, as soon as the run has lasted a second
+        self._lines: list[str] = []
         self._bar: Any = None
         self._undone = ExitStack()
 
@@ -152,13 +154,23 @@ class Progress:
         seconds = time.monotonic() - self._begun
         if self._bar is not None:
             self._bar.update(self._task, description=f"{self._command}: {words}", completed=done, total=total)
-        elif not self._quiet and seconds >= self._due:
+            return
+        self._say_lines()
+        if not self._quiet and seconds >= self._due:
             self._due = 2 * seconds
             say(f"{words}, {duration(seconds)} so far")
 
+    def _say_lines(self) -> None:
+        while self._lines and not self._quiet and time.monotonic() - self._begun >= 1:
+            say(self._lines.pop(0))
+
     def step(self, name: str) -> None:
-        """Show that a step of a scan begins, by its name in `timings_s` of a report."""
-        self.tell(_STEPS[name])
+        """Show that a step of a scan begins, by its name in `timings_s` of a report, elsewhere in a line of its own."""
+        if self._bar is not None:
+            self.tell(_STEPS[name])
+        else:
+            self._lines.append(f"{duration(time.monotonic() - self._begun)}: {_STEPS[name]}")
+            self._say_lines()
 
     def counter(self, parts: str) -> Callable[[int, int], None]:
         """A function that shows how many parts are simulated, of how many."""
@@ -173,7 +185,9 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A duration in words: ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    """A duration in words: ``3.4 s``, ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -22,10 +22,8 @@ from scan3d.errors import UsageError
 from scan3d.settings import Settings, settings, varied_settings
 from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
 
-DEMO = Path(__file__).with_name("demo.glb")
-"""The body of the demonstration, that of ``meshes/gem.glb``."""
-# Settings of the demonstration: half the slices of the default take half the time.
-DEMO_SETTINGS = {"slices": 32, "friction": "0.1:0.4"}
+# Settings of the demonstration: few slices, so that it takes some seconds, and what they leave unknown can be seen.
+DEMO_SETTINGS = {"slices": 24, "friction": "0.1:0.4"}
 
 
 def scan(
@@ -68,12 +66,19 @@ def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, out
     out
         folder for the results
     """
+    from scan3d.scenes import DEMO
+
     code = _report(_scanned(DEMO, settings(DEMO_SETTINGS), out, overwrite, output), out, False, output)
     if not (output.json or output.quiet):
         page, place = printable(str(out / "view.html")), printable(str(out))
-        print(f"\nOpen {page} in a browser; surface.png and cloud.png beside it are pictures.")
-        print(f"{f'scan3d show {place}':35} an interactive window")
-        print(f"{'scan3d scan part.stl --out out':35} a scan of your own mesh")
+        further = {
+            f"scan3d show {place}": "the scan in a window",
+            f"scan3d show {place} --view compare": "a picture beside the true body",
+            "scan3d scan part.stl --out out": "a scan of your own mesh",
+        }
+        print(f"\nOpen {page} in a browser. To go on with:")
+        width = max(map(len, further))
+        print("\n".join(f"  {command:{width}}  {what}" for command, what in further.items()))
     return code
 
 
