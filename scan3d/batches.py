@@ -188,7 +188,7 @@ def perform_batch(
     """
     folder = Path(out)
     runs = _runs(mesh_files(given), choices, folder, overwrite)
-    with replacing(folder, with_recording=False, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
+    with replacing(folder, inputs=inputs, overwrite=overwrite, kind=BATCH) as result:
         missing = [run for run in runs if not run.is_done()]
         failures: dict[str, Outcome] = {}
         notices: set[str] = set()

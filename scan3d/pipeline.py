@@ -106,8 +106,8 @@ def scan(
         clock = Clock(step=step)
         analysis = analyse(*record(clock), chosen.method, clock=clock)
         return analysis, report(analysis, settings=settings, friction_set=chosen.friction, timings_s=clock.seconds)
-    with replacing(out, with_recording=True, inputs=read, overwrite=overwrite) as result:
-        performed = _performed(record, result, settings, chosen.method, None, True, notify, step)
+    with replacing(out, inputs=read, overwrite=overwrite) as result:
+        performed = _performed(record, result, settings, chosen.method, None, notify, step)
     truth = performed[0].truth
     if is_path and truth is not None and (question := unit_question(float(truth.extents.max()), plan.unit)):
         notify(question)
@@ -139,8 +139,8 @@ def reconstruct(
         with clock("load"):
             return read()
 
-    with replacing(out, with_recording=False, inputs=inputs, overwrite=overwrite) as result:
-        return _performed(record, result, settings, settings["method"], model, False, notify, step)
+    with replacing(out, inputs=inputs, overwrite=overwrite) as result:
+        return _performed(record, result, settings, settings["method"], model, notify, step)
 
 
 def _performed(
@@ -149,7 +149,6 @@ def _performed(
     settings: Mapping[str, Any],
     method: str,
     model: str | None,
-    is_simulated: bool,
     notify: Notify,
     step: Step,
 ) -> tuple[Analysis, dict[str, Any]]:
@@ -162,7 +161,7 @@ def _performed(
             drawing.begin(of_cloud(cloud, surface=mesh, truth=truth), _JOBS)
 
         analysis = analyse(recording, truth, method, model, clock=clock, made=draw)
-        return analysis, _put(analysis, result, settings, is_simulated, clock, drawing, notify)
+        return analysis, _put(analysis, result, settings, clock, drawing, notify)
 
 
 def with_origin(recording: Recording, body: Any) -> Recording:
@@ -246,48 +245,44 @@ def write(
     folder: str | Path,
     *,
     settings: Mapping[str, Any],
-    with_recording: bool,
     notify: Notify = lambda _: None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write an analysis into a folder: cloud, surface, pictures, page and report, which is returned.
+    """Write an analysis into a folder: recording, cloud, surface, pictures, page and report, which is returned.
 
     settings
         those of the run, which the report repeats.
-    with_recording
-        whether the recording is written as well, as for a simulated one.
     overwrite
         whether files that the program did not write may be replaced.
 
     Raises InputError if the folder can't be written into, or if a file would be replaced that must not be.
     """
-    with replacing(folder, with_recording=with_recording, overwrite=overwrite) as result, Drawing() as drawing:
-        return _put(analysis, result, settings, with_recording, Clock(analysis.seconds), drawing, notify)
+    with replacing(folder, overwrite=overwrite) as result, Drawing() as drawing:
+        return _put(analysis, result, settings, Clock(analysis.seconds), drawing, notify)
 
 
 def _put(
     analysis: Analysis,
     result: Replacement,
     settings: Mapping[str, Any],
-    with_recording: bool,
     clock: Clock,
     drawing: Drawing,
     notify: Notify,
 ) -> dict[str, Any]:
     """Let all files of an analysis appear in a folder; its report."""
-    friction = settings.get("friction") if with_recording else None
+    friction = settings.get("friction")
     with clock("write"):
-        _put_tables(analysis, result, with_recording)
+        _put_tables(analysis, result)
     with clock("pictures"):
         figures = key_figures(report(analysis, settings=settings, friction_set=friction))
         _put_pictures(to_scene(analysis, figures), result, drawing, notify)
     return result.commit(report(analysis, settings=settings, friction_set=friction, timings_s=clock.seconds))
 
 
-def _put_tables(analysis: Analysis, result: Replacement, with_recording: bool) -> None:
-    """Add the recording, if it is wanted, the cloud and the surface to a result."""
+def _put_tables(analysis: Analysis, result: Replacement) -> None:
+    """Add the recording, unless it is the folder's own, the cloud and the surface to a result."""
     cloud, mesh, comments = analysis.cloud, analysis.surface, (f"unit {analysis.cloud.unit}",)
-    if with_recording:
+    if not result.reads_recording:
         for name, data in recording_files(analysis.recording, RECORDING[0]).items():
             result.put(name, data)
     result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))

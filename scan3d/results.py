@@ -56,15 +56,14 @@ class Result(Shown):
     def recording(self) -> Recording:
         """The log of poses and wrenches.
 
-        Raises InputError if the folder has none, as one of ``scan3d reconstruct``, or one of another run.
+        Raises InputError if the folder has none, or one of another run.
         """
         if self.analysis is not None:
             return self.analysis.recording
         path = self._place / RECORDING[0]
         if not locate(path).exists():
             raise InputError(
-                f"{self.folder} has no {RECORDING[0]}: the scan was made from a recording elsewhere; read that with "
-                "scan3d.read_recording"
+                f"{self.folder} has no {RECORDING[0]}, which results have; make them again with scan3d scan or reconstruct"
             )
         check_belongs(self._place, self.report, RECORDING)
         return read_recording(path)
@@ -143,15 +142,16 @@ class Result(Shown):
         """
         if self.analysis is not None:
             settings = self.report["settings"]
-            pipeline.write(self.analysis, Path(folder), settings=settings, with_recording=True, overwrite=overwrite)
+            pipeline.write(self.analysis, Path(folder), settings=settings, overwrite=overwrite)
             return
-        names = [name for name in self.report.get("files", ()) if name in RECORDING + RESULTS and name != REPORT]
+        stated = dict.fromkeys([*self.report.get("files", ()), *(self.report.get("sha256") or ())])  # also what it read
+        names = [name for name in stated if name in RESULTS and name != REPORT]
         check_belongs(self._place, self.report, names)
         missing = [name for name in names if not locate(self._place / name).is_file()]
         if missing:
             raise InputError(f"{self.folder} lacks {', '.join(missing)}, which its {REPORT} names; run the scan again")
         files = {name: locate(self._place / name).read_bytes() for name in names}
-        with replacing(Path(folder), with_recording=RECORDING[0] in files, overwrite=overwrite) as result:
+        with replacing(Path(folder), overwrite=overwrite) as result:
             for name, data in files.items():
                 result.put(name, data)
             result.commit(self.report)

@@ -91,7 +91,7 @@ def test_a_result_replaces_only_what_the_program_wrote(folder, refused):
         refused(
             scan, rf"{name} was not written by scan3d{since}.*; give --overwrite .* to replace it, or choose .* --out"
         )
-    # this run has no recording of its own, and leaves that of the user alone
+    # the recording that this run reads stays that of the user
     os.unlink(folder / "cloud.png")
     assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
     assert "recording.toml" not in earlier_files(folder)
@@ -104,27 +104,27 @@ def test_a_result_replaces_only_what_the_program_wrote(folder, refused):
 
 
 @pytest.mark.slow
-def test_reconstruct_leaves_no_other_recording_beside_its_cloud(folder):
+def test_reconstruct_has_its_own_recording_beside_its_cloud(folder, refused):
     for name in RECORDING:
         shutil.copy(f"out/{name}", name.replace("recording", "log"))
     # its own input stays, and still counts as written by the program
     assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
     assert earlier_files(folder).keys() == {path.name for path in folder.iterdir()} >= {*RECORDING}
-    # so it does where the input is a link to it
+    # with another TOML file it is not the same recording
     Path("link.csv").symlink_to(folder / "recording.csv")
     shutil.copy("log.toml", "link.toml")
-    assert main(["reconstruct", "link.csv", "--out", "out", "--quiet"]) == 0
-    assert Path("link.csv").exists()
-    # that of another run does not
+    refused(["reconstruct", "link.csv", "--out", "out"], r"recording\.csv is the recording that this run reads")
+    # that of another run is replaced
+    Path("log.csv").write_text("".join(Path("log.csv").read_text().splitlines(keepends=True)[:-1]))
     assert main(["reconstruct", "log.csv", "--out", "out", "--quiet"]) == 0
-    assert not {*RECORDING} & {path.name for path in folder.iterdir()}
-    # one that the user has put there stays, and is not taken for that of the result
-    for name in RECORDING:
-        shutil.copy(name.replace("recording", "log"), f"out/{name}")
-    assert main(["reconstruct", "log.csv", "--out", "out", "--quiet"]) == 0
-    assert (folder / "recording.csv").exists()
-    assert read_folder(folder, "mm")[0].recording is None
+    assert (folder / "recording.csv").read_bytes() == Path("log.csv").read_bytes()
+    # one that the user has put there is not
+    (folder / "recording.csv").write_text(Path("log.csv").read_text() + "\n")
+    refused(
+        ["reconstruct", "log.csv", "--out", "out"], r"recording\.csv was not written by scan3d or was changed since"
+    )
     # as the input of a run it belongs to the result, but remains the user's
+    refused(["reconstruct", "out/recording.csv", "--table", "-9", "--out", "out"], "out keeps the recording .* --table")
     assert main(["reconstruct", "out/recording.csv", "--out", "out", "--quiet"]) == 0
     assert read_folder(folder, "mm")[0].recording is not None
     assert "recording.csv" not in earlier_files(folder)

@@ -102,8 +102,7 @@ def test_under_noise_the_bounds_are_those_of_the_contacts_own_uncertainty():
     assert analysis.certificate.bound > scan3d.surfaces.enclosure(analysis.cloud, margin=0.0).bound
 
 
-RESULTS = {"cloud.ply", "surface.ply", "report.json", "view.html"}
-RECORDING = {"recording.csv", "recording.toml"}
+RESULTS = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
 PICTURES = {"cloud.png", "surface.png"}
 
 
@@ -114,9 +113,9 @@ def test_write_removes_former_pictures_and_nothing_else(scan, tmp_path, monkeypa
     with monkeypatch.context() as patched:
         patched.setattr(rendering, "can_render", lambda: True)
         patched.setattr(drawing.Drawing, "finish", lambda _: [b"a picture"] * 2)
-        data = pipeline.write(analysis, tmp_path, settings={}, with_recording=True)
-    assert set(data["files"]) == RESULTS | RECORDING | PICTURES
+        data = pipeline.write(analysis, tmp_path, settings={})
+    assert set(data["files"]) == RESULTS | PICTURES
     (tmp_path / "notes.txt").write_text("earlier")
     monkeypatch.setattr(rendering, "can_render", lambda: False)
-    pipeline.write(analysis, tmp_path, settings={}, with_recording=False)
+    pipeline.write(analysis, tmp_path, settings={})
     assert {path.name for path in tmp_path.iterdir()} == RESULTS | {"notes.txt"}

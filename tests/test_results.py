@@ -180,18 +180,26 @@ def test_a_folder_without_a_scan(tmp_path):
         scan3d.open(tmp_path)
 
 
-def test_a_folder_of_a_reconstruction_has_no_recording(made, tmp_path):
+def test_a_folder_of_a_reconstruction_holds_its_recording(made, tmp_path):
+    """Also in the folder of the scan, where it is not written again."""
     log = str(made[0] / "recording.csv")
     assert main(["reconstruct", log, "--out", str(tmp_path / "out"), "--quiet"]) == 0
     stored = scan3d.open(tmp_path / "out")
     assert stored.surface.is_watertight
     assert np.isfinite(stored.certificate.bound)
     assert stored.comparison is None
-    for name in ("recording", "cloud"):
-        with pytest.raises(scan3d.InputError, match=r"has no recording\.csv: .*scan3d\.read_recording"):
-            getattr(stored, name)
-    stored.save(tmp_path / "copy")
+    assert len(stored.cloud) == len(scan3d.open(made[0]).cloud)
+    assert (tmp_path / "out" / "recording.csv").read_bytes() == (made[0] / "recording.csv").read_bytes()
+    (tmp_path / "own").mkdir()
+    for name in ("recording.csv", "recording.toml"):
+        shutil.copy(made[0] / name, tmp_path / "own")
+    own = str(tmp_path / "own")
+    assert main(["reconstruct", f"{own}/recording.csv", "--out", own, "--quiet"]) == 0
+    scan3d.open(own).save(tmp_path / "copy")
     assert {path.name for path in (tmp_path / "copy").iterdir()} == set(stored.report["files"])
+    (tmp_path / "copy" / "recording.csv").unlink()
+    with pytest.raises(scan3d.InputError, match=r"has no recording\.csv, which results have"):
+        _ = scan3d.open(tmp_path / "copy").recording
 
 
 def test_a_recording_of_another_run_is_refused(copy):

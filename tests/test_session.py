@@ -163,7 +163,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.slow
 def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
-    run = ["next", str(folder / "out"), "--recording", str(folder / "log.csv"), "--out", str(tmp_path / "p.csv")]
+    run = ["next", str(folder / "out"), "--out", str(tmp_path / "p.csv")]
     assert main([*run, "--json", "--samples", "40"]) == 0
     data = json.loads(capsys.readouterr().out)
     poses = read_poses(tmp_path / "p.csv")
@@ -177,7 +177,7 @@ def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
     lines = log.read_text().splitlines(keepends=True)
     log.write_text((folder / "log.csv").read_text() + "".join(lines[1:]))
     assert main(["reconstruct", str(log), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    again = ["next", str(tmp_path / "out"), "--recording", str(log), "--out", str(tmp_path / "p2.csv")]
+    again = ["next", str(tmp_path / "out"), "--out", str(tmp_path / "p2.csv")]
     assert main([*again, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["bound"] < data["bound"]
     assert main([*again, "--tolerance", "0.5"]) == 0
@@ -190,11 +190,10 @@ def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "sentence"),
     [
-        (["out"], 1, "there is no recording.csv in"),
-        (["out", "--recording", "log.csv", "--sweeps", "0"], 2, "sweeps must be a whole number of at least 1"),
-        (["out", "--recording", "log.csv", "--around", "egg"], 2, "a bounding body is"),
-        (["out", "--recording", "log.csv", "--around", "cylinder:90x90"], 1, "doesn't reach the axis"),
-        (["out", "--recording", "none.csv"], 1, "can't read the recording"),
+        (["."], 1, "there is no recording.csv in"),
+        (["out", "--sweeps", "0"], 2, "sweeps must be a whole number of at least 1"),
+        (["out", "--around", "egg"], 2, "a bounding body is"),
+        (["out", "--around", "cylinder:90x90"], 1, "doesn't reach the axis"),
     ],
 )
 def test_next_says_what_is_wrong(folder, tmp_path, capsys, monkeypatch, arguments, code, sentence):

@@ -15,7 +15,6 @@ import scan3d
 from scan3d import InputError
 from scan3d.files import whole
 from scan3d.files.whole import (
-    RECORDING,
     RESULTS,
     atomic,
     check_belongs,
@@ -35,7 +34,7 @@ HOW = [
     for step in (3, 1)
 ]
 REPORT = {"schema": 1, "versions": {"scan3d": "0"}}
-OLD = {name: f"old {name}".encode() * 50 for name in (*RECORDING, *RESULTS) if name != "report.json"}
+OLD = {name: f"old {name}".encode() * 50 for name in RESULTS if name != "report.json"}
 # the new result has neither a recording nor one of the pictures
 NEW = {name: f"new {name}".encode() * 60 for name in ("cloud.ply", "surface.ply", "view.html", "cloud.png")}
 FOREIGN = {"notes.txt": b"of the user", ".hidden": b"as well"}
@@ -46,7 +45,7 @@ class DisasterError(Exception):
 
 
 def write(place, files):
-    with replacing(place, with_recording=RECORDING[0] in files) as result:
+    with replacing(place) as result:
         for name, data in files.items():
             result.put(name, data)
         result.commit(REPORT)
@@ -63,7 +62,7 @@ def contents(place):
 def seen(place):
     """The files of the result that a reader sees, who has checked that they belong to the report."""
     report = read_report(place)
-    check_belongs(place, report, (*RECORDING, *RESULTS))
+    check_belongs(place, report, RESULTS)
     return {name: locate(place / name).read_bytes() for name in report.get("files", ()) if name != "report.json"}
 
 
@@ -232,7 +231,7 @@ def test_a_file_that_is_larger_than_the_system_allows(place):
 
 def test_of_two_runs_at_once_the_one_that_ends_last_is_there(place):
     out = place()
-    with replacing(out, with_recording=True) as first:
+    with replacing(out) as first:
         first.put("cloud.ply", b"of the first")
         write(out, NEW)
         assert seen(out) == NEW

@@ -153,7 +153,6 @@ def further(
     *,
     out: File,
     tolerance: float = 0.0,
-    recording: File | None = None,
     around: Body | None = None,
     sweeps: Number = 24,
     seed: Number = 0,
@@ -165,7 +164,7 @@ def further(
 
     For example:
       scan3d next out --out further.csv --around cylinder:80x120
-      scan3d next out --recording log.csv --out further.csv --tolerance 0.01
+      scan3d next out --out further.csv --tolerance 0.01
 
     Parameters
     ----------
@@ -175,8 +174,6 @@ def further(
         the poses, as of plan; a header only where the tolerance is met
     tolerance
         certified bound, relative to the diagonal, at which no more sweeps are needed
-    recording
-        the recording of a reconstruction (default: recording.csv in the folder)
     around
         bounding body, as of plan (default: that of the plan, or of the contacts)
     sweeps
@@ -187,19 +184,19 @@ def further(
     from scan3d.files import whole
     from scan3d.files.poses import check_poses, write_header, write_poses
     from scan3d.files.recordings import read_recording, sidecar
-    from scan3d.files.whole import RECORDING, read_report
+    from scan3d.files.whole import RECORDING, check_belongs, locate, read_report
     from scan3d.planning.rig import parse_envelope
     from scan3d.session import Session, around_contacts
 
-    path = recording or folder / RECORDING[0]
-    if recording is None and not path.exists():
-        raise InputError(
-            f"there is no {RECORDING[0]} in {folder}; give the recording that was reconstructed with --recording"
-        )
+    path = folder / RECORDING[0]
+    if not locate(path).exists():
+        raise InputError(f"there is no {RECORDING[0]} in {folder}; give a folder that scan or reconstruct has written")
     check_poses(out, overwrite, {"recording": path, "TOML file of the recording": sidecar(path)})
     if sweeps < 1:
         raise UsageError(f"sweeps must be a whole number of at least 1, got {sweeps}")
-    report, measured = read_report(folder), read_recording(path)
+    report = read_report(folder)
+    check_belongs(folder, report, RECORDING)
+    measured = read_recording(path)
     model: Any = report.get("model") or ("spatial" if measured.six_axis else "planar")
     stated = around or measured.source.get("around") or around_contacts(measured, model)
     try:

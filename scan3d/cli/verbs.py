@@ -18,7 +18,7 @@ from scan3d.cli import one_sweep
 from scan3d.cli.options import ClipDent, File, Flag, Folder, Mesh, Number, Options, Output, Overwrite, Rig, Strict
 from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
 from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
-from scan3d.errors import UsageError
+from scan3d.errors import InputError, UsageError
 from scan3d.settings import Settings, settings, varied_settings
 from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
 
@@ -206,6 +206,7 @@ def reconstruct(
     from scan3d import pipeline
     from scan3d.files.meshes import load_mesh
     from scan3d.files.recordings import read_recording, sidecar
+    from scan3d.files.whole import RECORDING
     from scan3d.laboratory.one_sweep import is_sweep
 
     of_recording = {
@@ -240,6 +241,12 @@ def reconstruct(
             return measured, None
         return measured, load_mesh(truth, hull=hull, clip_dent=clip_dent, unit=measured.unit)
 
+    kept = out / RECORDING[0]
+    if (rig or table is not None) and kept.exists() and recording.exists() and kept.samefile(recording):
+        raise InputError(
+            f"{out} keeps the recording that its results are made from, which --{'rig' if rig else 'table'} changes; choose "
+            "another folder with --out"
+        )
     inputs = {
         "recording": recording,
         "TOML file of the recording": sidecar(recording),

@@ -32,8 +32,8 @@ from scan3d.processes import undone_if_ended
 
 REPORT = "report.json"
 RECORDING = ("recording.csv", "recording.toml")
-RESULTS = ("cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
-"""The files of a result."""
+RESULTS = (*RECORDING, "cloud.ply", "surface.ply", "view.html", "cloud.png", "surface.png", REPORT)
+"""The files of a result; not every one has pictures."""
 
 
 class Kind(NamedTuple):
@@ -41,11 +41,9 @@ class Kind(NamedTuple):
 
     report: str
     results: tuple[str, ...]
-    further: tuple[str, ...] = ()
-    """Files that only some results of this kind have."""
 
 
-SCAN = Kind(REPORT, RESULTS, RECORDING)
+SCAN = Kind(REPORT, RESULTS)
 BATCH = Kind("batch.json", ("summary.csv", "index.html", "batch.json"))
 Inputs = Mapping[str, str | os.PathLike[str] | None]
 """What a run reads: the path of each, by what it is, such as ``mesh``."""
@@ -86,7 +84,8 @@ class Replacement:
         """
         kept = [name for name in earlier_files(self.folder, self.kind) if self._is_kept(name)]
         names = [*kept, *self._sha256, self.kind.report]
-        data = {**report, "files": names, "sha256": {**self._recording_read(), **self._sha256}}
+        read = {name: sha256(self.folder / name) for name in RECORDING} if self.reads_recording else {}
+        data = {**report, "files": names, "sha256": {**read, **self._sha256}}
         self.put(self.kind.report, to_json(data))
         with in_a_sentence(self.folder, self.option):
             _replace(self._work, self.folder)
@@ -96,11 +95,10 @@ class Replacement:
         """Whether a file of the result before stays, because this run has read it."""
         return name not in self._sha256 and self._is_input(name) and name in unchanged(self.folder, self.kind)
 
-    def _recording_read(self) -> dict[str, str]:
-        """The recording in the folder with its SHA-256, if it is the one that this run has read."""
-        if self._sha256.keys() & set(RECORDING) or not all(self._is_input(name) for name in RECORDING):
-            return {}
-        return {name: sha256(self.folder / name) for name in RECORDING}
+    @property
+    def reads_recording(self) -> bool:
+        """Whether the recording in the folder is the one that this run reads, so that it stays as it is."""
+        return all(self._is_input(name) for name in RECORDING)
 
     def _is_input(self, name: str) -> bool:
         return any(_is_same(self.folder / name, source) for source in self.inputs.values())
@@ -110,7 +108,6 @@ class Replacement:
 def replacing(
     path: str | Path,
     *,
-    with_recording: bool,
     inputs: Inputs | None = None,
     overwrite: bool = False,
     option: str = "--out",
@@ -118,8 +115,6 @@ def replacing(
 ) -> Iterator[Replacement]:
     """A result to be written into a folder, which is created if it is missing.
 
-    with_recording
-        whether the result has a recording.
     inputs
         what the run reads, which is not overwritten.
     overwrite
@@ -130,13 +125,16 @@ def replacing(
     Raises InputError if the folder can't be written into, and if a file would be replaced that must not be.
     """
     with folder(path, option) as place, _working(place) as work:
+        result = Replacement(place, inputs or {}, option, kind, work)
         ours, stated = unchanged(place, kind), earlier_files(place, kind)
-        for name in (*(RECORDING if with_recording else ()), *kind.results):
+        for name in kind.results:
+            if name in RECORDING and result.reads_recording:
+                continue
             check_path(place / name, inputs or {}, option)
             if (place / name).exists() and name not in ours and not overwrite:
                 since = " or was changed since" if name in stated else ""
                 raise InputError(f"{place / name} was not written by scan3d{since}; {_ASK} {option}")
-        yield Replacement(place, inputs or {}, option, kind, work)
+        yield result
 
 
 @contextmanager
@@ -368,7 +366,7 @@ def _named_files(report: Path, kind: Kind) -> dict[str, str | None]:
         if kind.report not in data["files"] or "scan3d" not in data["versions"]:
             return {}
         stated = data.get("sha256") or {}
-        return {name: stated.get(name) for name in data["files"] if name in kind.results + kind.further}
+        return {name: stated.get(name) for name in data["files"] if name in kind.results}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
 

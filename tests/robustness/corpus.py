@@ -46,7 +46,7 @@ def make(folder):
     could, rendering.can_render = rendering.can_render, lambda: False
     try:
         analysis = pipeline.analyse(recording, scan3d.load_mesh(folder / "box.stl"))
-        pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"}, with_recording=True)
+        pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"})
     finally:
         rendering.can_render = could
     return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder), *_scans(folder)]

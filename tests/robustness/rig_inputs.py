@@ -141,7 +141,7 @@ def attempt(kind, chance, folder, change, numbers, columns):
         "poses": [f"{FOLDER}/box.stl", "--poses", f"{FOLDER}/poses.csv", "--friction=0.3"],
         "import": [f"{FOLDER}/raw.csv", "--map", f"{FOLDER}/raw_map.toml", *rig, *after, *shown],
         "calibrate": [f"{FOLDER}/touches.csv", "--sphere=30"],
-        "next": [f"{FOLDER}/out", "--recording", f"{FOLDER}/specimen.csv", f"--around={_AROUND[0]}", "--samples=16"],
+        "next": [f"{FOLDER}/out", f"--around={_AROUND[0]}", "--samples=16"],
         "sweep": [f"{FOLDER}/sweep.csv", "--out", "o"],
     }[kind]
     if kind == "import" and chance.random() < 0.25:
