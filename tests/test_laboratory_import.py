@@ -287,6 +287,63 @@ def test_a_body_on_a_turntable_is_the_example_of_the_manual(tmp_path, monkeypatc
     assert found.moment_Nm == pytest.approx(by_hand.moment_Nm, rel=1e-14)
 
 
+def with_columns(data, **entries):
+    return data | {"columns": data["columns"] | entries}
+
+
+@pytest.mark.parametrize("rig", [EXACT, Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), noise=0.002)])
+def test_a_wrench_in_the_frame_of_the_poses_is_turned_back_and_is_noted_where_the_map_says_otherwise(
+    tmp_path, planar, rig
+):
+    log = track(planar)
+    columns, data = table(log, rig), map_of(planar.rod, rig)
+    to_world = Rotation.from_quat(log.quaternion, scalar_first=True) * Rotation.from_euler("xyz", rig.turn_deg, True)
+    turned = dict(columns)
+    for names in (["Fx", "Fy", "Fz"], ["Tx", "Ty", "Tz"]):
+        parts = to_world.apply(np.stack([columns[name] for name in names], axis=1))
+        turned |= dict(zip(names, parts.T, strict=True))
+    in_world = with_columns(data, wrench_in="world")
+    right, same = imported(tmp_path / "a.csv", columns, data), imported(tmp_path / "b.csv", turned, in_world)
+    assert not any("wrench_in" in note for found in (right, same) for note in found.summary.notes)
+    assert six(same.recording) == pytest.approx(six(right.recording), abs=1e-12)
+    for rows, wrong, frame in ((turned, data, "world"), (columns, in_world, "sensor")):
+        try:
+            said = imported(tmp_path / "c.csv", rows, wrong).summary.notes[0]
+        except InputError as error:  # a zero that turns with the clamp may leave no rows in the air
+            said = str(error)
+        assert f'check wrench_in = "{frame}" under [columns]' in said
+
+
+def test_a_wrench_in_the_world_needs_all_channels(tmp_path, planar):
+    data = with_columns(map_of(planar.rod, EXACT), wrench_in="world", moment=["", "", "Tz"])
+    with pytest.raises(InputError, match=r"needs all six channels.* mx, my is missing"):
+        imported(tmp_path / "raw.csv", table(track(planar), EXACT), data)
+
+
+def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar):
+    log, late = track(planar), 7
+    columns, data = table(log, EXACT), map_of(planar.rod, EXACT)
+    shifted = {name: np.roll(one, late) if name[0] in "FT" else one for name, one in columns.items()}
+    right = imported(tmp_path / "a.csv", columns, data)
+    found = imported(tmp_path / "b.csv", shifted, with_columns(data, wrench_delay_s=late / 1000))
+    assert found.summary.left_out["without numbers"] == late
+    rows = slice(len(found.recording))
+    assert six(found.recording) == pytest.approx(
+        six(right.recording)[rows], abs=1e-6 * np.abs(six(right.recording)).max()
+    )
+    assert found.recording.position_m == pytest.approx(right.recording.position_m[rows])
+    data = with_columns(data, wrench_delay_s=0.1)
+    del data["columns"]["time"]
+    with pytest.raises(InputError, match="wrench_delay_s of the map needs the time of the rows"):
+        imported(tmp_path / "raw.csv", columns, data)
+
+
+def test_the_frame_and_the_delay_of_a_bags_wrench_stand_under_ros(planar):
+    rod = map_of(planar.rod, EXACT)["rod"]
+    found = read_map({"ros": {"wrench_in": "world", "wrench_delay_s": 0.15}, "rod": rod})
+    assert (found.wrench_in, found.wrench_delay_s) == ("world", 0.15)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("jitter_m", "step_m"), [(2e-5, 0.0), (0.0, 1e-5), pytest.param(2e-6, 5e-6, marks=pytest.mark.trust)]

@@ -25,15 +25,18 @@ from scan3d.laboratory import filtering
 from scan3d.laboratory.air import find_air, given_air, robust_sd, tare
 from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import CHANNELS, Log, read_log
-from scan3d.laboratory.maps import Map, read_frame, read_map
+from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
 from scan3d.reconstruction.errors import FORCE_SIGMAS
 from scan3d.recording import Recording
+from scan3d.spatial import inverse
 
 KIND = "import"
 """What the source of an imported recording is."""
 # Half a turn about the rod, in which a stroke along +x is one along -x.
 _HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, 1.0, -1.0]))
+# Part of the rows that another frame of the wrench must make those of a bent rod to be named.
+_NEARLY_ALL = 0.9
 # Plausible ranges; a wrong unit makes them wrong by a factor of a thousand.  Median travel of the sweeps in rod lengths;
 # largest force in EI/L², of which a rod whose contact has slid to a tenth of its length has a few hundred; clamping moment
 # over its largest possible value 2 √(f EI), which follows from the energy of the bent rod with a free end.
@@ -154,6 +157,17 @@ def not_rigged(source: Mapping[str, Any], name: str) -> None:
 
 def convert(table: Table, map: Map) -> Imported:
     """The recording of a table that is read already, with what it was made of.  Raises InputError as `import_table`."""
+    try:
+        imported = _converted(table, map)
+    except InputError as error:
+        for note in _other_frame(None, table, map):
+            raise InputError(f"{error}; or {note}") from None
+        raise
+    notes = (*_other_frame(imported.recording, table, map), *imported.summary.notes)
+    return replace(imported, summary=replace(imported.summary, notes=notes))
+
+
+def _converted(table: Table, map: Map) -> Imported:
     log = read_log(table, map)
     clock = np.arange(len(log), dtype=np.float64) if log.time_s is None else log.time_s
     sensed = _filtered(_tared(log, clock, map, table.name), log, clock, map, table.name)
@@ -397,6 +411,37 @@ def _check_sizes(recording: Recording, map: Map, table: str) -> None:
             f"{_MOMENTS[0]:g} to 1 are expected; check [units] force and moment, the columns of mz, [tare], [sensor] and "
             f"[rod] of {map.name}"
         )
+
+
+def _bent(recording: Recording) -> float:
+    """The part of the rows with a force that are those of a bent rod whose contact presses against the sweep."""
+    force, moment = recording.wrench()
+    touching = felt(force, recording.noise_force_N, 0.05)
+    force, moment = force[touching] / recording.rod.force_unit_N, moment[touching] / recording.rod.moment_unit_Nm
+    found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP)
+    return float(((found.status == inverse.Status.OK) & (force[:, 0] < 0)).mean()) if len(force) else 1.0
+
+
+def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[str, ...]:
+    """A note if most rows are those of a bent rod only in the other frame of the wrench that a map can state.
+
+    `recording` is None if there is none with the frame of the map.  In a single orientation of the clamp the two frames differ
+    by a turn of the sensor, and nothing tells them apart.
+    """
+    if recording is not None and (not recording.six_axis or _bent(recording) >= 0.5):
+        return ()
+    frame = next(frame for frame in WRENCH_IN if frame != map.wrench_in)
+    try:
+        other = _converted(table, replace(map, wrench_in=frame)).recording
+    except InputError:
+        return ()
+    together = np.linalg.norm(other.axes().mean(axis=0), axis=1).min()
+    if not other.six_axis or together > _NEARLY_ALL or (part := _bent(other)) < _NEARLY_ALL:
+        return ()
+    return (
+        f"force and moment have their components in the frame of the {frame}, in which {100 * part:.0f} % of the rows with a "
+        f'force are those of a bent rod: check wrench_in = "{frame}" under [columns] or [ros] of {map.name}',
+    )
 
 
 def _rate_notes(map: Map, rate: float | None, every: int) -> list[str]:

@@ -56,6 +56,8 @@ def read_log(table: Table, map: Map) -> Log:
     present = [len(one) == 1 or one[axis] != "" for one in (columns.force, columns.moment) for axis in range(3)]
     time = None if columns.time is None else _time(table, map, columns.time)
     wrench = np.concatenate([force, moment], axis=1)
+    if map.wrench_delay_s:
+        wrench = _undelayed(wrench, time, map, table)
     kept = np.isfinite(np.concatenate([position, orientation, wrench], axis=1)).all(axis=1)
     kept &= True if time is None else np.isfinite(time)
     if not kept.any():
@@ -65,11 +67,14 @@ def read_log(table: Table, map: Map) -> Log:
     place, sweep = position[row], _sweeps(table, map)
     if columns.position_in == "clamp":
         place = Rotation.from_quat(quaternion, scalar_first=True).apply(place)
+    wrench = -wrench[row] if map.reversed_sign else wrench[row]
+    if map.wrench_in == "world":
+        wrench = _in_sensor(wrench, np.array(present), quaternion, map, table)
     log = Log(
         time_s=None if time is None else time[row],
         position_m=place,
         quaternion=quaternion,
-        wrench=-wrench[row] if map.reversed_sign else wrench[row],
+        wrench=wrench,
         present=np.array(present),
         sweep=None if sweep is None else sweep[row],
         row=row,
@@ -77,6 +82,29 @@ def read_log(table: Table, map: Map) -> Log:
     _check_time(log, table)
     _check_wrench(log, table, map)
     return log
+
+
+def _undelayed(wrench: Array, time: Array | None, map: Map, table: Table) -> Array:
+    """The wrenches (n, 6) of the times (n,) of the poses; NaN where the log ends before."""
+    if time is None:
+        raise InputError(
+            f"{table.name}: wrench_delay_s of {map.name} needs the time of the rows; name its column as time under [columns]"
+        )
+    _check_order(time, np.arange(len(time)), table)
+    columns = [np.interp(time + map.wrench_delay_s, time, one, left=np.nan, right=np.nan) for one in wrench.T]
+    return np.stack(columns, axis=1)
+
+
+def _in_sensor(wrench: Array, present: Mask, quaternion: Array, map: Map, table: Table) -> Array:
+    """Wrenches (n, 6) with components along the world's axes, in the sensor's frame by the poses' orientations (n, 4)."""
+    if not present.all():
+        absent = ", ".join(name for name, known in zip(CHANNELS, present, strict=True) if not known)
+        raise InputError(
+            f'{table.name}: wrench_in = "world" of {map.name} needs all six channels, because the clamp\'s turn mixes them; '
+            f"{absent} is missing"
+        )
+    turn = Rotation.from_quat(quaternion, scalar_first=True) * Rotation.from_matrix(map.clamp.turn @ map.sensor.turn)
+    return np.concatenate([turn.apply(part, inverse=True) for part in np.hsplit(wrench, 2)], axis=1)
 
 
 def _entry(map: Map, entry: str) -> str:
@@ -246,17 +274,21 @@ def _check_time(log: Log, table: Table) -> None:
     """Raise InputError if time runs backwards or stands still."""
     if log.time_s is None or len(log) < 2:
         return
-    steps = np.diff(log.time_s)
-    if (steps < 0).any():
-        k = int(np.argmax(steps < 0))
-        raise InputError(
-            f"{table.place(int(log.row[k + 1]))} has a time {-steps[k]:.6g} s before that of the row above, and time runs "
-            f"backwards in {int((steps < 0).sum())} of {len(log)} rows; check the column of the time, and sort or separate "
-            "the rows"
-        )
-    if not steps.any():
+    _check_order(log.time_s, log.row, table)
+    if not np.diff(log.time_s).any():
         raise InputError(
             f"{table.name}: the column of the time has the same value in all {len(log)} rows; leave time out of the map"
+        )
+
+
+def _check_order(time: Array, row: NDArray[np.int64], table: Table) -> None:
+    """Raise InputError if times (n,) of rows (n,) of the table fall."""
+    back = np.flatnonzero(np.diff(time) < 0)
+    if len(back):
+        k = int(back[0])
+        raise InputError(
+            f"{table.place(int(row[k + 1]))} has a time {time[k] - time[k + 1]:.6g} s before that of the row above, and time "
+            f"runs backwards in {len(back)} of {len(time)} rows; check the column of the time, and sort or separate the rows"
         )
 
 

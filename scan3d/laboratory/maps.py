@@ -29,6 +29,7 @@ an empty text stands for a column that does not exist."""
 ORIENTATIONS = ("quaternion", "euler", "rotvec")
 SHOWS = ("clamp-on-rod", "rod-on-clamp")
 DIRECTIONS = ("-x", "both")
+WRENCH_IN = ("sensor", "world")
 MISSING = ("refuse", "drop")
 
 
@@ -84,6 +85,10 @@ class Map:
     """The sensor's frame in the clamp's."""
     reversed_sign: bool = False
     """Whether the sensor shows the action of the rod on the clamp."""
+    wrench_in: str = "sensor"
+    """Frame of the components of force and moment: the sensor's, or the world's in which the poses are."""
+    wrench_delay_s: float = 0.0
+    """By how much the times of the wrench are later than those of the poses."""
     air: str | tuple[tuple[float, float], ...] = "auto"
     """Stretches in the air in seconds, 'auto' to find them, or 'none' for a table that is tared already."""
     lowpass_hz: float | None = None
@@ -133,11 +138,13 @@ def read_map(source: str | Path | Mapping[str, Any] | Map) -> Map:
 
 
 def _map(top: Section) -> Map:
-    layout, topics = _layout(top.section("table")), _topics(top.section("ros"))
+    layout, ros = _layout(top.section("table")), top.section("ros")
+    topics = _topics(ros)
     columns, units, usual = top.section("columns"), top.section("units"), {"time": "s", "angle": "deg"}
     if "ros" in top and not columns:
         columns, usual = Section(top.file, ROS_COLUMNS, "columns"), ROS_UNITS
     clamp, sensor, filters = top.section("clamp"), top.section("sensor"), top.section("filter")
+    wrench = ros if "ros" in top else columns
     sweeps, noise = top.section("sweeps"), top.section("noise")
     made = Map(
         columns=_columns(columns),
@@ -146,6 +153,8 @@ def _map(top: Section) -> Map:
         clamp=read_frame(clamp),
         sensor=read_frame(sensor),
         reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
+        wrench_in=wrench.word("wrench_in", WRENCH_IN),
+        wrench_delay_s=wrench.number("wrench_delay_s", 0.0),
         air=_air(top.section("tare")),
         lowpass_hz=filters.number("lowpass_hz", None, above=0),
         rate_hz=filters.number("rate_hz", None, above=0),
