@@ -11,12 +11,10 @@ Sensor Concept, Figure 3, Section III-A.
 """
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import planar
@@ -46,15 +44,9 @@ LABELS = [*(rf"$\mu = {mu:g}$" for mu in FRICTIONS), r"random $\mu \in [0, 0.4]$
 # Okabe and Ito's green, orange and red, which colour-blind readers can distinguish.
 COLORS = ["black", "#009E73", "#E69F00", "#D55E00", "0.65"]
 
-# The states at the transitions from tip to tangential contact and from tangential to tip contact.
-TRANSITIONS = [
-    planar.sweep(CONTOUR, mu, base=[*events.of(planar.EventKind.TO_TANGENTIAL), *events.of(planar.EventKind.TO_TIP)])
-    for mu, events in zip(FRICTIONS, EVENTS, strict=True)
-]
-
 # The shapes of the rod in panel (a).
 SWEEP = planar.sweep(CONTOUR, friction=0.0, samples=LINES)
-ELASTIC_LINES = planar.elastic_lines(SWEEP.x0, SWEEP.f0x, SWEEP.f0y, SWEEP.m0z)
+ELASTIC_LINES = planar.elastic_lines(*SWEEP.reactions)
 
 STYLE = {
     "font.family": "serif",
@@ -73,49 +65,16 @@ def draw() -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.6), layout="constrained")
         shapes, *reactions = figure.subplots(2, 2).flat
-        draw_shapes(shapes)
-        draw_reaction(reactions[0], "f0x", "(b)", r"$f_{0x}\;/\;(EI_z/L^2)$")
-        draw_reaction(reactions[1], "f0y", "(c)", r"$f_{0y}\;/\;(EI_z/L^2)$")
-        draw_reaction(reactions[2], "m0z", "(d)", r"$m_{0z}\;/\;(EI_z/L)$")
+        outline = CONTOUR.points(np.linspace(-np.pi / 2, np.pi / 2, 200)).T
+        shapes.fill(*outline, color="0.9")
+        ELASTIC_LINES.plot(axes=shapes)
+        shapes.set(xlim=(-1.35, 1.05), ylim=(0.0, 1.4))
+        for swept, color, label in zip(SWEEPS, COLORS, LABELS, strict=True):
+            swept.plot(axes=reactions, color=color, label=label, zorder=1.9 if swept is SWEEPS[-1] else 2)
+        for axes, panel in zip(figure.axes, "abcd", strict=True):
+            axes.set_title(f"({panel})", loc="left")
         reactions[0].legend(loc="upper right")
     return figure
-
-
-def draw_shapes(axes: Axes) -> None:
-    """Elastic lines: tip contacts blue, tangential ones red up to the contact and black past it."""
-    contour = CONTOUR.points(np.linspace(-np.pi / 2, np.pi / 2, 200)).T
-    axes.fill(*contour, color="0.9")
-    axes.plot(*contour, color="0.5", linewidth=1.5)
-    for phase, curved, straight in zip(SWEEP.phase, *ELASTIC_LINES, strict=True):
-        if phase == planar.Phase.TANGENTIAL:
-            axes.plot(*curved.T, color="red", linewidth=0.8, label="tangential contact, $s < s_1$")
-            axes.plot(*straight.T, color="black", linewidth=0.8, label="tangential contact, $s > s_1$")
-        else:
-            axes.plot(*curved.T, color="blue", linewidth=0.8, label="tip contact")
-    axes.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$", xlim=(-1.35, 1.05), ylim=(0.0, 1.4), aspect="equal")
-    axes.set_title("(a)", loc="left")
-    once = {str(line.get_label()): line for line in axes.lines[1:]}
-    axes.legend(once.values(), once.keys(), loc="center", bbox_to_anchor=(0.0, 1.05), bbox_transform=axes.transData)
-
-
-def draw_reaction(axes: Axes, column: str, panel: str, label: str) -> None:
-    """A support reaction over the base position, its phase transitions marked with circles."""
-    draw_curves(axes, [getattr(swept, column) for swept in SWEEPS])
-    mark_transitions(axes, [getattr(states, column) for states in TRANSITIONS])
-    axes.set(xlabel="$x_0\\;/\\;L$", ylabel=label)
-    axes.set_title(panel, loc="left")
-
-
-def draw_curves(axes: Axes, values: Sequence[np.ndarray]) -> None:
-    """Values of every sweep over the base position, the random one behind the others."""
-    for swept, value, color, label in zip(SWEEPS, values, COLORS, LABELS, strict=True):
-        axes.plot(swept.x0, value, color=color, label=label, zorder=1.9 if swept is SWEEPS[-1] else 2)
-
-
-def mark_transitions(axes: Axes, values: Sequence[np.ndarray]) -> None:
-    """Small circles at the phase transitions of the sweeps with constant friction."""
-    for states, value, color in zip(TRANSITIONS, values, COLORS[:-1], strict=True):
-        axes.plot(states.x0, value, "o", color=color, markerfacecolor="white")
 
 
 if __name__ == "__main__":

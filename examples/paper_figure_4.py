@@ -18,13 +18,13 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from paper_figure_3 import COLORS, CONTOUR, LABELS, STYLE, SWEEPS, draw_curves
+from paper_figure_3 import COLORS, CONTOUR, LABELS, STYLE, SWEEPS
 
 import planar
 
 # Step 2: from the reactions back to the contacts.
 CONTACTS = {
-    method: [planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z, method) for swept in SWEEPS]
+    method: [planar.reconstruct(*swept.reactions, method) for swept in SWEEPS]
     for method in ("scholz-rahn", "will", "closed-form")
 }
 # The smallest distance of every contact to the original contour.
@@ -40,20 +40,21 @@ def draw() -> Figure:
         panels = figure.subplots(3, 2, sharey="row")
         for column, method in enumerate(("scholz-rahn", "will")):
             place, points, errors = panels[:, column]
-            draw_curves(place, [contacts.s1 for contacts in CONTACTS[method]])
+            draw_places(place, method)
             draw_points(points, method)
             draw_errors(errors, method, ".")
-            place.set(xlabel="$x_0\\;/\\;L$", ylabel="$s_1\\;/\\;L$", ylim=(0.0, 1.05))
-            points.set(xlabel="$x\\;/\\;L$", ylabel="$y\\;/\\;L$")
+            place.set_ylim(0.0, 1.05)
             errors.set(xlabel="$x_0\\;/\\;L$", ylabel="error$\\;/\\;L$", ylim=(2e-17, 5.0))
         draw_errors(panels[2, 0], "closed-form", "x")
         dot, cross = (panels[2, 0].plot([], [], mark, color="black", markersize=3)[0] for mark in ".x")
         panels[2, 0].legend([dot, cross], ["Scholz & Rahn [15]", "closed form"], loc="upper right")
 
         place = enlarge(panels[0, 0], (0.33, 0.08, 0.4, 0.45), (-0.5, -0.36), (0.74, 0.79))
-        draw_curves(place, [contacts.s1 for contacts in CONTACTS["scholz-rahn"]])
+        draw_places(place, "scholz-rahn")
         points = enlarge(panels[1, 0], (0.3, 0.48, 0.4, 0.45), (-0.3, -0.2), (0.415, 0.46))
         draw_points(points, "scholz-rahn")
+        for inset in (place, points):
+            inset.set(xlabel="", ylabel="")
 
         for axes, panel in zip(panels.flat, "abcdef", strict=True):
             axes.set_title(f"({panel})", loc="left")
@@ -64,11 +65,19 @@ def draw() -> Figure:
     return figure
 
 
+def draw_places(axes: Axes, method: str) -> None:
+    """Where along the rod the contacts are, the random sweep behind the others."""
+    for swept, contacts, color, label in zip(SWEEPS, CONTACTS[method], COLORS, LABELS, strict=True):
+        zorder = 1.9 if swept is SWEEPS[-1] else 2
+        contacts.plot("s1", over=swept.x0, axes=axes, color=color, label=label, zorder=zorder)
+
+
 def draw_points(axes: Axes, method: str) -> None:
     """The contact points over the contour."""
     axes.plot(*CONTOUR.points(np.linspace(-np.pi / 2, np.pi / 2, 1000)).T, color="0.8", linewidth=3)
     for contacts, color in zip(CONTACTS[method][::-1], COLORS[::-1], strict=True):
-        axes.plot(*contacts.point.T, ".", color=color, markersize=3.5)
+        contacts.plot(axes=axes, color=color, markersize=1.5)
+    axes.set_aspect("auto")
 
 
 def draw_errors(axes: Axes, method: str, marker: str) -> None:

@@ -13,15 +13,13 @@ Sensor Concept, Figure 5, Section III-C.
 import sys
 from pathlib import Path
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from paper_figure_3 import COLORS, LABELS, STYLE, SWEEPS, TRANSITIONS, draw_curves, mark_transitions
+from paper_figure_3 import COLORS, LABELS, STYLE, SWEEPS
 
 import planar
 
-CONTACTS = [planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z) for swept in SWEEPS]
-AT_TRANSITIONS = [planar.reconstruct(states.x0, states.f0x, states.f0y, states.m0z) for states in TRANSITIONS]
+CONTACTS = [planar.reconstruct(*swept.reactions) for swept in SWEEPS]
 
 
 def draw() -> Figure:
@@ -29,14 +27,12 @@ def draw() -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(7.2, 3.2), layout="constrained")
         angle, coefficient = figure.subplots(1, 2, sharex=True)
-        draw_curves(angle, [np.degrees(contacts.friction_angle_bound) for contacts in CONTACTS])
-        mark_transitions(angle, [np.degrees(contacts.friction_angle_bound) for contacts in AT_TRANSITIONS])
-        draw_curves(coefficient, [contacts.friction for contacts in CONTACTS])
+        for swept, contacts, color, label in zip(SWEEPS, CONTACTS, COLORS, LABELS, strict=True):
+            columns = ("friction_angle_bound", "friction")
+            contacts.plot(*columns, over=swept.x0, axes=(angle, coefficient), color=color, label=label)
         random = SWEEPS[-1]
         tangential = random.phase == planar.Phase.TANGENTIAL
         coefficient.plot(random.x0[tangential], random.friction[tangential], ".", color=COLORS[-1], markersize=3.5)
-        angle.set(xlabel="$x_0\\;/\\;L$", ylabel=r"$\beta$ in degrees")
-        coefficient.set(xlabel="$x_0\\;/\\;L$", ylabel=r"$\mu = \tan\,\zeta$")
         angle.set_title("(a)", loc="left")
         coefficient.set_title("(b)", loc="left")
         figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=len(LABELS))

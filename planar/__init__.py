@@ -55,3 +55,7 @@ __all__ = [
     "sweep",
     "sweep_all",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

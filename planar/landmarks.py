@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planar import segments
+from planar import plots, segments
 from planar.arrays import Array, Index
 from planar.contours import Contour, check_contour
 from planar.paths import Path
 from planar.sweeping import mirrored
+from planar.tables import to_frame, words
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
 
 
 class EventKind(IntEnum):
@@ -39,7 +44,7 @@ _REASONS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Events:
     """Events (e,) of a sweep in their order, dimensionless."""
 
@@ -58,6 +63,26 @@ class Events:
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{word} {x0:.6g}" for word, x0 in zip(words(self.kind, EventKind), self.x0, strict=True))
+        return f"Events at x0: {listed}"
+
+    def plot(self, *, axes: Axes | None = None, **style: Any) -> Any:
+        """The clamping moment before (hollow) and after (filled) each event, over the base position.
+
+        `axes` are matplotlib's, such as the last ones of `Sweep.plot`, by default new ones; `style` is that of
+        `matplotlib.axes.Axes.plot`.  Returns the axes.
+        """
+        kinds = {kind.name.lower().replace("_", " "): np.flatnonzero(self.kind == kind) for kind in EventKind}
+        return plots.plot_events(self.x0, self.m0z, kinds, axes, style)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A data frame with a row for each event and its values before and after.  Raises ImportError without pandas."""
+        columns = {"x": self.point[:, :, 0], "y": self.point[:, :, 1]}
+        columns |= {name: getattr(self, name) for name in ("slope", "force", "m0z")}
+        pairs = {f"{name}_{side}": c[:, k] for name, c in columns.items() for k, side in enumerate(("before", "after"))}
+        return to_frame({"kind": words(self.kind, EventKind), "x0": self.x0, **pairs})
 
     def of(self, kind: EventKind) -> Array:
         """Base positions of the events of one kind."""

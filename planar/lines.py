@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planar import plots
 from planar.arrays import Array
 from planar.elastica import bend, partial_shape
 from planar.reactions import checked_reactions
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class ElasticLines(NamedTuple):
@@ -19,6 +23,13 @@ class ElasticLines(NamedTuple):
     """(n, points, 2) from the clamp to the contact, evenly in arc length."""
     straight: Array
     """(n, 2, 2) ends of the straight part beyond the contact; they coincide in tip contact."""
+
+    def plot(self, *, axes: Axes | None = None, **style: Any) -> Any:
+        """The rods, those in tip contact in blue, the others in red up to the contact and in black beyond it.
+
+        `axes` are matplotlib's, by default new ones; `style` is that of `matplotlib.axes.Axes.plot`.  Returns the axes.
+        """
+        return plots.plot_lines(self.curved, self.straight, axes, style)
 
 
 def elastic_lines(x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, points: int = 100) -> ElasticLines:

@@ -11,16 +11,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planar import plots
 from planar.arrays import BLOCK, Array, Mask
 from planar.inverses import METHODS, solve
 from planar.reactions import Reactions, checked_reactions
 from planar.rods import Rod
 from planar.sweeping import Phase
-from planar.tables import selected_rows, table_html
+from planar.tables import counted, selected_rows, table_html, to_frame, words
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
 
 TOLERANCE = 1e-9
 """Differences to the tip, in rod lengths, and friction angles below zero, in radians, that count as rounding; the closed form
@@ -65,7 +71,10 @@ class NormalSource(IntEnum):
     """The coefficient of friction was given."""
 
 
-@dataclass(frozen=True)
+_COLUMNS = ("s1", "force", "force_angle", "friction_angle_bound", "friction_angle", "friction", "slope")
+
+
+@dataclass(frozen=True, repr=False)
 class Contacts:
     """Contacts (n,) recovered from support reactions, dimensionless; NaN where a value is unknown."""
 
@@ -90,6 +99,41 @@ class Contacts:
 
     def __len__(self) -> int:
         return len(self.s1)
+
+    def __repr__(self) -> str:
+        return counted("Contacts", self.phase, Phase)
+
+    def plot(
+        self,
+        *columns: str,
+        over: ArrayLike | None = None,
+        axes: Axes | ArrayLike | None = None,
+        **style: Any,
+    ) -> Any:
+        """The contact points in the plane, those at the tip hollow; or curves of columns over the base positions `over` (n,).
+
+        axes
+            matplotlib's axes, one for each column; by default new ones.
+        style
+            that of `matplotlib.axes.Axes.plot`, such as ``color`` or ``label``.
+
+        Returns the axes, those of columns (len(columns),).  Raises ValueError for another number of axes or of base positions
+        and for unknown columns.
+        """
+        if not columns:
+            tip, tangential = self.phase == Phase.TIP, self.phase == Phase.TANGENTIAL
+            return plots.plot_points(self.point, tip, tangential, axes, style)
+        return plots.plot_columns(plots.named(self, columns, _COLUMNS), over, self.phase, axes, style)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A data frame with a row for each sample.  Raises ImportError without pandas."""
+        place = dict(zip(("x", "y", "nx", "ny"), [*self.point.T, *self.normal.T], strict=True))
+        codes = {
+            "phase": words(self.phase, Phase),
+            "status": words(self.status, Status),
+            "normal_source": words(self.normal_source, NormalSource),
+        }
+        return to_frame({**place, **plots.named(self, _COLUMNS, _COLUMNS), **codes})
 
     def _repr_html_(self) -> str:
         names, rows = ("s1", "force", "slope", "friction"), selected_rows(len(self))

@@ -11,21 +11,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planar import rod_sweeps, segments
+from planar import plots, rod_sweeps, segments
 from planar.arrays import BLOCK, Array, Index, Mask
 from planar.contours import Contour, Mirrored, Polygon, SmoothContour, check_contour
 from planar.paths import Path, polygon_paths
+from planar.reactions import Reactions
 from planar.rods import Rod
 from planar.segments import Segments
-from planar.tables import selected_rows, table_html
+from planar.tables import counted, selected_rows, table_html, to_frame, words
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
 
 # Coefficients at which a sweep with friction per sample is tabulated; a sample is searched between its places at two of them.
 _BRACKETING_SWEEPS = 3
+# Samples of a sweep of which nothing is stated: curves over them look smooth.
+_SAMPLES = 200
 
 
 class Phase(IntEnum):
@@ -36,7 +43,11 @@ class Phase(IntEnum):
     TANGENTIAL = 2
 
 
-@dataclass(frozen=True)
+_COLUMNS = ("x0", "f0x", "f0y", "m0z", "s1", "slope", "friction")
+"""Columns of numbers of a `Sweep`."""
+
+
+@dataclass(frozen=True, repr=False)
 class Sweep:
     """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where the rod does not touch."""
 
@@ -62,10 +73,38 @@ class Sweep:
     def __len__(self) -> int:
         return len(self.x0)
 
+    def __repr__(self) -> str:
+        return counted("Sweep", self.phase, Phase)
+
+    @property
+    def reactions(self) -> Reactions:
+        """The observables x0, f0x, f0y and m0z, as `planar.reconstruct` and `planar.elastic_lines` take them."""
+        return Reactions(self.x0, self.f0x, self.f0y, self.m0z)
+
+    def plot(self, *columns: str, axes: Axes | ArrayLike | None = None, **style: Any) -> Any:
+        """Curves of columns, by default the support reactions, over the base position, with circles where the phase changes.
+
+        axes
+            matplotlib's axes, one for each column; by default new ones.
+        style
+            that of `matplotlib.axes.Axes.plot`, such as ``color`` or ``label``.
+
+        Returns the axes (len(columns),).  Raises ValueError for another number of axes and for unknown columns.
+        """
+        names = columns or ("f0x", "f0y", "m0z")
+        return plots.plot_columns(plots.named(self, names, _COLUMNS), self.x0, self.phase, axes, style)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A data frame with a row for each sample.  Raises ImportError without pandas."""
+        place = {"x": self.point[:, 0], "y": self.point[:, 1]}
+        return to_frame({**plots.named(self, _COLUMNS, _COLUMNS), **place, "phase": words(self.phase, Phase)})
+
     def _repr_html_(self) -> str:
-        names, rows = ("x0", "f0x", "f0y", "m0z", "s1", "slope", "friction"), selected_rows(len(self))
+        rows = selected_rows(len(self))
         point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
-        return table_html("Sweep", self.phase, Phase, {**{name: getattr(self, name)[rows] for name in names}, **point})
+        return table_html(
+            "Sweep", self.phase, Phase, {**{name: getattr(self, name)[rows] for name in _COLUMNS}, **point}
+        )
 
 
 def sweep(
@@ -86,7 +125,7 @@ def sweep(
         that a sweep with its coefficient has at its base position, as in the paper.
     base, samples
         the base positions (n,), falling (rising for +x), or their number, evenly spaced from touch-down to the end of the
-        sweep (with several coefficients: the end for the lowest of them).
+        sweep (with several coefficients: the end for the lowest of them); by default 200 of them, or one for each friction.
     rod
         None: straight, uniform and weightless.  The reactions of a rod with weight are the whole ones, its own weight included.
         States whose moment changes its sign between clamp and contact are left out.
@@ -96,6 +135,8 @@ def sweep(
     """
     if direction not in (-1, 1):
         raise ValueError(f"direction must be -1 or 1, the sign of the base's motion, got {direction!r}")
+    if base is None and samples is None:
+        samples = np.size(friction) if np.ndim(friction) == 1 else _SAMPLES
     if direction == 1:
         base = None if base is None else -np.asarray(base, dtype=float)
         rod = None if rod is None else rod.mirrored()

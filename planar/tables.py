@@ -1,15 +1,19 @@
-"""Tables of results for notebooks: a selection of the rows, in HTML."""
+"""Tables of results: a selection of the rows in HTML for notebooks, all of them for pandas."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planar.arrays import Index
+from planar.arrays import Array, Index
+
+if TYPE_CHECKING:
+    import pandas
 
 # Upper bound of the rows of a table.
 _MAX_ROWS = 12
@@ -28,15 +32,40 @@ def table_html(
     Numbers have six digits, NaN is a dash.
     """
     rows = selected_rows(len(phase))
-    counts = ", ".join(f"{np.count_nonzero(phase == kind)} {kind.name.lower()}" for kind in kinds)
-    columns = {"phase": [kinds(int(value)).name.lower() for value in phase[rows]], **columns}
+    columns = {"phase": words(phase[rows], kinds), **columns}
     body = "".join(
         f"<tr><th>{row}</th>" + "".join(f"<td>{html.escape(_cell(cell))}</td>" for cell in cells) + "</tr>"
         for row, cells in zip(rows, zip(*columns.values(), strict=True), strict=True)
     )
     head = "<th></th>" + "".join(f"<th>{html.escape(name)}</th>" for name in columns)
-    caption = f"{title}: {len(phase)} samples, {counts}"
+    caption = counted(title, phase, kinds)
     return f"<table><caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def words(values: NDArray[np.int8], kinds: type[IntEnum]) -> list[str]:
+    """The names (n,) of coded values (n,)."""
+    return [kinds(value).name.lower() for value in values.tolist()]
+
+
+def counted(title: str, phase: NDArray[np.int8], kinds: type[IntEnum]) -> str:
+    """How many samples there are, and how many of each phase."""
+    counts = ", ".join(f"{np.count_nonzero(phase == kind)} {kind.name.lower()}" for kind in kinds)
+    return f"{title}: {len(phase)} samples, {counts}"
+
+
+def to_frame(columns: Mapping[str, Array | Sequence[str]]) -> pandas.DataFrame:
+    """A data frame of the columns (n,) but those of NaN alone.  Raises ImportError without pandas."""
+    try:
+        import pandas
+    except ImportError as error:
+        raise ImportError(f"to_pandas needs pandas, which can't be imported ({error}): pip install pandas") from None
+    return pandas.DataFrame(
+        {
+            name: column
+            for name, column in columns.items()
+            if not len(column) or isinstance(column, list) or not np.isnan(column).all()
+        }
+    )
 
 
 def _cell(value: object) -> str:

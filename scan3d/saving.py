@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import trimesh
 
+import planar
+from planar.tables import to_frame, words
 from scan3d.choices import one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
@@ -168,13 +170,18 @@ def _with_quality(shape: Shape, truth: trimesh.Trimesh | _Path) -> Shape:
 
 
 def to_pandas(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> pandas.DataFrame:
-    """A table with a row for each contact, or each vertex of a surface, and the columns of `save`."""
-    try:
-        import pandas
-    except ImportError as error:
-        raise InputError(f"to_pandas needs pandas, which can't be imported ({error}): pip install pandas") from None
+    """A table with a row for each contact, or each vertex of a surface, and those columns of `save` that are not empty.
+
+    Phases are words.  Raises InputError without pandas.
+    """
     shape = to_shape(what, truth)
-    return pandas.DataFrame({name: shape.rows[name] for name in shape.rows.dtype.names or ()})
+    columns: dict[str, Any] = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
+    if "phase" in columns:
+        columns["phase"] = words(columns["phase"], planar.Phase)
+    try:
+        return to_frame(columns)
+    except ImportError as error:
+        raise InputError(str(error)) from None
 
 
 def to_pyvista(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> Any:

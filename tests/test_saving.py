@@ -106,7 +106,8 @@ def test_pandas_has_the_columns_of_the_cloud(result):
     assert np.array_equal(table[["x", "y", "z"]].to_numpy(), result.cloud.points)
     assert np.array_equal(table["force"], result.cloud.force_N)
     assert table["quality"].max() < 1e-9
-    assert result.cloud.to_pandas()["quality"].isna().all()
+    assert set(table["phase"]) == {"tip", "tangential"}
+    assert "quality" not in result.cloud.to_pandas()
 
 
 def test_pyvista_has_normals_friction_and_deviations(result):

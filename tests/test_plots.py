@@ -1,0 +1,87 @@
+"""Pictures, tables and short descriptions of sweeps, contacts, events and elastic lines."""
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from matplotlib.colors import same_color
+from matplotlib.figure import Figure
+
+import planar
+from planar.plots import TANGENTIAL_COLOR, TIP_COLOR
+
+CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
+SWEEP = planar.sweep(CIRCLE, friction=0.3)
+CONTACTS = planar.reconstruct(*SWEEP.reactions)
+EVENTS = planar.events(CIRCLE, friction=0.3)
+
+
+@pytest.fixture(autouse=True)
+def _off_screen():
+    matplotlib.use("Agg")
+    yield
+    pyplot.close("all")
+
+
+def test_a_sweep_of_which_nothing_is_stated_has_samples():
+    assert len(SWEEP) == 200
+    np.testing.assert_allclose(SWEEP.x0[[0, -1]], EVENTS.x0[[0, -1]], atol=1e-12)
+    assert len(planar.sweep(CIRCLE, np.linspace(0, 0.4, 30))) == 30
+
+
+def test_curves_of_columns_have_circles_where_the_phase_changes():
+    f0x, f0y, m0z = SWEEP.plot(label="a")
+    np.testing.assert_array_equal(f0y.lines[0].get_ydata(), SWEEP.f0y)
+    spacing = np.diff(SWEEP.x0).min()
+    np.testing.assert_allclose(m0z.lines[1].get_xdata(), EVENTS.x0[1:3], atol=abs(spacing))
+    assert m0z.lines[0].get_label() == "a"
+    angle, friction = CONTACTS.plot("friction_angle_bound", "friction", over=SWEEP.x0)
+    np.testing.assert_allclose(np.nanmax(angle.lines[0].get_ydata()), np.degrees(np.arctan(0.3)), rtol=1e-9)
+    assert (angle.get_ylabel(), friction.get_xlabel()) == ("$\\beta$ in degrees", "$x_0\\;/\\;L$")
+
+
+def test_points_and_lines_tell_the_phases_apart():
+    axes = CONTACTS.plot()
+    drawn = {line.get_color(): line.get_xydata() for line in axes.lines}
+    np.testing.assert_array_equal(drawn[TIP_COLOR], CONTACTS.point[CONTACTS.phase == planar.Phase.TIP])
+    np.testing.assert_array_equal(drawn[TANGENTIAL_COLOR], CONTACTS.point[CONTACTS.phase == planar.Phase.TANGENTIAL])
+    assert all(same_color(line.get_color(), "red") for line in CONTACTS.plot(color="red").lines)
+    given = Figure().subplots()
+    assert planar.elastic_lines(*planar.sweep(CIRCLE, samples=9).reactions).plot(axes=given) is given
+    assert len(given.lines) == 9 + sum(line.get_color() == "black" for line in given.lines)
+
+
+def test_events_show_the_moment_before_and_after():
+    axes = EVENTS.plot(axes=SWEEP.plot("m0z")[0])
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        "touch down",
+        "to tangential",
+        "to tip",
+        "snap off",
+    ]
+    assert repr(EVENTS).startswith("Events at x0: touch_down 0.848528, to_tangential 0.5791")
+
+
+def test_wrong_columns_and_axes_are_refused():
+    with pytest.raises(ValueError, match=r"a column must be one of x0, f0x, .*, got 'force'"):
+        SWEEP.plot("force")
+    with pytest.raises(ValueError, match="axes must be 3 for as many columns, got 1"):
+        SWEEP.plot(axes=Figure().subplots())
+    with pytest.raises(ValueError, match="over must be 200 numbers"):
+        CONTACTS.plot("s1", over=[0.0])
+
+
+def test_tables_have_words_and_no_empty_columns():
+    table = CONTACTS.to_pandas()
+    assert list(table["phase"]) == [planar.Phase(code).name.lower() for code in CONTACTS.phase]
+    np.testing.assert_array_equal(table["nx"], CONTACTS.normal[:, 0])
+    tips = planar.reconstruct(*(column[:20] for column in SWEEP.reactions)).to_pandas()
+    assert {"friction", "slope", "nx"} & set(tips.columns) == set()
+    assert "friction" in planar.sweep(CIRCLE, base=[]).to_pandas()
+    assert list(EVENTS.to_pandas()["kind"]) == ["touch_down", "to_tangential", "to_tip", "snap_off"]
+
+
+def test_short_descriptions_and_public_names():
+    assert repr(SWEEP) == "Sweep: 200 samples, 0 none, 66 tip, 134 tangential"
+    assert repr(CONTACTS).startswith("Contacts: 200 samples")
+    assert dir(planar) == sorted(planar.__all__)
