@@ -592,6 +592,7 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
             f"{done.samples} samples in {done.sweeps} sweeps, {done.sweeps_with_contact} of them with contact",
         ),
         ("left out", left_out),
+        *([("ringing", f"{done.ringing} rows, which count as rows without contact")] if done.ringing else []),
         ("axes", "six, for the model in space" if done.six_axis else "three, for the planar model"),
     ]
     if done.air:

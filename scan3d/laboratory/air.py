@@ -116,16 +116,16 @@ def given_air(clock: Array, intervals: tuple[tuple[float, float], ...], where: s
     return found
 
 
-def find_air(wrench: Array, clock: Array, where: str) -> Stretches:
+def find_air(wrench: Array, clock: Array, calm: Mask, where: str) -> Stretches:
     """The stretches of a wrench (n, c), forces first, in the air: where it keeps the value that it has most often.
 
-    Raises InputError if there is no such stretch.
+    Only rows that are `calm` (n,) are taken.  Raises InputError if there is no such stretch.
     """
     scale = _scales(wrench)
     near: Mask = np.asarray((np.abs(wrench - _followed(wrench, clock, scale)) <= scale).all(axis=1))
-    runs = _runs(near)
+    runs = _runs(near & calm)
     stretches = _consistent(wrench, clock, _refined(wrench, clock, runs, scale))
-    again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches)) if stretches else []
+    again = _consistent(wrench, clock, _within_noise(wrench, clock, stretches, calm)) if stretches else []
     # the second pass finds more, unless the zero drifts in a way that it does not follow
     if sum(b - a for a, b in again) >= 0.8 * sum(b - a for a, b in stretches):
         stretches = again
@@ -233,14 +233,14 @@ def _steps(values: Array) -> Array:
     return steps
 
 
-def _within_noise(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
+def _within_noise(wrench: Array, clock: Array, stretches: Stretches, calm: Mask) -> Stretches:
     """The stretches whose rows, and whose means over some rows, differ from the zero of first stretches by noise only."""
     first = tare(wrench, clock, stretches)
     deviation = wrench - first.zero
     level = np.array([np.median(deviation[a:b], axis=0) for a, b in stretches])
     slack = 6 * SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
     slack += _steps(wrench[first.rows])
-    near = (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
+    near = calm & (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
     over = 15  # rows, by whose mean light contact is distinguished from noise
     if len(wrench) > over:
         # where some of the rows are in contact, the mean says nothing about the others

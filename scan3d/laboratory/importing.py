@@ -6,6 +6,7 @@ frame and moved to the clamp; the log is cut into sweeps, and the noise is state
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
 from scan3d.reconstruction.errors import FORCE_SIGMAS
 from scan3d.recording import Recording
+from scan3d.ringing import ringing
 from scan3d.spatial import inverse
 
 KIND = "import"
@@ -62,6 +64,8 @@ class Summary:
     air: tuple[tuple[float, float], ...]
     """Stretches in the air, in seconds, or in rows if there is no time."""
     air_fraction: float
+    ringing: int
+    """Rows in which the rod rings in the air; they count as rows without contact."""
     zero: tuple[float, ...]
     """(6,) mean zero that was taken off, in N and N m, in the sensor's frame."""
     drift: tuple[float, ...]
@@ -206,6 +210,7 @@ def _converted(table: Table, map: Map) -> Imported:
         },
         air=tuple((float(clock[a]), float(clock[b - 1])) for a, b in sensed.stretches),
         air_fraction=float(sensed.air.mean()),
+        ringing=int(sensed.ringing.sum()),
         zero=tuple(sensed.zero.mean(axis=0).tolist()),
         drift=tuple(np.ptp(sensed.zero, axis=0).tolist()),
         noise_force_N=noise[0],
@@ -234,6 +239,8 @@ class _Sensed(NamedTuple):
     stretches: list[tuple[int, int]]
     noise: Array
     """(6,) standard deviations that are left."""
+    ringing: Mask
+    """(n,) rows in which the rod rings in the air: no wrench."""
     blurred: Mask
     """(n,) rows that the filter changes by more than their noise."""
     factor: float = 1.0
@@ -245,23 +252,39 @@ class _Sensed(NamedTuple):
 
 def _tared(log: Log, clock: Array, map: Map, where: str) -> _Sensed:
     """The wrench of a log without the sensor's zero."""
-    none = np.zeros(len(log), dtype=bool)
+    none, calm = np.zeros(len(log), dtype=bool), np.ones(len(log), dtype=bool)
+    step = np.diff(clock)
+    run = np.append(0, np.cumsum(step > 1.5 * np.median(step)))
     if map.air == "none":
-        return _Sensed(log.wrench, np.zeros((1, 6)), none, [], np.zeros(6), none)
-    if isinstance(map.air, str):
-        stretches = find_air(log.wrench, clock, where)
+        sensed = _Sensed(log.wrench, np.zeros((1, 6)), none, [], np.zeros(6), none, none)
+    elif isinstance(map.air, str):
+        sensed = _levelled(log, clock, find_air(log.wrench, clock, calm, where))
     elif log.time_s is None:
         raise InputError(
             f"{where}: [tare] air in seconds needs the time of the rows; name its column as time under [columns]"
         )
     else:
-        stretches = given_air(clock, map.air, where)
+        sensed = _levelled(log, clock, given_air(clock, map.air, where))
+    swings = ringing(sensed.wrench, sensed.noise, run)
+    if swings.any() and map.air == "auto":
+        # where the rod rings is neither zero nor noise; a rod that rings all the time leaves what was found before
+        with contextlib.suppress(InputError):
+            sensed = _levelled(log, clock, find_air(log.wrench, clock, ~swings, where))
+            swings = ringing(sensed.wrench, sensed.noise, run)
+    return sensed._replace(
+        wrench=np.where(swings[:, None], 0.0, sensed.wrench), air=sensed.air & ~swings, ringing=swings
+    )
+
+
+def _levelled(log: Log, clock: Array, stretches: list[tuple[int, int]]) -> _Sensed:
+    """The wrench of a log without the zero of its stretches in the air."""
     air = tare(log.wrench, clock, stretches)
     wrench = log.wrench - air.zero
     # rows in which all channels are no more than rounding would count as forces
     largest = np.repeat([np.abs(log.wrench[:, :3]).max(), np.abs(log.wrench[:, 3:]).max()], 3)
     nothing = np.asarray((np.abs(wrench) <= 1e-13 * largest).all(axis=1))
-    return _Sensed(np.where(nothing[:, None], 0.0, wrench), air.zero, air.rows, stretches, air.noise, none)
+    none = np.zeros(len(log), dtype=bool)
+    return _Sensed(np.where(nothing[:, None], 0.0, wrench), air.zero, air.rows, stretches, air.noise, none, none)
 
 
 def _filtered(sensed: _Sensed, log: Log, clock: Array, map: Map, where: str) -> _Sensed:
