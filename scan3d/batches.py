@@ -30,11 +30,11 @@ from scan3d.files.meshes import FORMATS
 from scan3d.files.reading import read_small
 from scan3d.files.section import read_section
 from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, sha256, unchanged
+from scan3d.numbers import length, share
 from scan3d.processes import undone_if_ended
 from scan3d.results import Result
 from scan3d.results import open as open_scan
 from scan3d.settings import Given, Settings, shows_settings, varied_settings
-from scan3d.units import unit_symbol
 from scan3d.workers import Workers
 
 SCHEMA = 1
@@ -641,8 +641,8 @@ def _card(folder: Path, row: Row, mark: str, varied: Sequence[str]) -> str:
     if row["status"] == FAILED:
         return f'<article class="failed"><h2>{name}</h2><p>failed: {html.escape(row["error"])}</p>{settings}</article>'
     figures = [
-        f"{what} {row[column]:.3g} {unit_symbol(row['unit'])} ({100 * row[f'{column}_relative']:.2g} % of the diagonal)"
-        for what, column in (("Hausdorff distance", "hausdorff"), ("certified within", "certificate"))
+        f"{what} {length(row[column], row['unit'], up=up)} ({share(row[f'{column}_relative'], up=up)} of the diagonal)"
+        for what, column, up in (("Hausdorff distance", "hausdorff", False), ("certified within", "certificate", True))
         if row[column] is not None and row[f"{column}_relative"] is not None
     ]
     figures += [f"{row['contacts']} contacts", f"{row['seconds']:.3g} s"]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
+from scan3d.numbers import length, lengths, number
 from scan3d.rigs import RigErrors
 from scan3d.shown import Exported, Rows, Shown
-from scan3d.units import unit_symbol
 
 # A contact's place is much less certain than most if its standard deviation is more than this many times the median, and than
 # this fraction of the rod's length.  Larger, surfaces are drawn to places outside the body; smaller, more of the body is left
@@ -193,25 +193,25 @@ class Cloud(Shown, Exported):
 
     def summary(self) -> Rows:
         """Counts, size and what was measured."""
-        tips, unit = int((self.phase == planar.Phase.TIP).sum()), unit_symbol(self.unit)
+        tips = int((self.phase == planar.Phase.TIP).sum())
         friction = self.friction[np.isfinite(self.friction)]
-        size = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
+        size, unit = lengths(np.ptp(self.points, axis=0) if len(self) else np.zeros(3), self.unit)
         slices = ("slices", f"{len(np.unique(self.slice))} with contacts of {len(self.slice_height)}")
         in_space = ("model", "spatial: the rod may leave the plane of its sweep")
         rows: Rows = [
             ("contacts", f"{len(self)}: {len(self) - tips} tangential, {tips} at the tip"),
             in_space if self.model == "spatial" else slices,
             ("sweeps", str(len(np.unique(self.sweep)))),
-            ("size", " × ".join(f"{extent:.4g}" for extent in size) + f" {unit}"),
+            ("size", f"{' × '.join(size)} {unit}"),
             ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
         ]
         if len(self):
             rows.append(("force", f"{1e3 * self.force_N.min():.3g} to {1e3 * self.force_N.max():.3g} mN"))
         if len(friction):
-            spread = f"{friction.min():.4g} to {friction.max():.4g}"
-            rows.append(("friction", f"{np.median(friction):.4g} (median; {spread})"))
+            spread = f"{number(friction.min())} to {number(friction.max())}"
+            rows.append(("friction", f"{number(float(np.median(friction)))} (median; {spread})"))
         if self.noise:
-            rows.append(("position noise", f"{self.noise:.2g} {unit} (standard deviation)"))
+            rows.append(("position noise", f"{length(self.noise, self.unit, digits=2)} (standard deviation)"))
         return rows
 
 

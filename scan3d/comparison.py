@@ -12,6 +12,7 @@ from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare, two_sided_distance
 from scan3d.geometry.triangles import areas, dot, halve
+from scan3d.numbers import angle, number, share
 from scan3d.shown import Rows, Shown, described
 
 if TYPE_CHECKING:
@@ -59,12 +60,12 @@ class Comparison(Shown):
     volume_error: float  #: (surface - mesh) / mesh; NaN unless both are closed
 
     def summary(self) -> Rows:
-        """The distances, also in % of the mesh's diagonal."""
+        """The distances, also as parts of the mesh's diagonal."""
 
         def length(value: float) -> str:
-            return f"{value:.4g} ({self.percent_of_diagonal(value)})"
+            return f"{number(value, 4)} ({self.part_of_diagonal(value)})"
 
-        certainty = "exact" if self.exact else f"certified between {self.lower:.6g} and {self.upper:.6g}"
+        certainty = "exact" if self.exact else f"certified between {number(self.lower, 5)} and {number(self.upper, 5)}"
         averages = f"{length(self.mean)}, RMS {length(self.rms)}, 95 % closer than {length(self.p95)}"
         place = "({:.4g}, {:.4g}, {:.4g})".format(*(self.worst_point + 0.0))
         error = self.volume_error
@@ -75,13 +76,13 @@ class Comparison(Shown):
             ("worst at", f"{place}, on the {self.worst_on}"),
             ("mean", averages),
             ("Chamfer distance", f"{length(self.chamfer)}, F-score {self.f_score:.4f} at 1 % of the diagonal"),
-            ("normals differ by", f"{self.normal_median_deg:.3g}° (median), {self.normal_p95_deg:.3g}° (95 %)"),
-            ("volume error", f"{100 * error:+.3g} %" if np.isfinite(error) else "unknown: open"),
+            ("normals differ by", f"{angle(self.normal_median_deg)} (median), {angle(self.normal_p95_deg)} (95 %)"),
+            ("volume error", share(error) if np.isfinite(error) else "unknown: open"),
         ]
 
-    def percent_of_diagonal(self, value: float) -> str:
-        """A distance in % of the mesh's diagonal."""
-        return f"{100 * value / self.diagonal:.2g} %"
+    def part_of_diagonal(self, value: float) -> str:
+        """A distance as a part of the mesh's diagonal, in per cent or parts per million."""
+        return share(value / self.diagonal)
 
     def __repr__(self) -> str:
         return described(f"Comparison (lengths in {UNKNOWN_UNIT}; in brackets, of the mesh's diagonal)", self.summary())

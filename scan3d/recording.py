@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array, evenly
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations
+from scan3d.numbers import length, lengths, number
 from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Gravity, Rod
 from scan3d.shown import Rows, Shown
 from scan3d.spatial.march import free_reactions
-from scan3d.units import UNITS_M, unit_symbol
+from scan3d.units import UNITS_M
 
 # Distinct normals of slices that a table lists: scans along the three axes have three.
 _MOST_NORMALS = 4
@@ -269,8 +270,8 @@ class Recording(Shown):
             ("samples", f"{len(self)}, {(force > 0).sum()} with a force"),
             ("sweeps", str(len(np.unique(self.sweep)))),
             ("z axes of the clamp" if self.six_axis else "normals of the slices", _directions(self.axes()[:, 2])),
-            ("rod", f"{1e3 * rod.length_m:.4g} mm long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
-            ("largest reactions", f"{1e3 * force.max():.4g} mN, {1e6 * moment.max():.4g} mN mm"),
+            ("rod", f"{length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
+            ("largest reactions", f"{number(1e3 * force.max())} mN, {number(1e6 * moment.max())} mN mm"),
             ("noise", self._stated()),
             ("clamp from", _point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
             ("to", _point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
@@ -279,8 +280,8 @@ class Recording(Shown):
     def _stated(self) -> str:
         if not (self.noise_force_N or self.noise_moment_Nm or self.noise_pose_m):
             return "none"
-        pose = f", {1e6 * self.noise_pose_m:.2g} \N{MICRO SIGN}m of the pose" if self.noise_pose_m else ""
-        reactions = f"{1e3 * self.noise_force_N:.2g} mN, {1e6 * self.noise_moment_Nm:.2g} mN mm"
+        pose = f", {length(self.noise_pose_m, 'm', digits=2)} of the pose" if self.noise_pose_m else ""
+        reactions = f"{number(1e3 * self.noise_force_N, 2)} mN, {number(1e6 * self.noise_moment_Nm, 2)} mN mm"
         return f"{reactions}{pose} (standard deviations)"
 
 
@@ -292,7 +293,8 @@ def _directions(normals: Array) -> str:
 
 
 def _point(values: Array, unit: str) -> str:
-    return "({:.4g}, {:.4g}, {:.4g}) ".format(*(values + 0.0)) + unit_symbol(unit)
+    shown, symbol = lengths(values, unit)
+    return f"({', '.join(shown)}) {symbol}"
 
 
 def rounding_sd(values: Array) -> float:

@@ -21,6 +21,7 @@ from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
+from scan3d.numbers import angle, length, lengths, number, share, volume
 from scan3d.reconstruction import Contradiction, Diagnosis, radius_errors
 from scan3d.recording import Recording
 from scan3d.shown import Rows
@@ -415,8 +416,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
     rows = _filled(data)
     of_hull = f" from the {HULL_OF_MESH}" if rows else ""
     if errors:
-        error = f"{errors['max']:.3g} {errors['unit']} at most ({errors['max_rod_lengths']:.1e} rod lengths){of_hull}"
-        rows.append(("contact error", error))
+        rows.append(("contact error", f"{length(errors['max'], errors['unit'])} at most{of_hull}"))
     most, swept = data["settings"].get("slices", 0), counts["slices"] + counts.get("empty_slices", 0)
     if data.get("model") != "spatial" and swept < most:
         slices = f"{swept} of at most {most}: the tolerance is met, or more would not lower the bound"
@@ -424,15 +424,17 @@ def summary(data: Mapping[str, Any]) -> Summary:
     median = data["friction"]["estimated_median"]
     if median is not None:
         given = data["friction"]["set"]
-        rows.append(("friction", f"{median:.4g} (median, estimated from touch{f'; set: {given}' if given else ''})"))
+        rows.append(
+            ("friction", f"{number(median)} (median, estimated from touch{f'; set: {given}' if given else ''})")
+        )
     if counts["light"]:
         rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
     radius = data.get("rod", {}).get("radius", {})
     if radius.get("moved"):
         unit = radius["unit"]
         left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
-        moved = f"contacts moved by {radius['moved']:.3g} {unit} from the rod's centre line"
-        rows.append(("rod's radius", f"{moved}, which leaves errors up to {left:.1g} {unit}"))
+        moved = f"contacts moved by {length(radius['moved'], unit)} from the rod's centre line"
+        rows.append(("rod's radius", f"{moved}, which leaves errors up to {length(left, unit, digits=1, up=True)}"))
     rows += _calibration_rows(data)
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
@@ -442,18 +444,19 @@ def summary(data: Mapping[str, Any]) -> Summary:
         rows.append(("Hausdorff distance", _distance(hausdorff, hausdorff["unit"]) + to_hull))
         if hausdorff.get("mesh_itself"):
             rows.append(("to the mesh itself", _distance(hausdorff["mesh_itself"], hausdorff["unit"])))
-    volume = next((known for known in data.get("measurands", ()) if known["quantity"] == "volume"), None)
-    if volume and None not in volume["interval"] and np.isfinite(volume["interval"]).all() and not data["warnings"]:
-        low, high = volume["interval"]
-        rows.append(("volume", f"{volume['value']:.4g} {volume['unit']}, certified between {low:.4g} and {high:.4g}"))
     certified = data["certificate"]
+    measured = next((one for one in data.get("measurands", ()) if one["quantity"] == "volume"), None)
+    low, high = measured["interval"] if measured and not data["warnings"] else (None, None)
+    if measured and low is not None and high is not None and np.isfinite([low, high]).all():
+        known = volume(measured["value"], low, high, certified["unit"])
+        rows.append(("volume", f"{known}, certified{of_scanned(data)}"))
     if data["warnings"]:
         rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
     elif certified["bound"] is not None and np.isfinite(certified["bound"]):
-        bound = f"{certified['bound']:.4g} {certified['unit']} ({certified['relative']:.1e} of the diagonal)"
+        bound = f"{_bound(certified)}{of_scanned(data)}"
         confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
         table = certified.get("table")
-        on_table = "" if table is None else f", and the table at z = {table:.4g} {certified['unit']}"
+        on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
         rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
     else:
         nothing = "nothing, because no contact bounds the body on some side of it"
@@ -465,7 +468,17 @@ def summary(data: Mapping[str, Any]) -> Summary:
 
 
 def _distance(part: Mapping[str, Any], unit: str) -> str:
-    return f"{part['two_sided']:.4g} {unit} ({part['relative']:.1e} of the diagonal)"
+    return f"{length(part['two_sided'], unit)} ({share(part['relative'])} of the diagonal)"
+
+
+def _bound(certified: Mapping[str, Any]) -> str:
+    bound, relative = length(certified["bound"], certified["unit"], up=True), share(certified["relative"], up=True)
+    return f"{bound} ({relative} of the diagonal)"
+
+
+def of_scanned(data: Mapping[str, Any]) -> str:
+    """What a report's bounds are of, where that is not the mesh itself: `` of the convex hull of the mesh``; else empty."""
+    return f" of the {HULL_OF_MESH}" if (data.get("mesh") or {}).get("scanned", "mesh") != "mesh" else ""
 
 
 def _filled(data: Mapping[str, Any]) -> Rows:
@@ -474,35 +487,38 @@ def _filled(data: Mapping[str, Any]) -> Rows:
     filled = mesh.get("filled")
     if not filled:
         return []
-    volume = filled["volume_relative"]
-    dents = f", which fills dents up to {filled['depth']:.3g} {mesh['unit']} deep" if filled["depth"] else ""
-    part = "" if volume is None else f", {100 * volume:.2g} % of its volume"
+    filling = filled["volume_relative"]
+    dents = f", which fills dents up to {length(filled['depth'], mesh['unit'])} deep" if filled["depth"] else ""
+    part = "" if filling is None else f", {share(filling)} of its volume"
     closes = "; the mesh is open" if filled["open"] else ""
     return [("scanned", f"the {HULL_OF_MESH}{dents}{part}{closes}")]
 
 
 def comparison_summary(comparison: Comparison, unit: str) -> Summary:
     """The comparison of two meshes, whose lengths are in `unit`."""
-    exact = (
-        "exact" if comparison.exact else f"certified between {comparison.lower:.6g} and {comparison.upper:.6g} {unit}"
-    )
-    where = ", ".join(f"{x:.6g}" for x in comparison.worst_point)
-    averages = f"{comparison.mean:.4g}, {comparison.rms:.4g}, {comparison.p95:.4g} {unit}"
-    normals = f"{comparison.normal_median_deg:.3g}° median, {comparison.normal_p95_deg:.3g}° at 95 %"
+    low, high = length(comparison.lower, unit, digits=5), length(comparison.upper, unit, digits=5, up=True)
+    exact = "exact" if comparison.exact else f"certified between {low} and {high}"
+    where, symbol = lengths(comparison.worst_point, unit, digits=5)
+    averages = ", ".join(length(value, unit) for value in (comparison.mean, comparison.rms, comparison.p95))
+    error = share(comparison.volume_error) if np.isfinite(comparison.volume_error) else "unknown: open"
+    normals = f"{angle(comparison.normal_median_deg)} median, {angle(comparison.normal_p95_deg)} at 95 %"
     return Summary(
         "",
         [
             (
                 "Hausdorff distance",
-                f"{comparison.hausdorff:.6g} {unit} ({comparison.relative:.3e} of B's diagonal; {exact})",
+                f"{length(comparison.hausdorff, unit, digits=5)} ({share(comparison.relative)} of B's diagonal; {exact})",
             ),
-            ("A to B", f"{comparison.surface_to_mesh:.6g} {unit}"),
-            ("B to A", f"{comparison.mesh_to_surface:.6g} {unit}"),
-            ("worst at", f"({where}), on {'A' if comparison.worst_on == 'surface' else 'B'}"),
+            ("A to B", length(comparison.surface_to_mesh, unit, digits=5)),
+            ("B to A", length(comparison.mesh_to_surface, unit, digits=5)),
+            ("worst at", f"({', '.join(where)}) {symbol}, on {'A' if comparison.worst_on == 'surface' else 'B'}"),
             ("mean, RMS, 95 %", averages),
-            ("Chamfer, F-score", f"{comparison.chamfer:.4g} {unit}, {comparison.f_score:.4f} at 1 % of B's diagonal"),
+            (
+                "Chamfer, F-score",
+                f"{length(comparison.chamfer, unit)}, {comparison.f_score:.4f} at 1 % of B's diagonal",
+            ),
             ("normals", normals),
-            ("volume error", f"{comparison.volume_error:+.3e}"),
+            ("volume error", error),
         ],
     )
 
@@ -515,38 +531,36 @@ def _calibration_rows(data: Mapping[str, Any]) -> Rows:
     size, unit = data["certificate"]["parts"]["calibration"], data["certificate"]["unit"]
     exact = rig["taken_as_exact"]
     unknown = f"; not determined by it, and taken as exact: {', '.join(exact)}" if exact else ""
-    return [("calibration", f"allowed for with up to {size:.3g} {unit} at a contact{unknown}")]
+    return [("calibration", f"allowed for with up to {length(size, unit, up=True)} at a contact{unknown}")]
 
 
 def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """The key figures of a report for pages and pictures, as pairs of name and value; distances also in % of the diagonal."""
+    """The key figures of a report for pages and pictures, as pairs of name and value."""
     mesh, counts, unit = data["mesh"] or {}, data["counts"], data["certificate"]["unit"]
-    is_hull = mesh.get("scanned", "mesh") != "mesh"
-    from_hull = f" from the {HULL_OF_MESH}" if is_hull else ""
-    rows = [("scanned", f"the {HULL_OF_MESH}")] if is_hull else []
+    of_hull = of_scanned(data)
+    from_hull = of_hull.replace("of", "from", 1)
+    rows = [("scanned", f"the {HULL_OF_MESH}")] if of_hull else []
     if mesh:
-        rows.append(("size", " × ".join(f"{extent:.4g}" for extent in mesh["extents"]) + f" {unit}"))
+        size, symbol = lengths(mesh["extents"], unit)
+        rows.append(("size", f"{' × '.join(size)} {symbol}"))
     rows += [("contacts", str(counts["contacts"]))]
     rows += [("slices", str(counts["slices"]))] if counts["slices"] else []
     rows += [("sweeps", str(counts["sweeps"]))]
     if data["contact_error"]:
-        rows.append(("contact error", f"{data['contact_error']['max']:.2g} {unit} at most{from_hull}"))
+        rows.append(("contact error", f"{length(data['contact_error']['max'], unit)} at most{from_hull}"))
     if data["friction"]["estimated_median"] is not None:
-        rows.append(("friction", f"{data['friction']['estimated_median']:.4g} (median)"))
+        rows.append(("friction", f"{number(data['friction']['estimated_median'])} (median)"))
     rows.append(("surface", f"{data['surface']['method']}, {data['surface']['faces']} faces"))
     if data["warnings"]:
         rows.append(("not certified", ", ".join(warning["code"] for warning in data["warnings"])))
     if data.get("diagnosis"):
         rows.append(("diagnosis", data["diagnosis"]["message"]))
 
-    def within(distance: float, relative: float) -> str:
-        return f"{distance:.3g} {unit} ({100 * relative:.2g} %)"
-
     hausdorff, certified = data["hausdorff"], data["certificate"]
     if hausdorff:
-        rows.append(("Hausdorff distance", within(hausdorff["two_sided"], hausdorff["relative"]) + from_hull))
+        rows.append(("Hausdorff distance", _distance(hausdorff, unit) + from_hull))
         if itself := hausdorff.get("mesh_itself"):
-            rows.append(("distance from the mesh itself", within(itself["two_sided"], itself["relative"])))
+            rows.append(("distance from the mesh itself", _distance(itself, unit)))
     if certified["bound"] is not None and np.isfinite(certified["bound"]):
-        rows.append(("certified within", within(certified["bound"], certified["relative"])))
+        rows.append(("certified within", _bound(certified) + of_hull))
     return tuple(rows)

@@ -15,6 +15,7 @@ from scan3d.bounds import Certificate, Gap
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
+from scan3d.numbers import length
 from scan3d.pipeline import analyse
 from scan3d.planning.aims import further_directions, open_places
 from scan3d.planning.heights import next_heights
@@ -180,7 +181,7 @@ class Session(Described):
         ]
         if not known:
             return [*rows, ("recordings", "none yet: sweep the poses of ask(), and tell() their recording")]
-        bound = "nothing" if self.warnings else f"within {self.certificate.bound:.4g} {plan.unit}"
+        bound = "nothing" if self.warnings else f"within {length(self.certificate.bound, plan.unit, up=True)}"
         return [*rows, ("recordings", f"{len(known)} with {len(self.cloud)} contacts"), ("certified", bound)]
 
     @property

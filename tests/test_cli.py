@@ -456,10 +456,10 @@ def test_compare_prints_the_distance(call, tmp_path):
     moved.export(tmp_path / "moved.ply")
     code, stdout, stderr = call("compare", tmp_path / "moved.ply", CUBE)
     assert (code, stderr) == (0, "")
-    assert stdout.startswith("Hausdorff distance 0.5 mm")
+    assert stdout.startswith("Hausdorff distance 500 µm (")
     code, stdout, _ = call("compare", tmp_path / "moved.ply", CUBE, "--json")
     assert json.loads(stdout)["hausdorff"] == pytest.approx(0.5, rel=1e-6)
-    assert "0.5 cm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
+    assert "5 mm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
 
 
 def test_hull_scans_a_body_that_is_not_convex_and_quiet_prints_nothing(call, bad, tmp_path, no_pictures):

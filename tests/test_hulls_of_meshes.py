@@ -16,6 +16,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.reading import dent_size
+from scan3d.numbers import length
 from scan3d.pictures import page, rendering, shading
 from scan3d.pipeline import to_scene
 from scan3d.report import _filled, key_figures
@@ -140,24 +141,29 @@ def test_the_report_has_the_distance_to_the_mesh_itself(scanned):
 
 def test_what_is_printed_says_what_it_refers_to(scanned):
     rows = dict(scanned.summary())
-    assert rows["scanned"] == f"the {HULL}, which fills dents up to 0.707 mm deep, 14 % of its volume"
+    assert rows["scanned"] == f"the {HULL}, which fills dents up to 707 µm deep, 14 % of its volume"
     assert rows["Hausdorff distance"].endswith(f"to the {HULL}")
     assert rows["contact error"].endswith(f"from the {HULL}")
-    assert rows["to the mesh itself"].startswith(f"{scanned.report['hausdorff']['mesh_itself']['two_sided']:.4g} mm (")
+    itself = length(scanned.report["hausdorff"]["mesh_itself"]["two_sided"], "mm")
+    assert rows["to the mesh itself"].startswith(f"{itself} (")
+    assert rows["volume"].endswith(f"certified of the {HULL}")
+    assert f") of the {HULL}, from touch alone" in rows["certified"]
     figures = dict(key_figures(scanned.report))
     assert figures["scanned"] == f"the {HULL}"
     assert figures["Hausdorff distance"].endswith(f"from the {HULL}")
     assert figures["contact error"].endswith(f"from the {HULL}")
-    assert figures["distance from the mesh itself"].endswith(" %)")
+    assert figures["distance from the mesh itself"].startswith(f"{itself} (")
+    assert figures["certified within"].endswith(f") of the {HULL}")
 
 
 def test_pictures_say_what_they_show(scanned):
     scene = to_scene(scanned.analysis)
     assert scene.truth_name == HULL
     _, shaded = shading.shade_surface(scene)
-    assert shaded.title == f"signed deviation from the {HULL} in mm"
+    assert shaded.title == f"signed deviation from the {HULL} in µm"
+    assert shading.shade_surface(scene, "bound")[1].title == f"certified bound of the {HULL} in µm"
     assert f'"name":"{HULL}"' in page.page(scene).decode()
-    assert shading.shade_contacts(scene, "error").title == f"distance from the {HULL} in mm"
+    assert shading.shade_contacts(scene, "error").title == f"distance from the {HULL} in nm"
 
 
 @pytest.mark.rendering
@@ -174,7 +180,7 @@ def test_of_a_convex_mesh_nothing_of_the_kind_is_said():
     assert HULL not in repr(result)
     scene = to_scene(result.analysis)
     assert scene.truth_name == "truth"
-    assert shading.shade_surface(scene)[1].title == "signed deviation in mm"
+    assert shading.shade_surface(scene)[1].title == "signed deviation in µm"
 
 
 @pytest.mark.slow

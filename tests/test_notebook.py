@@ -162,7 +162,7 @@ def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pic
     shown = Reader(replace(cloud, noise=0.1, unit="um")._repr_html_())
     assert shown.pictures == []
     assert rendering.NO_RENDERER in shown.text
-    assert dict(shown.rows)["position noise"] == "0.1 µm (standard deviation)"
+    assert dict(shown.rows)["position noise"] == "100 nm (standard deviation)"
     with pytest.raises(scan3d.InputError, match="nothing here can render off screen"):
         cloud.plot()
     shown = Reader(cloud.select(np.zeros(len(cloud), dtype=bool))._repr_html_())
@@ -178,7 +178,7 @@ def test_a_comparison_shows_itself(comparison):
     assert rows["mean"].startswith(f"{comparison.mean:.4g} (")
     assert rows["worst at"].endswith(f"on the {comparison.worst_on}")
     assert rows["normals differ by"].count("°") == 2
-    assert rows["volume error"] == f"{100 * comparison.volume_error:+.3g} %"
+    assert rows["volume error"] == f"{100 * comparison.volume_error:.2g} %"
     assert "units of the meshes" in shown.text
     inexact = replace(comparison, exact=False, lower=1.0, upper=2.0, volume_error=np.nan)
     rows = dict(Reader(inexact._repr_html_()).rows)

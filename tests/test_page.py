@@ -17,6 +17,7 @@ import scan3d
 from scan3d.pictures.page import page, player, samples_of
 from scan3d.pictures.parts import shown_surface
 from scan3d.pictures.scene import Scene
+from scan3d.pictures.shading import shown_lengths
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
@@ -50,11 +51,11 @@ def test_the_page_holds_the_scan(cube):
         "kind of contact",
         "contact force in mN",
         "coefficient of friction",
-        "distance from the truth in mm",
+        "distance from the truth in nm",
     ]
     assert array(colors[1]["values"]) == pytest.approx(1e3 * cube.column("force"), rel=1e-6)
     deviation, bound = layers["surface"]["colors"]
-    assert (deviation["title"], bound["title"]) == ("signed deviation in mm", "certified bound in mm")
+    assert (deviation["title"], bound["title"]) == ("signed deviation in µm", "certified bound in µm")
     assert deviation["low"] == -deviation["high"]  # symmetric
     assert array(layers["surface"]["faces"]).max() < len(array(layers["surface"]["points"])) / 3
     size = np.ptp(array(layers["truth"]["points"]).reshape(-1, 3), axis=0)
@@ -69,6 +70,7 @@ def test_histograms_count_area_and_contacts_alike(cube):
     weight = np.zeros(len(mesh.vertices))
     np.add.at(weight, np.asarray(mesh.faces), np.asarray(mesh.area_faces)[:, None] / 3)
     for scale, values in zip(layers["surface"]["colors"], (deviation, bound), strict=True):
+        values = shown_lengths(values, "mm")[0]
         expected = np.histogram(np.clip(values, scale["low"], scale["high"]), 32, (scale["low"], scale["high"]),
                                 weights=weight)[0]  # fmt: skip
         # values of equal size at an edge of a bin may be rounded into the next

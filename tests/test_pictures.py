@@ -452,11 +452,12 @@ def test_views_that_the_scene_can_not_give(cube, tmp_path, monkeypatch, missing,
 
 def test_a_histogram_counts_area(egg):
     deviation, bound = histograms(egg, Sheet()).axes
-    assert deviation.get_xlabel().replace("\n", " ") == "signed deviation in mm"
+    assert deviation.get_xlabel().replace("\n", " ") == "signed deviation in µm"
     assert bound.get_xlabel().replace("\n", " ") == "certified bound in mm"
     mesh, signed, local = shown_surface(egg)
-    for axes, values in ((deviation, signed), (bound, local)):
+    for axes, values, factor in ((deviation, signed, 1e-3), (bound, local, 1.0)):
         shares, edges, _ = axes.patches[0].get_data()
+        edges = factor * edges
         assert shares.sum() == pytest.approx(100)
         # by facets, whose mean is nearly that of their vertices
         expected = (values[mesh.faces].mean(axis=1) * mesh.area_faces).sum() / mesh.area
@@ -464,7 +465,7 @@ def test_a_histogram_counts_area(egg):
         assert edges[0] <= values.min() + 1e-9
         assert edges[-1] >= values.max() - 1e-9
     median = float(re.match(r"median (−?[\d.]+)", deviation.get_title())[1].replace("−", "-"))
-    assert signed.min() < median < signed.max()
+    assert signed.min() < median / 1000 < signed.max()
 
 
 def test_histograms_of_unknown_values_of_small_ones_and_of_one(egg):
@@ -474,7 +475,7 @@ def test_histograms_of_unknown_values_of_small_ones_and_of_one(egg):
     unknown = float(re.search(r"unknown on (\d+) %", axes.get_title().replace("\n", " "))[1])
     assert axes.patches[0].get_data()[0].sum() == pytest.approx(100 - unknown, abs=1)
     assert 20 < unknown < 80
-    for factor, label in ((1.0, "in mm"), (1e-6, "10^{-")):  # small ones have a power in their unit
+    for factor, label in ((1.0, "in µm"), (1e-4, "in nm")):  # the unit follows their size
         near = egg.surface.copy()
         near.vertices = vertices * (1 + factor * 1e-2)
         (axes,) = histograms(replace(egg, bound=None).against(near), Sheet()).axes

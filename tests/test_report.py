@@ -142,5 +142,5 @@ def test_the_summary_says_what_was_moved():
     text = summary(data)
     assert text.heading.endswith("2 sweeps in space")
     assert dict(text.rows)["rod's radius"] == (
-        "contacts moved by 0.25 mm from the rod's centre line, which leaves errors up to 0.02 mm"
+        "contacts moved by 250 µm from the rod's centre line, which leaves errors up to 30 µm"
     )

@@ -8,6 +8,7 @@ from small_scans import CUBE
 
 import scan3d
 from scan3d.bounds import Certificate
+from scan3d.numbers import length
 from scan3d.shown import described
 from tests import rigs
 
@@ -81,7 +82,7 @@ def test_a_session_and_its_poses_say_what_is_known(result):
     session.tell(scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=8, rod=result.recording.rod)))
     known = rows(session)[1]
     assert known["recordings"] == f"1 with {len(session.cloud)} contacts"
-    assert known["certified"] == f"within {session.certificate.bound:.4g} mm"
+    assert known["certified"] == f"within {length(session.certificate.bound, 'mm', up=True)}"
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from scan3d.choices import Model, Tare
 from scan3d.cli.options import Body, File, Flag, Number, Options, Output, Overwrite, Rig
 from scan3d.cli.terminal import print_result, printable, printable_json, say, table
 from scan3d.errors import InputError, UsageError
+from scan3d.numbers import length, share
 from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit
 
@@ -222,7 +223,8 @@ def further(
     }
     known = "nothing bounds the body yet"
     if bound < float("inf"):
-        known = f"the body is known within {bound:.4g} {measured.unit} ({session.relative_bound:.2g} of the diagonal)"
+        part = share(session.relative_bound, up=True)
+        known = f"the body is known within {length(bound, measured.unit, up=True)} ({part} of the diagonal)"
     for warning in session.warnings:
         output.progress.say(f"warning: {warning.message}")
     text = f"{known}; {data['sweeps']} further sweeps, written to {data['poses']}"
@@ -437,7 +439,7 @@ def _quantities(found: Any) -> list[str]:
     details = found.details
     lines.append(
         f"chi2 per degree of freedom {found.chi2:.3f}, of the wrench alone {found.consistency:.3f}; pose noise "
-        f"{1e6 * found.pose_noise_m:.2g} um ({details['pose_noise']}); {details['contacts']} contacts, "
+        f"{length(found.pose_noise_m, 'm', digits=2)} ({details['pose_noise']}); {details['contacts']} contacts, "
         f"{details['tip_contacts']} of the tip, {details['air']} rows in the air, tare {details['tare']}"
     )
     return lines

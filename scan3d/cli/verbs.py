@@ -19,6 +19,7 @@ from scan3d.cli.options import ClipDent, File, Flag, Folder, Mesh, Number, Optio
 from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
 from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
 from scan3d.errors import InputError, UsageError
+from scan3d.numbers import share
 from scan3d.settings import Settings, settings, varied_settings
 from scan3d.units import UNITS_M, Unit, unit_question, unit_remark
 
@@ -450,8 +451,8 @@ def _batch_report(done: Any, out: Path, seconds: float, output: Output) -> int:
 
 def _figures(row: dict[str, Any]) -> str:
     certified = row["certificate_relative"]
-    bound = "" if certified is None else f", certified {certified:.1e}"
-    return f"{row['hausdorff_relative']:.1e} of the diagonal{bound} ({row['run']})"
+    bound = "" if certified is None else f", certified within {share(certified, up=True)}"
+    return f"{share(row['hausdorff_relative'])} of the diagonal{bound} ({row['run']})"
 
 
 def _scanned(

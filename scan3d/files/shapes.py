@@ -15,8 +15,9 @@ from scan3d.choices import SCALAR_NAMES
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.files.ply import read_ply
+from scan3d.numbers import lengths
 from scan3d.shown import Exported, Rows
-from scan3d.units import UNITS_M, unit_symbol
+from scan3d.units import UNITS_M
 
 FRAME = "world coordinates of the recording's poses, right-handed; for a simulated scan those of the mesh"
 POINT, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
@@ -78,10 +79,10 @@ class Shape(Exported):
 
     def summary(self) -> Rows:
         """Counts, size and columns."""
-        size = np.ptp(self.points, axis=0) if len(self) else np.zeros(3)
+        size, unit = lengths(np.ptp(self.points, axis=0) if len(self) else np.zeros(3), self.unit)
         return [
             ("contacts" if self.faces is None else "vertices", str(len(self))),
-            ("size", " × ".join(f"{extent:.4g}" for extent in size) + f" {unit_symbol(self.unit)}"),
+            ("size", f"{' × '.join(size)} {unit}"),
             ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
             ("columns", ", ".join(self.columns) or "none"),
         ]

@@ -9,10 +9,11 @@ import numpy as np
 from scan3d.arrays import Array
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
+from scan3d.numbers import number
 from scan3d.pictures.figures import REACTION_LABELS, SIX_REACTION_LABELS, chart, open_axes, ticks, wrapped
 from scan3d.pictures.parts import area_of_vertices, evenly_chosen, shown_surface, weighted_quantiles
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import BOUND, INK, ROD, UNKNOWN
+from scan3d.pictures.shading import BOUND, INK, ROD, UNKNOWN, shown_lengths
 from scan3d.pictures.sheet import Sheet
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M, unit_symbol
@@ -40,12 +41,12 @@ def reactions(recording: Recording, sheet: Sheet | None = None) -> Any:
     columns = figure.subplots(3, len(labels) // 3, sharex=True, squeeze=False).T
     panels = columns.ravel()
     scale = 1 / UNITS_M[recording.unit]
-    for number in numbers[evenly_chosen(len(numbers), 60)]:
-        rows = recording.sweep == number
+    for sweep in numbers[evenly_chosen(len(numbers), 60)]:
+        rows = recording.sweep == sweep
         position = recording.position_m[rows]
         travel = scale * np.linalg.norm(position - position[0], axis=1)
         for axes, column in zip(panels, values[rows].T, strict=True):
-            axes.plot(travel, column, color=colors.to_rgba(number), lw=0.8 / 12 * sheet.font)
+            axes.plot(travel, column, color=colors.to_rgba(sweep), lw=0.8 / 12 * sheet.font)
     for axes, label in zip(panels, labels, strict=True):
         # above the panel, because panels may be lower than their label is long
         axes.set_title(label, fontsize=sheet.font - 1, loc="left", pad=0.25 * sheet.font)
@@ -87,7 +88,7 @@ def distances(comparison: Comparison, sheet: Sheet | None = None) -> Any:
             )
             end = upper
         axes.annotate(
-            f"{value:.3g} ({comparison.percent_of_diagonal(value)})", (end, -k), (6, 0), textcoords="offset points",
+            f"{number(value)} ({comparison.part_of_diagonal(value)})", (end, -k), (6, 0), textcoords="offset points",
             va="center", fontsize=sheet.font - 2,
         )  # fmt: skip
     axes.set_xlim(0, 1.4 * largest or 1.0)  # with room for the numbers
@@ -114,7 +115,7 @@ def histograms(scene: Scene, sheet: Sheet) -> Any:
     if deviation is not None:
         shown.append((scene.deviation_title, deviation, ROD))
     if bound is not None and np.isfinite(bound).any():
-        shown.append((f"certified bound in {scene.unit}", bound, BOUND))
+        shown.append((scene.bound_title, bound, BOUND))
     if not shown:
         raise InputError(
             f"neither the deviation nor the bound of {scene.name} is known, which the view histogram shows: give --truth MESH "
@@ -123,27 +124,20 @@ def histograms(scene: Scene, sheet: Sheet) -> Any:
     area = area_of_vertices(mesh)
     figure = chart((1.8, 2.3)[len(shown) - 1], sheet)
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
-    for axes, (title, values, color) in zip(panels, shown, strict=True):
-        _histogram(axes, values, area, sheet, 0.8 * sheet.width / len(shown), title, scene.unit, color)
+    for axes, (title, lengths, color) in zip(panels, shown, strict=True):
+        values, unit = shown_lengths(lengths, scene.unit)
+        _histogram(axes, values, area, sheet, 0.8 * sheet.width / len(shown), f"{title} in {unit}", color)
     height = _HISTOGRAM_HEIGHT * figure.get_figheight()
     panels[0].set_ylabel(wrapped("share of the surface in %", height, sheet), fontsize=sheet.font)
     return figure
 
 
-def _histogram(
-    axes: Any, values: Array, area: Array, sheet: Sheet, width: float, title: str, unit: str, color: str
-) -> None:
-    """A histogram of values (v,), by area (v,), with its quantiles, about so many inches wide; the title ends with the unit."""
+def _histogram(axes: Any, values: Array, area: Array, sheet: Sheet, width: float, title: str, color: str) -> None:
+    """A histogram of values (v,), by area (v,), with its quantiles, about so many inches wide."""
     known = np.isfinite(values)
     low, high = min(float(values[known].min()), 0.0), max(float(values[known].max()), 0.0)
     if low == high:
         high = 1.0
-    power = int(np.floor(np.log10(max(high, -low))))
-    if -3 <= power <= 4:
-        power = 0
-    else:  # in the title, because matplotlib's would be written over it
-        title = f"{title.removesuffix(unit)}$10^{{{power}}}$ {unit}"
-    low, high, values = low / 10.0**power, high / 10.0**power, values / 10.0**power
     shares, edges = np.histogram(values[known], 40, (low, high), weights=100 * area[known] / area.sum())
     axes.stairs(shares, edges, fill=True, color=color)
     if low < 0 < high:
@@ -157,7 +151,7 @@ def _histogram(
     axes.set_xlabel(wrapped(title, width, sheet), fontsize=sheet.font)
     quantiles = weighted_quantiles(values[known], area[known], (0.05, 0.5, 0.95))
     digits = 2 - int(np.floor(np.log10(high - low)))
-    lower, median, upper = (f"{round(value, digits) + 0.0:.3g}" for value in quantiles)
+    lower, median, upper = (number(round(value, digits)) for value in quantiles)
     text = f"median {median}, 90 % from {lower} to {upper}".replace("-", "−")
     if not known.all():
         text += f", unknown on {100 * area[~known].sum() / area.sum():.2g} %"

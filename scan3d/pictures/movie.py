@@ -69,6 +69,7 @@ def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = 
     path = check_path(path)
     if subject not in MOVIES:
         raise InputError(f"a movie is of {' or '.join(MOVIES)}, got {subject!r}")
+    scene = scene.in_shown_unit()
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with own_style():
         write(path, (_sweep_frames if subject == "sweep" else _growth_frames)(scene, frames))

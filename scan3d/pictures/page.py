@@ -61,6 +61,7 @@ def page(scene: Scene) -> bytes:
     The same scene gives the same bytes.  Raises InputError for a scene without anything to show, and for contacts that do not
     come from its recording.
     """
+    scene = scene.in_shown_unit()
     corners = scene.corners
     if not len(corners):
         raise InputError(f"{scene.name} has nothing to show: neither contacts nor a surface")
@@ -172,7 +173,7 @@ def _scale(shaded: Shade, weights: Array) -> dict[str, Any]:
     shown, counts = shaded.values[known], weights[known]
     shares = np.histogram(np.asarray(shaded.norm(shown)), 32, (0, 1), weights=counts)[0] / weights.sum()
     return {
-        "title": shaded.title.replace(" um", " µm"),
+        "title": shaded.title,
         "values": _array(shaded.values),
         "low": float(shaded.norm.vmin),
         "high": float(shaded.norm.vmax),

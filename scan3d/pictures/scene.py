@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array
 from scan3d.cloud import Cloud
-from scan3d.files.shapes import cloud_table
+from scan3d.files.shapes import LENGTHS, POINT, cloud_table
 from scan3d.geometry.convexity import HULL_OF_MESH
+from scan3d.numbers import lengths, number, unit_for
 from scan3d.recording import Recording
+from scan3d.units import UNITS_M
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,37 @@ class Scene:
     def deviation_title(self) -> str:
         """The title of the surface's deviation."""
         if self.is_other:
-            return f"signed distance from the other surface in {self.unit}"
-        of_hull = "" if self.truth_name == "truth" else f" from the {self.truth_name}"
-        return f"signed deviation{of_hull} in {self.unit}"
+            return "signed distance from the other surface"
+        return f"signed deviation{self._of_hull('from')}"
+
+    @property
+    def bound_title(self) -> str:
+        """The title of the local bound."""
+        return f"certified bound{self._of_hull('of')}"
+
+    def _of_hull(self, word: str) -> str:
+        return "" if self.truth_name == "truth" or self.is_other else f" {word} the {self.truth_name}"
+
+    def in_shown_unit(self) -> Scene:
+        """The scene in the unit in which its size is written (`scan3d.numbers`), such as mm for a part given in metres."""
+        unit = unit_for(self.diagonal, self.unit)[0].replace("µ", "u") if len(self.corners) else self.unit
+        if unit == self.unit or unit not in UNITS_M:
+            return self
+        factor = UNITS_M[self.unit] / UNITS_M[unit]
+        contacts = self.contacts
+        if contacts is not None:
+            contacts = contacts.copy()
+            for name in set(POINT + LENGTHS) & set(contacts.dtype.names or ()):
+                contacts[name] = factor * contacts[name]
+        return replace(
+            self,
+            unit=unit,
+            contacts=contacts,
+            surface=_scaled(self.surface, factor),
+            bound=None if self.bound is None else factor * self.bound,
+            truth=_scaled(self.truth, factor),
+            recording=None if self.recording is None else replace(self.recording, unit=unit),
+        )
 
     def against(self, other: Any) -> Scene:
         """The scene in which the surface is compared with another one, a `trimesh.Trimesh` in the same unit."""
@@ -95,6 +125,10 @@ class Scene:
         return values if np.isfinite(values).any() else None
 
 
+def _scaled(mesh: Any, factor: float) -> Any:
+    return None if mesh is None else mesh.copy().apply_scale(factor)
+
+
 def columns(rows: NDArray[Any], *names: str) -> Array:
     """Columns (n, k) of a structured array."""
     return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
@@ -115,9 +149,8 @@ def out_of_plane_deg(bending_angle: Array) -> Array:
 
 def contact_sentence(scene: Scene, contact: int) -> str:
     """What was measured at a contact, given by its row in the scene's contacts."""
-    parts = [
-        "contact {}: ({})".format(contact, ", ".join(f"{x:.6g}" for x in scene.points[contact])) + f" {scene.unit}"
-    ]
+    place, unit = lengths(scene.points[contact], scene.unit, digits=6)
+    parts = [f"contact {contact}: ({', '.join(place)}) {unit}"]
     for name in ("sweep", "slice"):
         values = scene.column(name)
         if values is not None:
@@ -126,9 +159,9 @@ def contact_sentence(scene: Scene, contact: int) -> str:
     if phase is not None:
         parts.append(f"{planar.Phase(int(phase[contact])).name.lower()} contact")
     if force is not None:
-        parts.append(f"force {1e3 * force[contact]:.4g} mN")
+        parts.append(f"force {number(1e3 * force[contact], 4)} mN")
     if friction is not None and np.isfinite(friction[contact]):
-        parts.append(f"friction {friction[contact]:.4g}")
+        parts.append(f"friction {number(friction[contact])}")
     bending = scene.column("bending")
     if bending is not None:
         parts.append(f"bending {out_of_plane_deg(bending)[contact]:.1f}° out of the sweep's plane")

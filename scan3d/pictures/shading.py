@@ -11,8 +11,10 @@ import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
+from scan3d.numbers import unit_for
 from scan3d.pictures.parts import shown_surface
 from scan3d.pictures.scene import Scene, out_of_plane_deg
+from scan3d.units import UNITS_M
 
 # A pale body, on which contacts and rods of saturated colours stand out.  Red and orange differ in lightness, so that readers
 # with deficient colour vision can distinguish them.
@@ -81,8 +83,15 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         largest = max(largest_known(np.abs(angle)), 1.0)  # smaller angles are rounding
         # diverging, with a middle that is grey enough to be seen on a white page
         return shade(angle, "bending out of the sweep's plane in °", -largest, largest, map="coolwarm")
+    values, unit = shown_lengths(values, scene.unit)
     high = largest_known(values) or 1.0
-    return shade(values, f"distance from the {scene.truth_name} in {scene.unit}", high * 1e-4, high, log=True)
+    return shade(values, f"distance from the {scene.truth_name} in {unit}", high * 1e-4, high, log=True)
+
+
+def shown_lengths(values: Array, unit: str) -> tuple[Array, str]:
+    """Lengths (n,) in the unit in which the largest of them is written, nm if that is below a nanometre, and that unit."""
+    symbol, size = unit_for(max(largest_known(np.abs(values)), 1.001e-9 / UNITS_M[unit]), unit)
+    return values * (UNITS_M[unit] / float(size)), symbol
 
 
 def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
@@ -94,12 +103,13 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     mesh, deviation, bound = shown_surface(scene)
     shades = []
     if deviation is not None:
-        # a body that was found exactly is not shown in the colours of a large deviation
-        largest = max(float(np.abs(deviation).max()), 1e-9 * scene.diagonal) or 1.0
-        shades.append(shade(deviation, scene.deviation_title, -largest, largest, map="RdBu_r"))
+        values, unit = shown_lengths(deviation, scene.unit)
+        # a body that was found exactly, to a nanometre, is not shown in the colours of a large deviation
+        largest = max(float(np.abs(values).max()), 1.0 if unit == "nm" else 0.0)
+        shades.append(shade(values, f"{scene.deviation_title} in {unit}", -largest, largest, map="RdBu_r"))
     if scene.bound is not None and bound is not None and np.isfinite(bound).any():
-        title = f"certified bound in {scene.unit}"
-        shades.append(shade(bound, title, 0.0, largest_known(scene.bound) or 1.0, map="YlGnBu"))
+        values, unit = shown_lengths(bound, scene.unit)
+        shades.append(shade(values, f"{scene.bound_title} in {unit}", 0.0, largest_known(values) or 1.0, map="YlGnBu"))
     return mesh, shades
 
 

@@ -61,7 +61,7 @@ def picture(
 
 def figure(scene: Scene, view: str = "cloud", color: str = "force", sheet: Sheet | None = None) -> Any:
     """The matplotlib figure that `picture` writes.  Raises InputError as `picture` does."""
-    sheet = sheet or Sheet()
+    sheet, scene = sheet or Sheet(), scene.in_shown_unit()
     if view not in VIEWS:
         raise InputError(f"view must be one of {', '.join(VIEWS)}, got {view!r}")
     if view in CHARTS:

@@ -54,6 +54,7 @@ class Window:
     ) -> None:
         import pyvista
 
+        scene = scene.in_shown_unit()
         canvas = Canvas(scene.corners, off_screen=off_screen)
         canvas.plotter.window_size = [*_SIZE]
         self.plotter, self.scene, self.on_pick = canvas.plotter, scene, on_pick

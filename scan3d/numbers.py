@@ -1,0 +1,120 @@
+"""Numbers for people: the rule by which the terminal, the words of a report, pages, pictures and notebooks write them.
+
+A length is written in the unit, nm, µm, mm or m, in which it is between 1 and 1000 (inches stay inches); what is below a
+nanometre, the size of a few atoms, is no length of a body, and is said to be.  A value with an uncertainty has the digits that
+the uncertainty leaves (M. Tanabashi et al., Review of Particle Physics, Phys. Rev. D 98, 030001, 2018, section 5.3), and bounds
+are rounded away from what they bound, so that what is written holds as well.  Files hold all digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Decimal
+
+from scan3d.units import UNITS_M
+
+UNITS: dict[str, Decimal] = {"m": Decimal(1), "mm": Decimal("1e-3"), "µm": Decimal("1e-6"), "nm": Decimal("1e-9")}
+"""The units in which lengths are written, in metres, from the largest to the smallest."""
+# Digits of a value without an uncertainty, and the most of one with an uncertainty that is rounding.
+_DIGITS, _MOST_DIGITS = 3, 7
+
+
+def number(value: float, digits: int = _DIGITS) -> str:
+    """A number with so many significant digits, the thousands of large ones apart: ``0.305``, ``51,400``, ``8.5e-05``."""
+    return _written(_decimal(value), digits)
+
+
+def length(value: float, unit: str, *, digits: int = _DIGITS, up: bool = False) -> str:
+    """A length, given in `unit`, with its unit: ``3.33 µm``; rounded up if it is a bound."""
+    metres = _decimal(value) * Decimal(str(UNITS_M[unit]))
+    if not metres.is_finite():
+        return "unknown"
+    if abs(metres) < UNITS["nm"]:
+        return "under 1 nm" if metres else f"0 {unit_for(0.0, unit)[0]}"
+    symbol, size = unit_for(abs(float(metres)) / UNITS_M[unit], unit)
+    return f"{_written(metres / size, digits, up)} {symbol}"
+
+
+def lengths(values: Iterable[float], unit: str, *, digits: int = 4) -> tuple[list[str], str]:
+    """Lengths that belong together, as numbers with the decimals of the largest in one unit, and that unit."""
+    metres = [_decimal(value) * Decimal(str(UNITS_M[unit])) for value in values]
+    largest = max((abs(value) for value in metres), default=Decimal(0))
+    symbol, size = unit_for(float(largest) / UNITS_M[unit], unit)
+    place = _exponent(max(largest, UNITS["nm"]) / size) - digits + 1
+    return [_plain(_rounded(value / size, place)).removesuffix(".") for value in metres], symbol
+
+
+def unit_for(largest: float, unit: str) -> tuple[str, Decimal]:
+    """The unit in which lengths up to one given in `unit` are written, and what it is in metres."""
+    if unit == "in":
+        return unit, Decimal(str(UNITS_M[unit]))
+    metres = Decimal(str(UNITS_M[unit])) * _decimal(largest)
+    if not metres.is_finite() or metres < UNITS["nm"]:
+        return "mm", UNITS["mm"]
+    return next((symbol, size) for symbol, size in UNITS.items() if metres >= size)
+
+
+def volume(value: float, low: float, high: float, unit: str) -> str:
+    """A volume, given in `unit` cubed, with an interval that contains that of the body: ``13,190 ± 4 mm³``."""
+    symbol, size = unit_for(abs(value) ** (1 / 3), unit)
+    factor = (Decimal(str(UNITS_M[unit])) / size) ** 3
+    return f"{plus_minus(*(float(factor * _decimal(part)) for part in (value, low, high)))} {symbol}³"
+
+
+def plus_minus(value: float, low: float, high: float) -> str:
+    """A value with what it may be off: ``0.012 ± 0.034``.  The interval that is written contains that from `low` to `high`."""
+    given, below, above = _decimal(value), _decimal(low), _decimal(high)
+    off = max(above - given, given - below)
+    if not off.is_finite():
+        return f"{number(value)} ± unknown"
+    if off <= 0:
+        return number(value, _MOST_DIGITS)
+    exponent = _exponent(off)
+    place = exponent - 1 if off.scaleb(-exponent) < Decimal("3.55") else exponent
+    place = max(place, _exponent(max(abs(given), off)) - _MOST_DIGITS + 1)
+    middle = _rounded(given, place)
+    return f"{middle:,f} ± {_rounded(max(above - middle, middle - below), place, ROUND_CEILING):,f}"
+
+
+def angle(degrees: float) -> str:
+    """An angle in degrees: ``0.302°``; what is below 0.0001°, a third of an arc second, is rounding of the vertices."""
+    return f"{number(degrees)}°" if not 0 < abs(degrees) < 1e-4 else "under 0.0001°"
+
+
+def share(value: float, *, up: bool = False) -> str:
+    """A part of a whole in per cent, or below 0.01 % in parts per million: ``0.26 %``, ``54 ppm``."""
+    if abs(value) < 1e-9:
+        return "under 0.001 ppm" if value else "0 %"
+    factor, symbol = (100, "%") if abs(value) >= 1e-4 else (1_000_000, "ppm")
+    return f"{_written(factor * _decimal(value), 2, up)} {symbol}"
+
+
+def _decimal(value: float) -> Decimal:
+    return Decimal(float(value))
+
+
+def _exponent(value: Decimal) -> int:
+    """Of the leading digit; 0 for zero."""
+    return value.adjusted() if value else 0
+
+
+def _rounded(value: Decimal, place: int, rounding: str = ROUND_HALF_EVEN) -> Decimal:
+    return value.quantize(Decimal(1).scaleb(place), rounding)
+
+
+def _written(value: Decimal, digits: int, up: bool = False) -> str:
+    """A number with so many significant digits, rounded to the nearest or up, without zeros at the end of its decimals."""
+    if not value.is_finite():
+        return f"{value}".lower().replace("infinity", "infinite")
+    exponent = _exponent(value)
+    rounded = _rounded(value, exponent - digits + 1, ROUND_CEILING if up else ROUND_HALF_EVEN)
+    if -4 <= exponent < 9:
+        return _plain(rounded)
+    mantissa = _plain(rounded.scaleb(-exponent))
+    return f"{mantissa}e{exponent:+03d}"
+
+
+def _plain(value: Decimal) -> str:
+    text = f"{value:,f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text == "-0" else text

@@ -1,0 +1,93 @@
+"""Numbers for people: units by size, digits by the uncertainty, and what is written is never narrower than what is known."""
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scan3d.numbers import length, lengths, number, plus_minus, share, unit_for, volume
+from scan3d.units import UNITS_M
+
+SIZES = {"nm": 1e-9, "µm": 1e-6, "mm": 1e-3, "m": 1.0, "in": 0.0254}
+positive = st.floats(1e-12, 1e6)
+
+
+def metres(text):
+    value, unit = text.split()
+    return float(value.replace(",", "")) * SIZES[unit]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (0.305, "0.305"), (51434.2, "51,400"), (8.54e-5, "8.54e-05"), (-12.0, "-12"), (math.nan, "nan"),
+     (math.inf, "infinite"), (2e12, "2e+12")],
+)  # fmt: skip
+def test_a_number_has_three_digits(value, text):
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [(5.33e-5, "mm", "53.3 nm"), (5.33e-5, "m", "53.3 µm"),
+     (0.0333, "cm", "333 µm"), (1250.0, "mm", "1.25 m"), (0.0, "mm", "0 mm"),
+     (-3.46945e-15, "mm", "under 1 nm"), (0.0021, "in", "0.0021 in"), (math.inf, "mm", "unknown")],
+)  # fmt: skip
+def test_a_length_has_the_unit_of_its_size(value, unit, text):
+    assert length(value, unit) == text
+
+
+def test_lengths_that_belong_together_have_one_unit_and_the_decimals_of_the_largest():
+    assert lengths((42.0, 41.984, 56.00001), "mm") == (["42", "41.98", "56"], "mm")
+    assert lengths((0.05, -3.4e-15, -0.0), "m") == (["50", "0", "0"], "mm")
+    assert lengths((), "mm") == ([], "mm")
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "text"),
+    [(13192.2, 13188.6, 13195.7, "13,192 ± 4"), (0.012, -0.022, 0.046, "0.012 ± 0.034"), (8000.0, 8000.0, 8000.0, "8,000"),
+     (8000.0, 8000.0, 8000.0 + 1e-9, "8,000.000 ± 0.001"), (5.0, 4.0, math.inf, "5 ± unknown")],
+)  # fmt: skip
+def test_a_value_has_the_digits_that_its_uncertainty_leaves(value, low, high, text):
+    assert plus_minus(value, low, high) == text
+
+
+def test_volumes_and_shares():
+    assert volume(13192.2, 13188.6, 13195.7, "mm") == "13,192 ± 4 mm³"
+    assert volume(1.31922e-5, 1.31886e-5, 1.31957e-5, "m") == "13,192 ± 4 mm³"
+    assert [share(part) for part in (0.5, 2.6e-3, 5.4e-5, 5.6e-7, 1e-16, 0.0)] == [
+        "50 %", "0.26 %", "54 ppm", "0.56 ppm", "under 0.001 ppm", "0 %",
+    ]  # fmt: skip
+
+
+@given(positive, st.sampled_from(sorted(UNITS_M)))
+def test_what_is_written_of_a_bound_is_no_less_than_the_bound(value, unit):
+    text, true = length(value, unit, up=True), value * UNITS_M[unit]
+    if text == "under 1 nm":
+        assert true < 1e-9
+    else:
+        assert true * (1 - 1e-12) <= metres(text) <= 1.011 * true
+        assert re.fullmatch(r"[\d,.]+(e[-+]\d+)? (nm|µm|mm|m|in)", text)
+    part = share(value, up=True)
+    assert part.startswith("under") or float(part.split()[0].replace(",", "")) >= value * (
+        100 if part.endswith("%") else 1e6
+    ) * (1 - 1e-12)
+
+
+@given(st.floats(-1e6, 1e6), positive, positive)
+def test_the_interval_that_is_written_contains_the_true_one(value, below, above):
+    low, high = value - below, value + above
+    middle, _, off = plus_minus(value, low, high).replace(",", "").partition(" ± ")
+    middle, off = float(middle), float(off or 0.0)
+    slack = 1e-12 * (abs(value) + above + below)
+    assert middle - off <= low + slack
+    assert middle + off >= high - slack
+    assert off <= 1.6 * max(above, below) + 1.1e-6 * max(abs(value), above, below)
+
+
+@given(positive, st.sampled_from(sorted(UNITS_M)))
+def test_the_unit_of_a_size_holds_it(value, unit):
+    symbol, size = unit_for(value, unit)
+    ratio = value * UNITS_M[unit] / float(size)
+    assert symbol == "in" or value * UNITS_M[unit] < 1e-9 * (1 + 1e-12) or 1 - 1e-12 <= ratio < 1000 or symbol == "m"
