@@ -26,9 +26,9 @@ from tests.robustness.runner import Threads
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if "_build" not in page.parts)]
-# Pages whose commands and code are run together, from top to bottom, up to one of these headings.
+# Pages whose commands and code are run together, from top to bottom, up to this heading.
 WALKED = [ROOT / "docs" / name for name in ("start.md", "recipes.md", "rig.md")]
-LAST = ("\n## Gallery\n", "\n## Poses for an unknown body\n")
+LAST = "\n## Poses for an unknown body\n"
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
@@ -112,9 +112,7 @@ def test_every_command_and_all_code_of_a_page_runs(
     page: Path, repository: Path, quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names: dict[str, object] = {"__name__": "__main__"}
-    text, bounds = page.read_text("utf-8"), []
-    for end in LAST:
-        text = text.partition(end)[0]
+    text, bounds = page.read_text("utf-8").partition(LAST)[0], []
     for language, block in re.findall(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL):
         if language == "python":
             exec(compile(fewer(block), name_of(page), "exec"), names)
@@ -192,9 +190,9 @@ def test_every_public_name_is_in_the_api() -> None:
 
 
 def test_every_example_is_in_the_gallery() -> None:
-    gallery = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8").partition("\n## Gallery\n")[2]
+    gallery = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     for section, script in zip(
-        gallery.split("\n### ")[1:], sorted(EXAMPLES, key=lambda script: gallery.index(script.name)), strict=True
+        gallery.split("\n## ")[1:], sorted(EXAMPLES, key=lambda script: gallery.index(script.name)), strict=True
     ):
         assert section.partition("\n")[0].endswith("?")
         assert f"literalinclude}} ../examples/{script.name}" in section

@@ -6,6 +6,7 @@ and integrated numerically.
 """
 
 import importlib
+import json
 import re
 import runpy
 import sys
@@ -50,6 +51,17 @@ def test_all_draw() -> None:
         drawn = script.draw() if hasattr(script, "draw") else None
         if isinstance(drawn, Figure):
             drawn.canvas.draw()
+
+
+@pytest.mark.rendering
+@pytest.mark.slow
+def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(EXAMPLES)
+    notebook = json.loads((EXAMPLES / "from_mesh_to_surface.ipynb").read_text(encoding="utf-8"))
+    code = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    exec("\n".join(code).replace("slices=24", "slices=6"), {})
+    within, truth = map(float, re.findall(r"([\d.e-]+) mm", capsys.readouterr().out.splitlines()[-1]))
+    assert 0 < truth < within
 
 
 @pytest.mark.slow
