@@ -38,14 +38,14 @@ from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces import surface
 from scan3d.surfaces.open3d_methods import check_method
-from scan3d.units import unit_question
+from scan3d.units import unit_question, unit_remark
 
 PICTURES = ("cloud", "surface")
 """The views of the pictures in a result's folder."""
 Step = Callable[[str], None]
 """Is called with the name of each step when it begins; the names are those of `timings_s` in the report."""
 Notify = Callable[[str], None]
-"""Is called with a sentence if pictures cannot be rendered."""
+"""Is called with a sentence on what a user should know, such as that pictures cannot be rendered."""
 
 
 class Clock:
@@ -161,6 +161,9 @@ def _performed(
             drawing.begin(of_cloud(cloud, surface=mesh, truth=truth), _JOBS)
 
         analysis = analyse(recording, truth, method, model, clock=clock, made=draw)
+        bodies = ("surface", "true body")
+        if truth is not None and (remark := unit_remark(analysis.surface.extents, truth.extents, bodies)):
+            notify(remark)
         return analysis, _put(analysis, result, settings, clock, drawing, notify)
 
 

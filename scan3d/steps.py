@@ -6,6 +6,7 @@ The functions that do the work know nothing of files.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -22,7 +23,7 @@ from scan3d.reconstruction import contacts
 from scan3d.recording import Recording
 from scan3d.simulation import scan
 from scan3d.surfaces import choice
-from scan3d.units import UNITS_M
+from scan3d.units import UNITS_M, unit_remark
 
 if TYPE_CHECKING:
     import trimesh
@@ -70,7 +71,9 @@ def surface(cloud: Cloud, method: Method = "auto", *, bounds: Enclosure | None =
 
 
 @_described_by(
-    comparison.compare, "Either may be given as the path of a mesh file, whose triangles are taken as they are."
+    comparison.compare,
+    "Either may be given as the path of a mesh file, whose triangles are taken as they are.  A warning says so if the sizes"
+    "\n    differ by a factor between units, such as 10, 25.4 or 1000.",
 )
 def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> Comparison:
     paths = [Path(given) for given in (surface, mesh) if isinstance(given, (str, os.PathLike))]
@@ -80,7 +83,10 @@ def compare(surface: trimesh.Trimesh | _Path, mesh: trimesh.Trimesh | _Path) -> 
     first, second = (
         read_mesh(given, unit) if isinstance(given, (str, os.PathLike)) else given for given in (surface, mesh)
     )
-    return comparison.compare(first, second)
+    compared = comparison.compare(first, second)
+    if remark := unit_remark(first.extents, second.extents):
+        warnings.warn(remark, stacklevel=2)
+    return compared
 
 
 @_described_by(report.calibrate, "The recording may be given as the path of its file.")

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable
 from typing import Any, Literal
 
 Unit = Literal["m", "cm", "mm", "um", "in"]
@@ -18,17 +19,20 @@ def unit_of(mesh: Any, given: str | None) -> str:
 _CONFUSED = (("m", "mm"), ("in", "mm"), ("cm", "mm"), ("m", "in"), ("m", "cm"), ("in", "cm"))
 
 
-def unit_remark(first: float, second: float) -> str | None:
-    """A sentence on two sizes whose ratio is within 5 % that of two units; None otherwise."""
+def unit_remark(
+    extents: Iterable[float], others: Iterable[float], names: tuple[str, str] = ("first", "second")
+) -> str | None:
+    """A sentence on two bodies whose sizes have within 5 % the ratio of two units; None for others."""
+    first, second = math.hypot(*extents), math.hypot(*others)
     if not (0 < first < math.inf and 0 < second < math.inf):
         return None
     ratio = max(first, second) / min(first, second)
     for longer, shorter in _CONFUSED:
         factor = UNITS_M[longer] / UNITS_M[shorter]
         if abs(ratio / factor - 1) < 0.05:
-            large, small = ("first", "second") if first > second else ("second", "first")
+            large, small = names if first > second else names[::-1]
             return (
-                f"the {large} body is {ratio:.4g} times as large as the {small}, as if the {large} were in {shorter} and the "
+                f"the {large} is {ratio:.4g} times as large as the {small}, as if the {large} were in {shorter} and the "
                 f"{small} in {longer}; check their units"
             )
     return None

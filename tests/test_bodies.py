@@ -1,8 +1,11 @@
 """Mesh files as bodies: what is read, what is refused, and what counts as convex."""
 
+import base64
 import hashlib
 import itertools
 import json
+import re
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +111,117 @@ def test_float32_far_from_the_origin_is_named_as_the_cause(tmp_path, shape, endi
     assert "isn't convex" in error(save(tmp_path, as_mesh(letter_l().vertices + FAR, letter_l().faces), "far.stl"))
 
 
+def written_glb(path, points, changed=lambda tree: None, more=b""):
+    """A GLB of the box's triangles with other points, whose description is changed and whose data go on."""
+    faces = box().faces.astype("<u2")
+    data = np.asarray(points).tobytes() + faces.tobytes() + more
+    size = len(data) - faces.nbytes - len(more)
+    position = {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"}
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "scale": [1.0, 1.0, 1.0]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"byteLength": len(data)}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": size},
+            {"buffer": 0, "byteOffset": size, "byteLength": 72},
+            {"buffer": 0, "byteOffset": size + 72, "byteLength": len(more)},
+        ],
+        "accessors": [
+            {**position, "min": [-0.015, -0.01, -0.006], "max": [0.015, 0.01, 0.006]},
+            {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
+        ],
+    }
+    changed(tree)
+    text = json.dumps(tree).encode()
+    text, data = text + b" " * (-len(text) % 4), data + bytes(-len(data) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(data), len(text), b"JSON")
+    path.write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
+    return path
+
+
+CORNERS = box(0.03, 0.02, 0.012).vertices.astype("<f4")
+
+
+def sparse(tree):
+    at = {"bufferView": 2, "componentType": 5125}
+    tree["accessors"][0]["sparse"] = {"count": 1, "indices": at, "values": {"bufferView": 2, "byteOffset": 4}}
+
+
+def quantized(tree):
+    tree["extensionsRequired"] = ["KHR_mesh_quantization", "KHR_materials_unlit"]
+    tree["accessors"][0] = {"bufferView": 0, "componentType": 5122, "normalized": True, "count": 8, "type": "VEC3"}
+    tree["bufferViews"][0]["byteStride"] = 8
+    tree["nodes"][0]["scale"] = [0.015] * 3
+
+
+def embedded(tree):
+    faces = box().faces.astype("<u2").tobytes()
+    tree["buffers"].append({"byteLength": 72, "uri": f"data:;base64,{base64.b64encode(faces).decode()}"})
+    tree["bufferViews"][1] = {"buffer": 1, "byteLength": 72}
+
+
+GLB = {
+    "a first point that a sparse accessor corrects": (
+        CORNERS * (np.arange(8) > 0)[:, None].astype("<f4"),
+        sparse,
+        bytes(4) + CORNERS[0].tobytes(),
+    ),
+    "quantized": (np.hstack([np.round(CORNERS / 0.015 * 32767), np.zeros((8, 1))]).astype("<i2"), quantized, b""),
+    "interleaved": (
+        np.hstack([CORNERS, CORNERS[:, :1]]),
+        lambda tree: tree["bufferViews"][0].update(byteStride=16),
+        b"",
+    ),
+    "two buffers": (CORNERS, embedded, b""),
+    "a mirror image in a camera": (
+        CORNERS,
+        lambda tree: tree["nodes"][0].update(camera=0, scale=[-1.0, 1.0, 1.0], rotation=[0.0, 0.0, 1.0, 0.0]),
+        b"",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GLB)
+def test_glb_is_read_as_its_specification_says(tmp_path, name):
+    mesh = read_mesh(written_glb(tmp_path / "box.glb", *GLB[name]))
+    assert mesh.extents == pytest.approx([30, 20, 12], rel=1e-4)
+    assert mesh.volume == pytest.approx(7200, rel=1e-4)
+
+
+@pytest.mark.parametrize("mode", [5, 6])
+def test_strips_and_fans_of_glb(tmp_path, mode):
+    """A tetrahedron, in a fan without the wall through the origin that adds nothing to the volume."""
+    points = np.zeros((8, 3), "<f4")
+    points[1:4] = 0.01 * np.eye(3)
+
+    def changed(tree):
+        tree["accessors"][0].update(min=[0, 0, 0], max=[0.01] * 3)
+        tree["accessors"][1].update(bufferView=2, count=6 if mode == 5 else 5)
+        tree["meshes"][0]["primitives"][0]["mode"] = mode
+
+    corners = [1, 2, 0, 3, 1, 2] if mode == 5 else [1, 2, 0, 3, 2]
+    mesh = read_mesh(written_glb(tmp_path / "corner.glb", points, changed, np.array(corners, "<u2").tobytes()))
+    assert len(mesh.faces) == (4 if mode == 5 else 3)
+    assert abs(mesh.volume) == pytest.approx(10**3 / 6)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compr"),
+        (lambda tree: tree["bufferViews"][0].update(byteStride=8), "a byteStride of 8, where each element has 12"),
+        (lambda tree: tree["bufferViews"][0].update(byteStride=16, byteLength=168), "leave the box that it states"),
+        (lambda tree: tree["buffers"][0].update(uri="box.bin"), "its data lie in another file, box.bin"),
+        (lambda tree: tree["nodes"][0].update(skin=0), "bent by a skeleton"),
+        (lambda tree: tree["nodes"][0].update(children=[0]), "damaged"),
+    ],
+)
+def test_glb_that_would_be_read_wrongly_is_refused(tmp_path, changed, why):
+    assert why in error(written_glb(tmp_path / "box.glb", CORNERS, changed))
+
+
 def test_separate_bodies_in_a_file_are_counted(tmp_path):
     pair = trimesh.util.concatenate([box(), as_mesh(box().vertices + np.array([3, 0, 0]), box().faces)])
     assert "holds 2 separate bodies, where one is expected; keep one of them" in error(save(tmp_path, pair))
@@ -125,10 +239,13 @@ def test_bodies_that_differ_by_a_unit_are_remarked_on(tmp_path, capsys, factor, 
     assert main(["compare", *paths, "--json"]) == 0
     assert f"times as large as the first, as if the second were in {units}" in capsys.readouterr().err
     assert main(["compare", *paths[::-1], "--json"]) == 0
-    assert "the first body is" in capsys.readouterr().err
+    assert "the first is" in capsys.readouterr().err
+    with pytest.warns(UserWarning, match="the first is .* times as large as the second, as if"):
+        scan3d.compare(*paths[::-1])
     save(tmp_path, box(6, 4, 2), "b.stl")
     assert main(["compare", *paths, "--json"]) == 0
     assert capsys.readouterr().err == ""
+    scan3d.compare(*paths)
 
 
 @pytest.mark.parametrize(
@@ -196,6 +313,43 @@ def test_names_of_solids_in_text_stl_may_be_any(tmp_path, begin, end):
     assert load_mesh(path).volume == pytest.approx(6)
     path.write_text(f"{begin}\n{facets[: len(facets) // 2]}", encoding="utf-8", newline="")
     assert "cut off" in error(path)
+
+
+def tail(data):
+    """The bytes after the header of the box as binary STL, of which some triangles are counted."""
+    return box(3, 2, 1).export(file_type="stl")[84:] + data
+
+
+BINARY = {
+    "a header of text": b"solid facet vertex 1 2 3".ljust(80) + b"\x0c\0\0\0" + tail(b""),
+    "a line end": bytes(80) + b"\x0c\0\0\0" + tail(b"\r\n"),
+    "padding": bytes(80) + b"\x0c\0\0\0" + tail(bytes(200)),
+}
+
+
+@pytest.mark.parametrize("name", BINARY)
+def test_bytes_around_the_triangles_of_binary_stl(tmp_path, name):
+    (tmp_path / "box.stl").write_bytes(BINARY[name])
+    assert load_mesh(tmp_path / "box.stl").volume == pytest.approx(6)
+    (tmp_path / "box.stl").write_bytes(bytes(80) + b"\x0b\0\0\0" + tail(b""))
+    assert "counts 11 triangles, and 1 more may follow" in error(tmp_path / "box.stl")
+
+
+@pytest.mark.parametrize("kind", ["stl_ascii", "obj", "off", "ply"])
+def test_text_as_other_programs_write_it(tmp_path, kind, capsys):
+    """Decimal commas, a byte order mark, line ends of old computers; in OBJ tabs and comments, in STL normals of no size."""
+    options = {"encoding": "ascii"} if kind == "ply" else {}
+    written = box(3, 2, 1).export(file_type=kind, **options)
+    written = re.sub(r"(\d)\.(\d)", r"\1,\2", written if isinstance(written, str) else written.decode())
+    if kind == "obj":
+        written = re.sub(r"(?m)^(v .*)$", r"\1 # a corner", written).replace(" ", "\t")
+    if kind == "stl_ascii":
+        written = re.sub("normal .*", "normal -1.#IND -1.#IND -1.#IND", written)
+    path = tmp_path / f"box.{KINDS[kind]}"
+    for encoded in (written.encode(), b"\xef\xbb\xbf" * (kind != "ply") + written.replace("\n", "\r").encode()):
+        path.write_bytes(encoded if kind != "ply" else written.encode())
+        assert load_mesh(path).volume == pytest.approx(6)
+    assert capsys.readouterr().err == ""
 
 
 def text(*rows):

@@ -15,7 +15,7 @@ from scan3d.cli.terminal import print_result, printable, printable_json, say, ta
 from scan3d.errors import InputError, UsageError
 from scan3d.numbers import length, share
 from scan3d.rods import parse_rod
-from scan3d.units import UNITS_M, Unit
+from scan3d.units import UNITS_M, Unit, unit_question
 
 if TYPE_CHECKING:
     from scan3d.files.text_tables import Table
@@ -310,6 +310,8 @@ def simulate_rig(
         beside = f", with the map {data['map']}"
     for warning in log.warnings:
         output.progress.say(f"warning: {warning}")
+    if question := unit_question(float(body.extents.max()), plan.unit):
+        say(question)
     text = f"{data['rows']} rows of {data['sweeps']} sweeps, written to {data['log']}{beside}"
     return print_result(output, data, printable(text))
 

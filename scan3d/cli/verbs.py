@@ -288,7 +288,6 @@ def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: O
     unit
         unit to print, and of files that state none (default: what one of them states, or mm)
     """
-    import numpy as np
 
     from scan3d.comparison import compare as compare_meshes
     from scan3d.files.meshes import common_unit, read_mesh
@@ -297,7 +296,7 @@ def compare(first: Mesh, second: Mesh, /, *, unit: Unit | None = None, output: O
     in_unit = unit or common_unit(first, second)
     bodies = [read_mesh(path, in_unit) for path in (first, second)]
     comparison = compare_meshes(*bodies)
-    if remark := unit_remark(*(float(np.linalg.norm(body.extents)) for body in bodies)):
+    if remark := unit_remark(*(body.extents for body in bodies)):
         say(remark)
     return print_result(output, dataclasses.asdict(comparison), table(*comparison_summary(comparison, in_unit)))
 

@@ -1,24 +1,39 @@
 """Binary glTF 2.0 (GLB): in metres and with y up, as its specification says.
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.  Of the world's axes x stays, z becomes y, and y becomes -z.  The
-libraries that the program uses write neither the normals of points nor a named material beside colours of vertices.
+libraries that the program uses write neither the normals of points nor a named material beside colours of vertices, and read
+sparse accessors, fans, normalized positions and required extensions wrongly without a message.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from scan3d.arrays import Array, Index
+from scan3d.errors import InputError
 from scan3d.files.shapes import FRAME, LENGTHS, Shape
+from scan3d.memory import check_memory
 from scan3d.units import UNITS_M
 
 # The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.
-_COMPONENTS, _VECTORS = {"<f4": 5126, "<u4": 5125, "|u1": 5121}, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_COMPONENTS = {"|i1": 5120, "|u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+_VECTORS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_TYPES = {code: np.dtype(name) for name, code in _COMPONENTS.items()}
+_WIDTHS = {name: width for width, name in _VECTORS.items()}
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+# Beginnings of the names of extensions that a file may require: those that concern its looks only, and one that is read.
+_READ = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization")
+# Part of the size that a file states by which its positions may lie elsewhere: some programs round the size.
+_MISSTATED = 0.01
 _AXES = "x, z and -y of the world"
 
 
@@ -40,7 +55,7 @@ def glb(shape: Shape) -> bytes:
             attributes[f"_{name.upper()}"] = buffers.add(column * np.float32(scale if name in LENGTHS else 1.0))
     primitive: dict[str, Any] = {"attributes": attributes, "material": 0, "mode": 0}  # points
     if shape.faces is not None:
-        primitive |= {"indices": buffers.add(shape.faces.astype("<u4").ravel(), indices=True), "mode": 4}  # triangles
+        primitive |= {"indices": buffers.add(shape.faces.astype("<u4").ravel(), indices=True), "mode": _TRIANGLES}
     # pale and matt, in the colours of its vertices where it has some
     base = [1.0] * 4 if shape.colors is not None else [0.76, 0.80, 0.84, 1.0]
     surface = {"baseColorFactor": base, "metallicFactor": 0.0, "roughnessFactor": 0.8}
@@ -79,18 +94,6 @@ def z_up(vectors: NDArray[Any]) -> NDArray[Any]:
     return np.column_stack([vectors[:, 0], -vectors[:, 2], vectors[:, 1]])
 
 
-def is_turned(data: bytes) -> bool:
-    """Whether the bytes are those of a GLB that `glb` has written; those of other programs are read with the axes they have."""
-    if data[:4] != _MAGIC or len(data) < 20:
-        return False
-    text = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
-    try:
-        extras = json.loads(text)["asset"].get("extras", {})
-        return isinstance(extras, dict) and extras.get("axes") == _AXES
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return False
-
-
 class _Buffers:
     """The binary part of the file, and what describes it."""
 
@@ -119,3 +122,137 @@ class _Buffers:
         self.accessors.append(accessor)
         self.data += block + b"\0" * (-len(block) % 4)
         return len(self.accessors) - 1
+
+
+# --- reading ---
+
+
+def read_glb(data: bytes, scale: float = 1.0) -> list[tuple[Array, Index]]:
+    """Vertices (v, 3) and triangles (f, 3) of each part of the scene in a GLB, where its nodes put them.
+
+    The vertices are in metres, multiplied by a scale.  A file of `glb` is turned back to the axes of the world; those of other
+    programs are read with the axes they have.  Raises InputError for what is not read, such as compressed data, and errors of
+    various types for damaged files.
+    """
+    tree, binary = _chunks(data)
+    required = [name for name in tree.get("extensionsRequired", ()) if not name.startswith(_READ)]
+    if required:
+        raise InputError(f"its triangles need the extension {', '.join(required)}; export it without compression")
+    content = _Content(tree, binary)
+    nodes, scenes = tree.get("nodes", []), tree.get("scenes", [])
+    below = {child for node in nodes for child in node.get("children", ())}
+    roots = scenes[tree.get("scene", 0)].get("nodes", []) if scenes else sorted({*range(len(nodes))} - below)
+    parts = []
+    waiting, seen = [(root, np.diag([scale, scale, scale, 1.0])) for root in roots], set()
+    while waiting:
+        number, outer = waiting.pop()
+        if number in seen:
+            raise ValueError("a node has two parents")
+        seen.add(number)
+        node = nodes[number]
+        matrix = outer @ _matrix(node)
+        waiting += [(child, matrix) for child in node.get("children", ())]
+        if "mesh" not in node:
+            continue
+        mesh = tree["meshes"][node["mesh"]]
+        if "skin" in node or any(node.get("weights", mesh.get("weights", ()))):
+            raise InputError("its shape is bent by a skeleton or by morph targets; export the body as a plain mesh")
+        for primitive in mesh["primitives"]:
+            if (mode := primitive.get("mode", _TRIANGLES)) >= _TRIANGLES:
+                points, faces = content.triangles(primitive, mode)
+                faces = faces if np.linalg.det(matrix[:3, :3]) >= 0 else faces[:, ::-1]  # a mirror image
+                parts.append((points @ matrix[:3, :3].T + matrix[:3, 3], faces))
+    extras = tree["asset"].get("extras")
+    is_turned = isinstance(extras, Mapping) and extras.get("axes") == _AXES
+    return [(z_up(points), faces) for points, faces in parts] if is_turned else parts
+
+
+def _chunks(data: bytes) -> tuple[Any, bytes]:
+    """The description in a GLB, and its binary part.  Raises ValueError and struct.error for other files."""
+    magic, version, length, size, kind = struct.unpack("<4sII I4s", data[:20])
+    if (magic, version, kind) != (_MAGIC, 2, _JSON) or len(data) < length:
+        raise ValueError("no GLB of version 2, or cut off")
+    rest = data[20 + size : length]
+    if len(rest) < 8 or rest[4:8] != _BINARY:
+        return json.loads(data[20 : 20 + size]), b""
+    return json.loads(data[20 : 20 + size]), rest[8 : 8 + int.from_bytes(rest[:4], "little")]
+
+
+def _matrix(node: Mapping[str, Any]) -> Array:
+    """The matrix (4, 4) of a node in its parent: given, or of translation, rotation (x, y, z, w) and scale."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=float).reshape(4, 4).T
+    matrix = np.eye(4)
+    turn = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
+    matrix[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=float)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+class _Content:
+    """What the accessors of a file describe."""
+
+    def __init__(self, tree: Mapping[str, Any], binary: bytes) -> None:
+        self._tree = tree
+        self._buffers = [binary if "uri" not in buffer else _embedded(buffer["uri"]) for buffer in tree["buffers"]]
+
+    def triangles(self, primitive: Mapping[str, Any], mode: int) -> tuple[Array, Index]:
+        """Vertices (v, 3) and faces (f, 3) of a part that consists of triangles, of a strip or of a fan."""
+        position = self._tree["accessors"][primitive["attributes"]["POSITION"]]
+        stored = self._values(position)
+        if "min" in position and "max" in position and len(stored):
+            low, high = np.array(position["min"], dtype=float), np.array(position["max"], dtype=float)
+            off = np.abs([stored.min(axis=0) - low, stored.max(axis=0) - high]).max()
+            if off > _MISSTATED * np.linalg.norm(high - low):
+                raise InputError(
+                    f"its positions leave the box that it states for them by {off:.3g}: it is damaged, or its byteStride is "
+                    "wrong; export it again"
+                )
+        points = stored.astype(float)
+        if position.get("normalized"):
+            points = np.maximum(points / np.iinfo(stored.dtype).max, -1.0)
+        corners = np.arange(len(points))
+        if "indices" in primitive:
+            corners = self._values(self._tree["accessors"][primitive["indices"]]).ravel().astype(np.int64)
+        if mode == _TRIANGLES:
+            return points, corners.reshape(-1, 3)
+        k = np.arange(len(corners) - 2)
+        first, second = (k + k % 2, k + 1 - k % 2) if mode == _STRIP else (np.zeros_like(k), k + 1)
+        return points, corners[np.stack([first, second, k + 2], axis=1)]
+
+    def _values(self, accessor: Mapping[str, Any]) -> NDArray[Any]:
+        """The values (n, k) of an accessor, as they are stored."""
+        kind, width, count = _TYPES[accessor["componentType"]], _WIDTHS[accessor["type"]], accessor["count"]
+        sparse = accessor.get("sparse")
+        if "bufferView" in accessor:
+            values = self._rows(accessor, kind, width, count)
+        elif sparse:
+            check_memory(count * width * kind.itemsize, "a sparse mesh", "take a coarser one")
+            values = np.zeros((count, width), kind)
+        else:
+            raise ValueError("an accessor without data")
+        if sparse:
+            at = self._rows(sparse["indices"], _TYPES[sparse["indices"]["componentType"]], 1, sparse["count"])
+            values = values.copy()
+            values[at.ravel()] = self._rows(sparse["values"], kind, width, sparse["count"])
+        return values
+
+    def _rows(self, at: Mapping[str, Any], kind: np.dtype[Any], width: int, count: int) -> NDArray[Any]:
+        """Rows (n, k) that lie in a view of a buffer.  Raises InputError if they overlap, and ValueError if they leave it."""
+        view, size = self._tree["bufferViews"][at["bufferView"]], width * kind.itemsize
+        stride, offset = view.get("byteStride", size), at.get("byteOffset", 0)
+        if stride < size:
+            raise InputError(
+                f"its bufferView {at['bufferView']} has a byteStride of {stride}, where each element has {size} bytes; "
+                "export it again"
+            )
+        start = view.get("byteOffset", 0)
+        part = self._buffers[view["buffer"]][start : start + view["byteLength"]]
+        return np.ndarray((count, width), kind, part, offset, (stride, kind.itemsize))
+
+
+def _embedded(uri: str) -> bytes:
+    """The bytes of a buffer that stands in the description itself."""
+    if not uri.startswith("data:"):
+        raise InputError(f"its data lie in another file, {uri[:80]}; export it as one GLB")
+    return base64.b64decode(uri.partition(",")[2])

@@ -16,8 +16,8 @@ from trimesh.exchange.load import mesh_loaders
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.files.gltf import is_turned, z_up
-from scan3d.files.mesh_text import plain
+from scan3d.files.gltf import read_glb
+from scan3d.files.mesh_text import is_binary_stl, plain, text_stl
 from scan3d.files.reading import check_file, dent_size
 from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_faces, outward_hull
 from scan3d.geometry.distance import bounding_box
@@ -348,32 +348,21 @@ def _parse(kind: str, data: bytes, scale: float) -> list[tuple[Array, Index]]:
 
     trimesh's loaders are called directly, because trimesh.load drops vertices that aren't finite without a warning.
     """
-    raw = mesh_loaders[kind](io.BytesIO(plain(kind, data)), file_type=kind, resolver=None, skip_materials=True)
-    geometries = {
-        name: {"vertices": part["vertices"], "faces": part["faces"], "process": False}
-        for name, part in raw.get("geometry", {"mesh": raw}).items()
-        if part.get("faces") is not None
-    }
-    layout = {key: raw[key] for key in ("graph", "base_frame") if key in raw}
-    scene = trimesh.load_scene({"geometry": geometries, **layout})
-    meshes = []
-    parts = [
-        scene.geometry[scene.graph[node][1]]
-        for node in scene.graph.nodes_geometry
-        if scene.graph[node][1] in scene.geometry
-    ]
-    faces = sum(len(part.faces) for part in parts)
-    check_memory(_MEMORY_PER_FACE * faces, f"a mesh of {faces} triangles", "take a coarser mesh")
-    for node in scene.graph.nodes_geometry:
-        transform, name = scene.graph[node]
-        if name in scene.geometry:
-            mesh = scene.geometry[name]
-            if len(mesh.faces) and (mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices)):
-                raise IndexError("a face has a vertex that does not exist")
-            transform = np.diag([scale, scale, scale, 1]) @ transform  # exact where the file scales by the inverse
-            meshes.append((trimesh.transform_points(mesh.vertices, transform), np.asarray(mesh.faces)))
-    if is_turned(data):  # as exported by scan3d, with y up; back to the axes of the world
-        meshes = [(z_up(vertices), faces) for vertices, faces in meshes]
+    if kind == "glb":
+        meshes = read_glb(data, scale)
+    elif kind == "stl" and not is_binary_stl(data):
+        corners = text_stl(plain(kind, data))
+        meshes = [(scale * corners, np.arange(len(corners)).reshape(-1, 3))]
+    else:
+        raw = mesh_loaders[kind](io.BytesIO(plain(kind, data)), file_type=kind, resolver=None, skip_materials=True)
+        parts = [part for part in raw.get("geometry", {"mesh": raw}).values() if part.get("faces") is not None]
+        bodies = [trimesh.Trimesh(part["vertices"], part["faces"], process=False) for part in parts]  # of triangles
+        meshes = [(scale * np.asarray(body.vertices), np.asarray(body.faces)) for body in bodies]
+    count = sum(len(faces) for _, faces in meshes)
+    check_memory(_MEMORY_PER_FACE * count, f"a mesh of {count} triangles", "take a coarser mesh")
+    for vertices, faces in meshes:
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise IndexError("a face has a vertex that does not exist")
     return meshes
 
 
