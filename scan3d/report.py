@@ -558,9 +558,9 @@ def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
 
     hausdorff, certified = data["hausdorff"], data["certificate"]
     if hausdorff:
-        rows.append(("Hausdorff distance", _distance(hausdorff, unit) + from_hull))
+        rows.append(("Hausdorff distance", length(hausdorff["two_sided"], unit) + from_hull))
         if itself := hausdorff.get("mesh_itself"):
-            rows.append(("distance from the mesh itself", _distance(itself, unit)))
+            rows.append(("distance from the mesh itself", length(itself["two_sided"], unit)))
     if certified["bound"] is not None and np.isfinite(certified["bound"]):
-        rows.append(("certified within", _bound(certified) + of_hull))
+        rows.append(("certified within", length(certified["bound"], unit, up=True) + of_hull))
     return tuple(rows)

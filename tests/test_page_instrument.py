@@ -12,11 +12,12 @@ from PIL import Image
 from small_scans import CUBE, scanned, scanned_in_space
 
 from scan3d.geometry.distance import distances
+from scan3d.numbers import length, number
 from scan3d.pictures.page import page
 from scan3d.pictures.parts import shown_surface, shown_sweep
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
-NUMBER = r"[-−]?[\d.]+(?:e[-−]?\d+)?"
+NUMBER = r"[-−]?[\d.,]*\d(?:e[-−]?\d+)?"
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +33,22 @@ def browser(browser_path, cube, tmp_path_factory):
     tab = Tab(browser_path, folder / "profile")
     try:
         tab.open(folder / "page.html")
+        motion(tab, "reduce")
         yield tab, folder
     finally:
         tab.close()
 
 
+def motion(tab, wanted):
+    tab("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": wanted}])
+
+
 @pytest.fixture
 def tab(browser):
-    """The page of the cube as it is when it has just been opened; every test leaves it without complaints."""
+    """The page of the cube without the rod, as it comes back to; every test leaves it without complaints."""
     tab, _ = browser
     reload(tab)
+    tab.run("switchPlayer(false)")
     yield tab
     assert tab.complaints() == []
 
@@ -98,7 +105,9 @@ def wait_for(tab, expression):
 
 
 def reactions_in(text):
-    return [float(value.replace("−", "-")) for value in re.findall(rf"[fm]0[xyz]\s=\s({NUMBER})", text)]
+    return [
+        float(value.replace("−", "-").replace(",", "")) for value in re.findall(rf"[fm]0[xyz]\s=\s({NUMBER})", text)
+    ]
 
 
 def of_contact(scene, contact):
@@ -114,13 +123,13 @@ def differing(image, other):
 
 def blue(image):
     """Pixels as blue as the cube's top, which lies farthest below the truth, right of the panel."""
-    image = image[:460, 320:]
+    image = image[:460, 345:]
     return ((image[:, :, 2] - image[:, :, 0] > 50) & (image[:, :, 0] < 40)).mean()
 
 
 def drawn(image):
     """Right of the panel, above the player: what isn't white."""
-    return (image[:460, 320:] < 250).any(axis=2)
+    return (image[:460, 345:] < 250).any(axis=2)
 
 
 # --- the view ---
@@ -131,7 +140,7 @@ def test_the_body_is_seen_and_turns(tab, cube):
     assert first.shape == (HEIGHT, WIDTH, 3)
     # in the middle of the space right of the panel, on a white page
     assert 0.2 < drawn(first).mean() < 0.8
-    assert drawn(first)[250:350, 240:340].all()
+    assert drawn(first)[250:350, 230:330].all()
     assert blue(first) > 0.03
     assert tab.run("document.querySelector('table').innerText") == "\n".join(map("\t".join, cube.key_figures))
     # the top goes out of sight when it is looked at from the side
@@ -161,11 +170,13 @@ def test_layers_and_colours(tab):
     assert shown["truth"] == pytest.approx(shown["surface"], rel=0.05)
 
     tab.run("switchPlayer(false); document.querySelector('input[name=\"surface\"]').click()")
-    choose = "(s => {{ s.selectedIndex = {}; s.onchange(); return s.value; }})(document.querySelector('select'))"
+    choose = (
+        "(s => {{ s.selectedIndex = {}; s.onchange(); return s.value; }})(document.querySelector('#layers select'))"
+    )
     assert tab.run(choose.format(2)) == "plain"
     plain = tab.picture()
     assert not blue(plain)
-    assert tab.run(choose.format(1)) == "certified bound in mm"
+    assert tab.run(choose.format(1)) == "certified bound in µm"
     assert differing(tab.picture(), plain) > 0.05
     # the bars have the heights of the shares
     heights = tab.run("[...document.querySelectorAll('.histogram')[0].children].map(bar => bar.offsetHeight)")
@@ -174,7 +185,7 @@ def test_layers_and_colours(tab):
 
 def test_the_cutting_plane_takes_away_one_side(tab):
     def row():
-        return (tab.picture()[:440, 320:] < 250).any(axis=2)[200]
+        return (tab.picture()[:440, 345:] < 250).any(axis=2)[200]
 
     tab.run("along('x')")  # seen against x: y to the right
     whole = row()
@@ -203,15 +214,17 @@ def test_the_distance_between_two_points(tab, cube):
     text = tab.run("picked.textContent")
     expected = cube.points[b] - cube.points[a]
     assert float(re.search(r"distance = (\S+) mm", text)[1]) == pytest.approx(np.linalg.norm(expected), rel=1e-4)
-    assert [float(v) for v in re.findall(r"Δ. = (\S+) mm", text)] == pytest.approx(expected, abs=6e-3)
+    assert [float(v) for v in re.findall(r"Δ. = (\S+) mm", text.replace("−", "-"))] == pytest.approx(expected, abs=6e-3)
     # between places of the surface without contact: the middle of the page is on the body
+    tab.key("Escape")
+    press(tab, "#measure")
     x, y = tab.run("(v => [v.x, v.y])(measures())")
     tab.run("contacts.on = false; redraw()")
     tab.click(x, y)
     tab.click(x + 30, y)
     points = np.array(tab.run("marks.points")) + tab.run("data.center")
     assert distances(points, shown_surface(cube)[0]).max() < 1e-3
-    tab.run("canvas.focus()")
+    tab.run("document.activeElement.blur()")
     tab.key("Escape")
     assert tab.run("[marks.points.length, picked.hidden]") == [0, True]
 
@@ -230,12 +243,77 @@ def test_a_picture_is_saved_as_it_is_seen(tab, tmp_path):
     saved = np.asarray(Image.open(tmp_path / "cube.png").convert("RGB")).astype(int)
     assert saved.shape == (HEIGHT - tab.run("measures().bottom"), WIDTH, 3)
     # beside the controls it is what the screen shows
-    assert (np.abs(saved - seen[: len(saved)])[:440, 330:].max(axis=2) > 8).mean() < 1e-3
+    assert (np.abs(saved - seen[: len(saved)])[:440, 345:].max(axis=2) > 8).mean() < 1e-3
     # in their place are the name and the scales of colours
     assert 0.01 < (saved[:250, :300] < 250).any(axis=2).mean() < 0.5
 
 
+def test_a_place_of_the_surface_shows_its_deviation_and_its_bound(tab, cube):
+    tab.run("contacts.on = false; redraw()")
+    x, y = tab.run("(v => [v.x + 20, v.y - 30])(measures())")
+    tab.click(x, y)
+    text = tab.run("picked.textContent").replace("−", "-")
+    place = np.array([float(value) for value in re.findall(r"[xyz] = (\S+) mm", text)])
+    mesh, deviation, bound = shown_surface(cube)
+    assert distances(place[None], mesh)[0] < 1e-3
+    units = {"nm": 1e-6, "µm": 1e-3, "mm": 1.0}
+    near = np.argsort(np.linalg.norm(mesh.vertices - place, axis=1))[:12]
+    for name, values in (("signed deviation", deviation), ("certified bound", bound)):
+        value, unit = re.search(rf"{name}: (.+) (\S+)", text).groups()
+        value = 0.0 if value == "under 1" else float(value) * units[unit]
+        assert values[near].min() - 0.01 <= value <= values[near].max() * 1.01 + 1e-3
+    assert tab.run("marks.points.length") == 1
+
+
+def test_numbers_are_those_of_the_terminal(tab):
+    values = [*np.random.default_rng(0).normal(size=40) * 10.0 ** np.arange(-9, 11, 0.5), 999.96, 0.0, 1234567.0]
+    shown = tab.run(f"{[float(value) for value in values]}.map(x => number(x))")
+    assert [text.replace("−", "-") for text in shown] == [number(value) for value in values]
+    bounds = np.abs(values)
+    shown = tab.run(f"{[float(value) for value in bounds]}.map(x => lengthText(x, 3, true))")
+    assert shown == [length(value, "mm", up=True) for value in bounds]
+
+
+def test_dense_contacts_are_thinned_until_they_are_looked_at_closely(shows):
+    tab = shows(scanned(CUBE, samples=200))
+    everything = tab.run("contacts.points.length / 3")
+    tab.run("reset()")
+    tab.picture()
+    few = tab.run("contacts.shown")
+    assert few < everything / 2
+    assert sorted(tab.run("[...contacts.order]")) == list(range(everything))
+    # those that are seen are spread: no cell of a grid has two
+    places = np.array(tab.run("[...contacts.order].slice(0, contacts.shown).map(contactPoint)"))
+    cells = tab.run("data.radius / 2 ** contacts.counts.indexOf(contacts.shown)")
+    assert len(np.unique(np.round(places / cells), axis=0)) == few
+    # looked at closely there are more
+    tab.run("zoom(20)")
+    tab.picture()
+    assert tab.run("contacts.shown") > 2 * few
+    assert tab.complaints() == []
+
+
 # --- the player ---
+
+
+def test_the_page_opens_with_a_rod_that_moves_once_and_then_rests(browser):
+    tab, _ = browser
+    try:
+        motion(tab, "no-preference")
+        reload(tab)
+        first = tab.run("[player.on, player.playing, curves.hidden, player.sweep === player.shown]")
+        assert first == [True, True, True, True]
+        tab.run("byId('speed').selectedIndex = 3")
+        wait_for(tab, "!player.playing")
+        middle = tab.run("Math.floor((player.ends[player.sweep] - player.starts[player.sweep]) / 2)")
+        assert tab.run("player.sample - player.starts[player.sweep]") == middle
+        still = tab.picture()
+        assert differing(tab.picture(), still) == 0
+    finally:
+        motion(tab, "reduce")
+    reload(tab)
+    assert tab.run("[player.on, player.playing]") == [True, False]
+    assert differing(tab.picture()[:460, 345:], still[:460, 345:]) < 1e-3
 
 
 @pytest.mark.parametrize("model", ["planar", "spatial"])
@@ -269,7 +347,7 @@ def test_the_rod_in_the_page_is_the_elastic_line(shows, model, cube):
 
 
 def test_mouse_and_keys_move_the_player(tab, cube):
-    assert tab.run("[dock.hidden, curves.hidden, player.on]") == [False, True, False]
+    assert tab.run("[dock.hidden, curves.hidden, player.on]") == [False, True, False]  # as the fixture leaves it
     body = tab.picture()
     press(tab, "#charts")
     assert tab.run("[curves.hidden, player.on, byId('charts').getAttribute('aria-pressed')]") == [False, True, "true"]
@@ -327,14 +405,14 @@ def test_contacts_and_curves_are_linked_both_ways(tab, cube):
     tab.mouse("mouseMoved", 890, 5)
     wait_for(tab, "marks.hovered === -1")
     assert tab.run("shownSample()") == chosen
-    # a click beside all contacts shows nothing, one on a contact chooses it, and shows what was measured at it
+    # a click beside the body shows nothing, one on a contact chooses it, and shows what was measured at it
     tab.click(880, 300)
     assert tab.run("picked.hidden")
     tab.click(x, y)
     assert tab.run("player.sample") == tab.run(f"player.contact[{contact}]")
     text = tab.run("picked.textContent")
     assert text.startswith(f"contact {contact}\n")
-    point = [float(coordinate) for coordinate in re.findall(r"[xyz] = (\S+) mm", text)]
+    point = [float(coordinate) for coordinate in re.findall(r"[xyz] = (\S+) mm", text.replace("−", "-"))]
     assert point == pytest.approx(cube.points[contact], abs=1e-3)
     assert f"sweep {cube.column('sweep')[contact]:.0f}\n" in text
 
@@ -369,7 +447,7 @@ def test_every_control_has_a_name(tab):
         assert "" not in controls[role], role
     assert controls["slider"] == ["sweep", "sample"]
     assert {"colour of surface", "colour of contacts", "speed"} <= set(controls["combobox"])
-    assert any(name.startswith("histogram of signed deviation in mm: 5 %, 50 % and 95 %") for name in controls["image"])
+    assert any(name.startswith("histogram of signed deviation in µm: 5 %, 50 % and 95 %") for name in controls["image"])
     assert any(name.startswith("reactions over the travel of the clamp") for name in controls["image"])
     live = tab.run("[...document.querySelectorAll('[aria-live=polite], [role=status]')].map(e => e.id)")
     assert live == ["now", "picked"]
@@ -383,7 +461,8 @@ def test_the_keys_reach_everything(tab):
         tab.key("Tab")
         reached.add(tab.run("(e => e.id || e.name || e.tagName)(document.activeElement)"))
     assert {"play", "sweep", "sample", "speed", "charts", "cut-axis", "measure", "save", "reset", "surface"} <= reached
-    tab.run("canvas.focus(); reset()")
+    # and the view's keys work wherever the focus is
+    tab.run("byId('measure').focus(); reset()")
     before = tab.run("({...eye})")
     tab.key("ArrowLeft")
     tab.key("+")
@@ -394,6 +473,30 @@ def test_the_keys_reach_everything(tab):
     assert tab.run("eye.elevation") == pytest.approx(np.pi / 2, abs=1e-3)
     tab.key("0")
     assert tab.run("({...eye})") == before
+    tab.run("document.activeElement.blur()")
+    tab.key("x")
+    assert tab.run("eye.elevation") == 0
+    # but for those that a control uses itself
+    tab.run("reset(); byId('cut-axis').focus()")
+    tab.key("z")
+    assert tab.run("({...eye})") == before
+
+
+def test_the_tools_are_seen_without_scrolling_in_light_and_dark(tab):
+    try:
+        tab("Emulation.setDeviceMetricsOverride", width=1440, height=900, deviceScaleFactor=1, mobile=False)
+        for color, paper in (("light", 255), ("dark", 22)):
+            tab("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": color},
+                                                        {"name": "prefers-reduced-motion", "value": "reduce"}])  # fmt: skip
+            reload(tab)
+            for name in ("measure", "save", "reset", "cut-axis"):
+                assert tab.run(f"byId('{name}').getBoundingClientRect().bottom") < 900
+                assert tab.run(f"byId('{name}').getBoundingClientRect().bottom < panel.getBoundingClientRect().bottom")
+            corner = tab.picture()[5, -5]
+            assert corner[0] == paper
+    finally:
+        motion(tab, "reduce")
+        tab("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
 
 
 def test_nothing_leaves_the_window(tab):
@@ -451,8 +554,7 @@ def test_a_hundred_thousand_contacts(shows, cube):
     assert reactions_in(text) == pytest.approx(of_contact(scene, contact), rel=6e-3, abs=1e-9)
     counts = tab.run("[...document.querySelectorAll('.legend')][1].innerText")
     assert sum(int(count) for count in re.findall(r": (\d+) \(", counts)) == len(scene.contacts)
-    # a picture is opaque, although contacts that are close together let the surface shine through
-    assert tab.run("pointStyle(contacts, measures()).alpha") < 1
+    # a picture is opaque
     pixels = "(c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data)(picture())"
     assert tab.run(f"{pixels}.every((value, k) => k % 4 < 3 || value === 255)")
     # the fastest, as the machine may be busy

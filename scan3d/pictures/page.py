@@ -21,6 +21,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
+from scan3d.numbers import UNITS
 from scan3d.pictures.figures import own_style
 from scan3d.pictures.parts import (
     SWEEP_DIRECTION,
@@ -71,6 +72,7 @@ def page(scene: Scene) -> bytes:
     data: dict[str, Any] = {
         "name": scene.name,
         "unit": unit_symbol(scene.unit),
+        "units": [[symbol, size / UNITS_M[scene.unit]] for symbol, size in _units(scene.unit)],
         "center": center.tolist(),
         "radius": float(np.linalg.norm(corners - center, axis=1).max()) or 1.0,
         "layers": layers,
@@ -89,6 +91,11 @@ def page(scene: Scene) -> bytes:
     filled |= {"SCRIPT": script, "HASH": f"sha256-{digest}"}
     # in one pass, as what is filled in may contain the text of a placeholder
     return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], _part("page.html")).encode(errors="replace")
+
+
+def _units(unit: str) -> list[tuple[str, float]]:
+    """The units in which lengths are written, and what they are in metres."""
+    return [("in", UNITS_M["in"])] if unit == "in" else [(symbol, float(size)) for symbol, size in UNITS.items()]
 
 
 def _part(name: str) -> str:
@@ -242,7 +249,7 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
         "length": recording.rod.length_m / UNITS_M[scene.unit],
         "forceUnit": 1e3 * recording.rod.force_unit_N,
         "momentUnit": 1e6 * recording.rod.moment_unit_Nm,
-        "colors": {"rod": ROD, "force": FORCE, "selected": SELECTED, "ink": INK, "curves": REACTION_COLORS},
+        "colors": {"rod": ROD, "force": FORCE, "selected": SELECTED, "curves": REACTION_COLORS},
     }
     angles = scene.column("bending")
     if angles is not None:

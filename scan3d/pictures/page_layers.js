@@ -2,7 +2,8 @@
 
 function prepare(layer) {
   layer.buffer = buffer(gl.ARRAY_BUFFER, layer.points);
-  if (layer.faces) layer.elements = buffer(gl.ELEMENT_ARRAY_BUFFER, layer.faces);
+  if (layer.kind === "points") Object.assign(layer, spread(layer.points));
+  if (layer.faces || layer.order) layer.elements = buffer(gl.ELEMENT_ARRAY_BUFFER, layer.faces || layer.order);
   layer.scale = layer.colors?.[0];
   if (layer.kind !== "lines") paint(layer);
 }
@@ -29,6 +30,8 @@ function paint(layer) {
   layer.tint = buffer(gl.ARRAY_BUFFER, tint, layer.tint);
 }
 
+// A value on a scale; what is a millionth of the scale is rounding.
+const valueOf = (scale, value) => number(scale.kinds || Math.abs(value) > 1e-6 * Math.max(-scale.low, scale.high) ? value : 0);
 const percent = share => (100 * share >= 10 ? Math.round(100 * share) : number(100 * share)) + " %";
 
 function add(parent, kind, name, text = "") {
@@ -54,7 +57,7 @@ function legend(place, layer) {
     return;
   }
   const {shares, quantiles, unknown} = scale, most = Math.max(...shares), bars = add(place, "div", "histogram");
-  const text = `5 %, 50 % and 95 % ${what} are below ${quantiles.map(number).join(", ")}`;
+  const text = `5 %, 50 % and 95 % ${what} are below ${quantiles.map(value => valueOf(scale, value)).join(", ")}`;
   bars.setAttribute("role", "img"); bars.setAttribute("aria-label", `histogram of ${scale.title}: ${text}`);
   const {low, high, log} = scale, value = t => log ? low * (high / low) ** t : low + t * (high - low);
   shares.forEach((share, k) => {
@@ -92,7 +95,7 @@ function controls() {
     legend(key, layer);
   }
   if (player) {
-    player.box = box("rod, clamp and reactions", false, on => switchPlayer(on));
+    player.box = box("rod, clamp and reactions", player.on, on => switchPlayer(on));
     const key = add(place, "div", "key"), {rod, force, selected} = player.colors;
     dotted(key, rod, "rod"); dotted(key, force, "force and moment at the clamp, force of the contact on the rod");
     dotted(key, selected, "contacts of the sweep so far");

@@ -7,7 +7,12 @@ function turn(dx, dy) {
 function along(axis) {
   [eye.azimuth, eye.elevation] = {x: [Math.PI / 2, 0], y: [Math.PI, 0], z: [0, 1.5707]}[axis]; redraw();
 }
-function reset() { eye = {...start}; redraw(); }
+let home = {...start};  // the view to which the page comes back, and in which it opens
+function reset() {
+  eye = {...start};
+  if (player?.on) lookAtSweep();
+  home = {...eye}; redraw();
+}
 function escape() {
   if (marks.measuring) measuring(false);
   marks.points = []; marks.hovered = -1; picked.hidden = true; redraw();
@@ -61,9 +66,10 @@ function listen() {
     Object.assign(keys, {",": () => step(0, -1), ".": () => step(0, 1), "[": () => step(-1, 0), "]": () => step(1, 0),
       p: () => play(), m: markContact});
   }
-  canvas.onkeyup = () => canvas.classList.add("keys");  // the frame that says where keys go; after Tab as well
-  canvas.onkeydown = e => {
-    if (e.ctrlKey || e.altKey || e.metaKey) return;
+  canvas.onkeyup = () => canvas.classList.add("keys");  // the frame that says where the focus is; after Tab as well
+  document.onkeydown = e => {  // wherever the focus is, but for keys that a control there uses itself
+    const {tagName, type} = e.target, moves = /^(Arrow|Home|End|Page)/.test(e.key);
+    if (e.ctrlKey || e.altKey || e.metaKey || tagName === "SELECT" && e.key !== "Escape" || type === "range" && moves) return;
     const way = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[e.key];
     if (way && e.shiftKey) { eye.x += 20 * way[0]; eye.y += 20 * way[1]; }
     else if (way) turn(0.1 * way[0], 0.1 * way[1]);
@@ -85,7 +91,7 @@ function listen() {
   arrange();
   if (!player) return;
   byId("play").onclick = () => play();
-  byId("charts").onclick = () => switchPlayer(!player.on);
+  byId("charts").onclick = () => showCurves(curves.hidden);
   const slid = (sweep, sample) => { play(false); switchPlayer(true); goTo(sweep, sample); };
   byId("sweep").oninput = e => slid(+e.target.value, player.sample - player.starts[player.sweep]);
   byId("sample").oninput = e => slid(player.sweep, +e.target.value);
@@ -102,6 +108,8 @@ if (gl) {
   data.layers.forEach(prepare);
   if (player) preparePlayer();
   controls(); listen(); draw();
+  matchMedia("(prefers-color-scheme: dark)").onchange = () => { if (player) player.stale = true; redraw(); };
+  if (player) opening();
 } else {
   picked.hidden = false; picked.textContent = "This browser does not support WebGL 2, which this page needs.";
 }

@@ -11,9 +11,9 @@ function preparePlayer() {
   player.contactOf = new Int32Array(n).fill(-1);
   player.contact.forEach((k, contact) => { player.contactOf[k] = contact; });
   player.names = player.labels.flatMap(({title, names}) => names.map(name => [name, title.split(" in ")[1]]));
-  Object.assign(player, {on: false, trail: false, preview: -1, time: 0, stale: true, lines: [], trace: null});
+  Object.assign(player, {on: false, playing: false, once: false, trail: false, preview: -1, time: 0, stale: true, lines: [], trace: null});
   byId("sweep").max = player.numbers.length - 1;
-  goTo(player.shown, Math.floor((player.ends[player.shown] - player.starts[player.shown]) / 2));
+  toMiddle(player.shown);
   dock.hidden = false;
 }
 
@@ -32,6 +32,7 @@ function goTo(sweep, sample) {  // to a sample of a sweep, both counted from 0
   redraw();
 }
 
+const toMiddle = sweep => goTo(sweep, Math.floor((player.ends[sweep] - player.starts[sweep]) / 2));
 const goToSample = k => goTo(sweepOf(k), k - player.starts[sweepOf(k)]);
 
 function preview(k) {  // show a sample as long as the pointer is at it, -1 for none
@@ -41,22 +42,35 @@ function preview(k) {  // show a sample as long as the pointer is at it, -1 for 
 
 function switchPlayer(on) {
   if (player.on === on) return;
+  const untouched = Object.keys(start).every(name => eye[name] === home[name]);
   player.on = on; player.stale = true; player.box.checked = on;
-  byId("charts").setAttribute("aria-pressed", on); curves.hidden = !on;
-  if (on && !player.fitted && Object.keys(start).every(name => eye[name] === start[name])) lookAtSweep();
+  if (!on) showCurves(false);
+  if (untouched) reset();
   redraw();
 }
 
-function lookAtSweep() {  // once, unless the view was changed before: from its side, with the clamps of all sweeps in view
-  const [x, y, z] = player.toward;
-  eye.azimuth = Math.atan2(x, -y); eye.elevation = Math.atan2(z, Math.hypot(x, y)); player.fitted = true;
-  const view = measures(), placed = onScreen(player.position), clamp = 0.07 * player.length;
-  let wide = data.radius, high = data.radius;
-  for (let k = 0; k < placed.length; k += 3) {
-    wide = Math.max(wide, Math.abs(placed[k] - view.x) / view.unit + clamp);
-    high = Math.max(high, Math.abs(placed[k + 1] - view.y) / view.unit + clamp);
-  }
-  eye.zoom = data.radius * Math.min(view.wide / wide, view.high / high) / Math.min(view.wide, view.high);
+function showCurves(on) {  // and the rod that they belong to
+  byId("charts").setAttribute("aria-pressed", on); curves.hidden = !on; player.stale = true;
+  if (on) switchPlayer(true);
+  redraw();
+}
+
+function lookAtSweep() {  // from its side, with the body and the clamps of this sweep in view
+  const [x, y, z] = player.toward, range = [3 * player.starts[player.sweep], 3 * player.ends[player.sweep]];
+  eye.azimuth = Math.atan2(x, -y); eye.elevation = Math.atan2(z, Math.hypot(x, y));
+  const view = measures(), clamp = 0.07 * player.length * view.unit, [low, high] = [[Infinity, Infinity], [-Infinity, -Infinity]];
+  const include = (points, margin) => onScreen(points).forEach((value, k) => {
+    if (k % 3 < 2) { low[k % 3] = Math.min(low[k % 3], value - margin); high[k % 3] = Math.max(high[k % 3], value + margin); }
+  });
+  include(data.layers[0].points, 0); include(player.position.subarray(...range), clamp);
+  const zoom = 0.94 * Math.min(view.wide / (high[0] - low[0]), view.high / (high[1] - low[1]));
+  eye.zoom *= zoom; eye.x = zoom * (view.x - (low[0] + high[0]) / 2); eye.y = zoom * ((low[1] + high[1]) / 2 - view.y);
+}
+
+function opening() {  // the rod on a sweep, which it goes along once, unless its user has asked for less motion
+  switchPlayer(true);
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+  goTo(player.shown, 0); play(true); player.once = true;
 }
 
 // --- the rod of a sample ---
@@ -128,7 +142,7 @@ function arc(rod, turn) {  // an arrow around the moment's axis, beginning at th
 function buildRod() {  // what is drawn of the shown sample, and the text and curves that belong to it
   player.stale = false;
   const k = shownSample(), sweep = sweepOf(k), first = player.starts[sweep], last = player.ends[sweep] - 1, L = player.length;
-  const {rod: blue, force: purple, selected, ink} = player.colors, rod = rodAt(k), normal = cross(rod.across, rod.y);
+  const {rod: blue, force: purple, selected} = player.colors, ink = paperOrInk("ink"), rod = rodAt(k), normal = cross(rod.across, rod.y);
   const trace = [...player.contactOf.subarray(first, k + 1)].filter(contact => contact >= 0).flatMap(contactPoint);
   player.lines.forEach(line => gl.deleteBuffer(line.buffer));
   player.lines = [strip([[clampAt(first), clampAt(last)]], "#8a8a8a", 1.2)];
@@ -146,7 +160,7 @@ function buildRod() {  // what is drawn of the shown sample, and the text and cu
   const points = new Float32Array(trace);
   player.trace = {points, color: selected, buffer: buffer(gl.ARRAY_BUFFER, points, player.trace?.buffer)};
   describe(k, sweep, rod);
-  if (player.on) drawCurves(k, sweep);
+  if (!curves.hidden) drawCurves(k, sweep);
 }
 
 function describe(k, sweep, rod) {
@@ -165,7 +179,7 @@ function drawRod(view, ratio) {
   if (player.stale) buildRod();
   if (!player.on) return;
   for (const line of player.lines) drawLines(line, view, ratio, false);
-  if (player.trace.points.length) drawPoints(player.trace, {size: 6, alpha: 1}, view, ratio, false, 0.006);
+  if (player.trace.points.length) drawPoints(player.trace, 6, view, ratio, false, 0.006);
 }
 
 // --- the curves ---
@@ -206,7 +220,7 @@ function chartText({chart, size, x, y, w, h}, travel, rows, shown) {  // a chart
     ...ticks(near, near + width, w / (5 * size)).map(t => text(px(t), y + h + 1.2 * size, "middle", number(t))),
     text(x + w / 2, y + h + 2.5 * size, "middle", (w > 13 * size ? "travel of the clamp in " : "travel in ") + data.unit),
     text(x, y - 0.6 * size, "start", chart.title + (rows.length > 1 ? names.join("") : "")),
-    line([[px(travel[shown]), y], [px(travel[shown]), y + h]], "#222", 1),
+    line([[px(travel[shown]), y], [px(travel[shown]), y + h]], paperOrInk("ink"), 1),
     ...rows.map((row, i) => line(Array.from(row, (value, j) => [px(travel[j]), py(value)]), color(i), 1.8)
       + `<circle cx="${px(travel[shown])}" cy="${py(row[shown])}" r="4" fill="${color(i)}"/>`),
   ].join("");
@@ -223,7 +237,7 @@ function sampleAtCurve(clientX) {  // the sample of the present sweep whose trav
 // --- playing ---
 
 function play(on = !player.playing) {
-  player.playing = on; now.setAttribute("aria-live", on ? "off" : "polite");
+  player.playing = on; player.once = false; now.setAttribute("aria-live", on ? "off" : "polite");
   byId("play").textContent = on ? "❚❚" : "▶"; byId("play").setAttribute("aria-label", on ? "pause" : "play");
   if (!on) return;
   switchPlayer(true);
@@ -241,6 +255,6 @@ function advance(time) {
   const whole = Math.floor(player.share), next = player.sample - player.starts[player.sweep] + whole;
   player.share -= whole;
   if (whole && next >= count && goesOn()) goTo(player.sweep + 1, 0);
-  else if (whole) { goTo(player.sweep, next); if (next >= count) play(false); }
+  else if (whole) { goTo(player.sweep, next); if (next >= count) { if (player.once) toMiddle(player.sweep); play(false); } }
   requestAnimationFrame(advance);
 }

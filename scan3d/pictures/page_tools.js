@@ -5,7 +5,8 @@ const cutOff = p => dot(cutting.normal, p) > cutting.offset;
 
 function surfaceAt(x, y) {  // the nearest point of a visible body under a place of the window, and its depth; null beside it
   let found = null;
-  for (const {kind, on, points, faces} of data.layers) {
+  for (const layer of data.layers) {
+    const {kind, on, points, faces} = layer;
     if (kind !== "triangles" || !on) continue;
     const placed = onScreen(points);
     for (let k = 0; k < faces.length; k += 3) {
@@ -15,7 +16,10 @@ function surfaceAt(x, y) {  // the nearest point of a visible body under a place
       if (!(sum !== 0 && u * sum >= 0 && v * sum >= 0 && w * sum >= 0)) continue;
       const at = (values, c) => (u * values[i + c] + v * values[j + c] + w * values[l + c]) / sum, depth = at(placed, 2);
       const point = [0, 1, 2].map(c => at(points, c));
-      if (!(found && depth <= found.depth) && !cutOff(point)) found = {point, depth};
+      if (!(found && depth <= found.depth) && !cutOff(point)) {
+        const value = values => (u * values[i / 3] + v * values[j / 3] + w * values[l / 3]) / sum;
+        found = {point, depth, name: layer.name, values: (layer.colors || []).map(scale => [scale, value(scale.values)])};
+      }
     }
   }
   return found;
@@ -25,7 +29,8 @@ function contactAt(x, y) {  // the contact in front at a place of the window, wi
   if (!(contacts && contacts.on)) return -1;
   const placed = onScreen(contacts.points);
   let best = -1;
-  for (let k = 0; k < placed.length; k += 3) {
+  for (let i = 0; i < contacts.shown; i++) {
+    const k = 3 * contacts.order[i];
     if ((placed[k] - x) ** 2 + (placed[k + 1] - y) ** 2 >= 36) continue;
     if ((best < 0 || placed[k + 2] > placed[best + 2]) && !cutOff(contactPoint(k / 3))) best = k;
   }
@@ -35,14 +40,22 @@ function contactAt(x, y) {  // the contact in front at a place of the window, wi
 }
 
 const contactPoint = contact => [...contacts.points.subarray(3 * contact, 3 * contact + 3)];
-const placeText = p => p.map((v, i) => "xyz"[i] + " = " + (v + data.center[i]).toPrecision(6) + " " + data.unit);
+const decimals = Math.max(0, 5 - Math.floor(Math.log10(2 * data.radius)));
+const coordinate = v => String(+v.toFixed(decimals) || 0).replaceAll("-", "−") + " " + data.unit;
+const placeText = p => p.map((v, i) => "xyz"[i] + " = " + coordinate(v + data.center[i]));
+const valueText = ({title, ...scale}, value) => {  // "name: value unit" of a title "name in unit"; bounds are rounded up
+  const [, name, unit] = title.match(/^(.*?)(?: in (\S+))?$/), size = data.units.find(([symbol]) => symbol === unit)?.[1];
+  if (scale.kinds) return name + ": " + scale.kinds[value][0];
+  if (!isFinite(value)) return name + ": unknown";
+  return name + ": " + (size ? lengthText(value * size, 3, name.startsWith("certified"))
+    : valueOf(scale, value) + (unit ? " " + unit : ""));
+};
 
 function showContact(contact) {
   picked.hidden = contact < 0;
   if (contact < 0) return;
   const rows = Object.entries(contacts.columns).map(([name, values]) => name + " " + values[contact]);
-  const measured = contacts.colors.map(({title, kinds, values}) => title + ": " + (kinds ? kinds[values[contact]][0]
-    : isFinite(values[contact]) ? number(values[contact]) : "unknown"));
+  const measured = contacts.colors.map(scale => valueText(scale, scale.values[contact]));
   picked.textContent = ["contact " + contact, ...placeText(contactPoint(contact)), ...rows, ...measured].join("\n");
 }
 
@@ -53,8 +66,13 @@ function click(x, y) {
     if (body) mark(body.point);
     return;
   }
-  marks.hovered = contact;
+  marks.hovered = contact; marks.points = [];
   showContact(contact);
+  const body = contact < 0 ? surfaceAt(x, y) : null;
+  if (body) {
+    marks.points = [body.point]; picked.hidden = false;
+    picked.textContent = [body.name, ...placeText(body.point), ...body.values.map(pair => valueText(...pair))].join("\n");
+  }
   if (player && contact >= 0) { play(false); goToSample(player.contact[contact]); }
   redraw();
 }
@@ -75,13 +93,13 @@ function mark(point) {  // one of two points, between which the distance is show
   const [a, b] = marks.points, text = ["first point", ...placeText(a)];
   if (b) {
     text.push("second point", ...placeText(b), `distance = ${distanceText()}`,
-      ...minus(b, a).map((v, i) => `Δ${"xyz"[i]} = ${v.toPrecision(4)} ${data.unit}`));
+      ...minus(b, a).map((v, i) => `Δ${"xyz"[i]} = ${coordinate(v)}`));
   } else text.push("pick the second point");
   picked.hidden = false; picked.textContent = text.join("\n");
   redraw();
 }
 
-const distanceText = () => Math.hypot(...minus(marks.points[1], marks.points[0])).toPrecision(5) + " " + data.unit;
+const distanceText = () => lengthText(Math.hypot(...minus(marks.points[1], marks.points[0])), 5);
 
 function measuring(on = !marks.measuring) {
   marks.measuring = on; marks.points = []; canvas.classList.toggle("measuring", on);
@@ -99,8 +117,8 @@ function cut() {  // as the controls say, in every frame
   if (!name) { Object.assign(cutting, {normal: [0, 0, 0], offset: 0}); return; }
   const normal = name === "view" ? [m[2], m[5], m[8]] : [0, 1, 2].map(i => +(i === axis));
   Object.assign(cutting, {normal: normal.map(v => sign * v), offset: sign * at});
-  const text = name === "view" ? `${number(at)} ${data.unit} in front of the centre`
-    : `${name} = ${number(at + data.center[axis])} ${data.unit}`;
+  const text = name === "view" ? `${lengthText(at)} in front of the centre`
+    : `${name} = ${lengthText(at + data.center[axis])}`;
   byId("cut-text").textContent = text; byId("cut-at").setAttribute("aria-valuetext", text);
 }
 
@@ -115,8 +133,8 @@ function drawMarks(view, ratio) {
 
 function paintMarks(context, view) {
   const size = fontSize(), shown = player && player.on ? player.contactOf[shownSample()] : -1;
-  const twice = (wide, paint) => {  // dark on white, which is seen on any colour
-    for (const [width, color] of [[wide, "#fff"], [2, "#222"]]) {
+  const twice = (wide, paint) => {  // ink on paper, which is seen on any colour
+    for (const [width, color] of [[wide, paperOrInk("paper")], [2, paperOrInk("ink")]]) {
       context.lineWidth = width; context.strokeStyle = color; context.beginPath(); paint(); context.stroke();
     }
   };
@@ -141,15 +159,15 @@ function paintMarks(context, view) {
 
 function outlined(context, text, x, y, align) {
   context.textAlign = align; context.textBaseline = "middle";
-  context.strokeStyle = "#fff"; context.lineWidth = 4; context.strokeText(text, x, y);
-  context.fillStyle = "#222"; context.fillText(text, x, y);
+  context.strokeStyle = paperOrInk("paper"); context.lineWidth = 4; context.strokeText(text, x, y);
+  context.fillStyle = paperOrInk("ink"); context.fillText(text, x, y);
 }
 
 function paintAxes(context, view, size) {
   const arm = 34, x = view.left + arm + 2 * size, y = view.h - view.bottom - arm - 1.4 * size, m = turned(), letters = [];
   for (const i of [0, 1, 2].sort((a, b) => m[3 * a + 2] - m[3 * b + 2])) {  // from behind to the front
     const to = [m[3 * i], -m[3 * i + 1]], length = Math.hypot(...to);
-    context.strokeStyle = "#222"; context.lineWidth = 2;
+    context.strokeStyle = paperOrInk("ink"); context.lineWidth = 2;
     context.beginPath(); context.moveTo(x, y); context.lineTo(x + arm * to[0], y + arm * to[1]); context.stroke();
     const reach = arm + 0.7 * size / length, place = [x + reach * to[0], y + reach * to[1]];
     // seen along the axis, or over another axis, the letter would lie on others
@@ -161,9 +179,9 @@ function paintAxes(context, view, size) {
 function paintScale(context, view, size) {  // the longest round length of up to 160 pixels
   const longest = 160 / view.unit, power = 10 ** Math.floor(Math.log10(longest));
   const length = [5, 2, 1].find(k => k * power <= longest) * power, x = view.w - 24, y = view.h - view.bottom - 14;
-  context.strokeStyle = "#222"; context.lineWidth = 3;
+  context.strokeStyle = paperOrInk("ink"); context.lineWidth = 3;
   context.beginPath(); context.moveTo(x - length * view.unit, y); context.lineTo(x, y); context.stroke();
-  outlined(context, number(length) + " " + data.unit, x - length * view.unit / 2, y - 0.8 * size, "center");
+  outlined(context, lengthText(length), x - length * view.unit / 2, y - 0.8 * size, "center");
 }
 
 // --- the picture as a file ---

@@ -12,8 +12,19 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unitVector = a => a.map(x => x / (Math.hypot(...a) || 1));
 const fontSize = () => parseFloat(getComputedStyle(document.body).fontSize);
-const number = x => x === 0 ? "0"
-  : (Math.abs(x) >= 1e-3 && Math.abs(x) < 1e5 ? String(+x.toPrecision(3)) : x.toExponential(2)).replaceAll("-", "−");
+// Numbers as `scan3d.numbers` writes them.
+const number = (x, digits = 3, up = false) => {
+  if (x === 0) return "0";
+  let rounded = +x.toPrecision(digits);
+  if (up && rounded < x) rounded = +(rounded + 10 ** (Math.floor(Math.log10(Math.abs(x))) - digits + 1)).toPrecision(digits);
+  return (Math.abs(x) >= 1e-4 && Math.abs(x) < 1e9 ? rounded.toLocaleString("en", {maximumSignificantDigits: digits})
+    : rounded.toExponential().replace(/e([+-])(\d)$/, "e$10$2")).replaceAll("-", "−");
+};
+const lengthText = (x, digits = 3, up = false) => {
+  const [symbol, size] = data.units.find(([symbol, size]) => symbol === "in" || Math.abs(x) >= size) || ["", 0];
+  return size ? number(x / size, digits, up) + " " + symbol : x ? "under 1 nm" : "0 " + data.unit;
+};
+const paperOrInk = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 // A window up to this width, in CSS pixels, is that of a phone: the panel then covers the body instead of standing beside it.
 const narrow = 700;
 // Where frames come late, as without a graphics processor, the picture is drawn in less detail as long as it moves: contacts at
@@ -37,10 +48,10 @@ void main() { if (beyond > 0.0) discard; vec3 n = normalize(cross(dFdx(seen), dF
 in vec3 position; in vec3 tint; out vec3 shade; uniform float size, nearer;
 void main() { shade = tint; beyond = side(position); gl_Position = place(position); gl_Position.z -= nearer;
   gl_PointSize = size; }`, `
-in vec3 shade; uniform float core, alpha; out vec4 color;
+in vec3 shade; uniform float core; out vec4 color;
 void main() { if (beyond > 0.0) discard; vec2 d = 2.0 * gl_PointCoord - 1.0; float r = dot(d, d); if (r > 1.0) discard;
   vec3 rim = vec3(dot(shade, vec3(0.3, 0.6, 0.1)) < 0.5 ? 0.96 : 0.1);
-  color = vec4(r > core ? rim : shade * (0.75 + 0.25 * sqrt(1.0 - r)), alpha); }`),
+  color = vec4(r > core ? rim : shade * (0.75 + 0.25 * sqrt(1.0 - r)), 1.0); }`),
   lines: program(head + `
 in vec3 begin, end; uniform vec2 pixel; uniform float width;
 void main() { vec4 a = place(begin), b = place(end); vec2 along = (b.xy - a.xy) / pixel;
@@ -76,6 +87,8 @@ function attribute(used, name, source, size, type = gl.FLOAT, stride = 0, offset
 }
 
 const start = {azimuth: 0.656, elevation: 0.452, zoom: 1, x: 0, y: 0};
+// Contacts are drawn no nearer to each other than so many pixels, as well as a grid can tell, so that colours are seen between.
+const gap = 15;
 // Cuts everything with dot(normal, p) > offset off; the zero vector cuts nothing.
 const cutting = {normal: [0, 0, 0], offset: 0};
 let eye = {...start}, frame = 0;
@@ -118,18 +131,16 @@ function use(kind, view, cuts = true) {
   return used;
 }
 
-function drawPoints(layer, {size, alpha}, view, ratio, cuts = true, nearer = 0.004, every = 1) {
+function drawPoints(layer, size, view, ratio, cuts = true, nearer = 0.004, count = layer.points.length / 3) {
   const used = use("points", view, cuts), pixels = Math.max(1, size * ratio);
-  gl.uniform1f(used.at("alpha"), alpha);
   gl.uniform1f(used.at("size"), pixels); gl.uniform1f(used.at("nearer"), nearer);
   // points have a rim, which sets them off from what they lie on, unless they are too small
   gl.uniform1f(used.at("core"), pixels < 5 ? 2 : (1 - 2 * Math.max(1, 0.8 * ratio) / pixels) ** 2);
-  attribute(used, "position", layer.buffer, 3, gl.FLOAT, 12 * every);
-  if (layer.tint) attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4 * every);
+  attribute(used, "position", layer.buffer, 3, gl.FLOAT, 12);
+  if (layer.tint) attribute(used, "tint", layer.tint, 3, gl.UNSIGNED_BYTE, 4);
   else gl.vertexAttrib3f(used.attribute("tint"), ...rgb(layer.color));
-  if (alpha < 1) gl.enable(gl.BLEND);
-  gl.drawArrays(gl.POINTS, 0, Math.ceil(layer.points.length / 3 / every));
-  gl.disable(gl.BLEND);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, layer.elements || null);
+  if (layer.elements) gl.drawElements(gl.POINTS, count, gl.UNSIGNED_INT, 0); else gl.drawArrays(gl.POINTS, 0, count);
 }
 
 function drawLines(layer, view, ratio, cuts = true) {
@@ -171,23 +182,36 @@ function coarser(layer, cells) {  // the triangles that remain where all vertice
   return {faces, elements: buffer(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(faces))};
 }
 
-function pointStyle(layer, view) {  // by the distance between contacts: many stay apart or let the surface shine through
-  const apart = view.unit * data.radius * Math.sqrt(2 * Math.PI / (layer.points.length / 3));
-  return {size: Math.min(eye.zoom > 1 ? 12 : 7, Math.max(1.4, 0.6 * apart)), alpha: Math.min(1, Math.max(0.25, apart / 2.5))};
+function spread(points) {  // contacts in an order whose beginnings are spread evenly, and how many have cells of one of some sizes
+  const n = points.length / 3, order = [], counts = [], chosen = new Uint8Array(n);
+  for (let k = 2; order.length < n && k < 12; k++) {
+    const cell = data.radius / 2 ** k, taken = new Set();
+    const key = i => [0, 1, 2].reduce((sum, c) => sum * 8192 + Math.round(points[3 * i + c] / cell) + 4096, 0);
+    for (const i of order) taken.add(key(i));
+    for (let i = 0; i < n; i++) {
+      if (chosen[i] || taken.has(key(i))) continue;
+      taken.add(key(i)); order.push(i); chosen[i] = 1;
+    }
+    counts[k] = order.length;
+  }
+  for (let i = 0; i < n; i++) if (!chosen[i]) order.push(i);
+  return {order: new Uint32Array(order), counts};
+}
+
+function seen(layer, view, level) {  // how many contacts, in their order, are drawn
+  const k = Math.max(2, Math.floor(Math.log2(view.unit * data.radius / gap)));
+  return Math.min(layer.counts[k] ?? layer.order.length, level ? levels[level].contacts : Infinity);
 }
 
 function drawLayers(view, ratio, level) {
   gl.viewport(0, 0, canvas.width, canvas.height);
-  gl.clearColor(1, 1, 1, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
+  gl.clearColor(...rgb(paperOrInk("paper")), 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
   gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);  // the picture is opaque
   for (const layer of data.layers) {
     if (!layer.on || layer.alpha < 1) continue;
     if (layer.kind === "lines") drawLines(layer, view, ratio);
     else if (layer.kind === "triangles") drawTriangles(layer, view, level);
-    else {
-      const every = level ? Math.ceil(layer.points.length / 3 / levels[level].contacts) : 1;
-      drawPoints(layer, pointStyle(layer, view), view, ratio, true, 0.004, every);
-    }
+    else drawPoints(layer, eye.zoom > 1 ? 9 : 6, view, ratio, true, 0.004, layer.shown = seen(layer, view, level));
   }
   if (player) drawRod(view, ratio);
   for (const layer of data.layers) if (layer.on && layer.alpha < 1) drawTriangles(layer, view, level);

@@ -84,7 +84,7 @@ def shade_contacts(scene: Scene, color: str) -> Shade:
         # diverging, with a middle that is grey enough to be seen on a white page
         return shade(angle, "bending out of the sweep's plane in °", -largest, largest, map="coolwarm")
     values, unit = shown_lengths(values, scene.unit)
-    high = largest_known(values) or 1.0
+    high = max(largest_known(values), 1.0 if unit == "nm" else 0.0)
     return shade(values, f"distance from the {scene.truth_name} in {unit}", high * 1e-4, high, log=True)
 
 
