@@ -8,13 +8,18 @@ for poses and wrenches as a recording has them, in the clamp's frame and after a
 - the sensor's offset d, which adds ``d × F`` to the moment;
 - the sensor's turn w about the clamp's origin, which adds ``w × F`` to the force and ``w × m`` to the moment.
 
+Beside them stands the relative error of the wrench ε: what a rod that is not quite the stated one, gains and cross-talk add to
+a wrench w of n reactions in EI/L² and EI/L.  It is ``E w`` with a matrix E whose n² entries are independent and have the
+standard deviation ε, the same in all rows, so that in each row each reaction has an independent error of ``ε |w|``.  Errors
+that do not vanish with the wrench, as that of a curved rod, are those of a typical one: |w| counts as no less than its median.
+
 Source of the factor that holds for all contacts at once: H. Scheffé, *The Analysis of Variance*, 1959.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -51,6 +56,8 @@ class RigUncertainty:
     """(k, k) in the squares and products of their units: m, rad, and 1 for the relative ones."""
     exact: tuple[str, ...] = ()
     """Quantities of the calibration that its touches did not determine; their nominal values are taken as exact."""
+    relative: float = 0.0
+    """Relative error ε of the wrench.  It is estimated from a recording itself, and not part of its files."""
 
     def __post_init__(self) -> None:
         for name in ("names", "exact"):
@@ -78,7 +85,7 @@ class RigUncertainty:
         return hash(self._plain())
 
     def _plain(self) -> tuple[Any, ...]:
-        return self.names, self.exact, self.covariance.tobytes()
+        return self.names, self.exact, self.covariance.tobytes(), self.relative
 
     def components(self) -> Array:
         """(14, p) independent errors of one standard deviation each, of all `RIG_QUANTITIES`: the principal components."""
@@ -125,6 +132,8 @@ class RigErrors:
     that is farthest off within the extents of all contacts."""
     count: int
     """Number p of independent errors."""
+    relative: float = 0.0
+    """Relative error of the wrench that is among them."""
 
     @cached_property
     def place_sd(self) -> Array:
@@ -133,8 +142,8 @@ class RigErrors:
 
     def select(self, rows: Mask | Index) -> RigErrors:
         """Those of some contacts."""
-        columns = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "count"}
-        return RigErrors(**{name: column[rows] for name, column in columns.items()}, count=self.count)
+        names = [field.name for field in fields(self) if field.name not in ("count", "relative")]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def factor(self, alpha: float) -> float:
         """The number of standard deviations that all contacts stay within at once, but for the probability `alpha`.
@@ -143,6 +152,11 @@ class RigErrors:
         functions together stay within the root of their sum of squares (Scheffé).
         """
         return float(np.sqrt(chdtri(self.count, alpha))) if self.count else 0.0
+
+
+def with_relative(rig: RigUncertainty | None, relative: float) -> RigUncertainty:
+    """What is known of a rig, if it is calibrated, with a relative error of the wrench."""
+    return replace(rig or RigUncertainty((), np.zeros((0, 0))), relative=relative)
 
 
 def one_rig(rigs: Sequence[RigUncertainty | None]) -> RigUncertainty | None:

@@ -5,6 +5,7 @@ from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import radius_errors, reconstruct
 from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import NoContactError
+from scan3d.reconstruction.relative import with_relative_error
 
 __all__ = [
     "Checked",
@@ -16,4 +17,5 @@ __all__ = [
     "diagnose",
     "radius_errors",
     "reconstruct",
+    "with_relative_error",
 ]

@@ -8,19 +8,28 @@ What is compared are the misfits of `misfits`; further tests look at the poses, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import Array, evenly
+from scan3d.arrays import AT_ONCE, Array, Index, evenly
 from scan3d.cloud import Cloud, Tilt
 from scan3d.reconstruction.causes import Diagnosis
-from scan3d.reconstruction.contacts import Readings, readings, without_normals
+from scan3d.reconstruction.contacts import readings, without_normals
 from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import NoContactError, felt, torsion_sd, with_rig_errors
-from scan3d.reconstruction.misfits import ROUNDING, against_single_force, beyond_tangents, depths_in_hull
+from scan3d.reconstruction.misfits import (
+    ROUNDING,
+    Errors,
+    Misfit,
+    against_single_force,
+    beyond_tangents,
+    depths_in_hull,
+    deviations,
+)
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
 
@@ -31,8 +40,8 @@ _DISTURBED = 0.02
 # A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel, which a
 # robot's path may.
 _OFF_LINE = 0.05
-# Probability that noise makes a correct recording exceed the allowed distances.
-_FALSE_ALARM = 1e-5
+FALSE_ALARM = 1e-5
+"""Probability that noise makes a correct recording exceed the allowed distances."""
 # Contacts, tangents, and contacts of the hull that are compared at most.
 _COMPARED = 1500
 
@@ -88,17 +97,8 @@ def cause_of_no_contact(recording: Recording) -> str:
 
 
 def _kappa(count: int) -> float:
-    """Standard deviations that no place of so many contacts is off by, but for `_FALSE_ALARM`."""
-    return float(np.sqrt(chdtri(3, _FALSE_ALARM / max(count, 1))))
-
-
-def _by_calibration(cloud: Cloud) -> tuple[float, float]:
-    """By how much contacts, and angles of tangents, can be off by the uncertainty of the rig's calibration."""
-    rig = cloud.calibration
-    if rig is None or not len(cloud):
-        return 0.0, 0.0
-    factor = rig.factor(_FALSE_ALARM)
-    return factor * float(rig.place_sd.max()), factor * float(rig.tilt_sd.max())
+    """Standard deviations that no place of so many contacts is off by, but for `FALSE_ALARM`."""
+    return float(np.sqrt(chdtri(3, FALSE_ALARM / max(count, 1))))
 
 
 def _without_contact(fraction: float) -> list[Contradiction]:
@@ -122,38 +122,77 @@ def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
             f"rounding allow {allowed:.2g} {cloud.unit}: the contacts are not those of a convex body"
         )
         found.append(Contradiction("beyond-tangent", text, beyond))
+    else:
+        place = np.zeros(len(cloud)) if cloud.place_sd is None else _kappa(len(cloud)) * cloud.place_sd
+        found += _not_convex(cloud, (place, np.zeros(len(cloud))), np.empty(0, dtype=np.intp))
     return found
 
 
 def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:
-    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two.
+    """The distance of a contact beyond a tangent, and the allowed distance, of the pair with the largest ratio of the two."""
+    worst = 0.0, 1.0
+    for compared in compared_in_slices(cloud):
+        worst = max(worst, compared.misfit.worst(), key=lambda pair: pair[0] / pair[1])
+    return worst
+
+
+class Compared(NamedTuple):
+    """Contacts of a slice that are compared with each other, as in `misfits.beyond_tangents`, and what that gives."""
+
+    misfit: Misfit
+    rows: Index
+    """Contacts (n,) of the cloud."""
+    points: Array
+    lines: Index
+    normals: Array
+    some: Index
+    frame: Array
+    """(2, 3) axes of the slice's plane."""
+    systematic: Array
+    """(k, m) what digits, tilt and calibration explain, beside the noise."""
+
+    def errors(self, sigmas: float, covariance: Array, turn_sd: Array) -> Errors:
+        """Those of the slice's contacts, of what those of all contacts of the cloud have."""
+        inside = np.einsum("ij,njk,lk->nil", self.frame, covariance[self.rows], self.frame)
+        return Errors(sigmas, inside, turn_sd[self.rows])
+
+    def deviations(self, error: Errors) -> tuple[Array, Array, Array]:
+        return deviations(self.points, self.lines, self.normals, self.some, error)
+
+    def variance(self, error: Errors) -> Array:
+        """(k, m) of the distances, as sums of independent parts."""
+        return np.asarray(sum(part**2 for part in self.deviations(error)))
+
+
+def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
+    """The contacts of each slice, how far they lie beyond the tangents at others, and what explains it.
 
     Tilted planes of contacts in one slice lie at different heights; there the body's slope up and down the axis, which lies
     between the secants to the neighbouring slices, is allowed for, and end slices are left out.
     """
-    off, turned = _by_calibration(cloud)
-    systematic = 2 * (cloud.pose_error + off)
-    worst = 0.0, ROUNDING * cloud.rod_length + systematic
+    nothing = Misfit(np.empty(0), np.empty(0))
     for stack in stacks(cloud):
         for number, slice_ in enumerate(stack.slices):
             if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
                 continue
-            lines, points = evenly(slice_.tangential, _COMPARED), evenly(np.arange(len(slice_.rows)), _COMPARED)
+            lines, some = evenly(slice_.tangential, _COMPARED), evenly(np.arange(len(slice_.rows)), _COMPARED)
             if not len(lines):
                 continue
-            normals, noise = slice_.normals[np.searchsorted(slice_.tangential, lines)], None
-            if cloud.covariance is not None and cloud.normal_sd is not None:
-                frame = stack.frame[:2]
-                covariance = np.einsum("ij,njk,lk->nil", frame, cloud.covariance[slice_.rows], frame)
-                noise = covariance, cloud.normal_sd[slice_.rows]
-            misfit = beyond_tangents(slice_.points, lines, normals, points, noise, _kappa(len(cloud)), cloud.rod_length)
-            allowed = misfit.explained + systematic
-            if turned:
-                allowed += turned * float(np.linalg.norm(np.ptp(slice_.points, axis=0)))
+            normals = slice_.normals[np.searchsorted(slice_.tangential, lines)]
+            found = Compared(nothing, slice_.rows, slice_.points, lines, normals, some, stack.frame[:2], np.empty(0))
+            compared = slice_.points, lines, normals, some
+            systematic = np.full((len(lines), len(some)), 2 * cloud.pose_error)
+            if (rig := cloud.calibration) is not None:
+                of_rig = found.errors(rig.factor(FALSE_ALARM), rig.covariance, rig.tilt_sd)
+                systematic += beyond_tangents(*compared, of_rig, cloud.rod_length).explained
             if cloud.tilt is not None:
-                allowed += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
-            worst = max(worst, misfit._replace(explained=allowed).worst(), key=lambda pair: pair[0] / pair[1])
-    return worst
+                systematic += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
+            noise = None
+            if cloud.covariance is not None and cloud.normal_sd is not None:
+                noise = found.errors(_kappa(len(cloud)), cloud.covariance, cloud.normal_sd)
+            misfit = beyond_tangents(*compared, noise, cloud.rod_length)
+            explained = misfit.explained + systematic
+            yield found._replace(misfit=misfit._replace(explained=explained), systematic=systematic)
 
 
 def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
@@ -182,7 +221,7 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     about_rod, along_force = against_single_force(force, moment, of_rows, known.noise, kappa, radius)
     by_rig: Array | float = 0.0
     if (rig := cloud.calibration) is not None:
-        by_rig = rig.factor(_FALSE_ALARM) * torsion_sd(recording, rows) / np.hypot(moment[:, 0], moment[:, 2])
+        by_rig = rig.factor(FALSE_ALARM) * torsion_sd(recording, rows) / np.hypot(moment[:, 0], moment[:, 2])
     twisted = float((about_rod.found > about_rod.explained + by_rig).mean())
     skewed = float((along_force.found > along_force.explained).mean())
     found = _without_contact(without)
@@ -201,34 +240,47 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
             "contacts more than noise, rounding and friction across the rod allow: a bent rod, or a misaligned sensor"
         )
         found.append(Contradiction("moment-about-rod", text, largest))
-    inside, allowed = _inside_hull(cloud, known)
-    if inside > allowed:
-        text = (
-            f"contacts, or the rod's tangents at contacts, lie up to {inside:.3g} {cloud.unit} inside the hull of the "
-            f"contacts, where noise and rounding allow {allowed:.2g} {cloud.unit}: the contacts are not those of a convex body"
-        )
-        found.append(Contradiction("inside-hull", text, inside))
+    assert cloud.tangents is not None
+    place, turn = np.zeros(len(cloud)), np.zeros(len(cloud))
+    if known.error is not None and cloud.place_sd is not None:
+        place, turn = kappa * cloud.place_sd, kappa * known.error.tangent[rows]
+    lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _COMPARED)
+    found += _not_convex(cloud, (place, turn), lines)
     return found
 
 
-def _inside_hull(cloud: Cloud, known: Readings) -> tuple[float, float]:
-    """The depth of a contact or a tangent in the hull of the contacts, and the allowed depth, where their ratio is largest."""
-    points, tangents = cloud.centre_points, cloud.tangents
-    assert points is not None
-    assert tangents is not None
-    place, turn = np.zeros(len(points)), np.zeros(len(points))
-    if known.error is not None and cloud.place_sd is not None:
-        kappa = _kappa(len(points))
-        place, turn = kappa * cloud.place_sd, kappa * known.error.tangent[cloud.row]
+def _not_convex(cloud: Cloud, errors: tuple[Array, Array], lines: Index) -> list[Contradiction]:
+    """Whether contacts, or tangents at some of them, lie deeper in the hull of the contacts than errors and rounding explain.
+
+    errors
+        (n,) largest errors of the places and of the tangents by the noise, in radians.
+    """
+    points = cloud.points if cloud.centre_points is None else cloud.centre_points
+    tangents = np.zeros_like(points) if cloud.tangents is None else cloud.tangents
+    place, turn = errors
     if (rig := cloud.calibration) is not None:
-        factor = rig.factor(_FALSE_ALARM)
+        factor = rig.factor(FALSE_ALARM)
         place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
-    some = evenly(np.arange(len(points)), _COMPARED)
-    lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _COMPARED)
-    misfit = depths_in_hull(points, some, some, lines, tangents, (place, turn), cloud.rod_length)
-    if misfit is None:
-        return 0.0, 1.0
-    return misfit._replace(explained=misfit.explained + 2 * cloud.pose_error).worst()
+    of_hull, every = evenly(np.arange(len(points)), _COMPARED), np.arange(len(points))
+    parts = []
+    for some in np.array_split(every, 1 + len(points) * 2 * len(of_hull) // AT_ONCE):
+        chosen = np.intersect1d(some, lines)
+        misfit = depths_in_hull(points, of_hull, some, chosen, tangents, (place, turn), cloud.rod_length)
+        if misfit is None:
+            return []
+        parts.append((misfit.found, misfit.explained + 2 * cloud.pose_error, np.concatenate([some, chosen])))
+    depth, explained, rows = (np.concatenate(column) for column in zip(*parts, strict=True))
+    worst = int(np.argmax(depth / explained))
+    inside, allowed, at = float(depth[worst]), float(explained[worst]), rows[worst]
+    if inside <= allowed:
+        return []
+    where = ", ".join(f"{x:.4g}" for x in points[at])
+    what = "contacts lie" if not len(lines) else "contacts, or the rod's tangents at contacts, lie"
+    text = (
+        f"{what} up to {inside:.3g} {cloud.unit} inside the hull of the contacts, at ({where}), where noise and rounding allow "
+        f"{allowed:.2g} {cloud.unit}: the body is not convex there, or the contacts are not where they seem"
+    )
+    return [Contradiction("inside-hull", text, inside)]
 
 
 def _below_table(cloud: Cloud) -> list[Contradiction]:
@@ -237,7 +289,7 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
         return []
     allowed = np.full(len(cloud), ROUNDING * cloud.rod_length + 2 * cloud.pose_error)
     if (rig := cloud.calibration) is not None:
-        allowed += rig.factor(_FALSE_ALARM) * rig.place_sd
+        allowed += rig.factor(FALSE_ALARM) * rig.place_sd
     if cloud.centre_points is not None:  # of a rod that touches the body from below the table
         heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
     else:
@@ -292,7 +344,8 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     distance = np.linalg.norm(cloud.points[here] - spatial.points[there], axis=1)
     error = float(np.percentile(distance, 95)) if len(here) else np.inf
     allowed = ROUNDING * cloud.rod_length + _kappa(len(cloud)) * spatial.noise
-    allowed += _by_calibration(with_rig_errors(spatial, recording))[0]
+    if (rig := with_rig_errors(spatial, recording).calibration) is not None and len(rig.place_sd):
+        allowed += rig.factor(FALSE_ALARM) * float(rig.place_sd.max())
     if lost <= _DISTURBED and error <= allowed:
         return []
     size = f"contacts are off by up to {error:.3g} {cloud.unit}" if len(here) else "all of its contacts are lost"

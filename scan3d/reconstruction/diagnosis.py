@@ -17,7 +17,7 @@ from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, stuck_rows
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
-from scan3d.reconstruction.misfits import Misfit, against_single_force, beyond_tangents, depths_in_hull
+from scan3d.reconstruction.misfits import Errors, Misfit, against_single_force, beyond_tangents, depths_in_hull
 from scan3d.reconstruction.slices import slices_of
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -281,8 +281,8 @@ class _Sample:
             errors = None
             if max(noise):
                 covariance = length**2 * np.einsum("nia,nij,njb->nab", inside, error.point[rows], inside)
-                errors = covariance, np.minimum(error.slope[rows], 1 / _SIGMAS)
-            misfit = beyond_tangents(points, lines, normals, np.arange(len(rows)), errors, _SIGMAS, length)
+                errors = Errors(_SIGMAS, covariance, np.minimum(error.slope[rows], 1 / _SIGMAS))
+            misfit = beyond_tangents(points, lines, normals, np.arange(len(rows)), errors, length)
             beyond[rows[lines]] = (misfit.found - misfit.explained).max(axis=1)
         return known, [beyond]
 

@@ -19,7 +19,6 @@ from scan3d.errors import InputError
 from scan3d.frames import displaced
 from scan3d.recording import Recording
 from scan3d.rigs import RIG_QUANTITIES, RigErrors
-from scan3d.rods import Rod
 from scan3d.spatial import inverse
 
 FORCE_SIGMAS = 8.0
@@ -33,6 +32,8 @@ _TIP_SIGMAS, _LARGEST_TOLERANCE = 5.0, 0.5
 _LIGHT, _TOLERABLE = 4.0, 1e-3
 # Part of a standard deviation by which the rig is changed in central differences: between their error and rounding.
 _STEP = 1e-2
+# Which reactions each model reads, of the six.
+_REACTIONS = {"planar": (0, 1, 5), "spatial": tuple(range(6))}
 # By how much the body may be wider than its contacts.
 _WIDENED = 1.1
 
@@ -79,12 +80,19 @@ class Effects(NamedTuple):
 def effects(recording: Recording, rows: Index, model: str) -> Effects:
     """The effects on the contacts of some rows; NaN where a row has no rod.  The recording has a `rig`."""
     assert recording.rig is not None
-    components = recording.rig.components().T
     axes = recording.axes()[rows]
     moved: list[list[Array]] = [[], [], []]
     wrench, noise = _wrench(recording, rows), _weights(recording, model)
-    for component in components:
-        sides = (_contacts(recording.rod, wrench, noise, sign * _STEP * component) for sign in (1.0, -1.0))
+    errors = [(component, np.zeros(6)) for component in recording.rig.components().T]
+    size = np.zeros((len(rows), 1))
+    if relative := recording.rig.relative:
+        size = _size(recording, rows)[:, None]
+        errors += [(np.zeros(len(RIG_QUANTITIES)), relative * np.eye(6)[k]) for k in _REACTIONS[model]]
+    for component, of_wrench in errors:
+        sides = (
+            _contacts(recording, rows, _added(wrench, sign * _STEP * size * of_wrench), noise, sign * _STEP * component)
+            for sign in (1.0, -1.0)
+        )
         with np.errstate(invalid="ignore"):
             for column, one, other in zip(moved, *sides, strict=True):
                 column.append((one - other) / (2 * _STEP))
@@ -94,6 +102,19 @@ def effects(recording: Recording, rows: Index, model: str) -> Effects:
     )
     place, tangent = (np.einsum("nip,nij->njp", column, axes) for column in (place, tangent))
     return Effects(place, tangent, s1)
+
+
+def _size(recording: Recording, rows: Index) -> Array:
+    """(n,) sizes of the wrenches of some rows, no less than the median of all rows with a force."""
+    force, moment = recording.reactions(recording.six_axis)
+    size = np.linalg.norm(np.hstack([force, moment]), axis=1)
+    pressed = felt(force, recording.noise.of_reactions(recording.rod))
+    return np.asarray(np.maximum(size[rows], np.median(size[pressed]) if pressed.any() else 0.0))
+
+
+def _added(wrench: tuple[Array, Array], error: Array) -> tuple[Array, Array]:
+    force, moment = wrench
+    return force + error[:, :3], moment + error[:, 3:]
 
 
 def _wrench(recording: Recording, rows: Index) -> tuple[Array, Array]:
@@ -107,17 +128,29 @@ def _weights(recording: Recording, model: str) -> tuple[float, float] | None:
 
 
 def _contacts(
-    rod: Rod, wrench: tuple[Array, Array], noise: tuple[float, float] | None, error: Array
+    recording: Recording,
+    rows: Index,
+    wrench: tuple[Array, Array],
+    noise: tuple[float, float] | None,
+    error: Array,
 ) -> tuple[Array, Array, Array]:
     """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (14,)."""
-    force, moment = wrench
+    rod, (force, moment) = recording.rod, wrench
     offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:]
     softer = np.exp(-error[0])
     force, moment = (softer * part for part in displaced(force, moment, sensor_turn, lever))
     if noise is None:
         force[:, 2] = 0
         moment[:, :2] = 0
-    found = inverse.reconstruct(force, moment, tolerance=inverse.PAST_TIP, noise=noise)
+    down = recording.down()
+    found = inverse.reconstruct(
+        force,
+        moment,
+        tolerance=inverse.PAST_TIP,
+        noise=noise,
+        rod=rod.in_space(),
+        gravity=None if down is None else down[rows],
+    )
     place = offset + found.point + np.cross(turn, found.point)
     return place, found.tangent + np.cross(turn, found.tangent), found.s1 / (1 + error[1])
 
@@ -162,7 +195,10 @@ def with_rig_errors(cloud: Cloud, recording: Recording) -> Cloud:
         _of_block(cloud, recording, part, centre, _WIDENED * radius * shape) for part in _blocks(np.arange(len(cloud)))
     ]
     covariance, turn, across, tilt, height = (np.concatenate(column) for column in zip(*blocks, strict=True))
-    found = RigErrors(covariance, turn, across, tilt, height, recording.rig.components().shape[1])
+    relative, count = recording.rig.relative, recording.rig.components().shape[1]
+    if relative:
+        count += len(_REACTIONS[cloud.model]) ** 2
+    found = RigErrors(covariance, turn, across, tilt, height, count, relative)
     cloud = replace(cloud, calibration=found)
     together = np.column_stack([covariance.reshape(-1, 9), turn, across, tilt, height])
     known = np.flatnonzero(np.isfinite(together).all(axis=1))
@@ -177,7 +213,7 @@ def _of_block(cloud: Cloud, recording: Recording, part: Index, centre: Array, sh
     place, turned = length * moved.place, moved.tangent
     axes = recording.axes()[rows]
     noise = _weights(recording, cloud.model)
-    bent = _contacts(recording.rod, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)))
+    bent = _contacts(recording, rows, _wrench(recording, rows), noise, np.zeros(len(RIG_QUANTITIES)))
     tangent = np.einsum("ni,nij->nj", bent[1], axes)
     tangential = cloud.phase[part] == planar.Phase.TANGENTIAL
     turned = np.where(tangential[:, None, None], turned, 0.0)

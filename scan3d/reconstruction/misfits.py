@@ -36,41 +36,49 @@ class Misfit(NamedTuple):
         return float(self.found[i]), float(self.explained[i])
 
 
+class Errors(NamedTuple):
+    """Errors of contacts (n,) in a slice's plane, and how many standard deviations of them count as explained."""
+
+    sigmas: float
+    covariance: Array
+    """(n, 2, 2) of the places."""
+    turn_sd: Array
+    """(n,) of the tangents' angles, in radians."""
+
+
 def beyond_tangents(
-    points: Array,
-    lines: Index,
-    normals: Array,
-    some: Index,
-    noise: tuple[Array, Array] | None,
-    sigmas: float,
-    length: float,
+    points: Array, lines: Index, normals: Array, some: Index, error: Errors | None, length: float
 ) -> Misfit:
     """How far (k, m) `some` contacts of a slice lie beyond the tangents at others.
 
     points, lines, normals
         (n, 2) contacts in the slice's plane; (k,) the numbers of those with tangents, and (k, 2) the outward normals there.
-    noise, sigmas
-        covariances (n, 2, 2) of the contacts and standard deviations (n,) of the tangents' angles, None for exact ones; and how
-        many standard deviations count as explained.
+    error
+        that of the contacts; None for exact ones.
     length
         the rod's, in the unit of the points.
     """
-    place = points[lines]
-    beyond = normals @ points[some].T - (normals * place).sum(axis=1)[:, None]
+    beyond = normals @ points[some].T - (normals * points[lines]).sum(axis=1)[:, None]
     explained = np.full(beyond.shape, ROUNDING * length)
-    if noise is not None:
-        covariance, turn_sd = noise
-        tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
-        along = tangents @ points[some].T - (tangents * place).sum(axis=1)[:, None]
-        quadratic = np.stack([normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
-        entries = np.stack([covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]], axis=1)
-        others = np.sqrt(np.maximum(quadratic @ entries[some].T, 0.0))
-        own = np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
-        reach = sigmas * np.sqrt(entries[:, 0] + entries[:, 2])
+    if error is not None:
+        reach = error.sigmas * np.sqrt(np.trace(error.covariance, axis1=1, axis2=2))
         pairs = reach[lines][:, None] + reach[some]
-        # the last summand is of the second order
-        explained += sigmas * (others + own + turn_sd[lines][:, None] * (np.abs(along) + pairs)) + pairs**2 / length
+        others, own, turned = deviations(points, lines, normals, some, error)
+        # the last summands are of the second order
+        explained += error.sigmas * (others + own + turned + error.turn_sd[lines][:, None] * pairs) + pairs**2 / length
     return Misfit(beyond, explained)
+
+
+def deviations(points: Array, lines: Index, normals: Array, some: Index, error: Errors) -> tuple[Array, Array, Array]:
+    """Standard deviations of the distances of `beyond_tangents`: by the places of the contacts (k, m), by those of the lines
+    (k, 1), and by the lines' angles (k, m)."""
+    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    along = tangents @ points[some].T - (tangents * points[lines]).sum(axis=1)[:, None]
+    quadratic = np.stack([normals[:, 0] ** 2, 2 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
+    entries = np.stack([error.covariance[:, 0, 0], error.covariance[:, 0, 1], error.covariance[:, 1, 1]], axis=1)
+    others = np.sqrt(np.maximum(quadratic @ entries[some].T, 0.0))
+    own = np.sqrt(np.maximum((quadratic * entries[lines]).sum(axis=1), 0.0))[:, None]
+    return others, own, error.turn_sd[lines][:, None] * np.abs(along)
 
 
 def against_single_force(
