@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array
-from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate
+from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate, premises
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
@@ -194,12 +194,16 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     """The certified bound and its parts, and the bound relative to the diagonal of the contacts' bounding box."""
     bound, bounds, cloud = analysis.certificate.bound, analysis.bounds, analysis.cloud
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    assumed = premises(analysis.recording, cloud, {warning.code for warning in analysis.warnings})
     return {
         "bound": bound,
         "relative": bound / diagonal,
         "unit": cloud.unit,
         "hull_bound": bounds.bound,
         "confidence": bounds.confidence,
+        "premise": "; ".join(premise.assumed for premise in assumed),
+        "premises": [premise._asdict() for premise in assumed],
+        "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
         "table": cloud.table,
         "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _calibration_off(cloud, bounds),
         "volume": list(bounds.volume),
@@ -458,6 +462,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
         table = certified.get("table")
         on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
         rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
+        rows += _premise_rows(certified)
     else:
         nothing = "nothing, because no contact bounds the body on some side of it"
         hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
@@ -465,6 +470,17 @@ def summary(data: Mapping[str, Any]) -> Summary:
         unproven = f"; {count} slices without contact prove no end, because their sweeps miss places that it may reach"
         rows.append(("certified", nothing + (unproven if count else "") + hint))
     return Summary(heading, rows)
+
+
+def _premise_rows(certified: Mapping[str, Any]) -> Rows:
+    """What the certificate assumes, and what became of the premises that the data could test."""
+    premises = certified["premises"]
+    untested = ", ".join(premise["assumed"] for premise in premises if not premise["tested"])
+    outcomes = "; ".join(premise["outcome"] for premise in premises if premise["tested"])
+    return [
+        ("assumed", certified["premise"]),
+        ("tested", f"{outcomes}; not tested: {untested}" if untested else outcomes),
+    ]
 
 
 def _distance(part: Mapping[str, Any], unit: str) -> str:
@@ -563,4 +579,5 @@ def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
             rows.append(("distance from the mesh itself", length(itself["two_sided"], unit)))
     if certified["bound"] is not None and np.isfinite(certified["bound"]):
         rows.append(("certified within", length(certified["bound"], unit, up=True) + of_hull))
+        rows += _premise_rows(certified)
     return tuple(rows)

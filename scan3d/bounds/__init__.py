@@ -4,5 +4,18 @@ from scan3d.bounds.cells import Gap
 from scan3d.bounds.certificates import Certificate, certificate, withdrawn
 from scan3d.bounds.constraints import Allowed, allowed, sigmas
 from scan3d.bounds.enclosures import Enclosure, enclosure
+from scan3d.bounds.premises import Premise, premises
 
-__all__ = ["Allowed", "Certificate", "Enclosure", "Gap", "allowed", "certificate", "enclosure", "sigmas", "withdrawn"]
+__all__ = [
+    "Allowed",
+    "Certificate",
+    "Enclosure",
+    "Gap",
+    "Premise",
+    "allowed",
+    "certificate",
+    "enclosure",
+    "premises",
+    "sigmas",
+    "withdrawn",
+]

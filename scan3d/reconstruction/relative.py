@@ -10,8 +10,9 @@ excess is put down to a relative error of the wrench, by two estimates, of which
   N. Laird, *Meta-analysis in clinical trials*, 1986, estimate a variance that is common to several studies);
 - by the one pair of which most is left that noise does not explain.
 
-Both see differences only.  What is the same in all sweeps shows nowhere, and the bounds allow for it with the factor of all
-errors of the given size at once (`scan3d.rigs.RigErrors.factor`).
+An error of the wrench shows in many pairs: a few that contradict each other, as disturbed rows and dents do, are none.  Both
+estimates see differences only.  What is the same in all sweeps shows nowhere, and the bounds allow for it with the factor of
+all errors of the given size at once (`scan3d.rigs.RigErrors.factor`).
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ from scan3d.rigs import with_relative
 LARGEST = 0.005
 """Largest relative error that is allowed for; errors of the second order, of the size of its square times the square of the
 factor, are not.  A recording with a larger one contradicts the model."""
+# The most that one pair counts as evidence: that of three standard deviations.
+_ONE_PAIR = 9.0
 # Estimates with contacts that earlier ones have changed; an estimate that is not smaller than this part of the one before it is
 # the last one, and none counts as smaller than the other part of it, because an error that is too large leaves few lines.
 _PASSES, _SETTLED, _SMALLER = 6, 0.8, 0.25
@@ -93,13 +96,11 @@ def _pairs(compared: Compared, cloud: Cloud) -> _Pairs:
 
 def _relative_error(recording: Recording, cloud: Cloud) -> float:
     """The relative error that the contacts of a recording show; 0 if they agree."""
-    total, count, excess = 0.0, 0, False
+    total, count = 0.0, 0
     for compared in compared_in_slices(cloud):
-        pairs = _pairs(compared, cloud)
-        total, count = total + float(pairs.square.sum()), count + len(pairs.square)
-        excess |= bool((compared.misfit.found > compared.misfit.explained).any())
-    differ = count > 0 and total > chdtri(count, FALSE_ALARM)
-    if not (differ or excess):
+        square = _pairs(compared, cloud).square
+        total, count = total + float(np.minimum(square, _ONE_PAIR).sum()), count + len(square)
+    if not count or total <= chdtri(count, FALSE_ALARM):
         return 0.0
     of_unit = with_rig_errors(replace(cloud, calibration=None), replace(recording, rig=with_relative(None, LARGEST)))
     unit, cloud = of_unit.calibration, cloud.select(np.isin(cloud.row, of_unit.row))
@@ -111,5 +112,4 @@ def _relative_error(recording: Recording, cloud: Cloud) -> float:
         worst = max(worst, float(((compared.misfit.found - compared.misfit.explained) / sum_of).max()))
         by_all += float((pairs.square - 1).sum())
         expected += float((compared.variance(error)[pairs.line, pairs.contact] / pairs.variance).sum())
-    mean = np.sqrt(by_all / expected) if differ and by_all > 0 else 0.0
-    return LARGEST * max(float(mean), worst)
+    return LARGEST * max(float(np.sqrt(by_all / expected)), worst)

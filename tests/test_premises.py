@@ -1,0 +1,146 @@
+"""What the certificate assumes: the rod is tested by sweeps over the same place, so is convexity, and the report says so."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+
+import planar
+import scan3d
+from scan3d.pipeline import analyse
+from scan3d.reconstruction import agreement, checked, with_relative_error
+from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.diagnosis import Diagnosis
+from scan3d.reconstruction.relative import LARGEST
+from scan3d.report import report, summary
+
+BODY = trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0]))
+ROD = scan3d.Rod.of_length(0.028)
+
+
+@cache
+def simulated(rod):
+    return scan3d.simulate(BODY, scan3d.Plan(slices=6, samples=40, friction=0.3, spacing="cosine", rod=rod))
+
+
+def recorded(noise=0.0, rod=ROD, gains=(1.0, 1.0, 1.0), seed=0):
+    """A recording by a rod that may be another one than the straight, uniform one that it states, with gains of the sensor."""
+    recording = simulated(rod)
+    draw, (force, moment) = np.random.default_rng(seed), (noise * ROD.force_unit_N, noise * ROD.moment_unit_Nm)
+    return replace(
+        recording,
+        rod=replace(ROD, diameter_m=0.0),
+        force_N=recording.force_N * gains[:2] + force * draw.standard_normal(recording.force_N.shape),
+        moment_Nm=recording.moment_Nm * gains[2] + moment * draw.standard_normal(len(recording)),
+        noise_force_N=force,
+        noise_moment_Nm=moment,
+    )
+
+
+def relative_error(recording):
+    found = with_relative_error(recording, contacts(recording))
+    return 0.0 if found is recording else found.rig.relative
+
+
+@pytest.fixture
+def undiagnosed(monkeypatch):
+    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
+
+
+CURVED = replace(ROD, curvature_per_m=0.005 / ROD.length_m)
+TAPERED = replace(ROD, tip_diameter_m=0.99 * ROD.diameter_m)
+WRONG = {
+    "curved": {"rod": CURVED},
+    "curved away": {"rod": replace(ROD, curvature_per_m=-0.005 / ROD.length_m)},
+    "tapered": {"rod": TAPERED},
+    "clamp": {"rod": replace(ROD, clamp_compliance_rad_per_Nm=np.radians(0.05) / ROD.moment_unit_Nm)},
+    "gain of fx": {"gains": (1.01, 1.0, 1.0)},
+    "gain of fy": {"gains": (1.0, 1.003, 1.0)},
+    "gain of mz": {"gains": (1.0, 1.0, 0.997)},
+}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+def test_a_right_recording_has_no_relative_error(noise):
+    assert relative_error(recorded(noise)) == 0.0
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("wrong", WRONG)
+def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
+    assert 1e-5 < relative_error(recorded(noise, **WRONG[wrong])) <= LARGEST
+
+
+def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
+    recording = recorded(1e-4, rod=replace(ROD, tip_diameter_m=0.9 * ROD.diameter_m))
+    cloud = contacts(recording)
+    assert with_relative_error(recording, cloud) is recording
+    assert checked(recording, cloud).contradictions
+
+
+def false_statements(analysis):
+    """What the bounds state of the body, and what of it is wrong."""
+    bounds, vertices = analysis.bounds, np.asarray(BODY.vertices)
+    low, high = bounds.support(np.vstack([np.eye(3), -np.eye(3)]))
+    true = (vertices @ np.vstack([np.eye(3), -np.eye(3)]).T).max(axis=0)
+    stated = {
+        "bound": analysis.comparison.hausdorff <= analysis.certificate.bound,
+        "extents": bool((low <= true + 1e-9).all() and (true <= high + 1e-9).all()),
+        "volume": bounds.volume[0] <= BODY.volume <= bounds.volume[1],
+    }
+    return [name for name, holds in stated.items() if not holds]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "noise"), [("curved", 1e-3), ("gain of mz", 1e-4), ("tapered", 0.0), ("clamp", 1e-3)]
+)
+def test_bounds_allow_for_the_relative_error(wrong, noise):
+    """Without it, curvature of 0.5 % of 1/L makes the extents false, and the others take the certificate away."""
+    analysis = analyse(recorded(noise, **WRONG[wrong]), BODY, "hull")
+    assert not analysis.warnings
+    assert 0 < analysis.cloud.calibration.relative <= LARGEST
+    assert np.isfinite(analysis.certificate.bound)
+    assert false_statements(analysis) == []
+    assert analysis.recording.rig is None  # it is no part of the files
+    data = report(analysis, settings={})
+    rows = dict(summary(data).rows)
+    assert "of the wrench, which the bounds allow for" in rows["tested"]
+    assert data["certificate"]["relative_error"] == analysis.cloud.calibration.relative
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(("phase", "code"), [("TIP", "inside-hull"), ("TANGENTIAL", "beyond-tangent")])
+def test_a_contact_in_a_dent_contradicts_convexity(phase, code, noise, undiagnosed):
+    recording = recorded(noise)
+    cloud = contacts(recording)
+    touched = np.flatnonzero(cloud.phase == planar.Phase[phase])
+    row = touched[len(touched) // 2]
+    position = recording.position_m.copy()
+    position[cloud.row[row]] -= 0.03 * ROD.length_m * cloud.in_plane_normals[row]
+    dented = replace(recording, position_m=position)
+    cloud = contacts(dented)
+    assert with_relative_error(dented, cloud) is dented
+    found = checked(dented, cloud).contradictions
+    assert [each.code for each in found] == [code]
+
+
+def test_the_report_says_what_is_assumed_and_what_was_tested():
+    analysis = analyse(recorded(1e-4), BODY, "hull")
+    data = report(analysis, settings={})["certificate"]
+    body, rod, noise = data["premises"]
+    assert data["premise"] == "; ".join(each["assumed"] for each in (body, rod, noise))
+    assert (body["tested"], rod["tested"], noise["tested"]) == (True, True, False)
+    assert "sweeps agree at the places that several of them touched" in rod["outcome"]
+    one_sweep = recorded(1e-4)
+    first = np.array([np.flatnonzero(one_sweep.sweep == k)[0] for k in np.unique(one_sweep.sweep)])
+    heights = np.round(one_sweep.position_m[first, 2], 9)
+    chosen = np.unique(heights, return_index=True)[1]
+    kept = np.isin(one_sweep.sweep, one_sweep.sweep[first[chosen]])
+    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
+    alone = replace(one_sweep, **{name: getattr(one_sweep, name)[kept] for name in names})
+    rod = report(analyse(alone, None, "hull"), settings={})["certificate"]["premises"][1]
+    assert not rod["tested"]
+    assert rod["outcome"] == "not tested: no two sweeps touched the same place"
