@@ -18,6 +18,7 @@ from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.spatial.bodies import RoundedPolyhedron
+from scan3d.spatial.equilibrium import wrench
 from scan3d.spatial.sweeping import End, sweep
 from scan3d.units import UNITS_M
 
@@ -27,9 +28,12 @@ _STRAIGHT = 1e-6
 _AXIS_DECIMALS = 12
 # Sweeps that are computed at once.
 _AT_ONCE_PLANAR, _AT_ONCE = 16, 128
-# Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The reactions in between are
-# interpolated; contacts from them are off by some 1e-5 rod lengths, and next to snaps by a step.
+# Path of the clamp, in rod lengths, from one place where contact in space is solved to the next.  The rods in between are
+# interpolated; contacts from them are off by some 1e-5 rod lengths.
 _STEP = 0.0025
+# Turn of the force, in radians, and path of the contact, in rod lengths, from one of these places to the next, from which on
+# every row in between is solved, as at snaps: edges and vertices are passed in shorter paths, and friction may be drawn anew.
+_TURNED, _MOVED = 0.02, 0.01
 # Distance of the places, in rod lengths, at which straight rods are looked at on their paths outside of sweeps.
 _LOOKED_AT = 0.02
 
@@ -225,17 +229,30 @@ def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
 
 def _felt_in_space(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Reactions]:
     body, middle = rounded_body(mesh, length, radius)
-    paths = [_places((track.position - middle) / length, track) for track in tracks]
-    reactions: dict[int, Reactions] = {}
-    order = sorted(range(len(tracks)), key=lambda k: len(paths[k][1]))
-    for first in range(0, len(order), _AT_ONCE):
-        rows = order[first : first + _AT_ONCE]
-        reactions |= dict(zip(rows, _swept(body, [tracks[k] for k in rows], [paths[k] for k in rows]), strict=True))
-    return [reactions[k] for k in range(len(tracks))]
+    places = [_places((track.position - middle) / length, track) for track in tracks]
+    found: dict[int, _Swept] = {}
+    again = list(range(len(tracks)))
+    for _ in range(2):  # the second time with the rows where the contact changes much
+        order = sorted(again, key=lambda k: len(places[k]))
+        for first in range(0, len(order), _AT_ONCE):
+            rows = order[first : first + _AT_ONCE]
+            positions = [(tracks[k].position - middle) / length for k in rows]
+            parts = _swept(body, [tracks[k] for k in rows], positions, [places[k] for k in rows])
+            found |= dict(zip(rows, parts, strict=True))
+        again = [k for k in order if len(found[k].turned)]
+        for k in again:
+            places[k] = np.union1d(places[k], found[k].turned)
+    return [found[k].reactions for k in range(len(tracks))]
 
 
-def _places(position: Array, track: Track) -> tuple[Array, Array]:
-    """Where on its path a sweep is solved: (k,) in rows, and the positions (k, 3) there.
+class _Swept(NamedTuple):
+    reactions: Reactions
+    turned: Array
+    """Rows between places from one to the next of which the contact changes much."""
+
+
+def _places(position: Array, track: Track) -> Array:
+    """Where on its path a sweep is solved: (k,) in rows.
 
     At every row, unless the rows of a straight path are closer to each other than needed.
     """
@@ -244,60 +261,91 @@ def _places(position: Array, track: Track) -> tuple[Array, Array]:
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
     count = math.ceil(path[-1] / _STEP) + 1
     if count >= n or np.abs(track.axes - track.axes[0]).max() > _STRAIGHT:
-        return every, position
-    at = np.interp(np.linspace(0, path[-1], count), path, every)
-    columns = [np.interp(at, every, column) for column in position.T]
-    return at, np.stack(columns, axis=1)
+        return every
+    return np.asarray(np.interp(np.linspace(0, path[-1], count), path, every))
 
 
-def _swept(body: RoundedPolyhedron, tracks: list[Track], paths: list[tuple[Array, Array]]) -> list[Reactions]:
+def _swept(body: RoundedPolyhedron, tracks: list[Track], rows: list[Array], places: list[Array]) -> list[_Swept]:
     """Sweeps of similar lengths at once: shorter ones go on beyond their ends, which is cut off."""
-    n = max(len(at) for at, _ in paths)
+    n = max(len(at) for at in places)
     position, friction = np.empty((len(tracks), n, 3)), np.empty((len(tracks), n))
     turning = any(np.abs(track.axes - track.axes[0]).max() > _STRAIGHT for track in tracks)
     axes = np.empty((len(tracks), n, 3, 3))
-    for k, (track, (at, places)) in enumerate(zip(tracks, paths, strict=True)):
-        count, step = len(at), places[-1] - places[-2]
-        position[k, :count] = places
-        position[k, count:] = places[-1] + np.arange(1, n - count + 1)[:, None] * step
-        rows = np.minimum(np.round(at).astype(np.intp), len(track.friction) - 1)
-        friction[k, :count], friction[k, count:] = track.friction[rows], track.friction[-1]
-        axes[k, :count], axes[k, count:] = track.axes[rows], track.axes[-1]
+    for k, (track, row, at) in enumerate(zip(tracks, rows, places, strict=True)):
+        where = np.stack([np.interp(at, np.arange(len(row)), column) for column in row.T], axis=1)
+        count, step = len(at), where[-1] - where[-2]
+        position[k, :count] = where
+        position[k, count:] = where[-1] + np.arange(1, n - count + 1)[:, None] * step
+        nearest = np.minimum(np.round(at).astype(np.intp), len(track.friction) - 1)
+        friction[k, :count], friction[k, count:] = track.friction[nearest], track.friction[-1]
+        axes[k, :count], axes[k, count:] = track.axes[nearest], track.axes[-1]
     try:
         result = sweep(body, position, axes if turning else axes[:, 0], friction)
     except ValueError as error:
         raise InputError(f"these poses can't be swept in space: {error}; plan with a larger --around") from None
-    reactions = []
-    for k, (track, (at, _)) in enumerate(zip(tracks, paths, strict=True)):
+    found = []
+    for k, (track, at) in enumerate(zip(tracks, places, strict=True)):
         count = len(at)
-        touches = np.isfinite(result.s1[k, :count])
-        values = np.nan_to_num(np.concatenate([result.force[k, :count], result.moment[k, :count]], axis=1))
+        s1, force, moment = result.s1[k, :count], result.force[k, :count], result.moment[k, :count]
+        touches, turned = np.isfinite(s1), at[:0]
         lost = bool(result.end[k] == End.LOST)
         if count < len(track.position):
             # across a snap the reactions jump
             joined = touches[:-1] & touches[1:] & ~result.snapped[k, 1:count]
-            values, touches = _between(at, values, touches, joined, len(track.position))
-        reactions.append(Reactions(values[:, :3], values[:, 3:], touches, lost))
-    return reactions
+            turn, path = (
+                np.linalg.norm(np.diff(column, axis=0), axis=1)
+                for column in (force / np.linalg.norm(force, axis=1, keepdims=True), result.point[k, :count])
+            )
+            turns = touches[:-1] & touches[1:] & ~(joined & (turn <= _TURNED) & (path <= _MOVED))
+            row = np.arange(len(track.position), dtype=float)
+            turned = row[turns[np.clip(np.searchsorted(at, row) - 1, 0, count - 2)] & ~np.isin(row, at)]
+            force, moment, touches = _between(at, (s1, force, moment), touches, joined, len(track.position))
+        found.append(_Swept(Reactions(np.nan_to_num(force), np.nan_to_num(moment), touches, lost), turned))
+    return found
 
 
-def _between(at: Array, values: Array, touches: Mask, joined: Mask, rows: int) -> tuple[Array, Mask]:
-    """Values (n, k) at the rows from those at places `at` (m,), between which they are smooth where two places are `joined`.
+def _between(
+    at: Array, known: tuple[Array, Array, Array], touches: Mask, joined: Mask, rows: int
+) -> tuple[Array, Array, Mask]:
+    """Forces and moments (n, 3) at the rows, zero without contact, and where the rod touches (n,).
 
-    From the place before a touch-down to the first place that touches, and likewise at a lift-off, nothing touches; on both
-    sides of a snap the values are those of the nearest place.
+    They come from contacts `known` at places `at` (m,): arc lengths, forces and moments.  In between the rod is bent as by a
+    single force at an arc length, with the direction of the force, q² and sin β interpolated where two places are `joined`: so
+    a tip contact stays one, and the force in the cone.  From the place before a touch-down to the first place that touches, and
+    likewise at a lift-off, nothing touches; on both sides of a snap the rod is that of the nearest place.
     """
     row = np.arange(rows, dtype=float)
     before = np.minimum(np.searchsorted(at, row, side="right") - 1, len(at) - 2)
     part = (row - at[before]) / (at[before + 1] - at[before])
     part = np.where(joined[before], part, np.round(part))
     part[-1] = 1.0
-    mixed = (1 - part[:, None]) * values[before] + part[:, None] * values[before + 1]
     exact = np.isin(row, at)
     touching = np.where(exact & (part == 0), touches[before], touches[before] & touches[before + 1])
     touching[-1] = touches[-1]
-    mixed[~touching] = 0.0
-    return mixed, touching
+    force, moment = np.zeros((rows, 3)), np.zeros((rows, 3))
+    some = np.flatnonzero(touching)
+    before, part = before[some], part[some]
+    after = np.where(part > 0, before + 1, before)
+    s1, (omega, alpha, squared) = known[0], _state(*known[1:])
+    turn = (omega[after] - omega[before] + np.pi) % (2 * np.pi) - np.pi
+    # the sine of half the angle of the force, squared, and q² are of one sign, and sin β is twice their sum less 1
+    half, squared, s1, leaning = (
+        column[before] + part * (column[after] - column[before])
+        for column in (np.sin(alpha / 2) ** 2, squared, s1, alpha)
+    )
+    alpha = np.copysign(2 * np.arcsin(np.sqrt(half)), leaning)
+    state = np.stack([omega[before] + part * turn, alpha, squared, s1])
+    found = wrench(state, planar.elastica.bend(alpha, np.sqrt(squared)).length)
+    force[some], moment[some] = found[0].T, found[1].T
+    return force, moment, touching
+
+
+def _state(force: Array, moment: Array) -> tuple[Array, Array, Array]:
+    """The angles ω and α and q², each (n,), of rods with reactions (n, 3) (S5 to S7)."""
+    size = np.linalg.norm(moment, axis=1)
+    omega = np.arctan2(-moment[:, 0], moment[:, 2])
+    lateral = force[:, 0] * np.cos(omega) + force[:, 2] * np.sin(omega)
+    return omega, np.arctan2(-lateral, force[:, 1]), size**2 / (4 * np.linalg.norm(force, axis=1))
 
 
 def steps_touch(mesh: Any, position: Array, axes: Array, length: float, radius: float) -> Mask:

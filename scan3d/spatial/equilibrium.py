@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planar.elastica import bend_with_slopes
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Mask
 from scan3d.spatial.bodies import Patch, basis, dot
 
 
@@ -150,7 +150,9 @@ class System(NamedTuple):
     residual: Array
     jacobian: Array
     normal_force: Array
-    """(n,) part of the unit force along the normal."""
+    """(n,) part of the unit force along the normal that friction refers to."""
+    tangential_force: Array
+    """(3, n) the rest of the unit force."""
     slip: Array
     """(n,) path of the rod's material point along the surface, since the state before."""
     friction_force: Array
@@ -172,7 +174,8 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
 
     zero = np.zeros(count)
     tangents = np.stack([rod.tangent_omega, rod.angle_alpha * rod.tangent_angle, rod.angle_square * rod.tangent_angle])
-    parts = _across(state, rod, patch, law, tangents)
+    law_normal = _law_normal(rod, patch, tangents)
+    parts = _across(state, rod, patch, law, tangents, law_normal)
     sticks = _friction(residual, jacobian, law, parts)
 
     lean = -dot(rod.tangent, n)
@@ -184,7 +187,37 @@ def system(state: Array, rod: Bent, patch: Patch, law: Law) -> System:
     jacobian[5, 3] = np.where(tip, -1.0, 0.0)
     v, g = parts.slip, parts.force
     slip, friction_force = np.hypot(v[0], v[1]), np.hypot(g[0], g[1])
-    return System(residual, jacobian, parts.normal_force, slip, friction_force, -(v * g).sum(axis=0), sticks)
+    tangential_force = rod.force - parts.normal_force * law_normal[0]
+    dissipated = -(v * g).sum(axis=0)
+    return System(residual, jacobian, parts.normal_force, tangential_force, slip, friction_force, dissipated, sticks)
+
+
+def _law_normal(rod: Bent, patch: Patch, tangents: Array) -> tuple[Array, Array]:
+    """The normals (3, n) that friction refers to, and their derivatives (6, 3, n).
+
+    Where facets stand for a smooth body, the smooth normal of a place is not exactly that of the smooth body's contact with
+    this rod.  It is turned so that it has the same angle to the rod as the facets' normal, which is 90° in tangential contact:
+    the force then stays in a cone about a normal of the rod, |β| <= ζ (S11).
+    """
+    m, t = patch.law_normal, rod.tangent
+    slopes = np.zeros((6, *m.shape))
+    slopes[4], slopes[5] = patch.law_normal_1, patch.law_normal_2
+    turned = np.abs(patch.normal - m).max(axis=0) > NEGLIGIBLE
+    if not turned.any():
+        return m, slopes
+    by_rod, gap = np.zeros_like(slopes), patch.normal - m
+    by_rod[:3] = tangents
+    gap_slopes = -slopes
+    gap_slopes[4] += patch.normal_1
+    gap_slopes[5] += patch.normal_2
+    missing = dot(gap, t)
+    missing_slopes = (gap_slopes * t + by_rod * gap).sum(axis=1)
+    vector = m + missing * t
+    vector_slopes = slopes + missing_slopes[:, None] * t + missing * by_rod
+    size = np.sqrt(dot(vector, vector))
+    normal = vector / size
+    normal_slopes = (vector_slopes - (vector_slopes * normal).sum(axis=1)[:, None] * normal) / size
+    return np.where(turned, normal, m), np.where(turned, normal_slopes, slopes)
 
 
 class _Across(NamedTuple):
@@ -202,27 +235,27 @@ class _Across(NamedTuple):
     """(2, n) direction of the slip where it is frozen."""
 
 
-def _across(state: Array, rod: Bent, patch: Patch, law: Law, tangents: Array) -> _Across:
+def _across(
+    state: Array, rod: Bent, patch: Patch, law: Law, tangents: Array, law_normal: tuple[Array, Array]
+) -> _Across:
     """What the law of friction needs, with the derivatives (3, 3, n) of the rod's tangent by ω, α, q²."""
-    m, count = patch.law_normal, state.shape[1]
+    (m, m_slopes), count = law_normal, state.shape[1]
     # slip v = P y with y = r1 - r1⁻ - (s1 - s1⁻) t1
     along = state[3] - law.s1
     y = patch.point - law.place - along * rod.tangent
     y_slopes = np.concatenate([-along * tangents, -rod.tangent[None], patch.point_1[None], patch.point_2[None]])
-    y_n, normal_force, zero = dot(y, m), dot(rod.force, m), np.zeros(count)
-    by_place = dot(rod.force, patch.law_normal_1), dot(rod.force, patch.law_normal_2)
-    normal_slopes = np.stack([dot(rod.force_omega, m), dot(rod.force_alpha, m), zero, zero, *by_place])
+    y_n, normal_force = dot(y, m), dot(rod.force, m)
+    by_rod = np.zeros_like(y_slopes)
+    by_rod[0], by_rod[1] = rod.force_omega, rod.force_alpha
+    by_rod, y_slopes, m_slopes = (slopes.swapaxes(0, 1) for slopes in (by_rod, y_slopes, m_slopes))
+    normal_slopes = dot(by_rod, m[:, None]) + dot(rod.force[:, None], m_slopes)
     slip, force, frozen = (np.empty((2, count)) for _ in range(3))
     slip_slopes, force_slopes = [], []
     for k, u in enumerate(basis(m)):
-        turned = dot(patch.law_normal_1, u), dot(patch.law_normal_2, u)
+        turned = dot(m_slopes, u[:, None])
         slip[k], force[k], frozen[k] = dot(y, u), dot(rod.force, u), dot(law.direction, u)
-        slope = dot(y_slopes.swapaxes(0, 1), u[:, None])
-        slope[4] -= y_n * turned[0]
-        slope[5] -= y_n * turned[1]
-        slip_slopes.append(slope)
-        by_place = -normal_force * turned[0], -normal_force * turned[1]
-        force_slopes.append(np.stack([dot(rod.force_omega, u), dot(rod.force_alpha, u), zero, zero, *by_place]))
+        slip_slopes.append(dot(y_slopes, u[:, None]) - y_n * turned)
+        force_slopes.append(dot(by_rod, u[:, None]) - normal_force * turned)
     return _Across(slip, np.stack(slip_slopes), force, np.stack(force_slopes), normal_force, normal_slopes, frozen)
 
 

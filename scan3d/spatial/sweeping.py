@@ -435,7 +435,7 @@ class _Lanes:
         """Make the trial states of these lanes their states, and go on from there."""
         lanes = self._lanes
         flowing = lanes.drag[rows] > 0
-        tangential = rod.force[:, rows] - equations.normal_force[rows] * patch.law_normal[:, rows]
+        tangential = equations.tangential_force[:, rows]
         size = np.sqrt(dot(tangential, tangential))
         lanes.slip_direction[:, rows] = np.where(
             size > NEGLIGIBLE, -tangential / np.maximum(size, NEGLIGIBLE), lanes.slip_direction[:, rows]
