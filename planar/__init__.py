@@ -16,24 +16,29 @@ clamped at ``(x0, 0)`` and points up, the object lies above, the base moves in -
 equations of L. Merker, J. Steigenberger, C. Behn, "Friction invariant object reconstruction using a vibrissa-inspired
 tactile sensor concept".
 
-The model is quasi-static and planar, the object convex.  The rod is straight, cylindrical, weightless and rigidly clamped
-unless a `Rod` says otherwise: tapered or of a stiffness that varies, curved, heavy, in a clamp that gives.
+The model is quasi-static and planar.  A convex object is touched at one place at a time; on any other the rod may have several
+contacts, which `reconstruct` does not tell from one.  The rod is straight, cylindrical, weightless and rigidly clamped unless a
+`Rod` says otherwise: tapered or of a stiffness that varies, curved, heavy, in a clamp that gives.
 """
 
-from planar.contours import Circle, Contour, Curve, Ellipse, Polygon
+from planar.any_body import SweepStatus
+from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
 from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
 from planar.march import free_reactions
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.rods import Rod
-from planar.sweeping import Phase, Sweep, sweep, sweep_all
+from planar.sweeping import CONTACT, Phase, Sweep, sweep, sweep_all
 from planar.uncertainty import Errors, errors, jacobian
 
 __all__ = [
+    "CONTACT",
     "TOLERANCE",
     "Circle",
+    "ClosedCurve",
     "Contacts",
     "Contour",
+    "Contours",
     "Curve",
     "ElasticLines",
     "Ellipse",
@@ -46,6 +51,7 @@ __all__ = [
     "Rod",
     "Status",
     "Sweep",
+    "SweepStatus",
     "elastic_lines",
     "errors",
     "events",

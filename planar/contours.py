@@ -4,20 +4,23 @@ A contour lies above the base line ``y = 0``.  The rod, clamped on that line and
 passes it from right to left: the slope angle ``α̃`` falls from ``π/2`` (right) through 0 (lowest point) to ``-π/2`` (left).
 ``t = (cos α̃, sin α̃)`` is the tangent and ``n = (sin α̃, -cos α̃)`` the outward normal.
 
-A strictly convex contour is parametrised by its slope, a convex polygon by its edges and vertices (`planar.paths`).
+A strictly convex contour is parametrised by its slope, a convex polygon by its edges and vertices (`planar.paths`).  Contours
+that are not convex, and several in one plane, are loops (`planar.loops`), which the rod may touch at several places at once.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
 from planar.arrays import ROUNDING, Array
+from planar.loops import Loop, Outlines, crosses_itself, ellipse_loop, polygon_loop, spline_loop
 from planar.paths import Path, polygon_paths, smooth_path
 
 # Step in slope over which a curve's radius of curvature is differenced: truncation, which grows with the square of the step,
@@ -32,11 +35,22 @@ _PAIRS_AT_ONCE = 2_000_000
 
 
 class Contour(ABC):
-    """A convex contour in the plane, in rod lengths."""
+    """A contour in the plane, in rod lengths."""
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether the rod touches it at one place at a time, which then follows a path."""
+        return True
 
     @abstractmethod
     def path(self) -> Path:
-        """The part of the contour that the rod can reach, from its first touch onwards."""
+        """The part of a convex contour that the rod can reach, from its first touch onwards."""
+
+    def loops(self) -> list[Loop]:
+        """The whole contour as closed loops, body on the left."""
+        raise ValueError(
+            f"{type(self).__name__} has a lower side only; closed are Circle, Ellipse, Polygon and Curve.from_points"
+        )
 
     @abstractmethod
     def distance(self, points: ArrayLike) -> Array:
@@ -119,6 +133,17 @@ class Curve(SmoothContour):
             return cls(place)
         return cls(place, lambda slope: support(slope) + second_derivative(slope))
 
+    @staticmethod
+    def from_points(x: ArrayLike, y: ArrayLike) -> ClosedCurve:
+        """The smooth closed curve, convex or not, through points x, y (n,) in either order: a periodic cubic spline.
+
+        The points are those of one turn; the last is joined to the first.  Raises ValueError for curves that cross themselves.
+        """
+        points = [np.asarray(column, dtype=float) for column in (x, y)]
+        if points[0].ndim != 1 or points[0].shape != points[1].shape:
+            raise ValueError(f"a curve needs x and y of one shape (n,), got {points[0].shape} and {points[1].shape}")
+        return ClosedCurve(np.stack(points, axis=1))
+
     def points(self, slope: ArrayLike) -> Array:
         return np.asarray(self.place(np.asarray(slope, dtype=float)))
 
@@ -138,6 +163,10 @@ class Mirrored(SmoothContour):
     """The mirror image of a smooth contour, x → -x: a sweep in +x along the one is a sweep in -x along the other."""
 
     image: SmoothContour
+
+    def loops(self) -> list[Loop]:
+        across = np.array([-1.0, 1.0])
+        return [loop._replace(ellipse=loop.ellipse * [across, across, -across]) for loop in self.image.loops()]
 
     def points(self, slope: ArrayLike) -> Array:
         return np.asarray(self.image.points(-np.asarray(slope, dtype=float)) * np.array([-1.0, 1.0]))
@@ -171,6 +200,9 @@ class Ellipse(SmoothContour):
         u, v = np.sin(slope - self.angle), -np.cos(slope - self.angle)
         a, b = self.semi_axes
         return u, v, np.hypot(a * u, b * v)
+
+    def loops(self) -> list[Loop]:
+        return [ellipse_loop(self.semi_axes, self.center, self.angle)]
 
     def points(self, slope: ArrayLike) -> Array:
         u, v, support = self._normal_in_axes(slope)
@@ -211,6 +243,9 @@ class Circle(SmoothContour):
         if not (np.isfinite([self.radius, *self.center]).all() and self.radius > 0):
             raise ValueError(f"a circle needs a positive radius and a finite center, got {self}")
 
+    def loops(self) -> list[Loop]:
+        return [ellipse_loop((self.radius, self.radius), self.center, 0.0)]
+
     def points(self, slope: ArrayLike) -> Array:
         slope = np.asarray(slope, dtype=float)
         return np.asarray(self.center) + self.radius * np.stack([np.sin(slope), -np.cos(slope)], axis=-1)
@@ -225,28 +260,33 @@ class Circle(SmoothContour):
 
 @dataclass(frozen=True)
 class Polygon(Contour):
-    """Convex polygon with `vertices` (n, 2) in rod lengths, in either order.
+    """Polygon with `vertices` (n, 2) in rod lengths, in either order: any simple loop.
 
     Duplicate and collinear vertices are dropped; afterwards `vertices` runs counter-clockwise.  Raises ValueError if the
-    polygon is not convex, crosses itself, or has no area.
+    polygon crosses or touches itself, or has no area.
     """
 
     vertices: Array = field(repr=False)
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.vertices, dtype=float)
-        if given.ndim != 2 or given.shape[1:] != (2,) or len(given) < 3:
-            raise ValueError(f"a polygon needs vertices of shape (n >= 3, 2), got {given.shape}")
-        if not np.isfinite(given).all():
-            raise ValueError(
-                f"a polygon needs finite vertices, got {int((~np.isfinite(given)).any(axis=1).sum())} that are not"
-            )
-        vertices = _tidy(given)
+        vertices = _tidy(_checked_points(self.vertices, "a polygon", "vertices"))
         vertices.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
 
+    @cached_property
+    def _convex(self) -> bool:
+        return not (_turns(self.vertices) < 0).any()
+
+    @property
+    def is_convex(self) -> bool:
+        return self._convex
+
     def path(self) -> Path:
+        _check_convex(self)
         return polygon_paths([self.vertices])
+
+    def loops(self) -> list[Loop]:
+        return [polygon_loop(self.vertices)]
 
     def distance(self, points: ArrayLike) -> Array:
         points = np.asarray(points, dtype=float)
@@ -262,10 +302,167 @@ class Polygon(Contour):
         return nearest
 
 
+@dataclass(frozen=True)
+class ClosedCurve(Contour):
+    """The smooth closed curve through `points` (n, 2) in rod lengths, convex or not; made by `Curve.from_points`."""
+
+    points: Array = field(repr=False)
+
+    def __post_init__(self) -> None:
+        points = _checked_points(self.points, "a curve", "points")
+        if len(points) > 1 and (points[0] == points[-1]).all():
+            points = points[:-1]
+        _, area = _extent(points)
+        points = np.ascontiguousarray(points if area > 0 else points[::-1])
+        if not np.hypot(*(points - np.roll(points, 1, axis=0)).T).all():
+            raise ValueError("a curve needs points that differ from their neighbours")
+        points.setflags(write=False)
+        object.__setattr__(self, "points", points)
+        between = np.linspace(0, 1, 4 * len(points), endpoint=False)
+        _check_crossing(self._outline.at(np.zeros(len(between), dtype=np.intp), between).point, "curve")
+
+    @cached_property
+    def _outline(self) -> Outlines:
+        return Outlines([self.loops()])
+
+    @property
+    def is_convex(self) -> bool:
+        return False
+
+    def path(self) -> Path:
+        raise ValueError("a curve through points is swept as a loop, it has no path by its slope")
+
+    def loops(self) -> list[Loop]:
+        return [spline_loop(self.points)]
+
+    def distance(self, points: ArrayLike) -> Array:
+        points = np.asarray(points, dtype=float)
+        return np.abs(self._outline.nearest(np.zeros(len(points), dtype=np.intp), points).gap)
+
+
+@dataclass(frozen=True)
+class Contours(Contour):
+    """Several closed contours in one plane, swept together: bodies beside each other.
+
+    Contours inside others are holes, or bodies in holes: no rod reaches them from outside, and they are left out.  Raises
+    ValueError for contours that overlap.
+    """
+
+    parts: Sequence[Contour]
+
+    def __post_init__(self) -> None:
+        parts = tuple(self.parts)
+        if not parts:
+            raise ValueError("several contours need at least one")
+        for part in parts:
+            check_contour(part)
+        loops = [part.loops() for part in parts]
+        outlines, points = (
+            [Outlines([one]) for one in loops],
+            [np.concatenate([_vertices(loop) for loop in one]) for one in loops],
+        )
+        outer = []
+        for i in range(len(parts)):
+            hidden = False
+            for k in range(len(parts)):
+                if k != i:
+                    inside = outlines[k].nearest(np.zeros(len(points[i]), dtype=np.intp), points[i]).gap < 0
+                    if inside.any() != inside.all():
+                        raise ValueError("contours in one plane must not overlap; give the outline of their union")
+                    hidden |= bool(inside.all())
+            if not hidden:
+                outer.append(parts[i])
+        object.__setattr__(self, "parts", tuple(outer))
+
+    @property
+    def is_convex(self) -> bool:
+        return False
+
+    def path(self) -> Path:
+        raise ValueError("several contours are swept as loops, they have no path by their slope")
+
+    def loops(self) -> list[Loop]:
+        return [loop for part in self.parts for loop in part.loops()]
+
+    def distance(self, points: ArrayLike) -> Array:
+        points = np.asarray(points, dtype=float)
+        return np.abs(Outlines([self.loops()]).nearest(np.zeros(len(points), dtype=np.intp), points).gap)
+
+
+def mirrored(contour: Contour) -> Contour:
+    """The mirror image of a contour, x → -x."""
+    across = np.array([-1.0, 1.0])
+    if isinstance(contour, Polygon):
+        return Polygon(contour.vertices * across)
+    if isinstance(contour, ClosedCurve):
+        return ClosedCurve(contour.points * across)
+    if isinstance(contour, Contours):
+        return Contours([mirrored(part) for part in contour.parts])
+    check_contour(contour)
+    assert isinstance(contour, SmoothContour)
+    return Mirrored(contour)
+
+
 def check_contour(contour: object) -> None:
     """Raise TypeError for anything that is not a contour, such as an array of vertices."""
     if not isinstance(contour, Contour):
         raise TypeError(f"a contour must be a planar.Circle, Ellipse, Curve or Polygon, got {type(contour).__name__}")
+
+
+def _checked_points(given: ArrayLike, what: str, name: str) -> Array:
+    points = np.asarray(given, dtype=float)
+    if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
+        raise ValueError(f"{what} needs {name} of shape (n >= 3, 2), got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError(
+            f"{what} needs finite {name}, got {int((~np.isfinite(points)).any(axis=1).sum())} that are not"
+        )
+    return points
+
+
+def _vertices(loop: Loop) -> Array:
+    """Points on a loop that tell inside from outside."""
+    return Outlines([[loop]]).samples
+
+
+def _check_convex(contour: Polygon) -> None:
+    turn = _turns(contour.vertices)
+    if (turn < 0).any():
+        worst, at = int(np.argmin(turn)), contour.vertices
+        raise ValueError(
+            f"this needs a convex polygon: at ({at[worst, 0]:.6g}, {at[worst, 1]:.6g}) it turns inwards by "
+            f"{np.degrees(-turn[worst]):.3g}°; pass its convex hull (scipy.spatial.ConvexHull) if that is what you mean"
+        )
+
+
+def _check_crossing(vertices: Array, what: str) -> None:
+    pair = crosses_itself(vertices)
+    if pair is not None:
+        x, y = vertices[pair[0]]
+        raise ValueError(f"the {what} must not cross or touch itself: it does next to ({x:.6g}, {y:.6g})")
+
+
+def _extent(vertices: Array) -> tuple[float, float]:
+    """Size and signed area of a closed polygon, which must have one."""
+    size = float(np.ptp(vertices, axis=0).max())
+    following = np.roll(vertices, -1, axis=0)
+    centre = vertices.mean(axis=0)
+    area = (
+        np.sum(
+            (vertices - centre)[:, 0] * (following - centre)[:, 1]
+            - (vertices - centre)[:, 1] * (following - centre)[:, 0]
+        )
+        / 2
+    )
+    if abs(area) <= ROUNDING * size**2:
+        raise ValueError("a polygon needs an area: its vertices lie on one line, or the polygon crosses itself")
+    return size, float(area)
+
+
+def _turns(vertices: Array) -> Array:
+    """Angles (n,) by which a closed polygon turns at its vertices."""
+    before, after = vertices - np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0) - vertices
+    return np.asarray(np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1)))
 
 
 def _tidy(vertices: Array) -> Array:
@@ -275,15 +472,7 @@ def _tidy(vertices: Array) -> Array:
     kept = vertices[np.hypot(*steps.T) > ROUNDING * size]
     if len(kept) < 3:
         raise ValueError(f"a polygon needs at least three distinct vertices, got {len(kept)}")
-    following = np.roll(kept, -1, axis=0)
-    centre = kept.mean(axis=0)
-    area = (
-        np.sum((kept - centre)[:, 0] * (following - centre)[:, 1] - (kept - centre)[:, 1] * (following - centre)[:, 0])
-        / 2
-    )
-    if abs(area) <= ROUNDING * size**2:
-        raise ValueError("a polygon needs an area: its vertices lie on one line, or the polygon crosses itself")
-    if area < 0:
+    if _extent(kept)[1] < 0:
         kept = kept[::-1]
     while True:
         before, after = kept - np.roll(kept, 1, axis=0), np.roll(kept, -1, axis=0) - kept
@@ -298,14 +487,10 @@ def _tidy(vertices: Array) -> Array:
             break
         kept = kept[~straight]
     turn = np.arctan2(cross, (before * after).sum(axis=1))
-    if (turn < 0).any():
-        worst = int(np.argmin(turn))
-        raise ValueError(
-            f"the polygon must be convex: at ({kept[worst, 0]:.6g}, {kept[worst, 1]:.6g}) it turns inwards by "
-            f"{np.degrees(-turn[worst]):.3g}°; pass its convex hull (scipy.spatial.ConvexHull) if that is what you mean"
-        )
     if round(turn.sum() / (2 * np.pi)) != 1:
         raise ValueError(
             f"the polygon must not cross itself: it turns {turn.sum() / (2 * np.pi):.0f} times instead of once"
         )
+    if (turn < 0).any():
+        _check_crossing(kept, "polygon")
     return np.ascontiguousarray(kept)

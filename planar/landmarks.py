@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from planar import plots, segments
 from planar.arrays import Array, Index
-from planar.contours import Contour, check_contour
+from planar.contours import Contour, check_contour, mirrored
 from planar.paths import Path
-from planar.sweeping import mirrored
 from planar.tables import to_frame, words
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ class Events:
 
 
 def events(contour: Contour, friction: float = 0.0, *, direction: int = -1) -> Events:
-    """Events of the sweep of a rod along a contour with constant friction.
+    """Events of the sweep of a rod along a convex contour with constant friction.
 
     In tip contact on a polygon the rod snaps around every corner; these snaps are small where the polygon is fine.
     Raises ValueError as `planar.sweep` does.

@@ -75,7 +75,7 @@ def smooth_path(curve: SmoothCurve) -> Path:
 
     Raises ValueError if the curve lies outside the rod's reach.
     """
-    _check_height(curve.points(np.zeros(1))[0, 1])
+    check_height(curve.points(np.zeros(1))[0, 1])
 
     def above_tip(slope: float) -> float:
         return float(curve.points(np.array([slope]))[0, 1] - 1.0)
@@ -124,7 +124,7 @@ class _Pieces(NamedTuple):
 
 def _polygon_pieces(vertices: Array) -> _Pieces:
     """The pieces on the lower side of a counter-clockwise convex polygon, within reach and short enough."""
-    _check_height(vertices[:, 1].min())
+    check_height(vertices[:, 1].min())
     return _subdivided(_within_reach(_lower_side(vertices)))
 
 
@@ -176,7 +176,8 @@ def _subdivided(pieces: _Pieces) -> _Pieces:
     return _Pieces(slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move)
 
 
-def _check_height(lowest: float) -> None:
+def check_height(lowest: float) -> None:
+    """Raise ValueError for an object whose lowest point is not between the base line and the tip of the rod."""
     if lowest <= 0:
         raise ValueError(f"the object must lie above the base line y = 0, its lowest point is at y = {lowest:.6g}")
     if lowest > 1 - ROUNDING:  # nearer to the tip, the contact force is lost in rounding

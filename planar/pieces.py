@@ -50,9 +50,8 @@ def piece(force_x: Array, force_y: Array, phi: Array, kappa: Array, length: Arra
     along, theta, kappa1 = np.array(s, dtype=float), np.array(theta0), np.array(kappa0, dtype=float)
 
     rest = _off_line(theta0)
-    line = (np.abs(rest) + np.abs(kappa0) / np.sqrt(np.maximum(force, _WEAK))) * np.exp(
-        np.sqrt(force) * np.abs(s)
-    ) < _IN_LINE
+    steep = np.sqrt(np.maximum(force, _WEAK))
+    line = (np.abs(rest) + np.abs(kappa0) / steep) * np.exp(np.minimum(steep * np.abs(s), 50.0)) < _IN_LINE
     line &= force >= _WEAK
     swings = (energy <= force) & (energy > 0) & ~line
     turns = (energy > force) & ~line

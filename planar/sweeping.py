@@ -4,6 +4,8 @@ The contact moves forward along the contour's path while the base moves.  Where 
 has a local minimum along the path (a fold), the equilibrium ends, and the rod snaps to the next one further along at the
 same ``x0``, or leaves the object.  So the state at a base position is the first one on the path whose ``x0`` has come down
 to it.  Continuation in ``x0`` by Newton's method or shooting would fail at the folds.
+
+On contours that are not convex, and on several in one plane, the rod may touch at several places: `planar.any_body`.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, rod_sweeps, segments
+from planar.any_body import Followed, SweepStatus, follow
 from planar.arrays import BLOCK, Array, Index, Mask
-from planar.contours import Contour, Mirrored, Polygon, SmoothContour, check_contour
-from planar.paths import Path, polygon_paths
+from planar.contours import Contour, Polygon, check_contour, mirrored
+from planar.loops import Outlines
+from planar.paths import Path, check_height, polygon_paths
 from planar.reactions import Reactions
 from planar.rods import Rod
 from planar.segments import Segments
@@ -33,6 +37,9 @@ if TYPE_CHECKING:
 _BRACKETING_SWEEPS = 3
 # Samples of a sweep of which nothing is stated: curves over them look smooth.
 _SAMPLES = 200
+# How far past touch-down the first sample of a sweep along any body lies, and the step by which its end is looked for, in rod
+# lengths.
+_TOUCHED, _LOOK = 1e-6, 0.02
 
 
 class Phase(IntEnum):
@@ -47,9 +54,20 @@ _COLUMNS = ("x0", "f0x", "f0y", "m0z", "s1", "slope", "friction")
 """Columns of numbers of a `Sweep`."""
 
 
+CONTACT = np.dtype(
+    [("s1", float), ("force", float), ("force_angle", float), ("point", float, (2,)), ("slope", float)], align=True
+)
+"""A contact: arc length, force f and its direction α (the force on the rod is ``f (sin α, -cos α)``), place, and slope of the
+contour, whose outward normal is ``(sin α̃, -cos α̃)``."""
+
+
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where the rod does not touch."""
+    """States of the rod at its base positions: arrays of n samples, dimensionless; NaN where the rod does not touch.
+
+    Where it touches at several places (`status`), point, slope, s1 and phase are those of the first along the rod, and
+    `contacts` has all of them.
+    """
 
     x0: Array
     """(n,) base positions."""
@@ -99,12 +117,47 @@ class Sweep:
         place = {"x": self.point[:, 0], "y": self.point[:, 1]}
         return to_frame({**plots.named(self, _COLUMNS, _COLUMNS), **place, "phase": words(self.phase, Phase)})
 
+    @property
+    def status(self) -> NDArray[np.int8]:
+        """(n,) of `SweepStatus`."""
+        codes = np.where(self.phase == Phase.NONE, SweepStatus.FREE, SweepStatus.ONE_CONTACT)
+        return codes.astype(np.int8)
+
+    @property
+    def contacts(self) -> np.recarray[Any, Any]:
+        """(n, k) every contact, in the order along the rod: records of `CONTACT`, NaN where there are fewer than k."""
+        records = np.recarray((len(self), 1), dtype=CONTACT)
+        records.s1, records.point, records.slope = self.s1[:, None], self.point[:, None], self.slope[:, None]
+        records.force, records.force_angle = (
+            np.hypot(self.f0x, self.f0y)[:, None],
+            np.arctan2(-self.f0x, self.f0y)[:, None],
+        )
+        return records
+
     def _repr_html_(self) -> str:
         rows = selected_rows(len(self))
         point = dict(zip(("point x", "point y"), self.point[rows].T, strict=True))
         return table_html(
             "Sweep", self.phase, Phase, {**{name: getattr(self, name)[rows] for name in _COLUMNS}, **point}
         )
+
+
+@dataclass(frozen=True, repr=False)
+class SweepOfAnyBody(Sweep):
+    """A sweep in which the rod may touch at several places."""
+
+    states: NDArray[np.int8]
+    """(n,) of `SweepStatus`."""
+    records: np.recarray[Any, Any]
+    """(n, k) of `CONTACT`."""
+
+    @property
+    def status(self) -> NDArray[np.int8]:
+        return self.states
+
+    @property
+    def contacts(self) -> np.recarray[Any, Any]:
+        return self.records
 
 
 def sweep(
@@ -119,7 +172,7 @@ def sweep(
     """Sweep the rod along a contour, its base moving in -x, or in +x (the mirror image) with `direction` 1.
 
     contour
-        convex, above the base line ``y = 0``, with its lowest point within the rod's reach ``y <= 1``.
+        above the base line ``y = 0``, with its lowest point within the rod's reach ``y <= 1``; convex or not.
     friction
         coefficient ``μ >= 0``, one number or one per sample.  With one per sample, each sample is in the state
         that a sweep with its coefficient has at its base position, as in the paper.
@@ -128,7 +181,11 @@ def sweep(
         sweep (with several coefficients: the end for the lowest of them); by default 200 of them, or one for each friction.
     rod
         None: straight, uniform and weightless.  The reactions of a rod with weight are the whole ones, its own weight included.
-        States whose moment changes its sign between clamp and contact are left out.
+        States whose moment changes its sign between clamp and contact are left out.  Convex contours only.
+
+    On a contour that is not convex the rod is followed from sample to sample (`planar.any_body`), with all of its contacts; the
+    sweep begins where the straight rod first touches, whatever the first base position is.  `status` has a sentence for each
+    sample, also for rods whose equilibrium was not found.
 
     Raises ValueError for friction, base or samples out of their range and for a contour outside the rod's reach.
     Source: the equilibria (3) with (5)-(7) of the paper, in closed form.
@@ -144,16 +201,13 @@ def sweep(
     return sweep_all([contour], [friction], base=None if base is None else [base], samples=samples, rod=rod)[0]
 
 
-def mirrored(contour: Contour) -> Contour:
-    """The mirror image of a contour, x → -x."""
-    if isinstance(contour, Polygon):
-        return Polygon(contour.vertices * np.array([-1.0, 1.0]))
-    check_contour(contour)
-    assert isinstance(contour, SmoothContour)
-    return Mirrored(contour)
-
-
 def _mirrored(swept: Sweep) -> Sweep:
+    if isinstance(swept, SweepOfAnyBody):
+        records = swept.records.copy()
+        records.point[..., 0] *= -1
+        records.slope *= -1
+        records.force_angle *= -1
+        swept = replace(swept, records=records)
     return replace(
         swept,
         x0=-swept.x0,
@@ -189,9 +243,16 @@ def sweep_all(
     bases = [None] * len(contours) if base is None else [_checked_base(x0) for x0 in base]
 
     sweeps: dict[int, Sweep] = {}
-    polygons = {i: contour.vertices for i, contour in enumerate(contours) if isinstance(contour, Polygon)}
+    convex = [i for i, contour in enumerate(contours) if contour.is_convex]
+    others = [i for i in range(len(contours)) if not contours[i].is_convex]
+    if others:
+        if not (rod is None or rod.is_straight_and_uniform):
+            raise ValueError("a rod that is not straight, uniform and weightless is swept along convex contours only")
+        columns = [frictions[i] for i in others], [bases[i] for i in others]
+        sweeps.update(zip(others, _sweep_any([contours[i] for i in others], *columns, spread), strict=True))
+    polygons = {i: polygon.vertices for i in convex if isinstance(polygon := contours[i], Polygon)}
     groups = [(list(polygons), polygon_paths(list(polygons.values())))] if polygons else []
-    groups += [([i], contour.path()) for i, contour in enumerate(contours) if i not in polygons]
+    groups += [([i], contours[i].path()) for i in convex if i not in polygons]
     for members, path in groups:
         columns = [frictions[i] for i in members], [bases[i] for i in members]
         if rod is None or rod.is_straight_and_uniform:
@@ -338,6 +399,58 @@ def _sweep_rod(path: Path, frictions: list[Array], bases: list[Array | None], sp
     swept.phase[:] = np.where(states.tangential, Phase.TANGENTIAL, Phase.TIP)
     _clear(swept, ~touching)
     return _parted(swept, x0)
+
+
+def _sweep_any(
+    contours: list[Contour], frictions: list[Array], bases: list[Array | None], spread: Array
+) -> list[Sweep]:
+    """Sweeps along contours that are not convex."""
+    outlines = Outlines([contour.loops() for contour in contours])
+    for lowest in outlines.low[:, 1]:
+        check_height(float(lowest))
+    x0 = list(bases)
+    unknown = [i for i, base in enumerate(bases) if base is None]
+    if unknown:
+        part = Outlines([contours[i].loops() for i in unknown])
+        starts = [part.touch_down(k) - _TOUCHED for k in range(len(unknown))]
+        # the rod can't reach farther than its length
+        tries = [np.arange(start, part.low[k, 0] - 1.0, -_LOOK) for k, start in enumerate(starts)]
+        least = [np.arctan(frictions[i].min(initial=np.inf if frictions[i].size else 0.0)) for i in unknown]
+        looked = follow(part, tries, [np.full(len(a), zeta) for a, zeta in zip(tries, least, strict=True)])
+        for i, start, base, found in zip(unknown, starts, tries, looked, strict=True):
+            end = base[np.flatnonzero(found.status != SweepStatus.FREE)[-1]]
+            x0[i] = start + spread * (end - start)
+    base_positions = [base for base in x0 if base is not None]
+    _check_sizes(frictions, base_positions)
+    friction = [np.broadcast_to(mu, base.shape) for mu, base in zip(frictions, base_positions, strict=True)]
+    followed = follow(outlines, base_positions, [np.arctan(mu) for mu in friction])
+    return [_of_states(*columns) for columns in zip(followed, base_positions, friction, strict=True)]
+
+
+def _of_states(found: Followed, x0: Array, friction: Array) -> Sweep:
+    rods, touches = found.rods, found.rods.count > 0
+    used = np.arange(rods.s.shape[1]) < rods.count[:, None]
+    records = np.recarray(rods.s.shape, dtype=CONTACT)
+    records.s1, records.force, records.force_angle = rods.s, rods.force, found.tau + rods.zeta
+    records.point, records.slope = found.point, found.tau
+    for name in CONTACT.names or ():
+        records[name][~used] = np.nan
+    f0x, f0y, m0z = (np.where(touches, values, np.nan) for values in found.reactions)
+    first = records[:, 0]
+    phase = np.where(rods.tip[:, 0], Phase.TIP, Phase.TANGENTIAL)
+    return SweepOfAnyBody(
+        x0=x0,
+        f0x=f0x,
+        f0y=f0y,
+        m0z=m0z,
+        s1=first["s1"].copy(),
+        point=first["point"].copy(),
+        slope=first["slope"].copy(),
+        phase=np.where(touches, phase, Phase.NONE).astype(np.int8),
+        friction=np.array(friction),
+        states=found.status,
+        records=records,
+    )
 
 
 def _search_intervals(path: Path, tables: _Tables, first_rows: list[Index], sweep_of: Index, friction: Array) -> Index:

@@ -139,3 +139,27 @@ def inscribed_radius(triangle):
     """Radius of the largest circle in a triangle (3, 3)."""
     perimeter = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
     return 2 * trimesh.triangles.area(triangle[None])[0] / perimeter
+
+
+def cassini(turn, count=2000, a=0.30, b=0.318, center=(0.0, 0.8)):
+    """x and y of a peanut, the Cassini oval ``|p - e| |p + e| = b²`` with foci ±a."""
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    radius = np.sqrt(a * a * np.cos(2 * angle) + np.sqrt(b**4 - (a * a * np.sin(2 * angle)) ** 2))
+    return polar(radius, angle, turn, center)
+
+
+def star(turn, count=4000, center=(0.0, 0.85)):
+    """x and y of the curve ``r = 0.3 (1 + 0.25 cos 5θ)``."""
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return polar(0.3 * (1 + 0.25 * np.cos(5 * angle)), angle, turn, center)
+
+
+def polar(radius, angle, turn, center):
+    return center[0] + radius * np.cos(angle + turn), center[1] + radius * np.sin(angle + turn)
+
+
+def letter_l_outline(turn, center=(0.0, 0.75)):
+    """Vertices (6, 2) of the letter L with arms of 0.4, scaled by 0.4."""
+    x, y = 0.4 * np.array([[0, 0], [1, 0], [1, 0.4], [0.4, 0.4], [0.4, 1], [0, 1]]).T - 0.16
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([center[0] + c * x - s * y, center[1] + s * x + c * y], axis=1)

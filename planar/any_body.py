@@ -1,0 +1,363 @@
+"""Sweeps along any bodies: the rod is followed from one base position to the next, with all of its contacts.
+
+From the last state Newton's method finds the next one with the same contacts; what it violates changes the contacts, and the
+state is solved again at the same base position: a contact that pulls is dropped, a place where the rod is inside the body
+becomes one, the tip leaves or takes a contact over, a contact passes to the next piece of the outline, a contact that slips
+with its friction changes the direction of its slip, or sticks.  Where the steps become too small the equilibrium ends in a
+fold, and the rod snaps (`planar.settling`).  All sweeps are stepped together.
+
+What the theory leaves open: after a snap contacts are taken to slip as the sweep does; with a coefficient of friction per
+sample the rod goes on from the sample before with the new one, which is the state of a sweep with a single coefficient
+except where that snapped earlier or later.  A rod that finds no equilibrium is reported as such, never as free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planar import settling
+from planar.arrays import Array, Index, Mask
+from planar.loops import Nearest, Outlines
+from planar.several import MOST, Rods, Shapes, free_rods, reactions, shapes, solve
+
+# Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
+# across a fold, which the chain in its coarseness must see.
+_STEP, _FOLD, _ACROSS = 0.02, 2e-5, 5e-4
+# Arc lengths at which a rod is tested, intervals into which the least gap is divided at a time, and how often.
+_TESTED, _ZOOM, _ZOOMS = 129, 8, 6
+# Depth in the body, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
+_INSIDE, _ROUNDING = 1e-9, 1e-10
+# Changes of the contacts at one base position.
+_CHANGES = 14
+# Movement of the rod, in rod lengths, beyond three times that of the base, that is a jump.
+_JUMP = 0.03
+# Distance between the chain that came to rest and the rod, in rod lengths, at which they are the same equilibrium.
+_SAME = 0.05
+
+
+class SweepStatus(IntEnum):
+    """What is known of the rod at a base position; `sentence` explains it."""
+
+    FREE = 0
+    ONE_CONTACT = 1
+    SEVERAL_CONTACTS = 2
+    UNRESOLVED = 3
+
+    @property
+    def sentence(self) -> str:
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    SweepStatus.FREE: "the rod touches nothing",
+    SweepStatus.ONE_CONTACT: "the rod touches at one place",
+    SweepStatus.SEVERAL_CONTACTS: "the rod touches at several places; point, slope and s1 are those of the first along the rod",
+    SweepStatus.UNRESOLVED: "no equilibrium of the rod was found here, so that nothing is known of its contacts: it is caught, "
+    "stands like a strut, or has more than three contacts",
+}
+
+
+@dataclass(frozen=True)
+class Followed:
+    """States at the samples (n,) of one sweep."""
+
+    status: NDArray[np.int8]
+    rods: Rods
+    reactions: tuple[Array, Array, Array]
+    point: Array
+    """(n, MOST, 2) contact points."""
+    tau: Array
+    """(n, MOST) tangent angles there."""
+
+
+def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> list[Followed]:
+    """The sweep of each body in -x, over base positions (n,) that do not rise, with the friction angles (n,)."""
+    sweeps = _Sweeps(outlines, bases, friction_angles)
+    while len(sweeps.going):
+        sweeps.step()
+    return [_followed(outlines, rods, status) for rods, status in zip(sweeps.sampled, sweeps.status, strict=True)]
+
+
+def _followed(outlines: Outlines, rods: Rods, status: NDArray[np.int8]) -> Followed:
+    place = outlines.at(rods.piece.ravel(), rods.u.ravel())
+    n = len(rods.x0)
+    return Followed(
+        status, rods, reactions(outlines, rods), place.point.reshape(n, MOST, 2), place.tau.reshape(n, MOST)
+    )
+
+
+class _Sweeps:
+    """Sweeps (m,) under way: their present rods and what they have passed."""
+
+    def __init__(self, outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> None:
+        self.outlines, self.bases, self.friction = outlines, bases, friction_angles
+        m = len(bases)
+        beyond = np.array([outlines.touch_down(body) for body in range(m)]) + 1e-3
+        self.rods = free_rods(np.maximum(beyond, [base[0] if len(base) else np.inf for base in bases]))
+        self.sample, self.stride = np.zeros(m, dtype=np.intp), np.full(m, _STEP)
+        self.chain: list[Array | None] = [None] * m  # the last known shape of rods that are not resolved
+        self.sampled = [free_rods(base) for base in bases]
+        self.status = [np.full(len(base), SweepStatus.UNRESOLVED, dtype=np.int8) for base in bases]
+        self.going = np.array([i for i in range(m) if len(bases[i])], dtype=np.intp)
+        self.shape = self._points(self.going, self.rods.rows(self.going))[0] if len(self.going) else np.empty((0, 0, 2))
+
+    def step(self) -> None:
+        """One step of each sweep that is under way."""
+        rows = self.going
+        before = self.rods.rows(rows)
+        aim = np.array([self.bases[i][self.sample[i]] for i in rows])
+        trial = before.rows(np.arange(len(rows)))
+        trial.x0 = np.maximum(before.x0 - self.stride[rows], aim)
+        zeta = np.array([self.friction[i][self.sample[i]] for i in rows])
+        slips = ~trial.sticks
+        trial.zeta = np.where(slips, np.copysign(zeta[:, None], trial.zeta), trial.zeta)
+        lost = np.array([self.chain[i] is not None for i in rows])
+        settled = np.flatnonzero(~lost)
+        good = np.zeros(len(rows), dtype=bool)
+        reached = np.empty((len(rows), _TESTED, 2))
+        part = trial.rows(settled)
+        good[settled], points = self._admissible(rows[settled], part, zeta[settled], before.rows(settled))
+        reached[settled] = points
+        trial.put(settled, part)
+        moved = np.hypot(*(reached - self.shape).transpose(2, 0, 1)).max(axis=1)
+        good &= ~(moved > _JUMP + 3 * (before.x0 - trial.x0))
+        self.stride[rows] = np.where(good, np.minimum(2 * self.stride[rows], _STEP), self.stride[rows] / 4)
+        for k in np.flatnonzero(lost | (~good & (self.stride[rows] < _FOLD))):
+            trial.x0[k] = max(before.x0[k] - (_STEP if lost[k] else _ACROSS), aim[k])
+            snapped, points, chain = self._snap(rows[k], float(trial.x0[k]), zeta[k], self.shape[k])
+            trial.put(np.array([k]), snapped)
+            reached[k], good[k] = points, True
+            self.chain[rows[k]], self.stride[rows[k]] = chain, _STEP / 4
+        self.rods.put(rows[good], trial.rows(good))
+        self.shape[good] = reached[good]
+        for k in np.flatnonzero(good & (trial.x0 <= aim)):
+            self._record(int(rows[k]), trial.rows(np.array([k])))
+        left = np.array([self.sample[i] < len(self.bases[i]) for i in rows], dtype=bool)
+        self.going, self.shape = rows[left], self.shape[left]
+
+    def _record(self, sweep: int, rod: Rods) -> None:
+        sample = self.sample[sweep]
+        self.sampled[sweep].put(np.array([sample]), rod)
+        kinds = SweepStatus.FREE, SweepStatus.ONE_CONTACT, SweepStatus.SEVERAL_CONTACTS
+        known = self.chain[sweep] is None
+        self.status[sweep][sample] = kinds[min(int(rod.count[0]), 2)] if known else SweepStatus.UNRESOLVED
+        self.sample[sweep] += 1
+
+    def _points(self, bodies: Index, rods: Rods) -> tuple[Array, Shapes]:
+        shape = shapes(self.outlines, rods, np.broadcast_to(np.linspace(0, 1, _TESTED), (len(rods.x0), _TESTED)))
+        return np.stack([shape.x, shape.y], axis=2), shape
+
+    def _admissible(self, bodies: Index, rods: Rods, zeta: Array, before: Rods | None) -> tuple[Mask, Array]:
+        """Change the contacts of rods until they violate nothing; where that succeeded, and the points of the rods."""
+        m = len(bodies)
+        good, points = np.zeros(m, dtype=bool), np.full((m, _TESTED, 2), np.nan)
+        flipped = np.zeros((m, MOST), dtype=bool)
+        pending = np.arange(m)
+        for _ in range(_CHANGES):
+            part = rods.rows(pending)
+            found = solve(self.outlines, part)
+            rods.put(pending, part)
+            pending, part = pending[found], part.rows(found)
+            if not len(pending):
+                break
+            changed: Mask = np.fromiter((self._contacts_change(rods, int(k)) for k in pending), bool, len(pending))
+            rest, kept = pending[~changed], pending[changed]
+            if len(rest):
+                part = rods.rows(rest)
+                points[rest], shape = self._points(bodies[rest], part)
+                depth, s, near = self._deepest(bodies[rest], part, points[rest])
+                inside = depth < -_INSIDE
+                added = [
+                    self._touches(rods, int(k), s[j], near, j, zeta[k], before) for j, k in enumerate(rest) if inside[j]
+                ]
+                kept = np.concatenate([kept, rest[inside][np.array(added, dtype=bool)]])
+                rest = rest[~inside]
+            if len(rest) and before is not None:
+                slipping = self._slip(rods.rows(rest), before.rows(rest), zeta[rest], flipped[rest])
+                for j, slot in zip(*np.nonzero(slipping), strict=True):
+                    self._turn_slip(rods, int(rest[j]), int(slot), flipped)
+                wrong = slipping.any(axis=1)
+                kept, rest = np.concatenate([kept, rest[wrong]]), rest[~wrong]
+            good[rest] = True
+            pending = np.sort(kept)
+            if not len(pending):
+                break
+        return good, points
+
+    def _contacts_change(self, rods: Rods, k: int) -> bool:
+        """Apply the first thing that the contacts of rod k violate by themselves."""
+        count = int(rods.count[k])
+        if not count:
+            return False
+        force, s, u, piece = rods.force[k, :count], rods.s[k, :count], rods.u[k, :count], rods.piece[k, :count]
+        if (force < 0).any():
+            rods.drop(k, int(np.argmin(force)))
+            return True
+        moved, start = self.outlines.shifted(piece, u)
+        if (moved != piece).any():
+            rods.piece[k, :count], rods.u[k, :count] = moved, start
+            return True
+        if (np.diff(s) < 0).any():
+            order = np.append(np.argsort(s, kind="stable"), np.arange(count, MOST))
+            for column in (rods.force, rods.s, rods.piece, rods.u, rods.zeta, rods.side, rods.tip, rods.sticks):
+                column[k] = column[k, order]
+            return True
+        last = count - 1
+        if not rods.tip[k, last] and s[last] > 1:
+            rods.tip[k, last], rods.s[k, last] = True, 1.0
+            return True
+        if rods.tip[k, last]:
+            one = rods.rows(np.array([k]))
+            phi = shapes(self.outlines, one, np.ones((1, 1))).phi[0, 0]
+            tau = float(self.outlines.at(piece[last:], u[last:]).tau[0])
+            if np.sin(tau - phi) > _ROUNDING:  # t(1)·n > 0: the rod would come out of the body
+                rods.tip[k, last] = False
+                rods.side[k, last] = np.copysign(1.0, np.cos(phi - tau))
+                return True
+        return False
+
+    def _deepest(self, bodies: Index, rods: Rods, points: Array) -> tuple[Array, Array, Nearest]:
+        """The least gap of each rod between the places at which it is tested, with its arc length and place."""
+        m, spacing = len(bodies), 1 / (_TESTED - 1)
+        near = self.outlines.nearest(np.repeat(bodies, _TESTED), points.reshape(-1, 2), 2 * spacing)
+        gap = near.gap.reshape(m, _TESTED)
+        padded = np.pad(gap, ((0, 0), (1, 1)), constant_values=np.inf)
+        lowest = (gap <= padded[:, :-2]) & (gap <= padded[:, 2:]) & (gap < spacing)
+        # where the rod lies along an edge there is nothing to look for, nor next to a contact between places that are outside
+        flat = np.abs(gap) < _ROUNDING
+        lowest &= ~(flat & (np.pad(flat, ((0, 0), (1, 0)))[:, :-1] | np.pad(flat, ((0, 0), (0, 1)))[:, 1:]))
+        grid = np.arange(_TESTED) * spacing
+        known = (np.abs(grid[:, None] - rods.s[:, None, :]) <= spacing).any(axis=2)
+        lowest &= ~(known & (gap > -_INSIDE) & (np.minimum(padded[:, :-2], padded[:, 2:]) > 0))
+        row, column = np.nonzero(lowest)
+        best = np.array([np.argmin(values) for values in gap])
+        flat = np.arange(m) * _TESTED + best
+        depth, s, found = gap[np.arange(m), best].copy(), best * spacing, Nearest(*(v[flat].copy() for v in near))
+        middle, reach = grid[column], spacing
+        part = rods.rows(row)
+        for _ in range(_ZOOMS if len(row) else 0):
+            at = np.clip(middle[:, None] + reach * np.linspace(-1, 1, _ZOOM + 1), 0, 1)
+            shape = shapes(self.outlines, part, at)
+            near = self.outlines.nearest(
+                np.repeat(bodies[row], _ZOOM + 1), np.stack([shape.x.ravel(), shape.y.ravel()], axis=1)
+            )
+            gaps = near.gap.reshape(at.shape)
+            k = np.argmin(gaps, axis=1)
+            middle, reach = at[np.arange(len(row)), k], reach * 2 / _ZOOM
+            least = gaps[np.arange(len(row)), k]
+            for j in np.flatnonzero(least < depth[row]):  # few
+                if least[j] < depth[row[j]]:
+                    depth[row[j]], s[row[j]] = least[j], middle[j]
+                    for values, new in zip(found, near, strict=True):
+                        values[row[j]] = new[j * (_ZOOM + 1) + k[j]]
+        return depth, s, found
+
+    def _touches(self, rods: Rods, k: int, s: float, near: Nearest, j: int, zeta: float, before: Rods | None) -> bool:
+        """Add the contact at arc length s of rod k, next to place j of the outline; whether there is room."""
+        if rods.count[k] == MOST:
+            return False
+        piece, u, tip = near.piece[j : j + 1], near.u[j : j + 1], s > 1 - 1e-6
+        place = self.outlines.at(piece, u)
+        one = rods.rows(np.array([k]))
+        shape = shapes(self.outlines, one, np.array([[s]]))
+        phi, tau = float(shape.phi[0, 0]), float(place.tau[0])
+        tip = bool(tip and np.sin(tau - phi) <= 0 and not rods.tip[k].any())
+        side = float(np.copysign(1.0, np.cos(phi - tau)))
+        if not tip:
+            piece, u = self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi)
+            tau = float(self.outlines.at(piece, u).tau[0])
+        sign = 1.0
+        if before is not None:
+            old = shapes(self.outlines, before.rows(np.array([k])), np.array([[s]]))
+            slip = (shape.x - old.x)[0, 0] * np.cos(tau) + (shape.y - old.y)[0, 0] * np.sin(tau)
+            sign = -1.0 if slip > _ROUNDING else 1.0
+        force = 3 * -near.gap[j] / max(s, 0.05) ** 3 if not rods.count[k] else 0.0
+        if not rods.count[k]:
+            rods.kappa[k] = -side * force * s
+        if not tip:
+            s = min(s, 1 - 1e-6)
+        rods.add(k, force, s, int(piece[0]), float(u[0]), sign * zeta, side, tip)
+        return True
+
+    def _tangential(self, piece: Index, u: Array, tau: float, phi: float) -> tuple[Index, Array]:
+        """The place (1,) next to a given one where a rod of slope phi lies along the outline: an edge's end is its vertex."""
+        outlines = self.outlines
+        if not outlines.is_vertex[piece[0]]:
+            ahead = np.remainder(phi - tau + np.pi, 2 * np.pi) - np.pi
+            end = (outlines.following if ahead > 0 else outlines.previous)[piece]
+            if abs(ahead) < 1e-6 or outlines.is_closed[piece[0]] or outlines.turn[end[0]] <= 0:
+                return piece, u
+            piece = end
+        turn = float(outlines.turn[piece[0]])
+        start = float(outlines.at(piece, np.zeros(1)).tau[0])
+        ahead = np.remainder(phi - start + np.pi, 2 * np.pi) - np.pi
+        return piece, np.clip(np.array([ahead / turn]), 0, 1)
+
+    def _slip(self, rods: Rods, before: Rods, zeta: Array, flipped: Mask) -> Mask:
+        """Contacts that slip with their friction, or stick with more than it can hold."""
+        used = np.arange(MOST) < rods.count[:, None]
+        at = np.clip(rods.s, 0, 1)
+        new, old = shapes(self.outlines, rods, at), shapes(self.outlines, before, at)
+        tau = self.outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(rods.s.shape)
+        slip = (new.x - old.x) * np.cos(tau) + (new.y - old.y) * np.sin(tau)
+        wrong = ~rods.sticks & (slip * np.sign(rods.zeta) > _INSIDE)
+        torn = rods.sticks & (np.abs(rods.zeta) > zeta[:, None] + _ROUNDING)
+        return used & (zeta[:, None] > 0) & (before.count[:, None] > 0) & (wrong | torn)
+
+    def _turn_slip(self, rods: Rods, k: int, slot: int, flipped: Mask) -> None:
+        if rods.sticks[k, slot]:
+            rods.sticks[k, slot] = False
+        elif flipped[k, slot]:
+            rods.sticks[k, slot], rods.zeta[k, slot] = True, 0.0
+        else:
+            rods.zeta[k, slot], flipped[k, slot] = -rods.zeta[k, slot], True
+
+    def _snap(self, sweep: int, x0: float, zeta: float, shape: Array) -> tuple[Rods, Array, Array | None]:
+        """Let the rod go from a shape: its rod and points, and the chain if they are not those of an equilibrium."""
+        angles = self.chain[sweep]
+        if angles is None:
+            at = np.linspace(0, 1, settling.LINKS + 1)
+            nodes = [np.interp(at, np.linspace(0, 1, _TESTED), column) for column in shape.T]
+            angles = np.unwrap(np.arctan2(np.diff(nodes[1]), np.diff(nodes[0])))
+        settled = settling.settle(self.outlines, sweep, x0, angles, zeta)
+        chain = settling.points(x0, settled.angles)
+        s = np.concatenate([[0.0], np.arange(len(chain)) + 1.0]) / len(chain)
+        whole = np.concatenate([[[x0, 0.0]], chain])
+        along = np.stack([np.interp(np.linspace(0, 1, _TESTED), s, column) for column in whole.T], axis=1)
+        body = np.array([sweep])
+        if settled.at_rest:
+            for attempt in range(3):
+                rods = self._guess(x0, settled, zeta, attempt)
+                if rods is None:
+                    continue
+                good, points = self._admissible(body, rods, np.array([zeta]), None)
+                if good[0] and np.hypot(*(points[0] - along).T).max() < _SAME:
+                    return rods, points[0], None
+        return free_rods(np.array([x0])), along, settled.angles
+
+    def _guess(self, x0: float, settled: settling.Settled, zeta: float, attempt: int) -> Rods | None:
+        """The contacts of a chain at rest: as they are, with the last one's tip exchanged, without the weakest."""
+        keep = np.arange(len(settled.s))
+        if len(keep) > MOST or (attempt and not len(keep)):
+            return None
+        rods = free_rods(np.array([x0]))
+        if attempt == 2:
+            keep = np.delete(keep, np.argmin(settled.force))
+        rods.kappa[0] = 2 * settling.LINKS * (settled.angles[0] - np.pi / 2)
+        for c in keep:
+            tip = bool(settled.tip[c])
+            if attempt == 1 and c == keep[-1]:
+                tip = not tip
+            piece, u = settled.piece[c : c + 1], settled.u[c : c + 1]
+            tau = float(self.outlines.at(piece, u).tau[0])
+            phi = float(np.interp(settled.s[c] * settling.LINKS - 0.5, np.arange(settling.LINKS), settled.angles))
+            side = float(np.copysign(1.0, np.cos(phi - tau)))
+            if not tip:
+                piece, u = self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi)
+            s = 1.0 if tip else min(float(settled.s[c]), 1 - 1e-3)
+            rods.add(0, settled.force[c] / np.cos(zeta), s, int(piece[0]), float(u[0]), zeta, side, tip)
+        return rods

@@ -1,0 +1,253 @@
+"""Rods with several contacts: their equations, solved by Newton's method, and their shapes.
+
+A contact has its place ``u`` on the outline, its arc length ``s`` along the rod, its size ``λ >= 0`` and the angle ``ζ`` of its
+force to the normal, ``F = λ (sin(τ + ζ), -cos(τ + ζ))`` (C1): the friction angle where the rod slips along ``-t``, its negative
+along ``t``, and an unknown between them where it sticks.  Between contacts the rod is a piece of elastica (`planar.pieces`)
+under ``N(s)``, the sum of the forces past ``s`` (C2).  With ``κ0`` the unknowns of a rod are as many as its equations:
+
+    interior contact: ``r(s) = c(u)``, ``φ(s) = τ(u)`` (C6), or ``τ(u) + π`` where the body is on the rod's right,
+    tip: ``r(1) = c(u)``, ``s = 1`` (C7),    ``κ = 0`` at the last contact, past which the rod is straight.
+
+A corner under the rod, the tip on a corner and the tip wedged in a concave one are all contacts on a vertex, whose point
+is fixed and whose ``τ`` turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from planar.arrays import Array, Index, Mask
+from planar.loops import Outlines
+from planar.pieces import piece
+
+# Contacts of one rod, at most: with more it is reported as not resolved.
+MOST = 3
+# Residual, in rod lengths and radians, at which the equations are solved, and the one that rounding may leave.
+_SOLVED, _ROUNDED = 1e-13, 1e-11
+_ITERATIONS = 16
+# Step of the differences for Newton's derivatives: a root of rounding.
+_STEP = 1e-7
+# Largest changes in one iteration: of a place, in rod lengths, of a slope, of the curvature.
+_FARTHEST, _STEEPEST, _TIGHTEST = 0.2, 0.5, 2.0
+
+
+@dataclass
+class Rods:
+    """Rods (m,) with contacts (m, MOST) in the order of their arc length; unused columns have no force and ``s = 2``."""
+
+    x0: Array
+    kappa: Array
+    count: Index
+    force: Array
+    s: Array
+    piece: Index
+    u: Array
+    zeta: Array
+    """Signed angle of the force to the normal."""
+    side: Array
+    """1 where the body is on the rod's left, -1 on its right."""
+    tip: Mask
+    sticks: Mask
+
+    def rows(self, rows: Index | Mask) -> Rods:
+        return Rods(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def put(self, rows: Index | Mask, others: Rods) -> None:
+        for column in fields(self):
+            getattr(self, column.name)[rows] = getattr(others, column.name)
+
+    def drop(self, row: int, slot: int) -> None:
+        """Take a contact away."""
+        for column in fields(self)[3:]:
+            values = getattr(self, column.name)[row]
+            values[slot:-1] = values[slot + 1 :].copy()
+        self.count[row] -= 1
+        self.force[row, self.count[row]], self.s[row, self.count[row]] = 0.0, 2.0
+        self.tip[row, self.count[row]] = self.sticks[row, self.count[row]] = False
+
+    def add(self, row: int, force: float, s: float, piece: int, u: float, zeta: float, side: float, tip: bool) -> None:
+        """A further contact, in its place along the rod; there must be room for it."""
+        slot = int(np.searchsorted(self.s[row, : self.count[row]], s))
+        for column, value in zip(fields(self)[3:], (force, s, piece, u, zeta, side, tip, False), strict=True):
+            values = getattr(self, column.name)[row]
+            values[slot + 1 :] = values[slot:-1].copy()
+            values[slot] = value
+        self.count[row] += 1
+
+
+def free_rods(x0: Array) -> Rods:
+    """Straight rods at base positions (m,)."""
+    m = len(x0)
+    zero, no = np.zeros((m, MOST)), np.zeros((m, MOST), dtype=bool)
+    whole = np.zeros((m, MOST), dtype=np.intp)
+    return Rods(
+        x0.astype(float),
+        np.zeros(m),
+        np.zeros(m, np.intp),
+        zero,
+        zero + 2,
+        whole,
+        zero.copy(),
+        zero.copy(),
+        zero + 1,
+        no,
+        no.copy(),
+    )
+
+
+@dataclass
+class _Marched:
+    """Rods from the clamp to their contacts: (m, k)."""
+
+    x: Array
+    y: Array
+    phi: Array
+    kappa: Array
+
+
+def _forces(tau: Array, force: Array, zeta: Array) -> tuple[Array, Array]:
+    """Internal forces (m, k) of the pieces that end at the contacts."""
+    across, along = force * np.sin(tau + zeta), -force * np.cos(tau + zeta)
+    return np.cumsum(across[:, ::-1], axis=1)[:, ::-1], np.cumsum(along[:, ::-1], axis=1)[:, ::-1]
+
+
+def _march(x0: Array, kappa: Array, s: Array, across: Array, along: Array) -> _Marched:
+    m, k = s.shape
+    marched = _Marched(*(np.empty((m, k)) for _ in range(4)))
+    x, y, phi, start = x0, np.zeros(m), np.full(m, np.pi / 2), np.zeros(m)
+    for j in range(k):
+        end = piece(across[:, j], along[:, j], phi, kappa, s[:, j] - start)
+        x, y, phi, kappa, start = x + end.x, y + end.y, end.phi, end.kappa, s[:, j]
+        marched.x[:, j], marched.y[:, j], marched.phi[:, j], marched.kappa[:, j] = x, y, phi, kappa
+    return marched
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
+
+
+def residuals(outlines: Outlines, rods: Rods, z: Array) -> Array:
+    """What is left of the equations (m, 1 + 3k) of rods with k contacts each, with the unknowns z: κ0, λ, s, and u or ζ."""
+    m, k = rods.s.shape
+    kappa, force, s, last = z[:, 0], z[:, 1 : 1 + k], z[:, 1 + k : 1 + 2 * k], z[:, 1 + 2 * k :]
+    u, zeta = np.where(rods.sticks, rods.u, last), np.where(rods.sticks, last, rods.zeta)
+    if rods.sticks.any():  # a rod that rolls: the arc on the outline is that on the rod
+        speed = np.hypot(*outlines.at(rods.piece.ravel(), rods.u.ravel()).derivative.T).reshape(m, k)
+        rolls = rods.sticks & ~rods.tip & (speed > 0)
+        u = np.where(rolls, rods.u + rods.side * (s - rods.s) / np.where(speed > 0, speed, 1.0), u)
+    place = outlines.at(rods.piece.ravel(), u.ravel())
+    tau = place.tau.reshape(m, k)
+    marched = _march(rods.x0, kappa, s, *_forces(tau, force, zeta))
+    left = np.empty_like(z)
+    left[:, 0] = marched.kappa[:, -1]
+    left[:, 1 : 1 + k] = marched.x - place.point[:, 0].reshape(m, k)
+    left[:, 1 + k : 1 + 2 * k] = marched.y - place.point[:, 1].reshape(m, k)
+    turned = _wrapped(marched.phi - tau - np.where(rods.side < 0, np.pi, 0.0))
+    left[:, 1 + 2 * k :] = np.where(rods.tip, s - 1, turned)
+    return left
+
+
+def solve(outlines: Outlines, rods: Rods) -> Mask:
+    """Correct rods by Newton's method until they are in equilibrium with the contacts that they have; where that succeeded."""
+    found = np.asarray(rods.count == 0)
+    rods.kappa[found] = 0.0
+    for k in range(1, MOST + 1):
+        rows = np.flatnonzero(rods.count == k)
+        if len(rows):
+            part = rods.rows(rows)
+            for column in fields(part)[3:]:
+                setattr(part, column.name, getattr(part, column.name)[:, :k])
+            found[rows] = _newton(outlines, part)
+            for column in fields(part)[3:]:
+                getattr(rods, column.name)[rows, :k] = getattr(part, column.name)
+            rods.kappa[rows] = part.kappa
+    return found
+
+
+def _newton(outlines: Outlines, rods: Rods) -> Mask:
+    m, k = rods.s.shape
+    d = 1 + 3 * k
+    z = np.concatenate([rods.kappa[:, None], rods.force, rods.s, np.where(rods.sticks, rods.zeta, rods.u)], axis=1)
+    found, best = np.zeros(m, dtype=bool), np.full(m, np.inf)
+    rows = np.arange(m)
+    for _ in range(_ITERATIONS):
+        part, here = rods.rows(rows), z[rows]
+        step = _STEP * np.maximum(1.0, np.abs(here))
+        varied = np.repeat(here[:, None], d + 1, axis=1)
+        varied[:, np.arange(1, d + 1), np.arange(d)] += step
+        values = residuals(outlines, part.rows(np.repeat(np.arange(len(rows)), d + 1)), varied.reshape(-1, d))
+        values = values.reshape(len(rows), d + 1, d)
+        value, slopes = values[:, 0], (values[:, 1:] - values[:, :1]).transpose(0, 2, 1) / step[:, None]
+        size = np.abs(value).max(axis=1)
+        stalls = size > 0.5 * best[rows]
+        done = (size < _SOLVED) | ((size < _ROUNDED) & stalls)
+        found[rows[done]] = True
+        best[rows] = np.fmin(size, best[rows])
+        going = ~done & np.isfinite(values).all(axis=(1, 2))
+        rows, value, slopes, part = rows[going], value[going], slopes[going], part.rows(going)
+        if not len(rows):
+            break
+        with np.errstate(all="ignore"):
+            try:
+                change = np.linalg.solve(slopes, value[..., None])[..., 0]
+            except np.linalg.LinAlgError:
+                change = np.einsum("mij,mj->mi", np.linalg.pinv(slopes), value)
+        u = np.where(part.sticks, part.u, z[rows, 1 + 2 * k :])
+        place = outlines.at(part.piece.ravel(), u.ravel())
+        speed = np.hypot(*place.derivative.T) / _FARTHEST + np.abs(outlines.turn[part.piece.ravel()]) / _STEEPEST
+        scale = np.zeros((len(rows), d))
+        scale[:, 0], scale[:, 1 + k : 1 + 2 * k] = 1 / _TIGHTEST, 1 / _FARTHEST
+        scale[:, 1 + 2 * k :] = np.where(part.sticks, 1 / _STEEPEST, speed.reshape(-1, k))
+        z[rows] -= change / np.maximum(1.0, np.abs(change * scale).max(axis=1))[:, None]
+    rods.kappa[:], rods.force[:], s, last = z[:, 0], z[:, 1 : 1 + k], z[:, 1 + k : 1 + 2 * k], z[:, 1 + 2 * k :]
+    if rods.sticks.any():
+        speed = np.hypot(*outlines.at(rods.piece.ravel(), rods.u.ravel()).derivative.T).reshape(m, k)
+        rolls = rods.sticks & ~rods.tip & (speed > 0)
+        rods.u[:] = np.where(rolls, rods.u + rods.side * (s - rods.s) / np.where(speed > 0, speed, 1.0), rods.u)
+    rods.s[:] = s
+    rods.u[:], rods.zeta[:] = np.where(rods.sticks, rods.u, last), np.where(rods.sticks, last, rods.zeta)
+    return found
+
+
+@dataclass
+class Shapes:
+    """Rods at arc lengths: (m, q)."""
+
+    x: Array
+    y: Array
+    phi: Array
+    kappa: Array
+
+
+def shapes(outlines: Outlines, rods: Rods, at: Array) -> Shapes:
+    """The rods at arc lengths (m, q)."""
+    m = len(rods.x0)
+    tau = outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(m, MOST)
+    across, along = _forces(tau, rods.force, rods.zeta)
+    marched = _march(rods.x0, rods.kappa, rods.s, across, along)
+    none = np.zeros((m, 1))
+
+    def begins(first: Array, columns: Array) -> Array:
+        return np.concatenate([first[:, None], columns], axis=1)
+
+    segment = (at[:, :, None] > rods.s[:, None, :]).sum(axis=2)
+    last = segment >= rods.count[:, None]
+
+    def here(columns: Array) -> Array:
+        return np.take_along_axis(columns, segment, axis=1)
+
+    phi, kappa = here(begins(np.full(m, np.pi / 2), marched.phi)), here(begins(rods.kappa, marched.kappa))
+    fx, fy = here(np.concatenate([across, none], axis=1)), here(np.concatenate([along, none], axis=1))
+    straight = np.where(last, 0.0, 1.0)  # no moment past the last contact, not even a rounding one
+    end = piece(fx * straight, fy * straight, phi, kappa * straight, at - here(begins(np.zeros(m), rods.s)))
+    x, y = here(begins(rods.x0, marched.x)) + end.x, here(begins(np.zeros(m), marched.y)) + end.y
+    return Shapes(x, y, end.phi, end.kappa)
+
+
+def reactions(outlines: Outlines, rods: Rods) -> tuple[Array, Array, Array]:
+    """Support reactions f0x, f0y and m0z (m,): ``-N(0)`` and ``-κ(0)``."""
+    tau = outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(rods.s.shape)
+    across, along = _forces(tau, rods.force, rods.zeta)
+    return -across[:, 0], -along[:, 0], -rods.kappa

@@ -1,0 +1,109 @@
+"""Outlines of any bodies: signed distances against brute force, closed curves, several contours, refusals."""
+
+import matplotlib.path
+import numpy as np
+import pytest
+from shapes import cassini, letter_l_outline
+
+import planar
+from planar.loops import Outlines, crosses_itself
+
+COMB = np.array([[0, 0.5], [0.9, 0.5], [0.9, 0.9], [0.6, 0.9], [0.6, 0.6], [0.3, 0.6], [0.3, 0.9], [0, 0.9]])
+
+
+def at_zero(points):
+    return np.zeros(len(points), dtype=np.intp)
+
+
+def test_signed_distances_from_a_polygon():
+    rng = np.random.default_rng(1)
+    for vertices in (COMB, letter_l_outline(0.7)):
+        polygon = planar.Polygon(vertices)
+        points = vertices.mean(axis=0) + rng.uniform(-0.7, 0.7, (1000, 2))
+        near = Outlines([polygon.loops()]).nearest(at_zero(points), points)
+        assert np.abs(np.abs(near.gap) - polygon.distance(points)).max() < 1e-14
+        inside = matplotlib.path.Path(polygon.vertices).contains_points(points)
+        np.testing.assert_array_equal(near.gap < 0, inside)
+        # the gap grows along the normal
+        step = Outlines([polygon.loops()]).nearest(at_zero(points), points + 1e-7 * near.normal).gap - near.gap
+        assert np.abs(step - 1e-7).max() < 1e-8
+
+
+def test_signed_distances_from_a_curve():
+    x, y = cassini(0.8)
+    curve = planar.Curve.from_points(x, y)
+    rng = np.random.default_rng(2)
+    points = np.array([0, 0.8]) + rng.uniform(-0.6, 0.6, (400, 2))
+    fine = np.stack(cassini(0.8, 40_000), axis=1)
+    nearest = np.array([np.linalg.norm(fine - point, axis=1).min() for point in points])
+    assert np.abs(curve.distance(points) - nearest).max() < 1e-6
+    # inside by the curve's own equation
+    foci = 0.3 * np.array([np.cos(0.8), np.sin(0.8)])
+    product = np.hypot(*(points - [0, 0.8] - foci).T) * np.hypot(*(points - [0, 0.8] + foci).T)
+    near = Outlines([curve.loops()]).nearest(at_zero(points), points)
+    np.testing.assert_array_equal(near.gap < 0, product < 0.318**2)
+    assert curve.distance(np.stack([x, y], axis=1)).max() < 1e-14
+
+
+def test_circles_and_ellipses_are_loops_too():
+    rng = np.random.default_rng(3)
+    points = rng.uniform([-1, -0.1], [1, 1.9], (300, 2))
+    for contour in (planar.Circle(0.4, (0.1, 0.9)), planar.Ellipse((0.5, 0.2), (0, 0.8), 0.6)):
+        for one in (contour, planar.contours.mirrored(contour)):
+            if one is contour:
+                gap = Outlines([one.loops()]).nearest(at_zero(points), points).gap
+                assert np.abs(np.abs(gap) - one.distance(points)).max() < 1e-13
+            touch = Outlines([one.loops()]).touch_down(0)
+            assert abs(touch - planar.events(one).x0[0]) < 1e-12
+
+
+def test_points_of_a_curve_may_come_in_either_order_and_closed():
+    x, y = cassini(0.3, 200)
+    first = planar.Curve.from_points(x, y)
+    for other in ((x[::-1], y[::-1]), (np.append(x, x[0]), np.append(y, y[0]))):
+        again = planar.Curve.from_points(*other)
+        assert again.distance(first.points).max() < 1e-14
+        assert len(again.points) == 200
+
+
+def test_contours_inside_others_are_out_of_reach():
+    ring = planar.Contours(
+        [planar.Circle(0.3, (0, 0.8)), planar.Circle(0.2, (0, 0.8)), planar.Polygon(COMB + np.array([1, 0]))]
+    )
+    assert len(ring.parts) == 2
+    assert ring.distance(np.array([[0.0, 0.8]]))[0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: planar.Contours([]), "at least one"),
+        (lambda: planar.Contours([planar.Circle(0.3, (0, 0.8)), planar.Circle(0.3, (0.1, 0.8))]), "must not overlap"),
+        (
+            lambda: planar.Contours(
+                [planar.Curve.from_support(lambda a: 0.5 - 0.9 * np.cos(a), lambda a: 0.9 * np.sin(a))]
+            ),
+            "lower side only",
+        ),
+        (lambda: planar.Curve.from_points([0, 1], [0, 1]), r"points of shape \(n >= 3, 2\)"),
+        (lambda: planar.Curve.from_points([0, 1, 1], [0, 1]), r"one shape \(n,\)"),
+        (lambda: planar.Curve.from_points([0, 1, np.nan], [0, 1, 2]), "finite points, got 1"),
+        (lambda: planar.Curve.from_points([0, 1, 1, 1], [0, 0, 0, 1]), "differ from their neighbours"),
+        (lambda: planar.Curve.from_points(*np.array([[0, 0.5], [1, 1.2], [1, 0.5], [0, 1]]).T), "must not cross"),
+        (lambda: planar.Polygon(COMB[[0, 1, 2, 3, 5, 4, 6, 7]]), "must not cross itself"),
+        (lambda: planar.Polygon([[0, 0.5], [1, 0.5], [0.4, 0.5], [0.4, 0.9]]), "must not cross or touch itself"),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_crossings_are_found_wherever_they_are():
+    angle = np.linspace(0, 2 * np.pi, 500, endpoint=False)
+    wavy = (1 + 0.3 * np.cos(9 * angle))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert crosses_itself(wavy) is None
+    for k in (3, 100, 400):
+        crossed = wavy.copy()
+        crossed[[k, k + 1]] = crossed[[k + 1, k]]
+        assert crosses_itself(crossed) is not None
