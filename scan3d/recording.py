@@ -45,7 +45,7 @@ _ON_GRID = 0.02
 # The grid's step is determined by ever larger distances, each at most this many times the one before if there is such a one:
 # digits that are missing then do not make the number of steps in the next distance uncertain.
 _GROWTH = 8.0
-# Steps in the smallest gap between two numbers of a column, at most, and different numbers, at least, that show a grid.
+# Steps in the smallest gap between two numbers of a column, at most, and numbers, at least, that show a grid or their digits.
 _PARTS, _FEWEST = 12, 20
 # Rounding of remainders in Euclid's algorithm, relative to the largest number.
 _EUCLID = 1e-9
@@ -312,19 +312,33 @@ def rounding_sd(values: Array) -> float:
 
 
 def _decimal_step(values: Array, largest: float, single: bool) -> float:
-    """The place value of the last significant digit at the largest number; 0 for the digits of full precision.
+    """The place value of the last significant digit at the largest numbers; 0 for full precision, or if few numbers show it.
 
-    `single` says that the numbers were kept in single precision, which has 7 to 9 digits.
+    `single` says that the numbers were kept in single precision, which has 7 to 9 digits.  Digits are counted for each power of
+    ten that has so many numbers that not all of them end with zeros by chance.  Numbers with fixed decimals have the fewer
+    digits the smaller they are.
     """
-    some = evenly(values, _COUNTED).tolist()
+    some = np.abs(evenly(values, _COUNTED))
     kept, full = (np.float32, _FULL_SINGLE) if single else (float, _FULL)
-    digits = 1
-    for value in some:
-        while digits < full and kept(f"{value:.{digits - 1}e}") != value:
-            digits += 1
-        if digits == full:
-            return 0.0
-    return float(10.0 ** (np.floor(np.log10(largest)) + 1 - digits))
+    power = np.floor(np.log10(some))
+    exponents, counts = np.unique(power, return_counts=True)
+    found: dict[float, int] = {}
+    for exponent in exponents[counts >= _FEWEST].tolist():
+        digits = 1
+        for value in np.unique(some[power == exponent]).tolist():
+            while digits < full and kept(f"{value:.{digits - 1}e}") != value:
+                digits += 1
+            if digits == full:
+                return 0.0
+        found[exponent] = digits
+    if not found:
+        return 0.0
+    # as many digits everywhere are significant ones, also of the few largest numbers; one power alone does not tell
+    significant = len(found) > 1 and len(set(found.values())) == 1
+    steps = [exponent + 1 - digits for exponent, digits in found.items()]
+    if significant:
+        steps.append(np.floor(np.log10(largest)) + 1 - max(found.values()))
+    return float(10.0 ** max(steps))
 
 
 def _grid_step(values: Array) -> float:
