@@ -125,7 +125,16 @@ class Cloud(Shown, Exported):
     """Model of contact that gave the contacts, one of `choices.MODELS`.  Clouds of the spatial model have no slices: `slice` is
     -1, `in_plane_normals` are NaN, `slice_axis` and `slice_height` are empty."""
     rod_radius: float = 0.0
-    """Radius of the rod in the recording's unit, by which `points` lie inside `centre_points`; 0 where it is neglected."""
+    """Radius of the rod in the recording's unit, by which `points` lie inside `centre_points`, or inside the points of the
+    `fattened` cloud; 0 where it is not known.  Of a tapered rod the largest."""
+    tapered: bool = False
+    """Whether the rod's radius changes along it, so that its centre line touches no body fattened by one radius."""
+    fattened: Cloud | None = None
+    """Of a thick rod in a plane: the contacts of its centre line with the body fattened by the rod's radius, in which all that
+    follows from slices is found; None for a rod without thickness."""
+    lever: float = 0.0
+    """How far a contact of the centre line may lie outside of the fattened body, in the recording's unit, because friction acts
+    on the rod's surface and not on its centre line."""
     centre_points: Array | None = None
     """(n, 3) points of the rod's centre line at the contacts (spatial model): they lie on the surface of the body fattened by
     the rod's radius, and `points` are ``centre_points - rod_radius * normals``."""
@@ -189,7 +198,8 @@ class Cloud(Shown, Exported):
         columns = {name: getattr(self, name) for name in _PER_CONTACT}
         selected = {name: column[rows] for name, column in columns.items() if column is not None}
         calibration = None if self.calibration is None else self.calibration.select(rows)
-        return replace(self, **selected, calibration=calibration, kept=dict(self.kept))
+        fattened = None if self.fattened is None else self.fattened.select(rows)
+        return replace(self, **selected, calibration=calibration, fattened=fattened, kept=dict(self.kept))
 
     def summary(self) -> Rows:
         """Counts, size and what was measured."""

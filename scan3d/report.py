@@ -176,10 +176,25 @@ def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
 
 
 def _thickness(cloud: Cloud) -> dict[str, Any]:
-    """The rod's diameter and what its radius does to the contacts, which the planar model neglects."""
-    if cloud.model != "spatial":
+    """The rod's diameter and what its radius does to the contacts; nothing of a planar recording by a rod without one."""
+    if cloud.model != "spatial" and not cloud.rod_radius:
         return {}
-    return {"diameter": 2 * cloud.rod_radius, "radius": {**radius_errors(cloud)._asdict(), "unit": cloud.unit}}
+    tapered = {"tapered": True} if cloud.tapered else {}
+    return {
+        "diameter": 2 * cloud.rod_radius,
+        **tapered,
+        "radius": {**radius_errors(cloud)._asdict(), "unit": cloud.unit},
+    }
+
+
+def _grown(recording: Recording) -> str | None:
+    """What contacts and bounds are those of, in the place of the body, where the diameter of a real rod is not known."""
+    if recording.rod.diameter_m or recording.source.get("kind") == "simulation":
+        return None
+    return (
+        "the body grown by the rod's radius, since the rod's diameter is not stated: state diameter_m under [rod], in the map "
+        "of an import or in the TOML file of the recording"
+    )
 
 
 def _contact_error(analysis: Analysis) -> dict[str, Any] | None:
@@ -205,6 +220,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
         "table": cloud.table,
+        "grown": _grown(analysis.recording),
         "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _calibration_off(cloud, bounds),
         "volume": list(bounds.volume),
     }
@@ -437,8 +453,10 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if radius.get("moved"):
         unit = radius["unit"]
         left = max(radius["left"] or 0.0, radius["left_unknown"] or 0.0)
-        moved = f"contacts moved by {length(radius['moved'], unit)} from the rod's centre line"
-        rows.append(("rod's radius", f"{moved}, which leaves errors up to {length(left, unit, digits=1, up=True)}"))
+        leaves = f", which leaves errors up to {length(left, unit, digits=1, up=True)}" if left else ""
+        rows.append(
+            ("rod's radius", f"contacts moved by {length(radius['moved'], unit)} from the rod's centre line{leaves}")
+        )
     rows += _calibration_rows(data)
     surface = data["surface"]
     closed = "watertight" if surface["watertight"] else "not watertight"
@@ -463,12 +481,17 @@ def summary(data: Mapping[str, Any]) -> Summary:
         on_table = "" if table is None else f", and the table at z = {length(table, certified['unit'], digits=5)}"
         rows.append(("certified", f"within {bound}, from touch alone{on_table}{confidence}"))
         rows += _premise_rows(certified)
+    elif data.get("rod", {}).get("tapered"):
+        why = "the rod's radius changes along it, and no one radius grows the body to what its centre line touches"
+        rows.append(("certified", f"nothing, because {why}"))
     else:
         nothing = "nothing, because no contact bounds the body on some side of it"
         hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"
         count = data["counts"].get("unproven_slices", 0)
         unproven = f"; {count} slices without contact prove no end, because their sweeps miss places that it may reach"
         rows.append(("certified", nothing + (unproven if count else "") + hint))
+    if certified.get("grown"):
+        rows.append(("measured", certified["grown"]))
     return Summary(heading, rows)
 
 
@@ -580,4 +603,6 @@ def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     if certified["bound"] is not None and np.isfinite(certified["bound"]):
         rows.append(("certified within", length(certified["bound"], unit, up=True) + of_hull))
         rows += _premise_rows(certified)
+    if certified.get("grown"):
+        rows.append(("measured", certified["grown"]))
     return tuple(rows)

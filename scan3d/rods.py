@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -146,6 +146,14 @@ class Rod:
             rows, power = ((0.0, self.diameter_m or 1.0), (self.length_m, tip or 1.0)), 1.0
         knots = (*(s / self.length_m for s, _ in rows[:-1]), 1.0)
         return Profile(knots, tuple((value / rows[0][1]) ** power for _, value in rows), weight)
+
+    def without_thickness(self) -> Rod:
+        """The rod that bends as this one, and touches with its centre line."""
+        if not self.diameter_m:
+            return self
+        rows = zip(self.profile.knots, self.profile.diameters, strict=True)
+        table = tuple((self.length_m * s, self.bending_stiffness_Nm2 * d**4) for s, d in rows) if self.varies else ()
+        return replace(self, diameter_m=0.0, diameter_table=(), tip_diameter_m=None, stiffness_table=table)
 
     def in_plane(self) -> planar.Rod:
         """The rod of `planar`, in the units (1).  Raises InputError if it does not stay in the plane of a sweep."""

@@ -154,10 +154,13 @@ def test_six_axes_are_written_and_read_back(tmp_path):
     assert back.force_N.tobytes() == recording.force_N.tobytes()
 
 
-def test_planar_recordings_are_written_without_six_axes_and_diameter(tmp_path):
-    write_recording(random_recording(3, rod=Rod.wire(0.05, 0.3e-3, 210e9)), tmp_path / "log.csv")
-    assert "diameter" not in (tmp_path / "log.toml").read_text()
-    assert not read_recording(tmp_path / "log.csv").six_axis
+def test_planar_recordings_are_written_without_six_axes_and_with_the_diameter_that_is_known(tmp_path):
+    for rod in (Rod.wire(0.05, 0.3e-3, 210e9), Rod(0.05, 1e-4)):
+        write_recording(random_recording(3, rod=rod), tmp_path / "log.csv")
+        assert ("diameter" in (tmp_path / "log.toml").read_text()) == (rod.diameter_m > 0)
+        back = read_recording(tmp_path / "log.csv")
+        assert back.rod == rod
+        assert not back.six_axis
 
 
 def test_six_axes_of_other_programs(tmp_path):

@@ -68,11 +68,13 @@ def test_planar_scans_with_any_rod_find_the_body(rod, tmp_path):
     recording = scan3d.simulate(mesh, plan)
     scan3d.write_recording(recording, tmp_path / "recording.csv")
     stored = scan3d.read_recording(tmp_path / "recording.csv")
-    assert replace(stored.rod, diameter_m=rod.diameter_m) == rod
+    # of a tapered rod the stiffness alone, since its contacts are simulated without thickness
+    assert stored.rod == (rod.without_thickness() if rod.varies else rod)
     cloud = scan3d.reconstruct(stored)
-    length = 1000 * rod.length_m
+    length, radius = 1000 * rod.length_m, 500 * stored.rod.diameter_m
     assert len(cloud) > 300
-    assert distances(cloud.points, mesh).max() < 1e-9 * length
+    touched = cloud.fattened if radius else cloud
+    assert np.abs(distances(touched.points, mesh) - radius).max() < 1e-9 * length
     assert np.nanmedian(cloud.friction) == pytest.approx(0.3, abs=1e-6)
     # read as straight and uniform the contacts are elsewhere
     wrong = scan3d.reconstruct(replace(recording, rod=replace(WIRE, bending_stiffness_Nm2=rod.bending_stiffness_Nm2)))

@@ -44,7 +44,7 @@ _BALL = 1.0
 
 def exact_error(cloud: Cloud) -> float:
     """Largest error of the places of exact contacts, in the cloud's unit."""
-    return EXACT * cloud.rod_length + cloud.pose_error
+    return EXACT * cloud.rod_length + cloud.pose_error + cloud.lever
 
 
 def sigmas(count: int, confidence: float = CONFIDENCE) -> float:

@@ -24,6 +24,12 @@ have errors of at most e, the arcs are widened, the planes are moved outwards by
 tangent then has an error as well, and its plane is moved by what that makes of it within a ball around the contacts; if all
 apexes lie inside the ball, so does K, since K is connected.  A table below the body, if it is known, is one more supporting
 plane of K, moved outwards by the rod's radius.
+
+A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
+the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
+B.  Friction acts on the rod's surface.  Where the force on it passes through the centre line, which is what reactions tell, is
+no farther from the contact than ``a / cos β``, with β the angle of friction along the rod, and so no farther outside of K than
+``a (1 / cos β - 1)``, for which a margin allows (`Cloud.lever`).  The rod's tip counts as round.
 """
 
 from __future__ import annotations
@@ -45,7 +51,7 @@ from scan3d.bounds.noise import confident
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest, nearest_on
-from scan3d.geometry.hulls import hull, shrunk, shrunk_by
+from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
 from scan3d.geometry.vectors import highest
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
@@ -118,6 +124,8 @@ class Enclosure(Described):
     """How far the true body may reach beyond the hull of the corners: negative where they enclose the body and the rod."""
     inner_bodies: tuple[tuple[Any, float], ...] = ()
     """Further convex bodies, and how far each may stick out of the true one."""
+    fattened: Enclosure | None = None
+    """Of a thick rod in slices: the enclosure of the body fattened by the rod's radius."""
     slabs: SlabCorners | None = None
     """More about the corners, if the outer body consists of slabs."""
     directions: Directions | None = None
@@ -154,7 +162,8 @@ class Enclosure(Described):
         nothing = np.full(len(directions), np.inf)
         if not self.confidence:
             return -nothing, nothing
-        lower = highest(self.inner.vertices.view(np.ndarray), directions) - self.excess
+        bodies = ((self.inner, self.excess), *self.inner_bodies)
+        lower = np.max([highest(body.vertices.view(np.ndarray), directions) - off for body, off in bodies], axis=0)
         upper = highest(self.corners, directions) + self.reach if self.closed else nothing
         return lower, upper if self.tighter is None else np.minimum(upper, self.tighter.support(directions)[1])
 
@@ -199,11 +208,16 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
 
     Where the cloud was sliced along several axes, the stack whose slabs give the smallest bound is used.  Exact contacts bound
     the body by the cells between the slices of all axes as well, if that is tighter, and those of a polyhedron by their
-    tangents.  Contacts of the spatial model lie in no slices.  Raises InputError for contacts that do not span a body.
+    tangents.  Contacts of the spatial model lie in no slices.  A rod whose radius changes along it bounds nothing.  Raises
+    InputError for contacts that do not span a body.
     """
+    if cloud.fattened is not None:
+        return _thinner(enclosure(cloud.fattened, margin, confidence=confidence), cloud.rod_radius)
     if cloud.model == "spatial":
         return _spatial_enclosure(cloud, margin, confidence)
     bounds = slice_enclosure(cloud, margin, confidence)
+    if cloud.tapered:
+        return _unbounded(bounds.inner, stacks(cloud)[0], bounds.confidence)
     exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
     bounds = _with_cells(bounds, cloud) if exact else bounds
     return _with_tangents(bounds, cloud) if exact and len(bounds.inner.faces) <= _FEW_FACETS else bounds
@@ -225,17 +239,50 @@ def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     bound = max(float(found.gap.max()) if len(found.gap) else np.inf, exact_error(cloud))
     if bound >= _TIGHTER * bounds.bound:
         return bounds
-    volume = bounds.volume[0], max(min(bounds.volume[1], _volume_within(bounds.inner, bound)), bounds.volume[0])
+    within = float(bounds.inner.volume + _shell(bounds.inner, bound)) * (1 + ROUNDING)
+    volume = bounds.volume[0], max(min(bounds.volume[1], within), bounds.volume[0])
     cells = Enclosure(inner=bounds.inner, corners=found.corners, gap=found.gap, bound=bound, margin=0.0, volume=volume)
     return replace(bounds, tighter=cells, bound=bound, volume=volume)
 
 
-def _volume_within(body: Any, distance: float) -> float:
-    """Volume of all that is nearer to a convex body than `distance`, by Steiner's formula."""
+def _shell(body: Any, distance: float) -> float:
+    """Volume of all that is nearer to a convex body than `distance` and outside of it, by Steiner's formula."""
     edges = np.linalg.norm(np.diff(body.vertices.view(np.ndarray)[body.face_adjacency_edges], axis=1)[:, 0], axis=1)
     curvature = float((edges * body.face_adjacency_angles).sum()) / 2
-    volume = body.volume + distance * (body.area + distance * (curvature + 4 / 3 * np.pi * distance))
-    return float(volume) * (1 + ROUNDING)
+    return float(distance * (body.area + distance * (curvature + 4 / 3 * np.pi * distance)))
+
+
+def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
+    """The enclosure of a body by that of the body fattened by a ball of some radius."""
+    inner, excess = offset_inwards(bounds.inner, radius), bounds.excess
+    bodies: tuple[tuple[Any, float], ...] = ((bounds.inner, bounds.excess + radius),)
+    if inner is None:  # the body may be thinner than what the contacts leave open
+        centre, factor = shrunk_by(bounds.inner, radius)
+        inner = hull(centre + max(factor, _LEAST) * (bounds.inner.vertices.view(np.ndarray) - centre))
+        excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), excess)
+    tighter = None if bounds.tighter is None else _thinner(bounds.tighter, radius)
+    reach, gap = bounds.reach - radius, np.full(len(bounds.gap), np.inf)
+    known = np.flatnonzero(np.isfinite(bounds.corners).all(axis=1))
+    gap[known] = np.maximum(nearest(bounds.corners[known], inner)[0] + reach, 0.0)
+    bound = max(float(gap.max(initial=0.0)), excess, bounds.margin)
+    least = shrunk(inner, excess) if excess else inner
+    low = 0.0 if least is None else float(least.volume) * (1 - ROUNDING)
+    shell = 4 / 3 * np.pi * radius**3 if least is None else _shell(least, radius) * (1 - ROUNDING)
+    high = bounds.volume[1] - shell
+    if tighter is not None:
+        bound, low, high = min(bound, tighter.bound), max(low, tighter.volume[0]), min(high, tighter.volume[1])
+    return replace(
+        bounds,
+        inner=inner,
+        gap=gap,
+        bound=bound,
+        volume=(low, max(low, high)),
+        excess=excess,
+        reach=reach,
+        inner_bodies=(*bodies, (inner, excess)),
+        tighter=tighter,
+        fattened=bounds,
+    )
 
 
 def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
@@ -307,7 +354,7 @@ def _by_slices(cloud: Cloud, margin: float | None, confidence: float, widened: f
                 return _unbounded(inner, by_axis[0], confidence)
             by_axis, inner = [stack for stack in confident_stacks if stack.slices], proven
             excess = _excess(cloud, allow, by_axis)
-        margin = max(off)
+        margin = max(off) + cloud.lever
         smaller = shrunk(inner, margin) if margin else inner
         if smaller is None:
             return _unbounded(inner, by_axis[0], confidence)

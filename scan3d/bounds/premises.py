@@ -46,7 +46,7 @@ def _of_body(contradicted: Collection[str]) -> str:
 def _of_rod(rod: Rod, cloud: Cloud, contradicted: Collection[str]) -> Premise:
     """That on the rod and the sensor: sweeps over the same place agree, and so do six reactions."""
     known = "a straight, uniform, weightless rod in a rigid clamp" if rod.is_simple else "the stated rod and clamp"
-    share = float(_same_place(cloud).mean()) if len(cloud) else 0.0
+    share = float(_same_place(cloud.fattened or cloud).mean()) if len(cloud) else 0.0
     six_axes = "force and moment are those of a single force" if cloud.model == "spatial" else ""
     if contradicted:
         outcome = "contradicted"

@@ -129,7 +129,7 @@ def plan(
     poses = plan_poses(chosen)
     with folder(out.parent):
         write_poses(poses, out)
-    used, clearance = chosen.resolved_rod(), chosen.resolved_clearance()
+    used, clearance = chosen.wire(), chosen.resolved_clearance()
     seconds, largest = float(poses.times()[-1]), FORCE_FACTOR * used.force_unit_N / clearance**2
     data = {
         "poses": str(out),

@@ -75,7 +75,7 @@ def recording_files(
     rod = rod_section(recording.rod)
     if recording.six_axis:
         columns |= {name: getattr(recording, field) for name, field in SIX_AXES.items()}
-    elif not recording.rod.diameter_table and recording.rod.tip_diameter_m is None:
+    elif not recording.rod.diameter_m:
         del rod["diameter_m"]
     columns |= further or {}
     noise = {"force_N": recording.noise_force_N, "moment_Nm": recording.noise_moment_Nm}

@@ -6,13 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index
 from scan3d.errors import InputError
 from scan3d.geometry.convexity import outward_faces, outward_facets
 from scan3d.geometry.distance import locator, nearest
 from scan3d.geometry.merging import representatives, without_unused
+from scan3d.geometry.polytopes import half_space_intersection
 from scan3d.geometry.triangles import distance_to, dot, longest_first, spanned
 from scan3d.geometry.vectors import highest
 
@@ -132,6 +134,32 @@ def shrunk_by(body: Any, distance: float) -> tuple[Array, float]:
     centre = body.vertices.view(np.ndarray).mean(axis=0)
     depth = -float(nearest(centre[None], body)[0][0])
     return centre, 1 - distance / depth if depth > 0 else -np.inf
+
+
+def offset_inwards(body: Any, distance: float) -> Any:
+    """What lies in a convex body deeper than `distance`, up to rounding; None if that is nothing.
+
+    If the body is another one fattened by a ball of that radius, that is the other one; of a part of it, a part.
+    """
+    middle = body.bounds.mean(axis=0)
+    vertices, faces = body.vertices.view(np.ndarray) - middle, body.faces.view(np.ndarray)
+    size = float(np.abs(vertices).max())
+    spread = spanned(vertices[faces])
+    area = np.linalg.norm(spread, axis=1)
+    normals = spread[area > 0] / area[area > 0, None]
+    values = dot(normals, vertices[faces[area > 0, 0]]) - distance - ROUNDING * size
+    inside = vertices.mean(axis=0)
+    if not (values - normals @ inside > NEGLIGIBLE * size).all():
+        columns = np.column_stack([normals, np.ones(len(normals))])
+        deepest = linprog([0, 0, 0, -1], A_ub=columns, b_ub=values, bounds=[(None, None)] * 3 + [(None, size)])
+        if deepest.status != 0 or deepest.x[3] <= NEGLIGIBLE * size:
+            return None
+        inside = deepest.x[:3]
+    try:
+        corners = half_space_intersection(np.column_stack([normals, -values]), inside).intersections
+        return hull(corners[np.isfinite(corners).all(axis=1)] + middle)
+    except (QhullError, InputError):
+        return None
 
 
 def edges_of(hull: ConvexHull) -> tuple[Index, Index]:

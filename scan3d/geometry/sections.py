@@ -84,7 +84,7 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     ends = np.searchsorted(level[by_level], np.arange(len(levels) + 1))
     polygons = [np.empty((0, 2))] * len(heights)
     for i, j in enumerate(order):
-        polygons[j] = _convex_polygon(outline[ends[i] : ends[i + 1]], rounding) + origin[:2]
+        polygons[j] = convex_polygon(outline[ends[i] : ends[i + 1]], rounding) + origin[:2]
     return polygons
 
 
@@ -95,8 +95,11 @@ def _pairs(first: Index, last: Index) -> tuple[Index, Index]:
     return i, np.arange(len(i)) - np.repeat(np.cumsum(count) - count - first, count)
 
 
-def _convex_polygon(points: Array, rounding: float) -> Array:
-    """Counter-clockwise hull (m, 2) of points (n, 2), without vertices that bulge from it by no more than rounding."""
+def convex_polygon(points: Array, rounding: float) -> Array:
+    """Counter-clockwise hull (m, 2) of points (n, 2), without vertices that bulge from it by no more than rounding.
+
+    Empty (0, 2) if the points span no polygon.
+    """
     empty = np.empty((0, 2))
     if len(points) < 3 or (size := np.ptp(points, axis=0).max()) <= rounding:
         return empty

@@ -229,7 +229,12 @@ class RigPlan:
             )
 
     def resolved_rod(self) -> Rod:
-        """The rod, or the one that is taken by default."""
+        """The rod, or the one that is taken by default: in the planar model one without thickness, as in scans of meshes."""
+        wire = self.wire()
+        return wire.without_thickness() if self.rod is None and self.model == "planar" else wire
+
+    def wire(self) -> Rod:
+        """The rod with its thickness, or the wire that is taken by default."""
         if self.rod is not None:
             return self.rod
         around = self.around
@@ -265,7 +270,7 @@ class RigPlan:
         length = rod.length_m / metres
         floor = self.floor
         if floor is None:
-            floor = max(_FLOOR * self.around.height, _FLOOR_DIAMETERS * rod.diameter_m / metres)
+            floor = max(_FLOOR * self.around.height, _FLOOR_DIAMETERS * self.wire().diameter_m / metres)
         clearance = self.resolved_clearance()
         return Space(
             self.around.points(),

@@ -78,8 +78,9 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
     else:
-        alone = _off_line(recording) + _out_of_plane(recording, cloud) + alone
-        found = _in_slices(recording, cloud)
+        touched = cloud.fattened or cloud  # by the rod's centre line
+        alone = _off_line(recording) + _out_of_plane(recording, touched) + alone
+        found = _in_slices(recording, touched)
     if alone:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
@@ -181,7 +182,7 @@ def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
             normals = slice_.normals[np.searchsorted(slice_.tangential, lines)]
             found = Compared(nothing, slice_.rows, slice_.points, lines, normals, some, stack.frame[:2], np.empty(0))
             compared = slice_.points, lines, normals, some
-            systematic = np.full((len(lines), len(some)), 2 * cloud.pose_error)
+            systematic = np.full((len(lines), len(some)), 2 * (cloud.pose_error + cloud.lever))
             if (rig := cloud.calibration) is not None:
                 of_rig = found.errors(rig.factor(FALSE_ALARM), rig.covariance, rig.tilt_sd)
                 systematic += beyond_tangents(*compared, of_rig, cloud.rod_length).explained
@@ -293,7 +294,7 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
     if cloud.centre_points is not None:  # of a rod that touches the body from below the table
         heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
     else:
-        heights = cloud.points[:, 2]
+        heights = cloud.points[:, 2] if cloud.fattened is None else cloud.fattened.points[:, 2] + cloud.rod_radius
         sd = None if cloud.covariance is None else np.sqrt(np.maximum(cloud.covariance[:, 2, 2], 0.0))
     depth = cloud.table - heights - allowed - (0.0 if sd is None else _kappa(len(cloud)) * sd)
     worst = int(depth.argmax())

@@ -20,8 +20,10 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.choices import MODELS
 from scan3d.cloud import Cloud, NormalSource
 from scan3d.errors import InputError
+from scan3d.geometry.support import fit_support
 from scan3d.reconstruction.errors import (
     FORCE_SIGMAS,
+    LARGEST_TOLERANCE,
     NoContactError,
     contact_tolerance,
     felt,
@@ -61,8 +63,8 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
 
     Planar: the direction of a normal within its slice's plane comes from (14), its inclination to the plane from the slices
     below and above.  Spatial: normals come from the slip and the path of the contact along each sweep, or from the force where
-    there is no friction; points lie inside the rod's centre line by its radius.  If the body proves smooth, all normals come
-    from the support function fitted to all contacts.
+    there is no friction.  If the body proves smooth, all normals come from the support function fitted to all contacts.
+    Points lie inside the rod's centre line by its radius, along the normals, in the plane as in space.
     Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
     model needs, and ValueError for an unknown method.
     """
@@ -77,7 +79,7 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
             raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
     if model == "planar" or (model is None and not recording.six_axis):
         cloud = with_smooth_fit(with_slice_normals(contacts(recording, method)))
-        return with_rig_errors(cloud, recording)
+        return _on_surface(with_rig_errors(cloud, recording), recording)
     if method != "closed-form":
         raise InputError(
             f"the spatial model has the method closed-form only, got {method!r}; or choose the planar model"
@@ -91,6 +93,7 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
 def contacts(recording: Recording, method: str = "closed-form") -> Cloud:
     """Contacts of a recording by `planar.reconstruct`, their normals in the planes of their slices only.
 
+    Those of a thick rod are the contacts of its centre line with the body fattened by its radius.
     Rows without contact, and rows whose force does not stand out from the noise, give no contact.  Raises InputError if no row
     gives one.
     """
@@ -130,6 +133,13 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
     columns = np.zeros(len(moment)), fx, fy, moment
     pressed = felt(recording.force_N / rod.force_unit_N, noise)
     tolerance = tip_tolerance(recording, pressed, contact_tolerance(error), "planar")
+    radius = rod.diameter_m / 2
+    if (
+        radius
+    ):  # where the force meets the centre line may be as far from the tip as from the contact on the rod's surface
+        steep = planar.reconstruct(*columns, tolerance=LARGEST_TOLERANCE, rod=bent).friction_angle_bound
+        reach = radius / rod.length_m / np.cos(np.nan_to_num(steep))
+        tolerance = np.minimum(tolerance + reach, LARGEST_TOLERANCE)
     in_plane = planar.reconstruct(*columns, method=method, tolerance=tolerance, rod=bent)
     touching = pressed & (in_plane.phase != planar.Phase.NONE)
     light = too_light(error.largest, touching)
@@ -171,12 +181,42 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
         light=int(light.sum()),
         pose_error=known.place_m / scale,
         tilt=slices.tilt_in(scale),
-        table=None if recording.table_m is None else recording.table_m / scale,
+        table=None if recording.table_m is None else (recording.table_m - radius) / scale,
         independent=known.independent,
+        tapered=radius > 0 and rod.varies,
     )
+    cloud = replace(cloud, lever=radius / scale * (1 / np.cos(_steepest(cloud)) - 1))
     # a rod's tip is bent by a third of the force that is felt
     left_out = np.setdiff1d(slices.number[pressed], cloud.slice)
     return InSlices(cloud, slices.number, left_out, FORCE_SIGMAS * max(noise) / 3)
+
+
+def _steepest(cloud: Cloud) -> float:
+    """The largest friction angle of the contacts in slices, in radians; of noisy ones, of the better known half."""
+    known = np.isfinite(cloud.friction)
+    if cloud.normal_sd is not None and known.any():
+        known &= cloud.normal_sd <= np.median(cloud.normal_sd[known])
+    return float(np.arctan(cloud.friction[known].max())) if known.any() else _FRICTION_ANGLE
+
+
+def _on_surface(cloud: Cloud, recording: Recording) -> Cloud:
+    """The contacts on the surface of a body from those of a rod's centre line with the body fattened by its radius."""
+    rod, scale = recording.rod, UNITS_M[recording.unit]
+    if not rod.diameter_m:
+        return cloud
+    fx, fy = (recording.force_N / rod.force_unit_N)[cloud.row].T
+    moment = recording.moment_Nm[cloud.row] / rod.moment_unit_Nm
+    bent = rod.in_plane()
+    s1 = planar.reconstruct(np.zeros(len(fx)), fx, fy, moment, tolerance=LARGEST_TOLERANCE, rod=bent).s1
+    relative = bent.profile.diameter(np.clip(s1, 0.0, 1.0))
+    radii = rod.diameter_m / 2 / scale * relative
+    force = -np.einsum("ni,nij->nj", recording.force_N[cloud.row], recording.axes()[cloud.row, :2])
+    table = None if recording.table_m is None else recording.table_m / scale
+    moved = _moved_by_radius(replace(cloud, rod_radius=float(radii.max()), fattened=cloud, table=table), force, radii)
+    if cloud.fit is None:
+        return moved
+    sd = cloud.sd_along(cloud.normals)
+    return replace(moved, fit=fit_support(moved.points, cloud.normals, cloud.fit.degree, sd, table))
 
 
 def with_unresolved_slices(
@@ -245,7 +285,8 @@ class GrowingContacts:
         )
         both = [new] if self._cloud is None else [self._cloud, new]
         columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in both]) for name in _COLUMNS}
-        self._cloud = replace(new, **columns, kept={} if self._cloud is None else self._cloud.kept)
+        lever, kept = max(part.lever for part in both), {} if self._cloud is None else self._cloud.kept
+        self._cloud = replace(new, **columns, lever=lever, kept=kept)
         self._rows += len(recording)
         self._left_out = np.concatenate([self._left_out, before + found.left_out])
         empty = ~np.isin(number, new.slice)
@@ -321,7 +362,7 @@ def spatial_contacts(recording: Recording) -> Cloud:
     force = np.einsum("ni,nij->nj", known.found.force[cloud.row], recording.axes()[cloud.row])
     cloud, slides = _with_sweep_normals(cloud, track(recording, known, cloud, force), known)
     cloud = with_fit(_with_hull_normals(cloud, force, slides), force, slides)
-    return _moved_by_radius(cloud, force)
+    return _moved_by_radius(cloud, force, np.full(len(cloud), cloud.rod_radius))
 
 
 def without_normals(recording: Recording, known: Readings) -> Cloud:
@@ -456,26 +497,26 @@ def _with_hull_normals(cloud: Cloud, force: Array, slides: Mask) -> Cloud:
     )
 
 
-def _moved_by_radius(cloud: Cloud, force: Array) -> Cloud:
-    """The cloud with its points on the surface: `rod_radius` inside the centre points along the normals.
+def _moved_by_radius(cloud: Cloud, force: Array, radius: Array) -> Cloud:
+    """The cloud with its points on the surface: the rod's radius (n,) inside the centre points along the normals.
 
     Where the normal is unknown the direction of the force takes its place, which differs from it by the friction angle.  In
     tangential contact that is the force's part across the rod, without the friction along the rod (S11).
     """
-    if cloud.rod_radius == 0:
+    if not radius.any():
         return cloud
     unknown = np.isnan(cloud.normals[:, 0])
     if cloud.tangents is not None:
         along = (force * cloud.tangents).sum(axis=1, keepdims=True) * cloud.tangents
         force = np.where((cloud.phase == planar.Phase.TANGENTIAL)[:, None], force - along, force)
     direction = np.where(unknown[:, None], force / np.linalg.norm(force, axis=1, keepdims=True), cloud.normals)
-    points = cloud.points - cloud.rod_radius * direction
+    points = cloud.points - radius[:, None] * direction
     if cloud.covariance is None or cloud.place_sd is None or cloud.normal_sd is None:
         return replace(cloud, points=points)
     tilt = np.where(unknown, friction_angle(cloud), np.minimum(cloud.normal_sd, 1.0))
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    covariance = cloud.covariance + ((cloud.rod_radius * tilt) ** 2)[:, None, None] * across
-    place_sd = np.hypot(cloud.place_sd, cloud.rod_radius * tilt)
+    covariance = cloud.covariance + ((radius * tilt) ** 2)[:, None, None] * across
+    place_sd = np.hypot(cloud.place_sd, radius * tilt)
     return replace(cloud, points=points, covariance=covariance, place_sd=place_sd, noise=float(np.median(place_sd)))
 
 
@@ -484,7 +525,8 @@ class RadiusErrors(NamedTuple):
 
     moved: float
     left: float | None
-    """Error of 95 % of the contacts with known normals at most, by the uncertainty of the normals; None if there are none."""
+    """Error of 95 % of the contacts with known normals at most, by the uncertainty of the normals; None if there are none, and
+    in the planar model, where the inclination of the normals to the slices has no known uncertainty."""
     unknown_normals: int
     """Contacts with unknown normals, which were moved along the force."""
     left_unknown: float | None
@@ -494,7 +536,7 @@ class RadiusErrors(NamedTuple):
 def radius_errors(cloud: Cloud) -> RadiusErrors:
     """What the rod's radius does to the contacts of a cloud, in its unit."""
     unknown = np.isnan(cloud.normals[:, 0])
-    sd = np.empty(0) if cloud.normal_sd is None else cloud.normal_sd[~unknown]
+    sd = np.empty(0) if cloud.normal_sd is None or cloud.model == "planar" else cloud.normal_sd[~unknown]
     return RadiusErrors(
         cloud.rod_radius,
         cloud.rod_radius * _SIGMAS_95 * float(np.percentile(sd, 95)) if len(sd) else None,

@@ -24,9 +24,10 @@ from scan3d.spatial import inverse
 FORCE_SIGMAS = 8.0
 """A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
 nearly none does."""
-# A contact counts as one of the tip if it lies within this many standard deviations of the tip, by the noise or by the
-# calibration, and within this many rod lengths in any case.
-_TIP_SIGMAS, _LARGEST_TOLERANCE = 5.0, 0.5
+LARGEST_TOLERANCE = 0.5
+"""Distance from the tip, in rod lengths, within which a contact may count as one of the tip, whatever its uncertainty."""
+# A contact counts as one of the tip if it lies within this many standard deviations of it, by the noise or by the calibration.
+_TIP_SIGMAS = 5.0
 # A contact is left out if the standard deviation of its place is larger than this many times the median, and than this fraction
 # of the rod's length: the rod touched too lightly, and it may lie far outside the body.
 _LIGHT, _TOLERABLE = 4.0, 1e-3
@@ -51,7 +52,7 @@ def contact_tolerance(error: planar.Errors) -> Array:
 
 def tip_sigmas(s1: Array) -> Array:
     """(n,) distances to the tip that count as zero, by the standard deviations (n,) of the arc length."""
-    return np.clip(_TIP_SIGMAS * s1, planar.TOLERANCE, _LARGEST_TOLERANCE)
+    return np.clip(_TIP_SIGMAS * s1, planar.TOLERANCE, LARGEST_TOLERANCE)
 
 
 def too_light(largest: Array, touching: Mask) -> Mask:
@@ -174,7 +175,7 @@ def tip_tolerance(recording: Recording, felt: Mask, tolerance: Array | float, mo
     for rows in _blocks(np.flatnonzero(felt)):
         s1 = np.linalg.norm(effects(recording, rows, model).s1, axis=1)
         widened[rows] = np.where(np.isfinite(s1), _TIP_SIGMAS * s1, 0.0)
-    return np.asarray(np.clip(np.hypot(tolerance, widened), planar.TOLERANCE, _LARGEST_TOLERANCE))
+    return np.asarray(np.clip(np.hypot(tolerance, widened), planar.TOLERANCE, LARGEST_TOLERANCE))
 
 
 def _blocks(rows: Index) -> list[Index]:

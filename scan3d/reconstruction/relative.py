@@ -49,7 +49,7 @@ def with_relative_error(recording: Recording, cloud: Cloud) -> Recording:
     It is the recording itself if that agrees with itself, or if an error of `LARGEST` does not explain that it does not.  The
     error changes the contacts in turn, because it decides what is told from a contact of the tip.
     """
-    needed = 0.0 if cloud.model == "spatial" else _relative_error(recording, cloud)
+    needed = 0.0 if cloud.model == "spatial" else _relative_error(recording, cloud.fattened or cloud)
     found, least, relative = recording, np.inf, min(needed, LARGEST)
     for _ in range(_PASSES if needed else 0):
         tried = replace(recording, rig=with_relative(recording.rig, relative))

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
-from scan3d.geometry.sections import slice_polygons
 from scan3d.geometry.segments import segments_meet
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.simulation.grown import grown_polygons
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.equilibrium import wrench
 from scan3d.spatial.sweeping import End, sweep
@@ -66,6 +66,8 @@ class Reactions(NamedTuple):
 def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) -> list[Reactions]:
     """The reactions of a rod that sweeps a convex `trimesh.Trimesh` whose unit is so many metres.
 
+    The centre line of a thick rod touches the mesh fattened by the rod's radius, and the contact force acts on it there.
+
     Raises InputError for sweeps that begin in the body, and in the planar model for clamps that do not move along -x of their
     frames.
     """
@@ -73,7 +75,7 @@ def felt(mesh: Any, tracks: list[Track], rod: Rod, metres: float, model: str) ->
     if model == "spatial":
         check_simple(rod)
         return _felt_in_space(mesh, tracks, length, rod.diameter_m / metres / 2)
-    return _felt_in_planes(mesh, tracks, length, rod.in_plane())
+    return _felt_in_planes(mesh, tracks, length, rod)
 
 
 def check_simple(rod: Rod) -> None:
@@ -153,10 +155,11 @@ def recorded(
     )
 
 
-def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, rod: planar.Rod) -> list[Reactions]:
+def _felt_in_planes(mesh: Any, tracks: list[Track], length: float, thick: Rod) -> list[Reactions]:
     for track in tracks:
         _check_planar(track, length)
-    outlines = _outlines(mesh, tracks, length)
+    outlines = _outlines(mesh, tracks, length, length * thick.diameter_m / 2 / thick.length_m)
+    rod = thick.in_plane()
     reactions = []
     for first in range(0, len(tracks), _AT_ONCE_PLANAR):
         part = range(first, min(first + _AT_ONCE_PLANAR, len(tracks)))
@@ -211,7 +214,7 @@ def _check_planar(track: Track, length: float) -> None:
         )
 
 
-def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
+def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> list[Array]:
     """The contour (m, 2) of each sweep's slice in the frame of its clamp at the first place, in rod lengths."""
     outlines: list[Array] = [np.empty((0, 2))] * len(tracks)
     frames = np.array([track.axes[0] for track in tracks])
@@ -221,7 +224,7 @@ def _outlines(mesh: Any, tracks: list[Track], length: float) -> list[Array]:
     for k, row in enumerate(first):
         members = np.flatnonzero(group.reshape(-1) == k)
         start = np.array([tracks[i].position[0] @ frames[row].T for i in members])
-        polygons = slice_polygons(mesh, frames[row], start[:, 2])
+        polygons = grown_polygons(mesh, frames[row], start[:, 2], radius, length)
         for i, polygon, place in zip(members, polygons, start, strict=True):
             outlines[i] = (polygon - place[:2]) / length
     return outlines

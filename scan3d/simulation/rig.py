@@ -147,10 +147,12 @@ def simulate_rig(
     nominal, model = rod or poses.rod, model or poses.model
     if nominal is None:
         raise InputError("the poses don't say for which rod they were planned; give one, such as --rod steel:0.3x50")
+    if model == "planar" and nominal.varies:  # as in scans of meshes
+        nominal = nominal.without_thickness()
     real = _true_rod(nominal, faults)
     rows = _as_planned(poses) if faults is None else _at_rate(poses, faults)
     metres = UNITS_M[unit]
-    length, radius = real.length_m / metres, real.diameter_m / metres / 2 if model == "spatial" else 0.0
+    length, radius = real.length_m / metres, real.diameter_m / metres / 2
     tracks, members = _tracks(rows, friction, seed, metres)
     _check_begins(mesh, tracks, length, radius)
     reactions = felt(mesh, tracks, real, metres, model)

@@ -34,6 +34,7 @@ from scan3d.reconstruction.contacts import GrowingContacts, contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded
+from scan3d.simulation.grown import grown_extent, grown_polygons
 from scan3d.simulation.spatial import simulate_spatial
 from scan3d.units import UNITS_M
 
@@ -87,7 +88,10 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
-    scans = [AxisScan(mesh, plan, rod.length_m / metres, frame, k) for k, frame in enumerate(frames)]
+    if plan.rod is None or rod.varies:  # no radius fattens the body for a tapered rod
+        rod = rod.without_thickness()
+    length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
+    scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
     few = not plan.tolerance or plan.slices <= _MOST_WITH_TOLERANCE
     if plan.spacing == "adaptive" and not plan.noise and len(scans) > 1 and few:
         _scan_together(scans, rod, progress)
@@ -99,7 +103,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
             if progress is not None:
                 progress(before + min(done, plan.slices), count)
 
-        first = first_heights(*extent_along(mesh, scan.frame[2]), plan)
+        first = first_heights(*scan.extent, plan)
         for start in range(0, len(first), _SLICES_AT_ONCE):
             scan.scan(first[start : start + _SLICES_AT_ONCE])
             _check_sweeps(scan, plan.samples)
@@ -138,7 +142,7 @@ def _check_sweeps(scan: AxisScan, samples: int) -> None:
 
 def _cosine_heights(scan: AxisScan) -> Array:
     """All heights of cosine spacing."""
-    return first_heights(*extent_along(scan.mesh, scan.frame[2]), replace(scan.plan, spacing="cosine"))
+    return first_heights(*scan.extent, replace(scan.plan, spacing="cosine"))
 
 
 def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequence[AxisScan] = ()) -> None:
@@ -218,7 +222,7 @@ def _scan_together(scans: list[AxisScan], rod: Rod, progress: Progress | None) -
         report(0)
 
     for scan in scans:
-        scanned(scan, first_heights_together(*extent_along(scan.mesh, scan.frame[2]), plan))
+        scanned(scan, first_heights_together(*scan.extent, plan))
     while (left := count + BEYOND * len(scans) - sum(len(scan.heights) for scan in scans)) > 0:
         try:
             further, alone = next_slices(contacts(recording_of(scans, rod)), plan, left)
@@ -258,6 +262,8 @@ class AxisScan:
     plan: Plan
     length: float
     """Of the rod, in the mesh's unit."""
+    radius: float
+    """Of the rod, whose centre line touches the mesh fattened by it."""
     frame: Array
     """(3, 3) axes of the slices' frame in the world, as rows."""
     number: int
@@ -266,11 +272,16 @@ class AxisScan:
     polygons: list[Array] = field(default_factory=list)
     swept: list[_Swept] = field(default_factory=list)
 
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Lowest and highest place of the fattened mesh along the axis."""
+        return grown_extent(self.mesh, self.frame[2], self.radius)
+
     def scan(self, heights: Array) -> None:
         """Sweep further slices."""
         first = len(self.heights)
         self.heights += heights.tolist()
-        self.polygons += slice_polygons(self.mesh, self.frame, heights)
+        self.polygons += grown_polygons(self.mesh, self.frame, heights, self.radius, self.length)
         new = range(first, len(self.heights))
         self.swept += self._sweep_slices([i for i in new if len(self.polygons[i])])
         for i in new:

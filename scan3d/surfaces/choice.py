@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,7 +15,7 @@ from scan3d.bounds.enclosures import Enclosure, enclosure
 from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.hulls import hull
+from scan3d.geometry.hulls import hull, offset_inwards
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fitted_body
@@ -53,6 +54,8 @@ def surface(cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = No
     if method not in METHODS:
         raise InputError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     bounds = bounds or (enclosure(cloud) if method in ("auto", "bracket", "regression") else None)
+    if cloud.fattened is not None and method not in NOT_CONVEX:
+        return _without_rod(cloud, method, bounds)
     cloud = cloud.accurate()
     if method == "support" and cloud.fit is None:
         raise InputError(
@@ -73,6 +76,27 @@ def surface(cloud: Cloud, method: str = "auto", *, bounds: Enclosure | None = No
     if method == "regression":
         return _regression(cloud, bounds, "as requested")
     return _best(cloud, bounds, with_fit=method == "auto")
+
+
+def _without_rod(cloud: Cloud, method: str, bounds: Enclosure | None) -> Any:
+    """The surface of a body that a thick rod touched: as deep as the rod's radius inside that of the fattened body.
+
+    A smooth body has a fit of its own.
+    """
+    assert cloud.fattened is not None
+    if bounds is not None and bounds.fattened is not None:
+        bounds = replace(bounds.fattened, bound=bounds.fattened.bound if np.isfinite(bounds.bound) else np.inf)
+    fattened = surface(cloud.fattened, method, bounds=bounds)
+    method = fattened.metadata["method"]
+    if method == "support" and cloud.fit is not None:
+        return _labelled(fitted_body(cloud.fit), method, fattened.metadata["reason"])
+    mesh = offset_inwards(fattened, cloud.rod_radius)
+    if mesh is None:
+        raise InputError(
+            f"the contacts of the rod's centre line span a body that is no thicker than the rod, {2 * cloud.rod_radius:.3g} "
+            f"{cloud.unit}; check its diameter"
+        )
+    return _labelled(mesh, method, f"{fattened.metadata['reason']}; moved inwards by the rod's radius")
 
 
 def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:

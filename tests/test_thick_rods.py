@@ -1,0 +1,192 @@
+"""Planar scans with thick rods: the centre line touches the fattened body, and bounds are those of the body itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from sample_bodies import random_body
+from scipy.integrate import solve_ivp
+
+import planar
+import scan3d
+from planar.equilibria import tangential
+from scan3d import Rod
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.hulls import hull, offset_inwards
+from scan3d.geometry.sections import slice_frame
+from scan3d.pipeline import analyse
+from scan3d.report import measurands, report, summary
+from scan3d.rods import parse_rod
+from scan3d.simulation.grown import grown_extent, grown_polygons
+
+WIRE = parse_rod("steel:0.3x50")
+
+
+def ball(radius):
+    return trimesh.creation.icosphere(subdivisions=4, radius=radius)
+
+
+def holds(analysis, truth):
+    """Bound, local bounds and all measurands of an analysis hold for the true body."""
+    bounds, surface = analysis.bounds, analysis.surface
+    size = float(np.linalg.norm(truth.extents))
+    true = [*truth.extents, truth.volume, analysis.comparison.hausdorff]
+    for known, value in zip(measurands(analysis.cloud, bounds, surface, analysis.certificate), true, strict=True):
+        low, high = known["interval"]
+        assert low - 1e-9 * size <= value <= high + 1e-9 * size, known["quantity"]
+    assert analysis.certificate.bound >= analysis.comparison.hausdorff
+    assert bounds.bound >= analysis.hull_error
+    assert (analysis.certificate.at_vertices >= np.abs(nearest(surface.vertices, truth)[0]) - 1e-9 * size).all()
+    assert nearest(bounds.inner.vertices, truth)[0].max() <= bounds.excess + 1e-9 * size
+
+
+@pytest.mark.parametrize("body", [trimesh.creation.box((20, 16, 12)), random_body(0), random_body(2), ball(20.0)])
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0.3, 0.5, 0.8)])
+def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
+    frame, radius, length = slice_frame(np.array(axis, dtype=float)), 0.3, 50.0
+    low, high = grown_extent(body, frame[2], radius)
+    heights = np.linspace(low, high, 9)[1:-1]
+    for height, polygon in zip(heights, grown_polygons(body, frame, heights, radius, length), strict=True):
+        following = np.roll(polygon, -1, axis=0)
+        corners, middles = (
+            np.column_stack([points, np.full(len(points), height)]) @ frame
+            for points in (polygon, (polygon + following) / 2)
+        )
+        assert np.abs(nearest(corners, body)[0] - radius).max() < 1e-12 * length
+        off = nearest(middles, body)[0] - radius
+        assert off.max() < 1e-12 * length
+        assert off.min() > -3e-10 * length
+
+
+def test_what_lies_deeper_than_the_radius_is_the_body_again():
+    body = random_body(0)
+    directions = ball(1.0).vertices
+    fat = hull((body.vertices[:, None] + 0.5 * directions).reshape(-1, 3))
+    again = offset_inwards(fat, 0.5)
+    # the fattened body is made of a polyhedron inside the ball
+    assert nearest(again.vertices, body)[0].max() < 1e-9
+    assert nearest(body.vertices, again)[0].max() < 0.01
+    assert offset_inwards(body, 1000.0) is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
+    truth, larger = ball(20.0), ball(20.15)
+    plan = scan3d.Plan(slices=8, samples=40, friction=0.3, noise=noise, rod=WIRE.without_thickness())
+    log = replace(scan3d.simulate(larger, plan), rod=WIRE)
+    thick = analyse(log, truth, model="planar")
+    assert thick.warnings == ()
+    holds(thick, truth)
+    assert thick.cloud.rod_radius == pytest.approx(0.15)
+    # it is no weaker than the bound of the larger ball
+    assert thick.bounds.bound < 1.01 * thick.bounds.fattened.bound
+    assert thick.contact_error.max() < 0.01 + 200 * noise
+
+
+@pytest.mark.parametrize("seed", [1, 3, 6])
+def test_scans_with_thick_rods_are_certified(seed):
+    body = random_body(seed)
+    rod = Rod.wire(float(np.linalg.norm(body.extents)) / 1000, 0.6e-3, 210e9)
+    plan = scan3d.Plan(slices=8, samples=30, sweeps=6, friction=(0.0, 0.4), rod=rod, noise=(0.0, 1e-4, 1e-3)[seed % 3])
+    log = scan3d.simulate(body, plan)
+    assert log.rod == rod
+    found = analyse(log, body)
+    assert found.warnings == ()
+    assert np.isfinite(found.bounds.bound)
+    holds(found, body)
+    if not plan.noise:
+        off = np.abs(nearest(found.cloud.fattened.points, body)[0] - found.cloud.rod_radius)
+        assert off.max() < 1e-9 * found.cloud.rod_length
+
+
+def with_friction_on_the_surface(log, body):
+    """The tangential contacts of a thin rod with the fattened body, as those of a thick one: the force acts on its surface.
+
+    So it has a moment about the centre line, which it would lack farther along the rod (MODEL3D (S25)).
+    """
+    cloud = scan3d.reconstruct(log).fattened
+    rows = cloud.row[cloud.phase == planar.Phase.TANGENTIAL]
+    kept = cloud.select(cloud.phase == planar.Phase.TANGENTIAL)
+    foot = nearest(kept.points, body)[2]
+    outward = kept.points - foot
+    radius, length = float(np.linalg.norm(outward, axis=1).mean()), kept.rod_length
+    axes = log.axes()[rows]
+    place = np.einsum("nij,nj->ni", axes, kept.points - log.position_m[rows] * 1000) / length
+    inside = np.einsum("nij,nj->ni", axes, outward)[:, :2] / length  # the part of the radius in the plane
+    slope = np.arctan2(inside[:, 0], -inside[:, 1])
+    lever = np.linalg.norm(inside, axis=1) * kept.friction
+    x, y = place[:, 0] - lever * np.cos(slope), place[:, 1] - lever * np.sin(slope)
+    angle = np.arctan(kept.friction)
+    state = tangential(slope, x, y, angle)
+    good = np.isfinite(state.x0) & (state.s1 + lever < 1) & (state.q > 0)
+    force, direction = state.root_f**2, slope + angle
+    rod = log.rod
+    columns = dict(
+        sweep=log.sweep[rows],
+        position_m=log.position_m[rows] + state.x0[:, None] * rod.length_m * axes[:, 0],
+        quaternion=log.quaternion[rows],
+        force_N=rod.force_unit_N * np.stack([-force * np.sin(direction), force * np.cos(direction)], axis=1),
+        moment_Nm=2 * state.q * state.root_f * rod.moment_unit_Nm,
+    )
+    moved = replace(log, **{name: column[good] for name, column in columns.items()})
+    return moved, radius, (state, slope, angle, lever, x, y)
+
+
+def test_a_thick_rod_with_friction_bends_as_a_thin_one_beyond_its_contact():
+    body = ball(20.0)
+    log = scan3d.simulate(body, scan3d.Plan(slices=3, samples=20, sweeps=2, friction=0.3, rod=WIRE))
+    _, _, (state, slope, angle, lever, x, y) = with_friction_on_the_surface(log, body)
+    for k in np.flatnonzero(np.isfinite(state.x0) & (state.q > 0.1))[::20]:
+        force = state.root_f[k] ** 2 * np.array([np.sin(slope[k] + angle[k]), -np.cos(slope[k] + angle[k])])
+
+        def bend(_, z, force=force):
+            return [np.cos(z[2]), np.sin(z[2]), z[3], force[0] * np.sin(z[2]) - force[1] * np.cos(z[2])]
+
+        start = [state.x0[k], 0.0, np.pi / 2, -2 * state.q[k] * state.root_f[k]]
+        end = solve_ivp(bend, (0, state.s1[k] + lever[k]), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        # at the contact itself: its place, its tangent, and the moment of the force about it
+        contact = np.array([x[k] + lever[k] * np.cos(slope[k]), y[k] + lever[k] * np.sin(slope[k])])
+        np.testing.assert_allclose(end[:2], contact, atol=1e-7)
+        assert end[2] == pytest.approx(slope[k], abs=1e-5)
+        assert abs(end[3]) == pytest.approx(lever[k] * state.root_f[k] ** 2 * np.cos(angle[k]), rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_bounds_hold_with_friction_on_the_surface_of_the_rod(seed):
+    body = random_body(seed)
+    rod = Rod.wire(float(np.linalg.norm(body.extents)) / 1000, 0.8e-3, 210e9)
+    plan = scan3d.Plan(slices=8, samples=30, sweeps=6, friction=0.5, rod=rod)
+    log, radius, _ = with_friction_on_the_surface(scan3d.simulate(body, plan), body)
+    assert radius == pytest.approx(0.4, abs=1e-6)
+    found = analyse(log, body)
+    assert found.warnings == ()
+    holds(found, body)
+
+
+def test_an_unknown_diameter_is_asked_for():
+    plan = scan3d.Plan(slices=4, samples=20, sweeps=3, rod=WIRE.without_thickness())
+    simulated = scan3d.simulate(ball(20.0), plan)
+    measured = replace(simulated, source={"kind": "import"})
+    rows = {}
+    for name, log in (("simulated", simulated), ("measured", measured), ("stated", replace(measured, rod=WIRE))):
+        data = report(analyse(log), settings={})
+        rows[name] = dict(summary(data).rows)
+        assert bool(data["certificate"]["grown"]) == (name == "measured")
+    assert "state diameter_m" in rows["measured"]["measured"]
+    assert "measured" not in rows["stated"]
+    assert rows["stated"]["rod's radius"] == "contacts moved by 150 µm from the rod's centre line"
+
+
+def test_a_tapered_rod_moves_contacts_by_its_radius_there_and_certifies_nothing():
+    cone = replace(WIRE, tip_diameter_m=0.1e-3)
+    log = scan3d.simulate(ball(20.0), scan3d.Plan(slices=6, samples=20, sweeps=4, rod=cone))
+    assert log.rod == cone.without_thickness()
+    assert np.isfinite(analyse(log).certificate.bound)
+    thick = analyse(replace(log, rod=cone))
+    moved = np.linalg.norm(thick.cloud.points - thick.cloud.fattened.points, axis=1)
+    assert 0.05 - 1e-9 < moved.min() < moved.max() < 0.15
+    assert moved[thick.cloud.phase == planar.Phase.TIP] == pytest.approx(0.05, abs=1e-6)
+    data = report(thick, settings={})
+    assert thick.certificate.bound == np.inf
+    assert "the rod's radius changes along it" in dict(summary(data).rows)["certified"]
