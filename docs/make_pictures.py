@@ -19,7 +19,11 @@ ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
 EGG = ROOT / "meshes" / "egg.stl"
 # What `scan3d scan meshes/egg.stl` is given for the folders that the views show.
-SCANS = {"egg": ("--friction", "0.0:0.4"), "space": ("--friction", "0.0:0.4", "--model", "spatial", "--slices", "16")}
+SCANS = {
+    "egg": ("--friction", "0.0:0.4"),
+    "few": ("--slices", "24", "--samples", "40"),
+    "space": ("--friction", "0.0:0.4", "--model", "spatial", "--slices", "16"),
+}
 # Of each picture the folder and the options of `scan3d show`; HULL is a surface by another method of the same recording.
 HULL = "hull"
 VIEWS = {
@@ -27,8 +31,11 @@ VIEWS = {
     "space": ("space", "--view", "explain"),
     "histogram": ("egg", "--view", "histogram"),
     "forces": ("egg", "--view", "forces"),
+    "compare": ("egg", "--view", "compare"),
     "difference": ("egg", "--against", HULL, "--size", "120x90mm", "--camera", "300,15"),
 }
+# Likewise of each movie.
+MOVIES = {"growth": ("few", "--movie-of", "growth")}
 
 
 def scripts() -> dict[str, Path]:
@@ -68,11 +75,12 @@ class Folders:
 
 def make(name: str, folders: Folders, place: Path) -> None:
     """Make the picture of a name."""
-    picture = PICTURES / f"{name}.png"
-    if name in VIEWS:
-        folder, *options = VIEWS[name]
+    picture = PICTURES / f"{name}.{'gif' if name in MOVIES else 'png'}"
+    if name in VIEWS or name in MOVIES:
+        folder, *options = {**VIEWS, **MOVIES}[name]
         given = [folders(HULL) if option == HULL else option for option in options]
-        run("-m", "scan3d", "show", folders(folder), "--screenshot", picture, "--overwrite", *given, folder=place)
+        kind = "--movie" if name in MOVIES else "--screenshot"
+        run("-m", "scan3d", "show", folders(folder), kind, picture, "--overwrite", *given, folder=place)
         return
     script = scripts()[name]
     option = ["--out"] if '"--out"' in script.read_text(encoding="utf-8") else []
@@ -80,7 +88,7 @@ def make(name: str, folders: Folders, place: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    names = [*scripts(), *VIEWS]
+    names = [*scripts(), *VIEWS, *MOVIES]
     parser = argparse.ArgumentParser(description="Remake the pictures in docs/pictures.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(names)} (default all)")
     chosen = parser.parse_args(arguments).names or names

@@ -18,6 +18,7 @@ import yaml
 import planar
 import scan3d
 from scan3d import workers
+from scan3d.choices import METHODS
 from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.files.recordings import COLUMNS
@@ -140,6 +141,59 @@ def test_every_command_and_all_code_of_a_page_runs(
         assert bounds[1] < 0.8 * bounds[0]
 
 
+def test_the_readme_is_short_and_begins_with_a_moving_picture_and_the_installation() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 700
+    assert max(map(len, text.splitlines())) <= 120
+    first = text.partition("\n## ")[0]
+    assert ".gif)" in first
+    assert "pip install . && scan3d demo" in first
+
+
+@pytest.mark.slow
+def test_the_readme_shows_what_the_demonstration_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo"]) == 0
+    (shown,) = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "")
+    assert set(shown.splitlines()) <= set(capsys.readouterr().out.splitlines())
+
+
+@pytest.mark.trust
+def test_the_readme_has_the_exactness_that_scans_print(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rendering, "can_render", lambda: False)
+    rows = re.findall(r"^\| (\w+\.\w+) \| (.+?) \| (.+?) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
+    assert len(rows) == 3
+    for name, distance, bound in rows:
+        assert main(["scan", str(ROOT / "meshes" / name), "--out", str(tmp_path / name)]) == 0
+        printed = capsys.readouterr().out
+        assert f"Hausdorff distance {distance} (" in printed
+        assert f"within {bound} (" in printed
+
+
+def test_the_glossary_knows_the_words_that_a_report_prints() -> None:
+    """The labels of the summary, and the methods of surfaces: what is asked when a word of it is not known."""
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    terms = [row.split("|")[1].strip() for row in text.split("\n") if row.startswith("| ")]
+    known = {part.strip() + plural for term in terms for part in term.split(",") for plural in ("", "s", "es")}
+    source = (
+        (ROOT / "scan3d" / "report.py")
+        .read_text(encoding="utf-8")
+        .partition("def summary")[2]
+        .partition("def comparison_summary")[0]
+    )
+    labels = {
+        *re.findall(r'^\s*(?:rows\.append\(|return \[)?\(?\(?"([a-zA-Z][a-zA-Z \']+)", ', source, re.MULTILINE),
+        "written to",
+    }
+    assert {"friction", "surface", "volume", "certified", "assumed", "scanned"} <= labels
+    assert sorted({*labels, *METHODS} - known) == []
+
+
 def test_the_recipe_asks_for_what_the_package_asks_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = yaml.safe_load((ROOT / "docs" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
@@ -248,12 +302,15 @@ def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
 
 def test_every_picture_of_the_manual_is_made_by_one_command(capsys: pytest.CaptureFixture[str]) -> None:
     module = script(ROOT / "docs" / "make_pictures.py")
-    made = {*module.scripts(), *module.VIEWS}
+    made = {*module.scripts(), *module.VIEWS, *module.MOVIES}
     assert {picture.stem for picture in (ROOT / "docs" / "pictures").iterdir()} == made
     assert "docs/make_pictures.py $(FIGURES)" in (ROOT / "Makefile").read_text(encoding="utf-8")
     # the views are drawn with options that the program has
     for _, *options in module.VIEWS.values():
         app().parse_args(["show", "out", "--screenshot", "a.png", *options], exit_on_error=False, print_error=False)
+    for _, *options in module.MOVIES.values():
+        app().parse_args(["show", "out", "--movie", "a.gif", *options], exit_on_error=False, print_error=False)
+    assert (ROOT / "docs" / "pictures" / "growth.gif").stat().st_size <= 2e6
     with pytest.raises(SystemExit):
         module.main(["nonsense"])
     assert "there is no picture nonsense: expected" in capsys.readouterr().err

@@ -68,7 +68,7 @@ def test_growth(make, tmp_path):
     size = [(image[:500] < 250).any(axis=2).sum() for image in shown]
     assert len(shown) == 3
     assert np.all(np.diff(size) > 0)
-    assert 0.1 < size[-1] / (500 * 980) < 0.6
+    assert 0.05 < size[-1] / (500 * 980) < 0.6
     # every frame by the same camera: contacts that are drawn once stay
     for before, after in zip(shown, shown[1:], strict=False):
         earlier, later = ((image[:500] < 250).any(axis=2) for image in (before, after))

@@ -16,9 +16,17 @@ from scan3d.arrays import Array
 from scan3d.choices import MOVIES
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
-from scan3d.pictures.canvas import Canvas
+from scan3d.pictures.canvas import DIRECTION, Canvas
 from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, open_axes, own_style
-from scan3d.pictures.parts import ShownSweep, evenly_chosen, is_spatial, outlines, shown_sweep, sweep_direction
+from scan3d.pictures.parts import (
+    ShownSweep,
+    evenly_chosen,
+    has_rods,
+    is_spatial,
+    outlines,
+    shown_sweep,
+    sweep_direction,
+)
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
 from scan3d.pictures.shading import BODY, INK, REACTION_COLORS, ROD, SLICE, TANGENTIAL
@@ -30,8 +38,8 @@ NO_FFMPEG = (
     "an .mp4 needs the package imageio-ffmpeg: 'pip install imageio-ffmpeg'; or write a .gif, which needs nothing"
 )
 _PER_SECOND = 12
-FRAMES = 5 * _PER_SECOND
-"""Frames of a movie, of five seconds in a GIF of less than a megabyte."""
+FRAMES = {"sweep": 5 * _PER_SECOND, "growth": 8 * _PER_SECOND}
+"""Frames of a movie of each subject; a GIF has about a megabyte."""
 # The last frame is shown for so many frames, so that the result can be looked at before the movie starts again.
 _HELD = 3 * _PER_SECOND // 2
 # Inches and pixels to the inch: 980 by 560 pixels, even numbers, which video codecs need.
@@ -55,13 +63,13 @@ def check_path(path: str | Path) -> Path:
     return path
 
 
-def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = FRAMES) -> None:
+def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int | None = None) -> None:
     """Write a movie (.gif or .mp4) of the scene: its most informative sweep, or the growth of the body.
 
     subject
         one of `scan3d.choices.MOVIES`.
     frames
-        the number of frames, at most the number of samples, or of slices or sweeps.
+        the number of frames; of a sweep at most the number of samples.
 
     Raises InputError for an unknown subject or ending, where the scene lacks what the movie shows, where nothing can be
     rendered (growth), and for an .mp4 without imageio-ffmpeg.
@@ -72,7 +80,7 @@ def movie(scene: Scene, path: str | Path, subject: str = "sweep", frames: int = 
     scene = scene.in_shown_unit()
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
     with own_style():
-        write(path, (_sweep_frames if subject == "sweep" else _growth_frames)(scene, frames))
+        write(path, (_sweep_frames if subject == "sweep" else _growth_frames)(scene, frames or FRAMES[subject]))
 
 
 def _write_gif(path: Path, images: Iterator[Image]) -> None:
@@ -225,7 +233,7 @@ def _plane_axes(figure: Any, outline: Array, rods: Array, base: Array) -> Any:
 
 
 def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
-    """The hull of the contacts of more and more slices, or sweeps where there are no slices."""
+    """The hull of the contacts of more and more slices, or sweeps where there are no slices, with a rod along one of them."""
     name = "sweep" if is_spatial(scene) else "slice"
     parts = scene.column(name)
     if parts is None:
@@ -234,21 +242,43 @@ def _growth_frames(scene: Scene, frames: int) -> Iterator[Image]:
         )
     need_renderer()
     numbers, points = np.unique(parts), scene.points
-    figure, canvas = blank_figure(_SIZE[1], _DPI, _SIZE[0]), Canvas(points)
+    if name == "slice":  # from one end to the other, however they were planned
+        middles = np.array([points[parts == number].mean(axis=0) for number in numbers])
+        numbers = numbers[np.argsort(middles[:, np.ptp(middles, axis=0).argmax()], kind="stable")]
+    order = np.argsort(numbers)
+    place = order[np.searchsorted(numbers, parts, sorter=order)]
+    sweeps = _front_sweeps(scene, numbers, parts) if has_rods(scene) else []
+    figure = blank_figure(_SIZE[1], _DPI, _SIZE[0])
+    canvas = Canvas(np.concatenate([points, *(sweep.rods.reshape(-1, 3) for sweep in sweeps)]))
     caption = figure.text(0.02, 0.03, "", fontsize=FONT - 1, va="center")
     axes = figure.add_axes((0, 1 - _BODY_HEIGHT, 1, _BODY_HEIGHT))
     width, height = round(_SIZE[0] * _DPI), round(_BODY_HEIGHT * _SIZE[1] * _DPI)
-    for k in evenly_chosen(len(numbers), frames):
-        selected = points[parts <= numbers[k]]
+    for done in np.linspace(0, len(numbers), frames + 1)[1:]:
+        k = int(np.ceil(done)) - 1
+        rows = np.flatnonzero(place == k)
+        so_far = rows[: int(np.ceil((done - k) * len(rows)))]
+        selected = np.concatenate([points[place < k], points[so_far]])
         actors = [canvas.add_points(selected, TANGENTIAL, 3)]  # smaller than in pictures, as frames are
         with suppress(InputError):  # the contacts of one slice or sweep span no body yet
             actors.append(canvas.add_body(hull(selected), BODY))
+        if sweeps:
+            last = len(sweeps[k].base) - 1
+            actors += canvas.add_rods(sweeps[k], np.array([round((done - k) * last)]))
         image, _ = canvas.image(width, height)
         for actor in actors:
             canvas.plotter.remove_actor(actor, render=False)
         axes.clear()
         axes.set_axis_off()
         axes.imshow(image, interpolation="nearest", aspect="auto")
-        caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} {name}s, {len(selected)} contacts")
+        caption.set_text(f"{scene.name}: {k + 1} of {len(numbers)} {name}s, {len(selected):,} contacts")
         yield _pixels(figure)
     canvas.plotter.close()
+
+
+def _front_sweeps(scene: Scene, numbers: Array, parts: Array) -> list[ShownSweep]:
+    """Of each slice the sweep whose contacts face the camera most; where there are no slices, the sweeps themselves."""
+    sweeps, toward = scene.column("sweep"), np.asarray(DIRECTION)
+    assert sweeps is not None
+    depth = (scene.points - scene.points.mean(axis=0)) @ toward
+    of_parts = (np.unique(sweeps[parts == number]) for number in numbers)
+    return [shown_sweep(scene, max(of_part, key=lambda one: depth[sweeps == one].mean())) for of_part in of_parts]
