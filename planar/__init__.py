@@ -22,6 +22,7 @@ contacts, which `reconstruct` does not tell from one.  The rod is straight, cyli
 """
 
 from planar.any_body import SweepStatus
+from planar.channels import Completed, complete
 from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
 from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
@@ -36,6 +37,7 @@ __all__ = [
     "TOLERANCE",
     "Circle",
     "ClosedCurve",
+    "Completed",
     "Contacts",
     "Contour",
     "Contours",
@@ -52,6 +54,7 @@ __all__ = [
     "Status",
     "Sweep",
     "SweepStatus",
+    "complete",
     "elastic_lines",
     "errors",
     "events",

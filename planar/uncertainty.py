@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array
+from planar.arrays import Array, Mask
+from planar.channels import NAMES
 from planar.elastica import bend_with_slopes
 from planar.inverses import solve
 from planar.reactions import checked_reactions
@@ -127,15 +128,27 @@ def errors(
     noise: tuple[float, float],
     direction: int = -1,
     rod: Rod | None = None,
+    missing: str | None = None,
+    known: str = "friction",
+    known_sd: float = 0.0,
+    tip: ArrayLike = False,
 ) -> Errors:
     """Errors of the contacts that `planar.reconstruct` finds for reactions (n,), by the noise of force and moment.
 
-    `noise` are the standard deviations of each component of the force and of the moment; see `jacobian` for the rest.
+    noise
+        standard deviations of each component of the force and of the moment.
+    missing
+        'f0x', 'f0y' or 'm0z' if it was not measured but completed by `planar.complete`, from what was `known`, 'friction' or
+        'slope', with the standard deviation `known_sd` of that angle in radians; `tip` (n,) are the contacts at the tip.
+    direction, rod
+        as in `jacobian`.
     """
-    if not max(noise):
+    if not max(*noise, known_sd):
         zero = np.zeros(len(np.asarray(f0x)))
         return Errors(np.zeros((len(zero), 2, 2)), zero, zero, zero, zero)
     spread = jacobian(f0x, f0y, m0z, direction=direction, rod=rod) * [noise[0], noise[0], noise[1]]
+    if missing is not None:
+        spread = _completed(spread, missing, known, known_sd, np.broadcast_to(tip, len(spread)), direction)
     with np.errstate(over="ignore", invalid="ignore"):  # forces far below the noise have errors beyond all numbers
         point = np.einsum("nik,njk->nij", spread[:, :2], spread[:, :2])
         mean, half = (point[:, 0, 0] + point[:, 1, 1]) / 2, (point[:, 0, 0] - point[:, 1, 1]) / 2
@@ -145,3 +158,21 @@ def errors(
         deviations = [np.linalg.norm(part, axis=1) for part in (spread[:, 2], spread[:, 4], slope)]
     known = np.isfinite(largest)
     return Errors(point, *(np.where(known, values, np.inf) for values in (largest, *deviations)))
+
+
+def _completed(spread: Array, missing: str, known: str, known_sd: float, tip: Mask, direction: int) -> Array:
+    """Spreads (n, 5, 3) of a contact by the two channels measured and by what is known, from those by all three."""
+    if missing not in NAMES or known not in ("friction", "slope"):
+        raise ValueError(
+            f"missing must be one of {', '.join(NAMES)}, and known 'friction' or 'slope', got {missing}, {known}"
+        )
+    column = NAMES.index(missing)
+    # x, y, s1, α and β: what is known keeps β, the slope α - β, or s1 = 1
+    held = np.array([0.0, 0.0, 0.0, 0.0, 1.0] if known == "friction" else [0.0, 0.0, 0.0, 1.0, direction])
+    weights = np.where(tip[:, None], [0.0, 0.0, 1.0, 0.0, 0.0], held)
+    rate = np.einsum("nr,nrc->nc", weights, spread)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = spread[:, :, column] / rate[:, column, None]
+    completed: Array = spread - change[:, :, None] * rate[:, None, :]
+    completed[:, :, column] = change * np.where(tip, 0.0, known_sd)[:, None]
+    return completed

@@ -1,0 +1,107 @@
+"""Contacts from two of three reactions, against the sweep that made them and against drawn noise."""
+
+import numpy as np
+import pytest
+
+import planar
+
+CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
+CONE = planar.Rod(tip_diameter=0.5)
+CHANNELS = ("f0x", "f0y", "m0z")
+
+
+def without(sweep, missing):
+    return [
+        None if name == missing else column for name, column in zip(("x0", *CHANNELS), sweep.reactions, strict=True)
+    ]
+
+
+def felt(sweep):
+    return np.hypot(sweep.f0x, sweep.f0y) > 0.01
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize(
+    ("missing", "friction"), [("f0x", 0.3), ("f0y", 0.0), ("f0y", 0.3), ("m0z", 0.0), ("m0z", 0.3)]
+)
+def test_known_friction_stands_for_a_channel(missing, friction, direction):
+    sweep = planar.sweep(CIRCLE, friction, samples=60, direction=direction)
+    near = 0.99 * getattr(sweep, missing)
+    done = planar.complete(*without(sweep, missing), friction=friction, near=near, direction=direction)
+    found = planar.reconstruct(*done.reactions, direction=direction)
+    rows = felt(sweep)
+    assert np.abs(found.point - sweep.point)[rows].max() < 1e-12
+    # a single value where it is unique: no other one is taken for the truth
+    alone = planar.complete(*without(sweep, missing), friction=friction, direction=direction)
+    unique = rows & (alone.roots == 1)
+    values = getattr(alone.reactions, missing)
+    np.testing.assert_allclose(values[unique], getattr(sweep, missing)[unique], atol=1e-9)
+    assert np.isnan(values[alone.roots > 1]).all()
+    assert (alone.roots[rows] >= 1).all()
+    assert unique[rows].mean() == {"f0x": 0, "f0y": 1}.get(missing, pytest.approx(0.8, abs=0.1))
+
+
+@pytest.mark.parametrize("missing", CHANNELS)
+def test_known_slopes_and_tips_stand_for_a_channel(missing):
+    sweep = planar.sweep(CIRCLE, 0.2, samples=60)
+    near = getattr(sweep, missing)
+    for rows, known in (
+        (sweep.phase == planar.Phase.TANGENTIAL, {"slope": np.nan_to_num(sweep.slope)}),
+        (sweep.phase == planar.Phase.TIP, {"tip": True}),
+    ):
+        done = planar.complete(*without(sweep, missing), near=near, **known)
+        found = planar.reconstruct(*done.reactions)
+        assert np.abs(found.point - sweep.point)[rows & felt(sweep)].max() < 1e-12
+
+
+@pytest.mark.slow
+def test_axial_force_and_moment_locate_contacts_of_tapered_rods_only():
+    sweep = planar.sweep(CIRCLE, 0.0, samples=9)
+    with pytest.raises(ValueError, match="do not locate a contact without friction on a uniform rod"):
+        planar.complete(*without(sweep, "f0x"), friction=0.0)
+    with pytest.raises(ValueError, match="do not locate"):
+        planar.complete(*without(sweep, "f0x"), friction=0.0, rod=planar.Rod(curvature=-0.2))
+    sweep = planar.sweep(CIRCLE, 0.0, samples=5, rod=CONE)
+    done = planar.complete(*without(sweep, "f0x"), friction=0.0, rod=CONE)
+    rows = felt(sweep) & (done.roots == 1)
+    assert rows.sum() >= 3
+    found = planar.reconstruct(*done.reactions, rod=CONE)
+    assert np.abs(found.point - sweep.point)[rows].max() < 1e-8
+
+
+@pytest.mark.parametrize("missing", CHANNELS)
+def test_errors_are_those_of_drawn_noise(missing):
+    sweep = planar.sweep(CIRCLE, 0.3, samples=12)
+    rows = np.flatnonzero(felt(sweep) & (np.abs(sweep.s1 - 1) > 0.01) | (sweep.phase == planar.Phase.TIP))[2:-2]
+    draws, noise, sd = 200, (1e-7, 2e-7), 3e-7
+    rng = np.random.default_rng(1)
+    columns = np.repeat(np.array(sweep.reactions)[:, rows], draws, axis=1)
+    columns[1:] += rng.standard_normal(columns[1:].shape) * np.array([noise[0], noise[0], noise[1]])[:, None]
+    friction = np.tan(np.arctan(0.3) + sd * rng.standard_normal(columns.shape[1]))
+    near = np.repeat(getattr(sweep, missing)[rows], draws)
+    given = [None if name == missing else column for name, column in zip(("x0", *CHANNELS), columns, strict=True)]
+    found = planar.reconstruct(*planar.complete(*given, friction=friction, near=near).reactions, tolerance=1e-5)
+    tip = sweep.phase[rows] == planar.Phase.TIP
+    stated = planar.errors(
+        *(column[rows] for column in sweep.reactions[1:]), noise=noise, missing=missing, known_sd=sd, tip=tip
+    )
+    off = found.point.reshape(len(rows), draws, 2) - sweep.point[rows][:, None]
+    chi = np.einsum("nki,nij,nkj->nk", off, np.linalg.inv(stated.point + 1e-22 * np.eye(2)), off).mean(axis=1) / 2
+    np.testing.assert_allclose(chi, 1, atol=5 / np.sqrt(draws))
+
+
+def test_what_must_be_known_is_said():
+    sweep = planar.sweep(CIRCLE, 0.2, samples=5)
+    wrong = [
+        ((without(sweep, "f0x"), {}), "one of friction, slope and tip must be given"),
+        ((without(sweep, "f0x"), {"friction": 0.2, "tip": True}), "one of friction, slope and tip must be given"),
+        ((list(sweep.reactions), {"tip": True}), "exactly one of f0x, f0y and m0z must be None, got 0"),
+        (([sweep.x0, None, None, sweep.m0z], {"tip": True}), "exactly one of .* got 2"),
+        ((without(sweep, "f0y"), {"friction": -1}), "friction must be one number >= 0"),
+        ((without(sweep, "f0y"), {"tip": True, "direction": 0}), "direction must be -1 or 1"),
+    ]
+    for (columns, options), sentence in wrong:
+        with pytest.raises(ValueError, match=sentence):
+            planar.complete(*columns, **options)
+    with pytest.raises(ValueError, match="missing must be one of"):
+        planar.errors(*sweep.reactions[1:], noise=(1e-3, 1e-3), missing="fz")
