@@ -17,16 +17,19 @@ equations of L. Merker, J. Steigenberger, C. Behn, "Friction invariant object re
 tactile sensor concept".
 
 The model is quasi-static and planar.  A convex object is touched at one place at a time; on any other the rod may have several
-contacts, which `reconstruct` does not tell from one.  The rod is straight, cylindrical, weightless and rigidly clamped unless a
-`Rod` says otherwise: tapered or of a stiffness that varies, curved, heavy, in a clamp that gives.
+contacts, which `reconstruct` does not tell from one: `second_contacts` finds those that can't be single.  The rod is straight,
+cylindrical, weightless and rigidly clamped unless a `Rod` says otherwise: tapered or of a stiffness that varies, curved, heavy,
+in a clamp that gives.
 """
 
 from planar.any_body import SweepStatus
 from planar.channels import Completed, complete
 from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
+from planar.hidden import Recovered, constant_friction_angle, recover_at_tip, refuse_second_contacts, second_contacts
 from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
 from planar.march import free_reactions
+from planar.passed import FreeSpace, free_space
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.rods import Rod
 from planar.sweeping import CONTACT, Phase, Sweep, sweep, sweep_all
@@ -47,20 +50,27 @@ __all__ = [
     "Errors",
     "EventKind",
     "Events",
+    "FreeSpace",
     "NormalSource",
     "Phase",
     "Polygon",
+    "Recovered",
     "Rod",
     "Status",
     "Sweep",
     "SweepStatus",
     "complete",
+    "constant_friction_angle",
     "elastic_lines",
     "errors",
     "events",
     "free_reactions",
+    "free_space",
     "jacobian",
     "reconstruct",
+    "recover_at_tip",
+    "refuse_second_contacts",
+    "second_contacts",
     "sweep",
     "sweep_all",
 ]

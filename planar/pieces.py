@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ellipeinc, ellipj, ellipkinc
+from scipy.special import ellipe, ellipj, ellipk, elliprd, elliprf
 
 from planar.arrays import Array
 
@@ -63,8 +63,8 @@ def piece(force_x: Array, force_y: Array, phi: Array, kappa: Array, length: Arra
                 for column, value in zip((along, theta, kappa1), values, strict=True):
                     column.ravel()[inside] = value
         across = -(kappa1 - kappa0) / force
-    x = -np.sin(alpha) * along - np.cos(alpha) * across
-    y = np.cos(alpha) * along - np.sin(alpha) * across
+        x = -np.sin(alpha) * along - np.cos(alpha) * across
+        y = np.cos(alpha) * along - np.sin(alpha) * across
     cancels = np.flatnonzero(((force < _WEAK) | (turns & (force < _FAST * energy))).ravel())
     if len(cancels):
         rows = [v.ravel()[cancels] for v in (force, energy, theta0, kappa0, s, phi0)]
@@ -77,17 +77,34 @@ def _swing(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) 
     m, root = energy / force, np.sqrt(force)
     k = np.sqrt(m)
     start = np.arctan2(np.sin(theta0 / 2), kappa0 / (2 * root))
-    sn, cn, dn, amplitude = ellipj(ellipkinc(start, m) + root * s, m)
-    along = 2 * (ellipeinc(amplitude, m) - ellipeinc(start, m)) / root - s
+    first, second = _integrals(start, m)
+    sn, cn, dn, amplitude = ellipj(first + root * s, m)
+    along = 2 * (_integrals(amplitude, m)[1] - second) / root - s
     return along, 2 * np.arctan2(k * sn, dn), 2 * k * root * cn
+
+
+def _integrals(amplitude: Array, m: Array) -> tuple[Array, Array]:
+    """F and E by Carlson's forms: scipy's ellipkinc and ellipeinc jump where ``tan² = 1/√(1 - m)`` up to rounding."""
+    periods = np.round(amplitude / np.pi)
+    reduced = amplitude - np.pi * periods
+    sine, cosine = np.sin(reduced), np.cos(reduced)
+    x, y, one = cosine**2, 1 - m * sine**2, np.ones_like(m)
+    first = sine * elliprf(x, y, one)
+    second = first - m * sine**3 / 3 * elliprd(x, y, one)
+    turned = periods != 0
+    if turned.any():
+        first[turned] += 2 * periods[turned] * ellipk(m[turned])
+        second[turned] += 2 * periods[turned] * ellipe(m[turned])
+    return first, second
 
 
 def _turn(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) -> tuple[Array, Array, Array]:
     """(C4): the same of pieces with m > 1, whose curvature keeps its sign."""
     p, rate, sign = force / energy, np.sqrt(energy), np.sign(kappa0)
     start = sign * theta0 / 2
-    _, _, dn, amplitude = ellipj(ellipkinc(start, p) + rate * s, p)
-    along = s - 2 * (rate * s - ellipeinc(amplitude, p) + ellipeinc(start, p)) / (rate * p)
+    first, second = _integrals(start, p)
+    _, _, dn, amplitude = ellipj(first + rate * s, p)
+    along = s - 2 * (rate * s - _integrals(amplitude, p)[1] + second) / (rate * p)
     return along, 2 * sign * amplitude, 2 * sign * rate * dn
 
 

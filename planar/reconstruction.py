@@ -43,6 +43,7 @@ class Status(IntEnum):
     INFLECTION = 4
     BEYOND_TIP = 5
     UNDEFINED = 6
+    SECOND_CONTACT = 7
 
     @property
     def sentence(self) -> str:
@@ -58,6 +59,7 @@ _SENTENCES = {
     "inflection before its contact",
     Status.BEYOND_TIP: "the contact would lie past the rod's tip",
     Status.UNDEFINED: "equation (10) is undefined here: the force is steeper than the clamp",
+    Status.SECOND_CONTACT: "the rod touches at a second place, so that its reactions give neither of the two",
 }
 
 

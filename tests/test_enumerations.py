@@ -8,8 +8,18 @@ from scan3d.cloud import NormalSource
 
 MEMBERS = {
     planar.Phase: ["NONE", "TIP", "TANGENTIAL"],
-    planar.Status: ["OK", "NO_FORCE", "WRONG_SIDE", "NO_ROD", "INFLECTION", "BEYOND_TIP", "UNDEFINED"],
+    planar.Status: [
+        "OK",
+        "NO_FORCE",
+        "WRONG_SIDE",
+        "NO_ROD",
+        "INFLECTION",
+        "BEYOND_TIP",
+        "UNDEFINED",
+        "SECOND_CONTACT",
+    ],
     planar.EventKind: ["TOUCH_DOWN", "TO_TANGENTIAL", "TO_TIP", "SNAP", "SNAP_OFF"],
+    planar.SweepStatus: ["FREE", "ONE_CONTACT", "SEVERAL_CONTACTS", "UNRESOLVED"],
     planar.NormalSource: ["NONE", "TANGENTIAL", "FRICTION"],
     NormalSource: ["UNKNOWN", "SLICES", "FIT", "FRICTION", "SLIP", "PATH", "FORCE", "HULL"],
     Gap: ["SLICES", "CONTACTS", "CAPS"],

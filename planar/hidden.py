@@ -1,0 +1,205 @@
+"""Contacts that the reactions give although the rod touches at a second place: what reveals them, and where the second one is.
+
+Of a rod with two contacts the closed form continues the first piece past its contact to where the moment would vanish (C10): a
+place that is neither, up to a fifth of the rod's length away.  What reveals it:
+
+- A single contact satisfies ``s1 = 1`` or ``β = ζ``.  With two that slip alike ``sin β = sin ζ Σλ / |ΣF| >= sin ζ`` (C11), with
+  equality only for parallel forces.
+- Tangential contacts move along the rod, whatever the friction: the chord from one sample to the next has a direction between
+  their slopes, or no length, at a corner.
+- No contact lies inside what other sweeps have passed (`planar.passed`).
+
+**Premise.** Without friction two tangential contacts look exactly like one, ``β = 0`` and ``s1 < 1``, in every single sample:
+what neither the path nor other sweeps contradict stays hidden.  With friction the first test needs the coefficient, known, or
+constant and then told by the bulk of the tangential contacts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.arrays import Array, Index, Mask
+from planar.passed import FreeSpace
+from planar.pieces import piece
+from planar.reactions import checked_reactions
+from planar.reconstruction import Contacts, NormalSource, Status
+from planar.sweeping import Phase
+from planar.uncertainty import Errors
+
+# Friction angle, in radians, that rounding may change; standard deviations of a test on noisy contacts.
+_EXACT, _DEVIATIONS = 1e-6, 5.0
+# Share of the turn from one slope to the next by which the chord may differ from their mean, and what is added for pieces of
+# other curvature, in radians: with exact contacts of four bodies no single contact of 15,489 was beyond.
+_SHARE, _ADDED = 0.6, 2e-3
+# Chord, in steps of the base, beyond which the contact has snapped, and in rod lengths, below which it has not moved.
+_SNAPPED, _SAME_PLACE = 5.0, 1e-6
+# Share of the tangential contacts that must agree for a constant coefficient of friction.
+_BULK = 0.5
+# Forces at the first contact that are tried, over the whole one, and halvings of the interval with the second at the tip.
+_TRIED, _LARGEST, _HALVINGS = 200, 4.0, 60
+
+
+def constant_friction_angle(contacts: Contacts, errors: Errors | None = None) -> float:
+    """The friction angle ζ that the bulk of the tangential contacts has, in radians; NaN where no half of them agree.
+
+    `errors` are those of the contacts under noise.
+    """
+    tangential = contacts.phase == Phase.TANGENTIAL
+    beta = contacts.friction_angle_bound[tangential]
+    spread = np.full(len(beta), _EXACT) if errors is None else np.maximum(errors.friction_angle[tangential], _EXACT)
+    known = np.isfinite(beta + spread)
+    beta, spread = beta[known], spread[known]
+    if not len(beta):
+        return np.nan
+    # second contacts lie above, so that the bulk's middle is the median of the lower three quarters of the most certain
+    order = np.argsort(spread)[: max(len(spread) // 2, 1)]
+    lower = np.sort(beta[order])[: max(int(0.75 * len(order)), 1)]
+    angle = float(np.median(lower))
+    agrees = np.abs(beta - angle) <= 3 * spread
+    return angle if agrees.mean() > _BULK else np.nan
+
+
+def second_contacts(
+    x0: ArrayLike,
+    contacts: Contacts,
+    *,
+    friction: ArrayLike | None = None,
+    errors: Errors | None = None,
+    free: FreeSpace | None = None,
+) -> Mask:
+    """Contacts (n,) of one sweep that can't be those of rods which touch at one place only.
+
+    x0
+        base positions (n,) in the order of the sweep.
+    friction
+        the coefficient, one number or (n,); None: `constant_friction_angle`, and no test by it where that is unknown.
+    errors
+        standard deviations of the contacts under noise; None: exact.
+    free
+        what other sweeps have passed.
+    """
+    n = len(contacts)
+    zero = np.zeros(n)
+    place, beta_error, slope_error = (
+        (zero, zero, zero) if errors is None else (errors.largest, errors.friction_angle, errors.slope)
+    )
+    tangential = contacts.phase == Phase.TANGENTIAL
+    zeta = (
+        constant_friction_angle(contacts, errors) if friction is None else np.arctan(np.asarray(friction, dtype=float))
+    )
+    with np.errstate(invalid="ignore"):
+        off = contacts.friction_angle_bound - zeta
+        allowed = np.maximum(_DEVIATIONS * beta_error, _EXACT)
+        # a tip contact has less
+        found = (tangential & (np.abs(off) > allowed)) | ((contacts.phase == Phase.TIP) & (off > allowed))
+        found |= _off_path(np.asarray(x0, dtype=float), contacts, tangential, place, slope_error)
+        if free is not None:
+            touching = np.flatnonzero(contacts.phase != Phase.NONE)
+            depth = free.depth(contacts.point[touching])
+            found[touching] |= depth > _DEVIATIONS * place[touching]
+    return np.asarray(found)
+
+
+def _off_path(x0: Array, contacts: Contacts, tangential: Mask, place: Array, slope_error: Array) -> Mask:
+    """Both ends of steps in which a tangential contact left the line of the rod."""
+    chord = np.diff(contacts.point, axis=0)
+    length = np.hypot(*chord.T)
+    turn = np.diff(contacts.slope)
+    direction = np.arctan2(chord[:, 1], chord[:, 0]) - (contacts.slope[1:] + contacts.slope[:-1]) / 2
+    angle = np.abs(np.remainder(direction + np.pi / 2, np.pi) - np.pi / 2)
+    noise = (place[1:] + place[:-1]) / np.maximum(length, np.finfo(float).tiny) + slope_error[1:] + slope_error[:-1]
+    both = tangential[1:] & tangential[:-1]
+    moved = (length > _SAME_PLACE) & (length < _SNAPPED * np.abs(np.diff(x0)))
+    wrong = both & moved & (angle > _SHARE * np.abs(turn) + _ADDED + _DEVIATIONS * noise)
+    found = np.zeros(len(contacts), dtype=bool)
+    found[1:] |= wrong
+    found[:-1] |= wrong
+    return found
+
+
+def refuse_second_contacts(contacts: Contacts, second: Mask) -> Contacts:
+    """The contacts with the rows `second` (n,) refused: `Status.SECOND_CONTACT`, and no contact."""
+    columns = {}
+    for name in ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope"):
+        columns[name] = getattr(contacts, name).copy()
+        columns[name][second] = np.nan
+    for name, value in (
+        ("phase", Phase.NONE),
+        ("status", Status.SECOND_CONTACT),
+        ("normal_source", NormalSource.NONE),
+    ):
+        columns[name] = getattr(contacts, name).copy()
+        columns[name][second] = value
+    return replace(contacts, **columns)
+
+
+class Recovered(NamedTuple):
+    """Second contacts (n,) at the tip; NaN where there is none."""
+
+    point: Array
+    """(n, 2)"""
+    slope: Array
+    """(n,) slope angle of the contour there, in radians."""
+    force: Array
+    """(n,) at the tip."""
+    first_force: Array
+    """(n,) at the first contact."""
+    first: Array
+    """(n, 2) place of the first contact."""
+
+
+def recover_at_tip(
+    x0: ArrayLike,
+    f0x: ArrayLike,
+    f0y: ArrayLike,
+    m0z: ArrayLike,
+    *,
+    first: ArrayLike,
+    friction: ArrayLike,
+    direction: int = -1,
+) -> Recovered:
+    """The second contact of rods (n,) that touch with their tip as well, from the first one's arc length `first` (n,) (C12).
+
+    Both slip with the coefficient `friction`, one number or (n,), as the sweep does.  The first force is the one of its
+    direction ``τ_A + ζ`` for which the moment first vanishes at the tip.
+    """
+    base, across, along, moment = checked_reactions(x0, f0x, f0y, m0z)
+    side = -direction
+    across, moment = side * across, side * moment
+    s_a, zeta = (
+        np.broadcast_to(np.asarray(first, dtype=float), base.shape),
+        np.arctan(np.asarray(friction, dtype=float)),
+    )
+    zeta = np.broadcast_to(zeta, base.shape)
+    up = np.full(base.shape, np.pi / 2)
+    to_a = piece(-across, -along, up, -moment, s_a)
+    pushed = np.stack([np.sin(to_a.phi + zeta), -np.cos(to_a.phi + zeta)])
+
+    def end(force: Array, rows: Index) -> Array:
+        """κ at the tip (m, k) with the first force (m, k)."""
+        fx, fy = -across[rows, None] - force * pushed[0, rows, None], -along[rows, None] - force * pushed[1, rows, None]
+        return piece(fx, fy, to_a.phi[rows, None], to_a.kappa[rows, None], (1 - s_a)[rows, None]).kappa
+
+    everything = np.arange(len(base))
+    whole = np.hypot(across, along)
+    tried = np.linspace(0, _LARGEST, _TRIED) * whole[:, None]
+    values = end(tried, everything)
+    changes = (values[:, :-1] < 0) != (values[:, 1:] < 0)
+    column = np.argmax(changes, axis=1)
+    exists = changes.any(axis=1)
+    low, high = tried[everything, column], tried[everything, column + 1]
+    falling = values[everything, column] < 0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        same = (end(middle[:, None], everything)[:, 0] < 0) == falling
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    force = np.where(exists, (low + high) / 2, np.nan)
+    fx, fy = -across - force * pushed[0], -along - force * pushed[1]
+    tip = piece(fx, fy, to_a.phi, to_a.kappa, 1 - s_a)
+    point = np.stack([base + side * (to_a.x + tip.x), to_a.y + tip.y], axis=1)
+    place = np.stack([base + side * to_a.x, to_a.y], axis=1)
+    return Recovered(point, side * (np.arctan2(fx, -fy) - zeta), np.hypot(fx, fy), force, place)

@@ -1,0 +1,104 @@
+"""What the rods of a sweep have passed is free: not of the body, whatever its shape, its friction and the number of contacts.
+
+Rods move continuously from one sample to the next and never enter the body.  A point about which the loop of the one rod, the
+path of the tip, the other rod and the path of the base winds is met by a rod in between (C14), for else the loop, which is the
+border of a square's image, could be drawn together without passing it.  Of the path of the tip only its ends are recorded:
+the area next to its chord, as far as the path may bulge, is not counted.  Across a snap nothing is known of it: such steps
+count for nothing, and neither do rods with a second contact, of which only the part up to the first is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planar.arrays import Array, Mask
+from planar.lines import elastic_lines
+
+# Points of each rod.
+_POINTS = 60
+# Travel of the tip, in steps of the base, beyond which the rod has snapped.
+_SNAPPED = 5.0
+# Pairs of points and edges at once, which limits the memory.
+_PAIRS = 2_000_000
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Areas (a) between neighbouring rods, as closed polygons."""
+
+    loops: Array
+    """(a, v, 2) corners: one rod from its clamp to its end, and the next one back."""
+    margin: Array
+    """(a,) distance from the border up to which nothing is claimed, in rod lengths."""
+
+    def depth(self, points: ArrayLike) -> Array:
+        """How deep points (n, 2) lie in the free areas less their margins, in rod lengths: 0 where they do not."""
+        points = np.asarray(points, dtype=float)
+        deepest = np.zeros(len(points))
+        if not len(self.loops):
+            return deepest
+        low, high = self.loops.min(axis=1), self.loops.max(axis=1)
+        rows = max(1, _PAIRS // (len(self.loops) * 2))
+        for start in range(0, len(points), rows):
+            part = points[start : start + rows]
+            inside = ((part[:, None] >= low) & (part[:, None] <= high)).all(axis=2)
+            row, area = np.nonzero(inside)
+            chunk = max(1, _PAIRS // self.loops.shape[1])
+            for k in range(0, len(row), chunk):
+                r, a = row[k : k + chunk], area[k : k + chunk]
+                depth = _depths(part[r], self.loops[a]) - self.margin[a]
+                np.maximum.at(deepest, start + r, depth)
+        return deepest
+
+
+def _depths(points: Array, loops: Array) -> Array:
+    """Distance (n,) of points from the border of their loop (n, v, 2) where it winds about them, -1 elsewhere."""
+    offset = loops - points[:, None]
+    following = np.roll(offset, -1, axis=1)
+    cross = offset[..., 0] * following[..., 1] - offset[..., 1] * following[..., 0]
+    turned = np.arctan2(cross, (offset * following).sum(axis=2)).sum(axis=1)
+    edge = following - offset
+    share = np.clip(-(offset * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=2), 1e-300), 0, 1)
+    border = np.hypot(*(offset + share[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
+    return np.where(np.abs(turned) > np.pi, border, -1.0)
+
+
+def free_space(
+    x0: ArrayLike, f0x: ArrayLike, f0y: ArrayLike, m0z: ArrayLike, *, single: Mask, bulge: ArrayLike | None = None
+) -> FreeSpace:
+    """The area that the rods (n,) of one sweep have passed; reactions as for `planar.elastic_lines`, in the order of the sweep.
+
+    single
+        (n,) whether a rod is known to touch at one place only, or nowhere (NaN reactions count as none).
+    bulge
+        by how much, in rod lengths, the path of the tip may leave its chord in each step (n - 1,).  None: a quarter of the
+        second differences of the tip's places, which is the sagitta of smooth travel.
+    """
+    base, fx, fy, moment = (np.nan_to_num(np.asarray(column, dtype=float)) for column in (x0, f0x, f0y, m0z))
+    lines = elastic_lines(base, fx, fy, moment, _POINTS)
+    rods = np.concatenate([lines.curved, lines.straight[:, 1:]], axis=1)
+    tip = rods[:, -1]
+    travel = np.diff(tip, axis=0)
+    if bulge is None:
+        second = np.zeros(len(tip))
+        second[1:-1] = np.hypot(*np.diff(tip, 2, axis=0).T)
+        sagitta = np.maximum(second[1:], second[:-1]) / 4
+    else:
+        sagitta = np.asarray(bulge, dtype=float)
+    # the rods are drawn by chords, whose sagitta is κ h²/8; the largest curvature is that at the clamp
+    drawn = np.maximum(np.abs(moment[1:]), np.abs(moment[:-1])) / (8 * (_POINTS - 1) ** 2)
+    known = np.asarray(single)[1:] & np.asarray(single)[:-1]
+    known &= np.isfinite(rods[1:]).all(axis=(1, 2)) & np.isfinite(rods[:-1]).all(axis=(1, 2))
+    known &= np.hypot(*travel.T) <= _SNAPPED * np.abs(np.diff(base))
+    loops = np.concatenate([rods[:-1], rods[1:, ::-1]], axis=1)
+    return FreeSpace(loops[known], (sagitta + drawn)[known])
+
+
+def joined(spaces: list[FreeSpace]) -> FreeSpace:
+    """The free space of several sweeps in one plane, each in the frame of the same plane."""
+    return FreeSpace(
+        np.concatenate([space.loops for space in spaces]), np.concatenate([space.margin for space in spaces])
+    )

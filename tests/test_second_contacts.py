@@ -1,0 +1,128 @@
+"""What reveals a second contact, where it is at the tip, and what the rods of a sweep prove to be free."""
+
+import numpy as np
+import pytest
+from test_several_contacts import REFERENCES
+
+import planar
+from planar import (
+    Phase,
+    Status,
+    constant_friction_angle,
+    free_space,
+    recover_at_tip,
+    refuse_second_contacts,
+    second_contacts,
+)
+from planar.passed import joined
+
+ZETA = np.arctan(0.3)
+RUBBING = ["peanut with friction", "star", "letter L"]
+
+
+def rows_of(name):
+    (_, x0, friction), reactions, contacts = REFERENCES[name]
+    return x0, reactions, friction, contacts
+
+
+def among_single_contacts(names):
+    """x0 and reactions of a sweep with single contacts and friction 0.3, and the rows of rods with two contacts after them."""
+    swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.3, samples=80)
+    columns = [swept.x0[1:], swept.f0x[1:], swept.f0y[1:], swept.m0z[1:]]
+    more = np.array([[x0, *reactions] for x0, reactions, _, _ in map(rows_of, names)]).T
+    return [np.concatenate([column, extra]) for column, extra in zip(columns, more, strict=True)]
+
+
+@pytest.mark.parametrize("friction", [None, 0.3])
+def test_friction_reveals_a_second_contact(friction):
+    """With one contact β is the friction angle or the contact at the tip: of exact rows none is wrong, and none is missed.
+
+    The rod on the star is refused as it is: it would have to be pulled.
+    """
+    columns = among_single_contacts(RUBBING)
+    found = planar.reconstruct(*columns)
+    second = second_contacts(columns[0], found, friction=friction)
+    assert found.status[80] == Status.INFLECTION
+    assert np.flatnonzero(second).tolist() == [79, 81]
+    kept = refuse_second_contacts(found, second)
+    assert (kept.status[second] == Status.SECOND_CONTACT).all()
+    assert (kept.phase[second] == Phase.NONE).all()
+    assert np.isnan(kept.point[second]).all()
+    np.testing.assert_array_equal(kept.point[~second], found.point[~second])
+    assert "second place" in Status.SECOND_CONTACT.sentence
+
+
+def test_a_single_contact_is_not_taken_for_two_under_noise():
+    rng = np.random.default_rng(12)
+    swept = planar.sweep(planar.Ellipse((0.5, 0.3), (0.0, 0.9), 0.5), 0.3, samples=300)
+    columns = [swept.x0, *(column + 1e-3 * rng.normal(size=300) for column in (swept.f0x, swept.f0y, swept.m0z))]
+    errors = planar.errors(*columns[1:], noise=(1e-3, 1e-3))
+    found = planar.reconstruct(*columns, tolerance=np.minimum(4 * np.nan_to_num(errors.s1, nan=0.2, posinf=0.2), 0.2))
+    assert abs(constant_friction_angle(found, errors) - ZETA) < 5e-3
+    for friction in (None, 0.3):
+        assert second_contacts(columns[0], found, friction=friction, errors=errors).sum() <= 2
+
+
+def test_friction_that_varies_is_not_taken_for_constant():
+    rng = np.random.default_rng(13)
+    base = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.0, samples=60).x0
+    swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), rng.uniform(0, 0.4, 60), base=base)
+    found = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    assert np.isnan(constant_friction_angle(found))
+    assert not second_contacts(swept.x0, found).any()
+
+
+def test_a_contact_that_leaves_the_rods_line_is_not_single():
+    """Without friction a row alone does not tell; a contact that moves across the rod does."""
+    swept = planar.sweep(planar.Circle(0.4, (0.0, 0.9)), 0.0, samples=120)
+    found = planar.reconstruct(swept.x0, swept.f0x, swept.f0y, swept.m0z)
+    assert not second_contacts(swept.x0, found).any()
+    shifted = found.point.copy()
+    middle = int(np.flatnonzero(found.phase == Phase.TANGENTIAL)[20])
+    shifted[middle] += 0.003 * found.normal[middle]
+    moved = planar.Contacts(**{**vars(found), "point": shifted})
+    assert np.flatnonzero(second_contacts(swept.x0, moved)).tolist() == [middle - 1, middle, middle + 1]
+
+
+@pytest.mark.parametrize("name", ["peanut", "peanut with friction", "star"])
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_the_second_contact_at_the_tip_is_recovered(name, direction):
+    x0, (f0x, f0y, m0z), friction, (first, second) = rows_of(name)
+    side = -direction
+    found = recover_at_tip(
+        side * x0, side * f0x, f0y, side * m0z, first=first[0], friction=friction, direction=direction
+    )
+    mirrored = np.array([side, 1])
+    # the reference values have 12 digits
+    np.testing.assert_allclose(found.point[0], second[2] * mirrored, atol=1e-10)
+    np.testing.assert_allclose(found.first[0], first[2] * mirrored, atol=1e-10)
+    assert found.force[0] == pytest.approx(second[1], abs=1e-9)
+    assert found.first_force[0] == pytest.approx(first[1], abs=1e-9)
+    assert found.slope[0] == pytest.approx(side * np.radians(second[3]), abs=1e-9)
+
+
+def test_what_rods_passed_is_free():
+    """Random ellipses, from both sides: no point of the body lies in the free space, and the space reaches close to it."""
+    rng = np.random.default_rng(14)
+    for _ in range(6):
+        axes, angle = rng.uniform(0.05, 0.4, 2), rng.uniform(0, np.pi)
+        ellipse = planar.Ellipse(tuple(axes), (0.0, 0.95), angle)
+        spaces = []
+        for direction in (-1, 1):
+            swept = planar.sweep(ellipse, 0.3, samples=50, direction=direction)
+            single = np.ones(50, dtype=bool)
+            columns = swept.x0, swept.f0x, swept.f0y, swept.m0z
+            spaces.append(free_space(*columns, single=single))
+            assert len(free_space(*columns, single=~single).loops) == 0
+        free = joined(spaces)
+        around, share = rng.uniform(0, 2 * np.pi, 3000), np.sqrt(rng.uniform(0, 1, 3000))
+        c, s = np.cos(angle), np.sin(angle)
+        local = np.stack([axes[0] * np.cos(around), axes[1] * np.sin(around)], axis=1)
+        border = local @ [[c, s], [-s, c]] + np.array([0.0, 0.95])
+        inside = np.array([0.0, 0.95]) + share[:, None] * (border - np.array([0.0, 0.95]))
+        assert free.depth(inside).max() == 0
+        assert free.depth(border).max() == 0
+        # a hundredth of the rod's length outside of most of the lower side the space begins
+        low = border[border[:, 1] < 0.95 - 0.7 * np.abs(border[:, 1] - 0.95).max()]
+        outward = low + 0.01 * (low - [0.0, 0.95]) / np.linalg.norm(low - np.array([0.0, 0.95]), axis=1)[:, None]
+        assert (free.depth(outward) > 0).mean() > 0.5
