@@ -271,7 +271,7 @@ class _Sweeps:
             piece, u = self._tangential(piece, u, tau, phi if side > 0 else phi - np.pi)
             tau = float(self.outlines.at(piece, u).tau[0])
         sign = 1.0
-        if before is not None:
+        if before is not None and rods.count[k]:
             old = shapes(self.outlines, before.rows(np.array([k])), np.array([[s]]))
             slip = (shape.x - old.x)[0, 0] * np.cos(tau) + (shape.y - old.y)[0, 0] * np.sin(tau)
             sign = -1.0 if slip > _ROUNDING else 1.0

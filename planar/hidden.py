@@ -96,7 +96,8 @@ def second_contacts(
         allowed = np.maximum(_DEVIATIONS * beta_error, _EXACT)
         # a tip contact has less
         found = (tangential & (np.abs(off) > allowed)) | ((contacts.phase == Phase.TIP) & (off > allowed))
-        found |= _off_path(np.asarray(x0, dtype=float), contacts, tangential, place, slope_error)
+        # a step that leaves the rod's line is explained by an end that is known to be wrong
+        found |= _off_path(np.asarray(x0, dtype=float), contacts, tangential & ~found, place, slope_error)
         if free is not None:
             touching = np.flatnonzero(contacts.phase != Phase.NONE)
             depth = free.depth(contacts.point[touching])
