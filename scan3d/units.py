@@ -55,29 +55,36 @@ _STANDARD_GRAVITY = 9.80665
 _POUND = 0.45359237 * _STANDARD_GRAVITY
 FACTORS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "length": UNITS_M,
+    "length": {**UNITS_M, "ft": 0.3048},
     "angle": {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3},
-    "force": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 1e-3 * _STANDARD_GRAVITY, "lbf": _POUND},
+    "force": {
+        "N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 1e-3 * _STANDARD_GRAVITY, "kgf": _STANDARD_GRAVITY,
+        "ozf": _POUND / 16, "lbf": _POUND, "klbf": 1e3 * _POUND,
+    },
     "moment": {
         "N m": 1.0, "N cm": 1e-2, "N mm": 1e-3, "N um": 1e-6, "mN m": 1e-3, "mN mm": 1e-6, "uN m": 1e-6, "uN mm": 1e-9,
-        "kN m": 1e3, "lbf in": 0.0254 * _POUND, "lbf ft": 0.3048 * _POUND,
+        "kN m": 1e3, "gf cm": 1e-5 * _STANDARD_GRAVITY, "kgf cm": 1e-2 * _STANDARD_GRAVITY, "kgf m": _STANDARD_GRAVITY,
+        "ozf in": 0.0254 * _POUND / 16, "lbf in": 0.0254 * _POUND, "lbf ft": 0.3048 * _POUND,
     },
 }  # fmt: skip
 """Each measured quantity's units by their symbols, and what they are in s, m, rad, N and N m."""
-_SPELLINGS = {"µ": "u", "μ": "u", "°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "sec": "s"}
-# A unit at the end of a column's name: in brackets, after "in" or after an underscore.
+_SPELLINGS = {
+    "°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "sec": "s", "inch": "in", "inches": "in",
+    "lb": "lbf", "lbs": "lbf", "klb": "klbf",
+}  # fmt: skip
+# A unit at the end of a column's name: in brackets, after "in" or after an underscore, with a second word or alone.
 _AT_END = (
-    re.compile(r"[\[(]([^\])]+)[\])]\s*$"), re.compile(r"\bin ([\wµμ°·. ]+)$"), re.compile(r"_([A-Za-zµμ]+)$"),
+    re.compile(r"[\[(]([^\])]+)[\])]\s*$"), re.compile(r"\bin ([\wµμ°·. ]+)$"),
+    re.compile(r"_([A-Za-zµμ]+_[A-Za-z]+)$"), re.compile(r"_([A-Za-zµμ]+)$"),
 )  # fmt: skip
 
 
 def spelled(unit: str, quantity: str) -> str | None:
-    """A unit in the spelling of `FACTORS`; None if it is not one of the quantity's units."""
-    text = unit.strip()
-    for other, usual in _SPELLINGS.items():
-        text = text.replace(other, usual) if len(other) == 1 else (usual if text.lower() == other else text)
-    compact = re.sub(r"[\s·*.⋅-]", "", text)
-    return next((name for name in FACTORS[quantity] if name == text or name.replace(" ", "") == compact), None)
+    """A unit in the spelling of `FACTORS`, whose words may change places; None if it is not one of the quantity's units."""
+    words = [word for word in re.split(r"[\s·*.⋅_-]", re.sub("[µμ]", "u", unit)) if word]
+    words = [_SPELLINGS.get(word.lower(), word) if word not in FACTORS[quantity] else word for word in words]
+    known = ((name, name.split()) for name in FACTORS[quantity])
+    return next((name for name, own in known if sorted(own) == sorted(words) or "".join(own) == "".join(words)), None)
 
 
 def unit_of_cell(text: str) -> tuple[str, str] | None:
@@ -97,5 +104,5 @@ def without_unit(name: str) -> str:
     """A column's name without brackets and without the unit at its end."""
     text = re.sub(r"[\[(].*?[\])]", "", name)
     for pattern in _AT_END[1:]:
-        text = pattern.sub("", text) if stated_unit(text) else text
+        text = pattern.sub(lambda match: "" if unit_of_cell(match[1]) else match[0], text)
     return text

@@ -182,6 +182,7 @@ def test_a_first_map_is_written_and_completed(place, recording, capsys):
                 "orientation": {"rotvec": [f"actual_TCP_pose_{k}" for k in range(3, 6)]},
                 "force": [f"actual_TCP_force_{k}" for k in range(3)],
                 "moment": [f"actual_TCP_force_{k}" for k in range(3, 6)],
+                "wrench_in": "world",
             },
             {"sensor"},
         ),
@@ -192,10 +193,11 @@ def test_a_first_map_is_written_and_completed(place, recording, capsys):
             + ",".join(f"state.{v}_F_ext_hat_K[{k}]" for v in "OK" for k in range(6)),
             {
                 "position": [f"state.O_T_EE[{k}]" for k in (12, 13, 14)],
+                "orientation": {"matrix": [f"state.O_T_EE[{k}]" for k in (0, 4, 8, 1, 5, 9, 2, 6, 10)]},
                 "force": [f"state.K_F_ext_hat_K[{k}]" for k in range(3)],
                 "moment": [f"state.K_F_ext_hat_K[{k}]" for k in range(3, 6)],
             },
-            {"orientation"},
+            {"sensor"},
         ),
         (  # ATI
             "Status (hex),RDT Sequence,F/T Sequence,Fx (N),Fy (N),Fz (N),Tx (N-m),Ty (N-m),Tz (N-m),Time",
@@ -230,10 +232,17 @@ def test_times_state_their_unit_by_their_size(tmp_path, step, start, unit):
     assert tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]["time"] == unit
 
 
-def test_pounds_are_units(tmp_path):
-    (tmp_path / "log.csv").write_text("Fx (lbf),Fy (lbf),Fz (lbf),Tx (lbf-in),Ty (lbf-in),Tz (lbf-in)\n1,2,3,4,5,6\n")
-    units = tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]
-    assert (units["force"], units["moment"]) == ("lbf", "lbf in")
+@pytest.mark.parametrize(
+    ("names", "moment"),
+    [("{} (lbf),{} (lbf-in)", "lbf in"), ("{} [lb],{} [in-lbs]", "lbf in"), ("{}_lbf,{}_ft_lbf", "lbf ft")],
+)
+def test_pounds_are_units(tmp_path, names, moment):
+    force, torque = names.split(",")
+    header = ",".join([*(force.format(f"F{axis}") for axis in "xyz"), *(torque.format(f"T{axis}") for axis in "xyz")])
+    (tmp_path / "log.csv").write_text(f"{header},x (ft)\n1,2,3,4,5,6,7\n")
+    guess = tomllib.loads(guess_map(tmp_path / "log.csv").text)
+    assert guess["columns"]["moment"] == header.split(",")[3:6]
+    assert (guess["units"]["force"], guess["units"]["moment"]) == ("lbf", moment)
     assert FACTORS["moment"]["lbf in"] == pytest.approx(0.1129848290276167, rel=1e-15)
 
 

@@ -115,7 +115,7 @@ UNITS = {
 @given(
     turn=st.tuples(SOME, SOME, SOME), arm=st.tuples(SOME, SOME, SOME), clamp=st.tuples(SOME, SOME, SOME),
     clamp_arm=st.tuples(SOME, SOME, SOME), shows=st.sampled_from(["clamp-on-rod", "rod-on-clamp"]),
-    kind=st.sampled_from(["wxyz", "xyzw", "rotvec", "xyz", "ZYX", "zyz", "YXZ"]),
+    kind=st.sampled_from(["wxyz", "xyzw", "rotvec", "matrix", "xyz", "ZYX", "zyz", "YXZ"]),
     units=st.fixed_dictionaries({name: st.sampled_from(list(known)) for name, known in UNITS.items()}),
     sign=st.tuples(*[st.sampled_from([1, -1])] * 3), bias=SOME, delimiter=st.sampled_from([",", ";", "\t", " "]),
 )  # fmt: skip
@@ -135,6 +135,9 @@ def test_any_map_and_its_inverse(
     names = ["q1", "q2", "q3", "q4"] if len(kind) == 4 else ["q1", "q2", "q3"]
     if len(kind) == 4:
         turned, orientation = logged.as_quat(scalar_first=kind == "wxyz"), {"quaternion": names, "order": kind}
+    elif kind == "matrix":
+        names = [f"r{k}" for k in range(9)]
+        turned, orientation = logged.as_matrix().reshape(-1, 9), {"matrix": names}
     elif kind == "rotvec":
         turned, orientation = logged.as_rotvec() / angle, {"rotvec": names}
     else:

@@ -85,6 +85,7 @@ def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
     """The topic that is given, or the only one of a kind."""
     found = sorted({c.topic for c in reader.connections if c.msgtype.split("/")[-1] == kind})
     if given:
+        given = given if given in found else f"/{given}"  # as a map without the first slash names it
         if given not in found:
             raise InputError(
                 f"{name} has no topic {given!r} of {kind}, which [ros] {entry} of the map names; it has "

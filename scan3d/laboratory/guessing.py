@@ -26,15 +26,21 @@ _WORDS = {
 }
 _VECTORS = ("position", "force", "moment")
 _PREFIX = {
-    "position": r"(?:tcp|pos|position|pose|p|clamp|ee|tool|flange|actual|cart|translation|poseposition|actualtcppose)*",
+    "position": r"(?:tcp|pos|position|pose|p|clamp|ee|tool|flange|actual|cart|translation|poseposition|actualtcppose|rist)*",
     "force": r"(?:ft|sensor|wrench|tcp|wrenchforce|ati|actual)*(?:f|force|kraft)",
     "moment": r"(?:ft|sensor|wrench|tcp|wrenchtorque|ati|actual)*(?:t|m|torque|moment|tau|mz)",
     "quaternion": r"(?:tcp|pose|ori|orientation|rot|rotation|ee|tool)*(?:q|quat|quaternion|o|orientation|rotation)",
 }
-# Vectors of numbered columns.  A pose is a position and a rotation vector, as of Universal Robots, or Franka's matrix, whose
-# last column is the position.  Franka's wrench in the frame K of the tool comes before that in the base's.
-_POSES = ((r"(?:actual|tcp|ee|tool|pose)+", range(6)), (r"otee", range(12, 15)))
-_WRENCHES = (r"kfexthatk", r"(?:actual|tcp|ft|ati|sensor|o)*(?:f|ft|force|wrench|forcetorque|fexthatk)")
+# Vectors of numbered columns.  A pose is a position and a rotation vector, as of Universal Robots, or Franka's matrix by
+# columns, whose last one is the position.  Franka's wrench in the frame K of the tool comes before that in the base's.
+_POSES = (
+    (r"(?:actual|tcp|ee|tool|pose)+", range(6)),
+    (r"(?:target|tcp|pose)+", range(6)),
+    (r"otee", (12, 13, 14, 0, 4, 8, 1, 5, 9, 2, 6, 10)),
+)
+_WRENCHES = (r"kfexthatk", r"(?:actual|raw|tcp|ft|ati|sensor|o)*(?:f|ft|force|wrench|forcetorque|fexthatk)")
+# Wrenches in the frame of the base, by their first force.
+_OF_BASE = "actualtcpforce0$|ofexthatk0$"
 _EULER = ((("roll", "pitch", "yaw"), "xyz"), (("a", "b", "c"), "ZYX"), (("rx", "ry", "rz"), "xyz"))
 """Names of angles, and the convention that goes with them: A, B and C are those of KUKA."""
 
@@ -68,6 +74,8 @@ def guess_map(path: str | Path) -> Guess:
     columns = [
         f"{entry} = {_toml(name)}" for entry, words in _WORDS.items() if (name := _first(table, words)) is not None
     ]
+    if re.search(_OF_BASE, _bare(str(force[0]))):
+        columns.append('wrench_in = "world"             # as the robot\'s manual says')
     angles, orientation = _orientation(table, pose[3:], left)
     vectors = dict(zip(_VECTORS, (position, force, moment), strict=True))
     for entry, found in vectors.items():
@@ -133,13 +141,13 @@ def _layout(layout: Layout) -> list[str]:
 
 
 def _orientation(table: Table, turn: list[str | None], left: list[str]) -> tuple[list[str | None], str]:
-    """The columns of angles, if there are any, and the entry of the map; `turn` are those of a pose's rotation vector."""
+    """The columns of angles, if there are any, and the entry of the map; `turn` are those of a pose's vector or matrix."""
     quaternion = [_first(table, _PREFIX["quaternion"] + axis) for axis in "wxyz"]
     if None not in quaternion:
         return [], f"{{quaternion = {_toml(quaternion)}}}"
     for names, convention in _EULER:
         found = [_first(table, _PREFIX["position"] + name) for name in names]
-        if names[0] == "rx" and None in found and turn:
+        if names[0] == "rx" and None in found and len(turn) == 3:
             found = turn
         if None in found:
             continue
@@ -147,6 +155,8 @@ def _orientation(table: Table, turn: list[str | None], left: list[str]) -> tuple
             return found, f"{{rotvec = {_toml(found)}}}              # or euler, with a convention"
         left.append("convention")
         return found, f'{{euler = {_toml(found)}, convention = "{convention}"}}  # a guess: check the convention'
+    if len(turn) == 9:
+        return [], f"{{matrix = {_toml(turn)}}}"
     left.append("orientation")
     return [], '{quaternion = ["(qw)", "(qx)", "(qy)", "(qz)"]}'
 

@@ -186,8 +186,8 @@ def _vectors(table: Table, map: Map, references: tuple[Reference, ...], count: i
 
 def _orientation(table: Table, map: Map, orientation: Orientation) -> Array:
     """The columns (n, k) of the orientation: of a quaternion, or of angles in radians."""
-    count = {"quaternion": 4, "rotvec": 3}.get(orientation.kind, len(orientation.convention))
-    quantity = "" if orientation.kind == "quaternion" else "angle"
+    count = {"quaternion": 4, "rotvec": 3, "matrix": 9}.get(orientation.kind, len(orientation.convention))
+    quantity = "" if orientation.kind in ("quaternion", "matrix") else "angle"
     return _vectors(table, map, orientation.columns, count, quantity, f"orientation.{orientation.kind}")
 
 
@@ -198,6 +198,16 @@ def _quaternions(table: Table, map: Map, values: Array, row: NDArray[np.int64]) 
         return np.asarray(Rotation.from_euler(orientation.convention, values).as_quat(scalar_first=True))
     if orientation.kind == "rotvec":
         return np.asarray(Rotation.from_rotvec(values).as_quat(scalar_first=True))
+    if orientation.kind == "matrix":
+        matrices = values.reshape(-1, 3, 3)
+        off = np.abs(np.cross(matrices[:, 0], matrices[:, 1]) - matrices[:, 2]).max(axis=1)
+        off = np.maximum(off, np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)))
+        if off.max() > 1e-3:
+            raise InputError(
+                f"{table.place(int(row[np.argmax(off)]))} has an orientation that is no rotation matrix, by {off.max():.3g}; "
+                f"check the nine columns of {_entry(map, 'orientation.matrix')}, row by row"
+            )
+        return np.asarray(Rotation.from_matrix(matrices).as_quat(scalar_first=True))
     length = np.linalg.norm(values, axis=1)
     worst = int(np.argmax(np.abs(length - 1)))
     if abs(length[worst] - 1) > 1e-3:  # as in a recording

@@ -26,7 +26,7 @@ Reference = str | int
 """A column: its name, a pattern with ``*`` or ``?``, or its number from 1; with ``-`` before a name its sign is reversed, and
 an empty text stands for a column that does not exist."""
 
-ORIENTATIONS = ("quaternion", "euler", "rotvec")
+ORIENTATIONS = ("quaternion", "euler", "rotvec", "matrix")
 SHOWS = ("clamp-on-rod", "rod-on-clamp")
 DIRECTIONS = ("-x", "both")
 WRENCH_IN = ("sensor", "world")
@@ -262,8 +262,8 @@ def _orientation(section: Section) -> Orientation:
     kind = kinds[0]
     if kind == "quaternion":
         return Orientation(kind, _references(inner, kind, (4,)), order=inner.word("order", ("wxyz", "xyzw")))
-    if kind == "rotvec":
-        return Orientation(kind, _references(inner, kind, (3,)))
+    if kind in ("rotvec", "matrix"):
+        return Orientation(kind, _references(inner, kind, (3 if kind == "rotvec" else 9,)))
     convention = inner.text("convention", "xyz")
     try:
         Rotation.from_euler(convention, np.zeros((1, len(convention))))
