@@ -19,6 +19,7 @@ from scan3d.choices import one_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.extras import import_open3d
+from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.formats import (
     CLOUD_ENDINGS,
     SURFACE_ENDINGS,
@@ -27,7 +28,6 @@ from scan3d.files.formats import (
     write_shape,
 )
 from scan3d.files.meshes import FORMATS, read_mesh, stated_unit
-from scan3d.files.parquet import ENDING as PARQUET
 from scan3d.files.recordings import read_recording, sidecar, write_recording
 from scan3d.files.shapes import Shape, cloud_table, surface_table, table
 from scan3d.files.whole import check_pair

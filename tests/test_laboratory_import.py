@@ -1,10 +1,12 @@
 """Tables of a rig, made from simulated recordings by the inverse of the import, come back as these recordings."""
 
 import dataclasses
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from raw_tables import Rig, disturbed, map_of, sensed, table, track, write
@@ -12,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 import scan3d
 from scan3d import InputError
-from scan3d.files.parquet import parquet_bytes
+from scan3d.files.binary_tables import parquet_bytes
 from scan3d.laboratory import filtering
 from scan3d.laboratory.air import robust_sd
+from scan3d.laboratory.guessing import guess_map
 from scan3d.laboratory.importing import convert, load
 from scan3d.laboratory.maps import read_map
 
@@ -171,6 +174,130 @@ def test_a_table_as_parquet_gives_the_same_recording(tmp_path, planar):
         InputError, match=r"raw\.parquet has no column 'Fw', which \[columns\] force of the map names; it has t, x"
     ):
         scan3d.import_table(tmp_path / "raw.parquet", data)
+
+
+def write_sheet(path, columns):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["A title"], [], list(columns), *zip(*(column.tolist() for column in columns.values()), strict=True)):
+        book.active.append(row)
+    book.save(path)
+
+
+def write_hdf5(path, columns):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, column in columns.items():
+            file[f"run/{name}"] = column
+        file["run/rate"] = 100.0
+        file["other/ones"] = np.ones(7)
+
+
+def write_arrays(path, columns):
+    """Position and wrench as matrices, the others as vectors, beside an array of another length."""
+    parts = {"p": np.stack([columns[n] for n in "xyz"], axis=1), "w": np.stack([*columns.values()][-6:], axis=1)}
+    parts |= {name: columns[name] for name in "tabc"} | {"about": np.ones((3, 2, 1)), "short": np.arange(4.0)}
+    if path.suffix == ".npz":
+        np.savez(path, **parts)
+    else:
+        scipy.io.savemat(path, {"log": parts})
+
+
+FILES_OF_ARRAYS = {
+    "raw.xlsx": (write_sheet, {}),
+    "raw.h5": (write_hdf5, dict.fromkeys("xyzabct", "run/{}") | {f"{v}{k}": "run/{}" for v in "FT" for k in "xyz"}),
+    **{
+        name: (
+            write_arrays,
+            {axis: f"{prefix}p_{k}" for k, axis in enumerate("xyz")}
+            | {f"{'FT'[k // 3]}{'xyz'[k % 3]}": f"{prefix}w_{k}" for k in range(6)}
+            | dict.fromkeys("abct", prefix + "{}"),
+        )
+        for name, prefix in (("raw.npz", ""), ("raw.mat", "log."))
+    },
+    "raw.npy": (
+        lambda path, columns: np.save(path, np.stack([*columns.values()], axis=1)),
+        {name: k for k, name in enumerate(["t", *"xyzabc", "Fx", "Fy", "Fz", "Tx", "Ty", "Tz"], 1)},
+    ),
+}
+
+
+@pytest.mark.parametrize("file", FILES_OF_ARRAYS)
+def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
+    columns, data = table(track(planar), EXACT), map_of(planar.rod, EXACT)
+    writer, renamed = FILES_OF_ARRAYS[file]
+    writer(tmp_path / file, columns)
+    write(tmp_path / "raw.csv", columns)
+    one = scan3d.import_table(tmp_path / "raw.csv", data)
+
+    def named(value):
+        new = renamed.get(value, value)
+        return new.format(value) if isinstance(new, str) else new
+
+    for entry, value in data["columns"].items():
+        if entry == "orientation":
+            value["euler"] = [named(name) for name in value["euler"]]
+        else:
+            data["columns"][entry] = named(value) if isinstance(value, str) else [named(name) for name in value]
+    data["table"] = {"header": 3} if file == "raw.xlsx" else {}
+    other = scan3d.import_table(tmp_path / file, data)
+    assert other.position_m == pytest.approx(one.position_m, abs=1e-12)
+    assert other.force_N == pytest.approx(one.force_N, abs=1e-12)
+    if file != "raw.npy":  # without names
+        assert "columns" not in guess_map(tmp_path / file).open
+    for data_in_it, why in ((b"PK\x03\x04 no such file", "can't read raw"), (b"", "can't read raw")):
+        (tmp_path / file).write_bytes(data_in_it)
+        with pytest.raises(InputError, match=why):
+            scan3d.import_table(tmp_path / file, data)
+
+
+@pytest.mark.parametrize(("file", "library"), [("raw.xlsx", "openpyxl"), ("raw.h5", "h5py")])
+def test_what_a_file_needs_is_named(tmp_path, monkeypatch, planar, file, library):
+    (tmp_path / file).write_bytes(b"1")
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=rf"need {library}: pip install 'scan3d\[tables\]'"):
+        scan3d.import_table(tmp_path / file, map_of(planar.rod, EXACT))
+
+
+@pytest.mark.parametrize("rows", [6, 3])
+def test_signals_of_a_transducer(tmp_path, planar, rows):
+    """Bridges whose volts a matrix makes force and moment of."""
+    random, rig = np.random.default_rng(3), EXACT if rows == 6 else Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    columns, data = table(track(planar), rig), map_of(planar.rod, rig)
+    expected = imported(tmp_path / "raw.csv", columns, data)
+    wanted = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"] if rows == 6 else ["Fx", "Fy", "Tz"]
+    matrix, offset = random.normal(size=(rows, rows)), random.normal(size=rows)
+    values = np.stack([columns[name] for name in wanted], axis=1)
+    volts = np.linalg.solve(matrix, values.T).T + offset
+    rest = {name: column for name, column in columns.items() if name[0] not in "FT"}
+    data["columns"] = {k: v for k, v in data["columns"].items() if k not in ("force", "moment")}
+    data["columns"]["signals"] = [f"ch{k}" for k in range(rows)]
+    data["sensor"] |= {"matrix": matrix.tolist(), "offset": offset.tolist()}
+    columns = rest | {f"ch{k}": column for k, column in enumerate(volts.T)}
+    for signals in (data["columns"]["signals"], "ch*"):
+        data["columns"]["signals"] = signals
+        found = imported(tmp_path / "volts.csv", columns, data)
+        assert found.recording.six_axis == (rows == 6)
+        known = found.log.present
+        assert found.log.wrench[:, known] == pytest.approx(expected.log.wrench[:, known], abs=1e-12)
+        assert found.recording.force_N == pytest.approx(expected.recording.force_N, abs=1e-12)
+    for change, why in (
+        ({"matrix": matrix[:2].tolist()}, r"\[sensor\] matrix must have a row for each of fx, fy, fz"),
+        ({"matrix": [*matrix[1:].tolist(), [1.0]]}, r"\[sensor\] matrix must have a row"),
+        (
+            {"matrix": np.zeros((rows, rows)).tolist()},
+            "have the force zero by .* from column 'ch0', .* signals of the map",
+        ),
+    ):
+        with pytest.raises(InputError, match=why):
+            imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})
+    del data["columns"]["signals"]
+    data["columns"] |= {"force": ["ch0", "ch1"], "moment": ["ch2"]}
+    with pytest.raises(InputError, match=r"\[sensor\] matrix and offset belong to the columns"):
+        imported(tmp_path / "volts.csv", columns, data)
+    data["columns"]["signals"] = "ch*"
+    with pytest.raises(InputError, match=r"\[columns\] signals can't be given beside force and moment"):
+        imported(tmp_path / "volts.csv", columns, data)
 
 
 @pytest.mark.parametrize("given", ["sweep", "move", "both"])

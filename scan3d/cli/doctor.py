@@ -18,6 +18,8 @@ OPTIONAL = {
     "imageio-ffmpeg": "movies as .mp4",
     "pyarrow": "recordings and tables as Parquet",
     "rosbags": "the import of ROS bags",
+    "openpyxl": "tables of Excel",
+    "h5py": "tables of HDF5 and MATLAB 7.3",
     "distributed": "batches on a Dask cluster",
 }
 # A small scan with all steps.  It runs in a child process, because a broken library may end its process.

@@ -1,4 +1,4 @@
-"""Tables of samples, one a row: text with any delimiter, or Parquet; columns of numbers or of text.
+"""Tables of samples, one a row: text with any delimiter, sheets, or files of arrays; columns of numbers or of text.
 
 There is one reader of text, which knows the line of each row, so that every message on a cell names the file, the line and the
 column.  What it finds by itself is the delimiter; a decimal comma, titles above the names and a row of units must be announced
@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
-from scan3d.files.parquet import read_columns
+from scan3d.files.binary_tables import ENDINGS, SHEETS, read_columns, sheet_text
 from scan3d.files.reading import check_file
 from scan3d.files.whole import sha256
 from scan3d.units import unit_of_cell
 
-PARQUET = (".parquet", ".pq")
 # Memory per byte of a table while it is read.
 _MEMORY_PER_BYTE = 8
 # Lines at the beginning of a table in which its names and its first data are looked for, and rows that are read at once.
@@ -194,7 +193,7 @@ class Table:
 
 
 def read_table(path: str | Path, layout: Layout | None = None, what: str = "table", name: str = "") -> Table:
-    """Read a text table as its layout says, or a Parquet file by its ending; messages call it `what` it is, and by its `name`.
+    """Read a text table as its layout says, or another kind by its ending; messages call it `what` it is, and by its `name`.
 
     Without a layout it is comma-separated, with the names in its first line, as this program writes tables.  Raises InputError
     with the file, the line and the column of an error, and what to do.
@@ -203,10 +202,12 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
     name = name or path.name
     try:
         check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
-        if path.suffix.lower() in PARQUET:
+        if path.suffix.lower() in ENDINGS:
             by_name = read_columns(path)
             return Table(name, tuple(by_name), tuple(by_name.values()), layout=layout, sha256=sha256(path))
-        text = _decoded(path.read_bytes())
+        if path.suffix.lower() in SHEETS:
+            layout = replace(layout or Layout(), delimiter="\t", decimal=".")
+        text = _text(path)
     except OSError as error:
         raise InputError(f"can't read the {what} {path}: {error.strerror or error}") from None
     lines = _first_lines(name, text)
@@ -217,10 +218,13 @@ def read_table(path: str | Path, layout: Layout | None = None, what: str = "tabl
 
 
 def guessed_layout(path: Path) -> Layout:
-    """The layout of a text table as its first lines suggest.  Raises InputError if it can't be read."""
+    """The layout of a text table as its first lines suggest; arrays have none.  Raises InputError if it can't be read."""
+    if path.suffix.lower() in ENDINGS:
+        return Layout()
     try:
         check_file(path, memory_per_byte=_MEMORY_PER_BYTE)
-        return guessed_head(_first_lines(path.name, _decoded(path.read_bytes())), Layout()).layout
+        stated = Layout("\t") if path.suffix.lower() in SHEETS else Layout()
+        return guessed_head(_first_lines(path.name, _text(path)), stated).layout
     except OSError as error:
         raise InputError(f"can't read the table {path}: {error.strerror or error}") from None
 
@@ -234,8 +238,11 @@ def _first_lines(name: str, text: str) -> list[str]:
     return lines
 
 
-def _decoded(data: bytes) -> str:
-    """The text of a file in UTF-8, UTF-16 with its mark, or Latin-1."""
+def _text(path: Path) -> str:
+    """The text of a sheet, or of a file in UTF-8, UTF-16 with its mark, or Latin-1."""
+    if path.suffix.lower() in SHEETS:
+        return sheet_text(path)
+    data = path.read_bytes()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", errors="replace")
     try:

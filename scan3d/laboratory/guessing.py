@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan3d.files.text_tables import PARQUET, Layout, Table, guessed_layout, read_table
+from scan3d.files.text_tables import Layout, Table, guessed_layout, read_table
 from scan3d.laboratory.bags import is_bag
 from scan3d.laboratory.logs import stated_units
 from scan3d.units import without_unit
@@ -57,7 +57,7 @@ def guess_map(path: str | Path) -> Guess:
     path = Path(path)
     if is_bag(path):
         return Guess(_HEAD + _BAG + _rest("as it is in a bag"), ("sensor", "rod"))
-    layout = Layout() if path.suffix.lower() in PARQUET else guessed_layout(path)
+    layout = guessed_layout(path)
     table = read_table(path, layout)
     left: list[str] = []
     position, force, moment = ([_first(table, _PREFIX[entry] + axis) for axis in "xyz"] for entry in _VECTORS)

@@ -49,13 +49,8 @@ def read_log(table: Table, map: Map) -> Log:
     columns = map.columns
     position = _vectors(table, map, columns.position, 3, "length", "position")
     orientation = _orientation(table, map, columns.orientation)
-    force, moment = (
-        _vectors(table, map, references, 3, entry, entry)
-        for references, entry in ((columns.force, "force"), (columns.moment, "moment"))
-    )
-    present = [len(one) == 1 or one[axis] != "" for one in (columns.force, columns.moment) for axis in range(3)]
+    wrench, present = _wrench(table, map)
     time = None if columns.time is None else _time(table, map, columns.time)
-    wrench = np.concatenate([force, moment], axis=1)
     if map.wrench_delay_s:
         wrench = _undelayed(wrench, time, map, table)
     kept = np.isfinite(np.concatenate([position, orientation, wrench], axis=1)).all(axis=1)
@@ -69,19 +64,35 @@ def read_log(table: Table, map: Map) -> Log:
         place = Rotation.from_quat(quaternion, scalar_first=True).apply(place)
     wrench = -wrench[row] if map.reversed_sign else wrench[row]
     if map.wrench_in == "world":
-        wrench = _in_sensor(wrench, np.array(present), quaternion, map, table)
+        wrench = _in_sensor(wrench, present, quaternion, map, table)
     log = Log(
         time_s=None if time is None else time[row],
         position_m=place,
         quaternion=quaternion,
         wrench=wrench,
-        present=np.array(present),
+        present=present,
         sweep=None if sweep is None else sweep[row],
         row=row,
     )
     _check_time(log, table)
     _check_wrench(log, table, map)
     return log
+
+
+def _wrench(table: Table, map: Map) -> tuple[Array, Mask]:
+    """Forces and moments (n, 6), and which of them (6,) the sensor has."""
+    columns = map.columns
+    if not columns.signals:
+        both = ((columns.force, "force"), (columns.moment, "moment"))
+        parts = [_vectors(table, map, references, 3, entry, entry) for references, entry in both]
+        known = [len(one) == 1 or one[axis] != "" for one, _ in both for axis in range(3)]
+        return np.concatenate(parts, axis=1), np.array(known)
+    signals = _vectors(table, map, columns.signals, len(map.offset), "", "signals")
+    present: Mask = np.isin(np.arange(6), (0, 1, 5)) | (len(map.matrix) == 6)
+    wrench = np.zeros((len(table), 6))
+    wrench[:, present] = (signals - map.offset) @ np.array(map.matrix).T
+    wrench *= np.repeat([map.factors["force"], map.factors["moment"]], 3)
+    return wrench, present
 
 
 def _undelayed(wrench: Array, time: Array | None, map: Map, table: Table) -> Array:
@@ -307,9 +318,12 @@ def _check_wrench(log: Log, table: Table, map: Map) -> None:
     for name, part in (("force", log.wrench[:, :3]), ("moment", log.wrench[:, 3:])):
         if part.any():
             continue
-        references = _expanded(table, map, getattr(map.columns, name), 3, name)
-        titles = ", ".join(table.title(_find(table, map, one, name)[0]) for one in references if one != "")
+        entry = "signals" if map.columns.signals else name
+        references = getattr(map.columns, entry)
+        references = _expanded(table, map, references, len(map.offset) or 3, entry)
+        titles = ", ".join(table.title(_find(table, map, one, entry)[0]) for one in references if one != "")
+        zero = f"the {name} zero by [sensor] matrix, from" if map.columns.signals else "zero in"
         raise InputError(
-            f"{table.place(int(log.row[0]))} and all {len(log) - 1} rows below have zero in {titles}: nothing was measured; "
-            f"check [columns] {name} of {map.name}, and the sensor"
+            f"{table.place(int(log.row[0]))} and all {len(log) - 1} rows below have {zero} {titles}: nothing was measured; "
+            f"check [columns] {entry} of {map.name}, and the sensor"
         )

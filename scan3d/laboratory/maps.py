@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.files.reading import did_you_mean
+from scan3d.files.reading import did_you_mean, to_float
 from scan3d.files.recordings import TABLE
 from scan3d.files.section import REQUIRED, Section, read_rod, read_section
 from scan3d.files.text_tables import Layout
@@ -62,8 +63,10 @@ class Columns:
     position: tuple[Reference, ...]
     orientation: Orientation
     force: tuple[Reference, ...]
-    """Of the sensor's x, y and z axes; empty texts stand for channels that it does not have."""
+    """Of the sensor's x, y and z axes; empty texts stand for channels that it does not have, or that its matrix gives."""
     moment: tuple[Reference, ...]
+    signals: tuple[Reference, ...] = ()
+    """Of a sensor that logs volts, counts or strains, which its matrix makes force and moment of."""
     time: Reference | None = None
     sweep: Reference | None = None
     move: Reference | None = None
@@ -83,6 +86,10 @@ class Map:
     """The clamp's frame in the one whose pose is logged."""
     sensor: Frame
     """The sensor's frame in the clamp's."""
+    matrix: tuple[tuple[float, ...], ...] = ()
+    """(6, k), or (3, k) for fx, fy and mz: what the k signals are multiplied by; empty without signals."""
+    offset: tuple[float, ...] = ()
+    """(k,) what the signals are without load."""
     reversed_sign: bool = False
     """Whether the sensor shows the action of the rod on the clamp."""
     wrench_in: str = "sensor"
@@ -146,12 +153,16 @@ def _map(top: Section) -> Map:
     clamp, sensor, filters = top.section("clamp"), top.section("sensor"), top.section("filter")
     wrench = ros if "ros" in top else columns
     sweeps, noise = top.section("sweeps"), top.section("noise")
+    read = _columns(columns)
+    matrix, offset = _transducer(sensor, read.signals)
     made = Map(
-        columns=_columns(columns),
+        columns=read,
         rod=read_rod(top.section("rod")),
         factors=_factors(units, usual),
         clamp=read_frame(clamp),
         sensor=read_frame(sensor),
+        matrix=matrix,
+        offset=offset,
         reversed_sign=sensor.word("shows", SHOWS) == SHOWS[1],
         wrench_in=wrench.word("wrench_in", WRENCH_IN),
         wrench_delay_s=wrench.number("wrench_delay_s", 0.0),
@@ -202,16 +213,50 @@ def _layout(section: Section) -> Layout:
 def _columns(section: Section) -> Columns:
     if not section:
         raise section.error("", "is missing; it says which columns hold position, orientation, force and moment")
+    signals = section.any("signals")
+    if signals is not None and ("force" in section or "moment" in section):
+        raise section.error("signals", "can't be given beside force and moment, which [sensor] matrix makes of them")
     return Columns(
         position=_references(section, "position", (3,)),
         orientation=_orientation(section),
-        force=_channels(section, "force", {2: (0, 1), 3: (0, 1, 2)}),
-        moment=_channels(section, "moment", {1: (2,), 3: (0, 1, 2)}),
+        force=_channels(section, "force", {2: (0, 1), 3: (0, 1, 2)}) if signals is None else ("", "", ""),
+        moment=_channels(section, "moment", {1: (2,), 3: (0, 1, 2)}) if signals is None else ("", "", ""),
+        signals=() if signals is None else _references(section, "signals", range(1, 100)),
         time=_reference(section, "time"),
         sweep=_reference(section, "sweep"),
         move=_reference(section, "move"),
         position_in=section.word("position_in", ("world", "clamp")),
     )
+
+
+def _transducer(
+    section: Section, signals: tuple[Reference, ...]
+) -> tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]:
+    """The matrix and the offset of a sensor that logs signals; both empty if it logs force and moment."""
+    if not signals:
+        if "matrix" in section or "offset" in section:
+            raise section.error(
+                "matrix", "and offset belong to the columns that [columns] signals names, which is missing"
+            )
+        return (), ()
+    rows = section.any("matrix")
+    right = (
+        isinstance(rows, (list, tuple)) and len(rows) in (3, 6) and all(isinstance(row, (list, tuple)) for row in rows)
+    )
+    count = len(rows[0]) if right else 0
+    if len(signals) > 1 or not isinstance(signals[0], str) or not set(signals[0]) & set("*?"):
+        right = right and count == len(signals)
+    if not right or not all(len(row) == count and all(map(_is_finite, row)) for row in rows):
+        raise section.error(
+            "matrix",
+            "must have a row for each of fx, fy, fz, mx, my, mz, or of fx, fy, mz, with a number for each of the signals; "
+            f"got {rows!r}",
+        )
+    return tuple(tuple(map(float, row)) for row in rows), section.numbers("offset", count, (0.0,) * count)
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(to_float(value))
 
 
 def _reference(section: Section, key: str) -> Reference | None:
