@@ -397,6 +397,8 @@ def _lines(path: Path) -> list[str]:
     """The entries of a list, relative to the current folder."""
     try:
         lines = [line.strip() for line in read_small(path).splitlines()]
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
         raise InputError(

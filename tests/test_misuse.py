@@ -218,11 +218,18 @@ def test_special_files_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", ["import raw.csv --guess", "import raw.bag --map {map} --out r.csv", "reconstruct raw.csv --out r"]
+    "words",
+    [
+        "import raw.csv --guess",
+        "import raw.bag --guess",
+        "import raw.bag --map {map} --out r.csv",
+        "import raw.mat --guess",
+        "reconstruct raw.csv --out r",
+    ],
 )
 def test_pipes_are_refused(tmp_path, words, capsys):
     (tmp_path / "map.toml").write_text("[rod]\nlength_m = 0.1\nbending_stiffness_Nm2 = 1e-4\n[ros]\npose = '/a'\n")
-    for name in ("raw.csv", "raw.bag"):
+    for name in ("raw.csv", "raw.bag", "raw.mat"):
         os.mkfifo(tmp_path / name)
     command, raw, *rest = words.format(map=tmp_path / "map.toml").split()
     signal.alarm(20)  # ends the tests, instead of waiting without end
@@ -231,3 +238,5 @@ def test_pipes_are_refused(tmp_path, words, capsys):
     finally:
         signal.alarm(0)
     assert f"{raw} is a device or a pipe, where a file is expected" in capsys.readouterr().err
+    assert main(["import", str(tmp_path / "none.bag"), "--guess"]) == 1
+    assert "can't read the bag" in capsys.readouterr().err

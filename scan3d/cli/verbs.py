@@ -383,7 +383,8 @@ def batch(
     jobs
         runs side by side on this machine (default 1)
     scheduler
-        address of the scheduler of a Dask cluster, such as tcp://node1:8786 (needs scan3d[cluster])
+        address of the scheduler of a Dask cluster, such as tcp://node1:8786 (needs scan3d[cluster]); it asks for no
+        password, and runs what anyone sends who reaches its port
     grid
         TOML file with lists of values by setting; every combination is a run
     """

@@ -40,6 +40,18 @@ def is_bag(path: str | Path) -> bool:
     return path.suffix in (".bag", ".db3", ".mcap") or (path.is_dir() and (path / "metadata.yaml").exists())
 
 
+def bag_files(path: Path) -> Path:
+    """The folder or the file of a bag.  Raises InputError if it is not there, or a part of it is a device or a pipe."""
+    folder = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists() else path
+    try:
+        for file in folder.iterdir() if folder.is_dir() else [folder]:
+            if not file.is_dir():
+                check_file(file, memory_per_byte=0)  # bags are read message by message
+    except OSError as error:
+        raise InputError(f"can't read the bag {path}: {error.strerror or error}") from None
+    return folder
+
+
 def read_bag(path: str | Path, topics: Topics) -> Table:
     """The table of a bag, with the columns `NAMES`.  Raises InputError if rosbags is missing or a topic can't be found."""
     path = Path(path)
@@ -48,11 +60,8 @@ def read_bag(path: str | Path, topics: Topics) -> Table:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError("ROS bags need rosbags: pip install 'scan3d[ros]', or export the topics as a table") from None
-    folder = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").exists() else path
+    folder = bag_files(path)
     try:
-        for file in folder.iterdir() if folder.is_dir() else [folder]:
-            if not file.is_dir():
-                check_file(file, memory_per_byte=0)  # bags are read message by message
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             stamps, values = _wrenches(path.name, reader, _topic(path.name, reader, _WRENCH, topics.wrench, "wrench"))
             if topics.frames is None:
@@ -85,7 +94,7 @@ def _topic(name: str, reader: Any, kind: str, given: str, entry: str) -> str:
     """The topic that is given, or the only one of a kind."""
     found = sorted({c.topic for c in reader.connections if c.msgtype.split("/")[-1] == kind})
     if given:
-        given = given if given in found else f"/{given}"  # as a map without the first slash names it
+        given = given if given in found else f"/{given.lstrip('/')}"  # also without the first slash
         if given not in found:
             raise InputError(
                 f"{name} has no topic {given!r} of {kind}, which [ros] {entry} of the map names; it has "

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scan3d.files.text_tables import Layout, Table, guessed_layout, read_table
-from scan3d.laboratory.bags import is_bag
+from scan3d.laboratory.bags import bag_files, is_bag
 from scan3d.laboratory.logs import stated_units
 from scan3d.units import without_unit
 
@@ -56,6 +56,7 @@ def guess_map(path: str | Path) -> Guess:
     """A first map of a table or a ROS bag.  Raises InputError if it can't be read."""
     path = Path(path)
     if is_bag(path):
+        bag_files(path)
         return Guess(_HEAD + _BAG + _rest("as it is in a bag"), ("sensor", "rod"))
     layout = guessed_layout(path)
     table = read_table(path, layout)
