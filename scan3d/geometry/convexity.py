@@ -270,11 +270,11 @@ def against_hull(facets: Facets) -> tuple[Array, float]:
         if distance <= CONVEX_DEPTH / 10:
             return planes, distance
     unbounded = np.empty((0, 4)), np.inf
-    planes = _planes(vertices)
-    if len(planes) == 0:
+    planes, size = _planes(vertices), areas(corners)
+    if len(planes) == 0 or not size.any():
         return unbounded
     middles = corners.mean(axis=1)
-    c = np.average(middles, axis=0, weights=areas(corners))
+    c = np.average(middles, axis=0, weights=size)
     r = float((planes[:, 3] - planes[:, :3] @ c).min())
     big_r = float(np.linalg.norm(vertices - c, axis=1).max())
 
