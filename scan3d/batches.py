@@ -642,8 +642,9 @@ def _card(folder: Path, row: Row, mark: str, varied: Sequence[str]) -> str:
     settings = html.escape(", ".join(f"{setting} {row[setting]}" for setting in varied))
     if row["status"] == FAILED:
         return f'<article class="failed"><h2>{name}</h2><p>failed: {html.escape(row["error"])}</p>{settings}</article>'
+    of = "" if row["scanned"] in (None, "mesh") else f", {row['scanned']}"
     figures = [
-        f"{what} {length(row[column], row['unit'], up=up)} ({share(row[f'{column}_relative'], up=up)} of the diagonal)"
+        f"{what} {length(row[column], row['unit'], up=up)} ({share(row[f'{column}_relative'], up=up)} of the diagonal{of})"
         for what, column, up in (("Hausdorff distance", "hausdorff", False), ("certified within", "certificate", True))
         if row[column] is not None and row[f"{column}_relative"] is not None
     ]

@@ -157,7 +157,7 @@ def test_the_readme_shows_what_the_demonstration_prints(
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
-    (shown,) = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "")
+    (shown,) = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "text")
     assert set(shown.splitlines()) <= set(capsys.readouterr().out.splitlines())
 
 

@@ -452,7 +452,8 @@ def _batch_report(done: Any, out: Path, seconds: float, output: Output) -> int:
 def _figures(row: dict[str, Any]) -> str:
     certified = row["certificate_relative"]
     bound = "" if certified is None else f", certified within {share(certified, up=True)}"
-    return f"{share(row['hausdorff_relative'])} of the diagonal{bound} ({row['run']})"
+    of = "" if row["scanned"] in (None, "mesh") else f" of the {row['scanned']}"
+    return f"{share(row['hausdorff_relative'])} of the diagonal{bound}{of} ({row['run']})"
 
 
 def _scanned(

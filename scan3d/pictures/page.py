@@ -55,6 +55,9 @@ from scan3d.units import UNITS_M, unit_symbol
 # The scripts in the order in which they run: one script, whose parts see each other's names.
 _SCRIPTS = ("view", "layers", "player", "tools", "main")
 
+# Key figures that are sentences, and are shown when they are asked for.
+PREMISES = ("assumed", "tested")
+
 
 def page(scene: Scene) -> bytes:
     """The page (HTML, UTF-8) of a scene: its layers, colours by values with scales and histograms, a player of its sweeps.
@@ -79,18 +82,25 @@ def page(scene: Scene) -> bytes:
     }
     if has_rods(scene):
         data["player"] = player(scene, center)
-    rows = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in scene.key_figures
-    )
+    figures = [row for row in scene.key_figures if row[0] not in PREMISES]
+    premises = [row for row in scene.key_figures if row[0] in PREMISES]
+    shown = _table(figures)
+    if premises:
+        shown += f"<details><summary>what this assumes</summary>{_table(premises)}</details>"
     # "</script>" within the data would end the script element that contains them
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     script = '"use strict";\n' + "".join(_part(f"page_{name}.js") for name in _SCRIPTS)
     # the browser runs the script with this hash and no other
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    filled = {"NAME": html.escape(scene.name), "KEYFIGURES": rows, "DATA": text, "STYLE": _part("page.css")}
+    filled = {"NAME": html.escape(scene.name), "KEYFIGURES": shown, "DATA": text, "STYLE": _part("page.css")}
     filled |= {"SCRIPT": script, "HASH": f"sha256-{digest}"}
     # in one pass, as what is filled in may contain the text of a placeholder
     return re.sub("@([A-Z]+)@", lambda match: filled[match[1]], _part("page.html")).encode(errors="replace")
+
+
+def _table(rows: list[tuple[str, str]]) -> str:
+    cells = (f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)
+    return f"<table>{''.join(cells)}</table>"
 
 
 def _units(unit: str) -> list[tuple[str, float]]:

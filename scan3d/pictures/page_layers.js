@@ -32,7 +32,7 @@ function paint(layer) {
 
 // A value on a scale; what is a millionth of the scale is rounding.
 const valueOf = (scale, value) => number(scale.kinds || Math.abs(value) > 1e-6 * Math.max(-scale.low, scale.high) ? value : 0);
-const percent = share => (100 * share >= 10 ? Math.round(100 * share) : number(100 * share)) + " %";
+const percent = share => (100 * share >= 10 ? Math.round(100 * share) : number(100 * share, 2)) + " %";
 
 function add(parent, kind, name, text = "") {
   const element = parent.appendChild(document.createElement(kind));
