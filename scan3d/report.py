@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array
-from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate, premises
+from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate, missing, premises
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
@@ -220,6 +220,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
         "table": cloud.table,
+        "missing": "" if np.isfinite(bounds.bound) or analysis.warnings else missing(cloud),
         "grown": _grown(analysis.recording),
         "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _calibration_off(cloud, bounds),
         "volume": list(bounds.volume),
@@ -484,6 +485,8 @@ def summary(data: Mapping[str, Any]) -> Summary:
     elif data.get("rod", {}).get("tapered"):
         why = "the rod's radius changes along it, and no one radius grows the body to what its centre line touches"
         rows.append(("certified", f"nothing, because {why}"))
+    elif certified.get("missing"):
+        rows.append(("certified", f"nothing: {certified['missing']}"))
     else:
         nothing = "nothing, because no contact bounds the body on some side of it"
         hint = "" if certified.get("table") is not None else "; if it stands on a table, state the height by --table"

@@ -4,7 +4,7 @@ from scan3d.bounds.cells import Gap
 from scan3d.bounds.certificates import Certificate, certificate, withdrawn
 from scan3d.bounds.constraints import Allowed, allowed, sigmas
 from scan3d.bounds.enclosures import Enclosure, enclosure
-from scan3d.bounds.premises import Premise, premises
+from scan3d.bounds.premises import Premise, missing, premises
 
 __all__ = [
     "Allowed",
@@ -15,6 +15,7 @@ __all__ = [
     "allowed",
     "certificate",
     "enclosure",
+    "missing",
     "premises",
     "sigmas",
     "withdrawn",

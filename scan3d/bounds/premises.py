@@ -1,4 +1,4 @@
-"""What the certificate of a recording assumes, and which of it these data could test."""
+"""What the certificate of a recording assumes, what of it these data could test, and what is missing if nothing is bounded."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import Array
+from scan3d.arrays import NEGLIGIBLE, Array
+from scan3d.bounds.constraints import allowed
 from scan3d.cloud import Cloud
+from scan3d.numbers import length
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
@@ -70,3 +72,52 @@ def _same_place(cloud: Cloud) -> Array:
     known = near < len(places)
     other: Array = cloud.sweep[np.where(known, near, 0)] != cloud.sweep[:, None]
     return np.asarray((other & known).any(axis=1))
+
+
+def missing(cloud: Cloud) -> str:
+    """Why contacts anywhere do not bound the body, as a sentence without its full stop; "" for contacts in slices.
+
+    A convex body is bounded by planes that touch it only if their normals lie on all sides of the origin.  Where those of the
+    contacts do, the errors of single contacts leave the planes too uncertain.
+    """
+    if cloud.model != "spatial":
+        return ""
+    normals = cloud.normals[np.isfinite(cloud.normals).all(axis=1)]
+    if cloud.table is not None:
+        normals = np.vstack([normals, [0.0, 0.0, -1.0]])
+    side = _open_side(normals)
+    if side is not None:
+        return _on_side(side, cloud)
+    if cloud.place_sd is None or cloud.tangent_sd is None or (kappa := allowed(cloud).kappa) is None:
+        return "the contacts are too few or too far apart for their tangent planes to meet: sweeps between them would close it"
+    place, turn = (
+        kappa * float(np.median(sd)) for sd in (cloud.place_sd, cloud.tangent_sd[np.isfinite(cloud.tangent_sd)])
+    )
+    return (
+        f"contacts face all sides, but noise may move half of them by more than {length(place, cloud.unit)}, and turn the rod "
+        f"there by more than {np.degrees(turn):.2g}°, so that the directions of the planes that touch the body there are open: "
+        "less noise would bound it"
+    )
+
+
+def _open_side(normals: Array) -> Array | None:
+    """A direction that no normal (n, 3) has a part in; None if they lie on all sides of the origin."""
+    if len(normals) < 4:
+        return -normals.mean(axis=0) if len(normals) else np.array([0.0, 0.0, 1.0])
+    try:
+        facets = ConvexHull(normals).equations
+    except QhullError:  # all in one plane
+        return np.asarray(np.linalg.svd(normals - normals.mean(axis=0))[2][2])
+    worst = facets[facets[:, 3].argmax()]
+    return worst[:3] if worst[3] > -NEGLIGIBLE else None
+
+
+def _on_side(side: Array, cloud: Cloud) -> str:
+    """What would bound the body in a direction that no contact faces."""
+    x, y, z = side / max(float(np.linalg.norm(side)), NEGLIGIBLE)
+    if abs(z) < np.cos(np.pi / 8):  # neither down nor up
+        return f"no contact bounds the body towards ({x + 0.0:.2f}, {y + 0.0:.2f}, {z + 0.0:.2f}): sweeps from that side would"
+    heights = cloud.points[:, 2]
+    end = float(heights.min() if z < 0 else heights.max())
+    where, table = ("below", ", or the height of the table that it stands on,") if z < 0 else ("above", "")
+    return f"no contact bounds the body {where} z = {length(end, cloud.unit)}: sweeps from {where}{table} would"
