@@ -85,7 +85,11 @@ def _pairs(compared: Compared, cloud: Cloud) -> _Pairs:
     # errors by digits alone are not independent
     explained = compared.systematic if cloud.independent else compared.misfit.explained
     beyond = (compared.misfit.found - explained)[nearest, each]
-    kept = (beyond > 0) & np.isfinite(apart[nearest, each])
+    # of the contacts that have a line in common the nearest one counts: the others have the same error of that line
+    order = np.lexsort((apart[nearest, each], nearest))
+    first = order[np.append(True, np.diff(nearest[order]) > 0)]
+    kept = np.zeros(len(each), dtype=bool)
+    kept[first] = ((beyond > 0) & np.isfinite(apart[nearest, each]))[first]
     variance = np.full(len(each), (ROUNDING * cloud.rod_length) ** 2)
     if cloud.covariance is not None and cloud.normal_sd is not None:
         by_noise = compared.variance(compared.errors(1.0, cloud.covariance, cloud.normal_sd))
