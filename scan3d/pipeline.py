@@ -30,7 +30,7 @@ from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
 from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.scene import Scene, of_cloud
-from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked, with_relative_error
+from scan3d.reconstruction import NoContactError, cause_of_no_contact, checked
 from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
 from scan3d.report import Analysis, key_figures, report
@@ -205,10 +205,7 @@ def analyse(
         except NoContactError as error:
             raise InputError(f"{error}{cause_of_no_contact(recording)}") from error
     with clock("check"):
-        as_read = with_relative_error(recording, cloud)
-        if as_read is not recording:
-            cloud = reconstruct_contacts(as_read, model=model)
-        warnings, diagnosis = checked(as_read, cloud)
+        warnings, diagnosis = checked(recording, cloud)
     with clock("bounds"):
         bounds = enclosure(cloud)
     with clock("surface"):

@@ -19,7 +19,7 @@ from scan3d.comparison import Comparison
 from scan3d.files.meshes import common_unit, load_mesh, read_mesh
 from scan3d.files.recordings import read_recording
 from scan3d.planning import Plan
-from scan3d.reconstruction import contacts
+from scan3d.reconstruction import reconstruct as reconstruct_contacts
 from scan3d.recording import Recording
 from scan3d.simulation import scan
 from scan3d.surfaces import choice
@@ -58,9 +58,9 @@ def simulate(
     return scan.simulate(mesh, plan, progress)
 
 
-@_described_by(contacts.reconstruct, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
+@_described_by(reconstruct_contacts, "The recording may be given as the path of its ``.csv`` or ``.parquet`` file.")
 def reconstruct(recording: Recording | _Path, method: str = "closed-form", model: Model | None = None) -> Cloud:
-    return contacts.reconstruct(_recording(recording), method, model)
+    return reconstruct_contacts(_recording(recording), method, model)
 
 
 @_described_by(choice.surface, "`Trimesh.units` is the unit of the cloud.")

@@ -17,7 +17,7 @@ import scan3d
 from scan3d import InputError, comparison, memory
 from scan3d.cli import main
 from scan3d.files.reading import check_file
-from scan3d.reconstruction import contacts
+from scan3d.reconstruction import reconstruct
 from scan3d.simulation import scan
 from tests.shapes import box, dimpled_box, letter_l, without
 
@@ -77,7 +77,7 @@ def test_functions_below_the_public_ones_read_no_files():
             ):
                 call(path)
     with pytest.raises(InputError, match=r"from a scan3d\.Recording, got str"):
-        contacts.reconstruct("log.csv")
+        reconstruct("log.csv")
 
 
 def simulation_of(mesh):

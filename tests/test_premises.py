@@ -10,7 +10,7 @@ import trimesh
 import planar
 import scan3d
 from scan3d.pipeline import analyse
-from scan3d.reconstruction import agreement, checked, with_relative_error
+from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.reconstruction.relative import LARGEST
@@ -40,8 +40,8 @@ def recorded(noise=0.0, rod=ROD, gains=(1.0, 1.0, 1.0), seed=0):
 
 
 def relative_error(recording):
-    found = with_relative_error(recording, contacts(recording))
-    return 0.0 if found is recording else found.rig.relative
+    rig = scan3d.reconstruct(recording).calibration
+    return 0.0 if rig is None else rig.relative
 
 
 @pytest.fixture
@@ -75,8 +75,8 @@ def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
 
 def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
     recording = recorded(1e-4, rod=replace(ROD, tip_diameter_m=0.9 * ROD.diameter_m))
-    cloud = contacts(recording)
-    assert with_relative_error(recording, cloud) is recording
+    cloud = scan3d.reconstruct(recording)
+    assert cloud.calibration is None
     assert checked(recording, cloud).contradictions
 
 
@@ -121,8 +121,8 @@ def test_a_contact_in_a_dent_contradicts_convexity(phase, code, noise, undiagnos
     position = recording.position_m.copy()
     position[cloud.row[row]] -= 0.03 * ROD.length_m * cloud.in_plane_normals[row]
     dented = replace(recording, position_m=position)
-    cloud = contacts(dented)
-    assert with_relative_error(dented, cloud) is dented
+    cloud = scan3d.reconstruct(dented)
+    assert cloud.calibration is None
     found = checked(dented, cloud).contradictions
     assert [each.code for each in found] == [code]
 

@@ -2,10 +2,10 @@
 
 from scan3d.reconstruction.agreement import Checked, Contradiction, cause_of_no_contact, checked
 from scan3d.reconstruction.causes import Diagnosis
-from scan3d.reconstruction.contacts import radius_errors, reconstruct
+from scan3d.reconstruction.contacts import radius_errors
 from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import NoContactError
-from scan3d.reconstruction.relative import with_relative_error
+from scan3d.reconstruction.relative import reconstruct
 
 __all__ = [
     "Checked",
@@ -17,5 +17,4 @@ __all__ = [
     "diagnose",
     "radius_errors",
     "reconstruct",
-    "with_relative_error",
 ]

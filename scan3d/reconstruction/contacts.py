@@ -53,18 +53,9 @@ _FRICTION_ANGLE = float(np.arctan(0.5))
 _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 
 
-def reconstruct(recording: Recording, method: str = "closed-form", model: str | None = None) -> Cloud:
-    """Contacts of a recording, simulated or measured, with the normals of the surface where they can be known.
+def by_model(recording: Recording, method: str = "closed-form", model: str | None = None) -> Cloud:
+    """Contacts of a recording as its rows and what it states of its errors give them; see `scan3d.reconstruct`.
 
-    method
-        that of `planar.reconstruct`, for the planar model; the spatial one has the closed form only.
-    model
-        'planar' or 'spatial'; None is spatial if the recording has six axes, else planar.
-
-    Planar: the direction of a normal within its slice's plane comes from (14), its inclination to the plane from the slices
-    below and above.  Spatial: normals come from the slip and the path of the contact along each sweep, or from the force where
-    there is no friction.  If the body proves smooth, all normals come from the support function fitted to all contacts.
-    Points lie inside the rod's centre line by its radius, along the normals, in the plane as in space.
     Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
     model needs, and ValueError for an unknown method.
     """

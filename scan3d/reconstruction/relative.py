@@ -27,7 +27,7 @@ from scipy.special import chdtri
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
 from scan3d.reconstruction.agreement import FALSE_ALARM, Compared, compared_in_slices
-from scan3d.reconstruction.contacts import contacts
+from scan3d.reconstruction.contacts import by_model, contacts
 from scan3d.reconstruction.errors import with_rig_errors
 from scan3d.reconstruction.misfits import ROUNDING
 from scan3d.recording import Recording
@@ -43,17 +43,39 @@ _ONE_PAIR = 9.0
 _PASSES, _SETTLED, _SMALLER = 6, 0.8, 0.25
 
 
-def with_relative_error(recording: Recording, cloud: Cloud) -> Recording:
+def reconstruct(recording: Recording, method: str = "closed-form", model: str | None = None) -> Cloud:
+    """Contacts of a recording, simulated or measured, with the normals of the surface where they can be known.
+
+    method
+        that of `planar.reconstruct`, for the planar model; the spatial one has the closed form only.
+    model
+        'planar' or 'spatial'; None is spatial if the recording has six axes, else planar.
+
+    Planar: the direction of a normal within its slice's plane comes from (14), its inclination to the plane from the slices
+    below and above.  Spatial: normals come from the slip and the path of the contact along each sweep, or from the force where
+    there is no friction.  If the body proves smooth, all normals come from the support function fitted to all contacts.
+    Points lie inside the rod's centre line by its radius, along the normals, in the plane as in space.
+    Where opposed sweeps over the same place contradict each other, the contacts are those with the relative error of the wrench
+    that explains it, of at most 0.5 %, and their `calibration` has what it does to them.
+    Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
+    model needs, and ValueError for an unknown method.
+    """
+    cloud = by_model(recording, method, model)
+    known = recording if cloud.model == "spatial" else _with_relative_error(recording, cloud, method)
+    return cloud if known is recording else by_model(known, method, model)
+
+
+def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Recording:
     """The recording with the relative error of the wrench that its contacts, which are those of `cloud`, show.
 
     It is the recording itself if that agrees with itself, or if an error of `LARGEST` does not explain that it does not.  The
     error changes the contacts in turn, because it decides what is told from a contact of the tip.
     """
-    needed = 0.0 if cloud.model == "spatial" else _relative_error(recording, cloud.fattened or cloud)
+    needed = _relative_error(recording, cloud.fattened or cloud)
     found, least, relative = recording, np.inf, min(needed, LARGEST)
     for _ in range(_PASSES if needed else 0):
         tried = replace(recording, rig=with_relative(recording.rig, relative))
-        needed = _relative_error(recording, with_rig_errors(contacts(tried), recording))
+        needed = _relative_error(recording, with_rig_errors(contacts(tried, method), recording))
         if needed <= relative < least:
             found, least = tried, relative
         following = min(max(needed, _SMALLER * relative), LARGEST)
