@@ -189,7 +189,7 @@ def test_commands_take_the_depth_and_say_what_was_filled(dimpled, tmp_path, caps
     options = [*FEW[:-1], "--method", "hull", "--clip-dent", "1%"]
     assert main(["scan", str(dimpled), "--out", str(tmp_path / "out"), *options]) == 0
     printed = capsys.readouterr().out
-    assert f"the {HULL}, which fills dents up to 0.01 mm deep, 0.33 % of its volume\n" in printed
+    assert f"the {HULL}, which fills dents up to 10 µm deep, 0.33 % of its volume\n" in printed
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert report["settings"]["clip_dent"] == "1%"
     recording = str(tmp_path / "out" / "recording.csv")

@@ -17,6 +17,7 @@ from without_renderer import MISSING, headless, hidden_renderer
 
 import planar
 import scan3d
+from scan3d.numbers import number
 from scan3d.pictures import charts, rendering, shading
 
 
@@ -112,7 +113,7 @@ def test_units_normals_and_noise_of_a_recording_whose_text_stays_text(recording)
     rows = dict(Reader(text).rows)
     assert rows["normals of the slices"] == "(0, -1, 0), (0, 0, 1)"
     assert rows["noise"] == "0.002 mN, 0.003 mN mm (standard deviations)"
-    assert rows["to"].endswith(") µm")
+    assert rows["to"].endswith(") mm")  # the unit of its size
     assert rows[f"source: {markup}"] == markup
     assert "<script" not in text
     assert text.count(html.escape(markup)) == 2
@@ -125,7 +126,7 @@ def test_six_axis_recordings_and_their_clouds_show_themselves(no_pictures):
     rows = dict(Reader(recording._repr_html_()).rows)
     assert rows["samples"] == f"{len(recording)}, {np.any(force != 0, axis=1).sum()} with a force"
     largest = 1e3 * np.linalg.norm(force, axis=1).max(), 1e6 * np.linalg.norm(moment, axis=1).max()
-    assert rows["largest reactions"] == "{:.4g} mN, {:.4g} mN mm".format(*largest)
+    assert rows["largest reactions"] == "{} mN, {} mN mm".format(*map(number, largest))
     assert "normals of the slices" not in rows
     assert rows["z axes of the clamp"].startswith("(0, -0.343, 0.939)")
     panels = charts.reactions(recording).axes[:6]
@@ -144,7 +145,7 @@ def test_a_cloud_shows_itself(cloud):
     assert rows["contacts"] == f"{len(cloud)}: {len(cloud) - tips} tangential, {tips} at the tip"
     assert rows["slices"] == f"{len(np.unique(cloud.slice))} with contacts of {len(cloud.slice_height)}"
     assert rows["size"] == " × ".join(f"{extent:.4g}" for extent in np.ptp(cloud.points, axis=0)) + " mm"
-    assert rows["friction"].startswith(f"{np.nanmedian(cloud.friction):.4g} (median; 0.1")
+    assert rows["friction"].startswith(f"{number(np.nanmedian(cloud.friction))} (median; 0.1")
     assert "position noise" not in rows
     assert shown.text.count("render") == 0
     # the body in the middle, the bar at the right
