@@ -32,11 +32,10 @@ from planar.march import free_reactions
 from planar.passed import FreeSpace, free_space
 from planar.reconstruction import TOLERANCE, Contacts, NormalSource, Status, reconstruct
 from planar.rods import Rod
-from planar.sweeping import CONTACT, Phase, Sweep, sweep, sweep_all
+from planar.sweeping import Phase, Sweep, sweep, sweep_all
 from planar.uncertainty import Errors, errors, jacobian
 
 __all__ = [
-    "CONTACT",
     "TOLERANCE",
     "Circle",
     "ClosedCurve",

@@ -5,7 +5,7 @@ has a local minimum along the path (a fold), the equilibrium ends, and the rod s
 same ``x0``, or leaves the object.  So the state at a base position is the first one on the path whose ``x0`` has come down
 to it.  Continuation in ``x0`` by Newton's method or shooting would fail at the folds.
 
-On contours that are not convex, and on several in one plane, the rod may touch at several places: `planar.any_body`.
+On contours that are not convex, and on several in one plane, the rod may touch at several places: ``planar.any_body``.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Sweep:
 
     @property
     def contacts(self) -> np.recarray[Any, Any]:
-        """(n, k) every contact, in the order along the rod: records of `CONTACT`, NaN where there are fewer than k."""
+        """(n, k) the contacts in their order along the rod: records (``sweeping.CONTACT``), NaN where there are fewer."""
         records = np.recarray((len(self), 1), dtype=CONTACT)
         records.s1, records.point, records.slope = self.s1[:, None], self.point[:, None], self.slope[:, None]
         records.force, records.force_angle = (
@@ -183,7 +183,7 @@ def sweep(
         None: straight, uniform and weightless.  The reactions of a rod with weight are the whole ones, its own weight included.
         States whose moment changes its sign between clamp and contact are left out.  Convex contours only.
 
-    On a contour that is not convex the rod is followed from sample to sample (`planar.any_body`), with all of its contacts; the
+    On a contour that is not convex the rod is followed from sample to sample with all of its contacts (``any_body``); the
     sweep begins where the straight rod first touches, whatever the first base position is.  `status` has a sentence for each
     sample, also for rods whose equilibrium was not found.
 
