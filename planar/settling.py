@@ -21,7 +21,7 @@ LINKS = 80
 _PER_LINK = 3
 # Damping of a step and its largest turn of a link, in radians.
 _DAMPING, _TURN = 0.35, 0.03
-_STEPS = 400
+_STEPS, _PATIENCE = 600, 150
 # Step, in radians, at which the chain is at rest, closely enough for Newton's method.
 _AT_REST = 3e-7
 # Gap, in rod lengths, from which on a point does not take part in a step.
@@ -70,7 +70,9 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
     corners = _concave_corners(outlines, body)
     d = np.zeros(LINKS)
     active = np.zeros(0, dtype=np.intp)
-    for _ in range(_STEPS):
+    for step in range(_STEPS):
+        # chains that go to and fro between two contacts come to rest with smaller steps
+        damping = _DAMPING / (1 + step // _PATIENCE)
         place = points(x0, angles)
         near = outlines.nearest(np.full(len(place), body, dtype=np.intp), place, _CLEAR)
         close = np.flatnonzero(near.gap < _CLEAR)
@@ -87,12 +89,12 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
         slip = (tangent[:, :1] * along[0] + tangent[:, 1:] * along[1]) * _WEIGHT[row]
         carried = _COMPLIANCE @ (jacobian + mu * slip).T
         straighten = np.pi / 2 - angles
-        force, active = _complementary(jacobian @ carried, gap / _DAMPING + jacobian @ straighten, row, active)
+        force, active = _complementary(jacobian @ carried, gap / damping + jacobian @ straighten, row, active)
         d = straighten + carried @ force
         largest = float(np.abs(d).max())
         if largest < _AT_REST:
             break
-        angles += min(_DAMPING, _TURN / largest) * d
+        angles += min(damping, _TURN / largest) * d
     pressed = force > 1e-9 * max(1.0, float(force.max(initial=0.0)))
     return _clusters(
         near_of=(near.piece, near.u), row=row[pressed], force=force[pressed], angles=angles, rest=largest < 1e-4
