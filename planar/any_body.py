@@ -164,7 +164,9 @@ class _Sweeps:
             pending, part = pending[found], part.rows(found)
             if not len(pending):
                 break
-            changed: Mask = np.fromiter((self._contacts_change(rods, int(k)) for k in pending), bool, len(pending))
+            end = shapes(self.outlines, part, np.ones((len(pending), 1))).phi[:, 0]
+            changes = (self._contacts_change(rods, int(k), float(phi)) for k, phi in zip(pending, end, strict=True))
+            changed: Mask = np.fromiter(changes, bool, len(pending))
             rest, kept = pending[~changed], pending[changed]
             if len(rest):
                 part = rods.rows(rest)
@@ -188,8 +190,8 @@ class _Sweeps:
                 break
         return good, points
 
-    def _contacts_change(self, rods: Rods, k: int) -> bool:
-        """Apply the first thing that the contacts of rod k violate by themselves."""
+    def _contacts_change(self, rods: Rods, k: int, phi: float) -> bool:
+        """Apply the first thing that the contacts of rod k, whose tip has the slope phi, violate by themselves."""
         count = int(rods.count[k])
         if not count:
             return False
@@ -211,8 +213,6 @@ class _Sweeps:
             rods.tip[k, last], rods.s[k, last] = True, 1.0
             return True
         if rods.tip[k, last]:
-            one = rods.rows(np.array([k]))
-            phi = shapes(self.outlines, one, np.ones((1, 1))).phi[0, 0]
             tau = float(self.outlines.at(piece[last:], u[last:]).tau[0])
             if np.sin(tau - phi) > _ROUNDING:  # t(1)·n > 0: the rod would come out of the body
                 rods.tip[k, last] = False

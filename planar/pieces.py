@@ -62,10 +62,12 @@ def piece(force_x: Array, force_y: Array, phi: Array, kappa: Array, length: Arra
                 values = solve(*(v.ravel()[inside] for v in (force, energy, theta0, kappa0, s)))
                 for column, value in zip((along, theta, kappa1), values, strict=True):
                     column.ravel()[inside] = value
-        across = -(kappa1 - kappa0) / force
+        straight = energy == 0
+        along[straight] = (s * np.cos(theta0))[straight]
+        across = np.where(straight, s * np.sin(theta0), -(kappa1 - kappa0) / force)
         x = -np.sin(alpha) * along - np.cos(alpha) * across
         y = np.cos(alpha) * along - np.sin(alpha) * across
-    cancels = np.flatnonzero(((force < _WEAK) | (turns & (force < _FAST * energy))).ravel())
+    cancels = np.flatnonzero((~straight & (force < _WEAK) | (turns & (force < _FAST * energy))).ravel())
     if len(cancels):
         rows = [v.ravel()[cancels] for v in (force, energy, theta0, kappa0, s, phi0)]
         x.ravel()[cancels], y.ravel()[cancels] = _integrated(*rows)
