@@ -23,6 +23,8 @@ from scan3d.errors import InputError
 _EULER = "xyz"
 # Largest error of a quaternion's length: that of one written with three digits.
 _UNIT = 1e-3
+# Part of a rod's length to which the rounding of positions must be known: a thousandth of the thinnest rods' diameters.
+_COARSE = 1e-6
 
 
 def turn_of(euler_deg: ArrayLike) -> Array:
@@ -40,6 +42,17 @@ def axes_of(quaternion: Array) -> Array:
     """(n, 3, 3) the axes x, y and z, as rows, of frames with orientations (n, 4), w first."""
     matrices: Array = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     return matrices.swapaxes(1, 2)
+
+
+def check_positions(what: str, position_m: Array, length_m: float) -> None:
+    """Raise InputError where positions (n, 3) are so far from the origin that their rounding blurs a rod of that length."""
+    largest = float(np.abs(position_m).max())
+    step = float(np.spacing(largest))
+    if step > _COARSE * length_m:
+        raise InputError(
+            f"{what}: position_m holds {largest:.3g} m, where numbers are {step:.2g} m apart, too coarse for a rod of "
+            f"{length_m:.3g} m; check its unit, or take a frame near the body"
+        )
 
 
 def check_orientations(what: str, quaternion: Array) -> None:

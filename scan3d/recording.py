@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from scan3d.arrays import Array, evenly
 from scan3d.errors import InputError
-from scan3d.frames import axes_of, check_orientations
+from scan3d.frames import axes_of, check_orientations, check_positions
 from scan3d.numbers import length, lengths, number
 from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Gravity, Rod
@@ -177,6 +177,7 @@ class Recording(Shown):
                     f"recording: {name} is not a number in {bad.sum()} of {n} rows, first in row {np.argmax(bad) + 1}"
                 )
         check_orientations("recording", self.quaternion)
+        check_positions("recording", self.position_m, self.rod.length_m)
         if not isinstance(self.unit, str) or self.unit not in UNITS_M:
             raise InputError(f"recording: unit must be one of {', '.join(UNITS_M)}, got {self.unit!r}")
         noises = (self.noise_force_N, self.noise_moment_Nm, self.noise_pose_m)

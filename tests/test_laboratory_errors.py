@@ -147,6 +147,18 @@ def test_tables(tmp_path, rows, sentence):
     assert len(str(error.value)) < 500
 
 
+def test_orientations_that_are_none(tmp_path):
+    wrong = data()
+    wrong["columns"]["orientation"] = {"matrix": ["qw", "qx", "qy", "qz", "qw", "qx", "qy", "qz", "Fx"]}
+    with pytest.raises(
+        InputError, match=r"line 56 has an orientation that is no rotation matrix, by 1.*nine columns of"
+    ):
+        import_table(put(tmp_path, lines()), wrong)
+    wrong["columns"]["orientation"] = {"rotvec": ["qx", "qy", "x"]}
+    with pytest.raises(InputError, match=r"has an angle of .* rad, .* turns; check \[columns\] orientation of the map"):
+        import_table(put(tmp_path, column("x", 1e308)), wrong)
+
+
 def test_wrong_units_that_the_header_contradicts(tmp_path):
     header = ",".join(NAMES).replace("Tx,", "Tx_Nm,")
     named = data()

@@ -131,6 +131,10 @@ def test_arguments_of_other_types(recording):
     large = dataclasses.replace(recording, force_N=recording.force_N + 1e200)
     with pytest.raises(InputError, match=r"force_N holds 1e\+200; check its unit"):
         scan3d.reconstruct(large)
+    with pytest.raises(
+        InputError, match=r"position_m holds 1e\+16 m, where numbers are 2 m apart, too coarse for a rod"
+    ):
+        dataclasses.replace(recording, position_m=recording.position_m + 1e16)
 
 
 @pytest.mark.parametrize(

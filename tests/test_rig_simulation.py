@@ -1,5 +1,6 @@
 """The rig that is computed: exact without faults, and each fault with the size that its file says."""
 
+import dataclasses
 import json
 import re
 import tomllib
@@ -501,6 +502,13 @@ def test_the_command_says_what_is_wrong(folder, tmp_path, capsys, arguments, cod
         assert captured.err.count("\n") == 1
         assert list(tmp_path.iterdir()) == []
     assert re.search(sentence, captured.err)
+
+
+def test_poses_far_from_the_origin_are_refused(egg):
+    poses = planned("planar")
+    far = dataclasses.replace(poses, position_m=poses.position_m + np.array([1e308, 0.0, 0.0]))
+    with pytest.raises(InputError, match=r"poses: position_m holds 1e\+308 m, where numbers are .* apart, too coarse"):
+        simulate_rig(egg, far)
 
 
 def test_options_of_a_rig_need_poses(tmp_path, capsys):

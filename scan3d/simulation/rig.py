@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.frames import check_positions
 from scan3d.geometry.convexity import check_body
 from scan3d.geometry.segments import segments_meet
 from scan3d.memory import check_memory
@@ -149,6 +150,7 @@ def simulate_rig(
         raise InputError("the poses don't say for which rod they were planned; give one, such as --rod steel:0.3x50")
     if model == "planar" and nominal.varies:  # as in scans of meshes
         nominal = nominal.without_thickness()
+    check_positions("poses", poses.position_m, nominal.length_m)
     real = _true_rod(nominal, faults)
     rows = _as_planned(poses) if faults is None else _at_rate(poses, faults)
     metres = UNITS_M[unit]
