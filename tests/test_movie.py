@@ -63,12 +63,17 @@ def test_the_rod_moves_as_the_clamp_did(egg):
 @pytest.mark.rendering
 @pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])
 def test_growth(make, tmp_path):
-    movie.movie(make(), tmp_path / "growth.gif", "growth", frames=3)
-    shown = images(tmp_path / "growth.gif")
+    # the rod is seen in every frame, and not without a recording
+    movie.movie(make(), tmp_path / "rod.gif", "growth", frames=2)
+    movie.movie(replace(make(), recording=None), tmp_path / "growth.gif", "growth", frames=3)
+    with_rod, shown = images(tmp_path / "rod.gif"), images(tmp_path / "growth.gif")
+    blue = [(image[:500, :, 2].astype(int) - image[:500, :, 0] > 40).sum() for image in (*with_rod, *shown)]
+    assert min(blue[:2]) > 300
+    assert max(blue[2:]) == 0
     size = [(image[:500] < 250).any(axis=2).sum() for image in shown]
     assert len(shown) == 3
     assert np.all(np.diff(size) > 0)
-    assert 0.05 < size[-1] / (500 * 980) < 0.6
+    assert 0.1 < size[-1] / (500 * 980) < 0.6
     # every frame by the same camera: contacts that are drawn once stay
     for before, after in zip(shown, shown[1:], strict=False):
         earlier, later = ((image[:500] < 250).any(axis=2) for image in (before, after))
