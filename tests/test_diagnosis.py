@@ -14,12 +14,15 @@ from scipy.spatial.transform import Rotation
 from spatial_scans import recorded as recorded_in_space
 from wrong_recordings import FAULTS, IN_SPACE, changed, drift, offset, sensor
 
+import planar
+import planar.march
 import scan3d
 from scan3d.errors import InputError
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import cause_of_no_contact, checked, diagnose
-from scan3d.recording import joined
+from scan3d.recording import Recording, joined
 from scan3d.report import key_figures, report
+from scan3d.rods import Rod
 
 MESHES = Path(__file__).parents[1] / "meshes"
 
@@ -56,6 +59,50 @@ def diagnosed(recording):
     assert found.contradictions
     assert all(found.diagnosis.message in warning.message for warning in found.contradictions)
     return found.diagnosis
+
+
+def read_as_simple(noise=0.0, seed=0, name="egg.stl", slices=8, **rod):
+    """A recording with a rod that is not straight, uniform and rigidly clamped, and that is read as if it were."""
+    simple = in_plane(name).rod
+    factors = dict(
+        tip_diameter_m=simple.diameter_m,
+        curvature_per_m=1 / simple.length_m,
+        clamp_compliance_rad_per_Nm=1 / simple.moment_unit_Nm,
+    )
+    bent = replace(simple, **{key: value * factors[key] for key, value in rod.items()})
+    plan = scan3d.Plan(slices=slices, samples=40, friction=0.3, noise=noise, seed=seed, rod=bent)
+    return replace(scan3d.simulate(scan3d.load_mesh(MESHES / name), plan), rod=simple)
+
+
+def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6):
+    """A scan in the planes of gravity of an ellipsoid, with a rod of a weight in EI/L², that is read as weightless."""
+    rod, rng = Rod.wire(0.05, 0.0003, 210e9), np.random.default_rng(seed)
+    columns = []
+    for number, (height, turn) in enumerate(
+        (height, 0.2 + 2 * np.pi * k / directions)
+        for height in np.linspace(-0.8, 0.8, heights)
+        for k in range(directions)
+    ):
+        axes = Rotation.from_euler("z", turn).as_matrix().T
+        sizes = np.sqrt(1 - height**2) * np.array([0.45, 0.3])
+        distance, down = 0.62 + np.hypot(*(sizes * axes[1, :2])) / 2, -axes[:2, 1]
+        bent = planar.Rod(weight=weight, gravity=down)
+        swept = planar.sweep(planar.Ellipse(sizes, (0.0, distance), -turn), friction=0.3, samples=30, rod=bent)
+        reactions = np.stack([swept.f0x, swept.f0y, swept.m0z], axis=1)
+        if tared:
+            reactions -= planar.march.free_reactions(bent)
+        reactions = reactions[touching := np.isfinite(swept.m0z)]
+        place = np.outer(swept.x0[touching], axes[0]) - distance * axes[1] + [0, 0, 0.35 * height]
+        turns = np.tile(Rotation.from_matrix(axes.T).as_quat(scalar_first=True), (len(place), 1))
+        columns.append((np.full(len(place), number), place, turns, reactions))
+    sweep, place, turns, reactions = (np.concatenate(column) for column in zip(*columns, strict=True))
+    reactions += noise * rng.standard_normal(reactions.shape)
+    force, moment = reactions[:, :2] * rod.force_unit_N, reactions[:, 2] * rod.moment_unit_Nm
+    # the world's z axis is that of the slices, and gravity lies along -y
+    upright = Rotation.from_euler("x", 90, degrees=True)
+    turns = (upright * Rotation.from_quat(turns, scalar_first=True)).as_quat(scalar_first=True)
+    stated = dict(noise_force_N=noise * rod.force_unit_N, noise_moment_Nm=noise * rod.moment_unit_Nm)
+    return Recording(sweep, upright.apply(place) * rod.length_m, turns, force, moment, rod, **stated)
 
 
 def trusted(*values):
@@ -189,13 +236,15 @@ FRAMES = [((0, 30, 0), (0, -20, 0)), ((-20, 0, 40), (3, 25, -30)), ((0, 0, 90), 
     ],
 )
 def test_a_sensor_that_is_turned_and_beside_the_clamp_is_named(recording, angles, place):
-    """Neither of the two faults alone explains it; under noise the estimate is good to some degrees."""
+    """Neither of the two faults alone explains it; under noise the turn about the rod is good to some degrees only."""
     found = diagnosed(changed(recording(), sensor(angles, place)))
     assert found.fault == "turned-and-moved", found
     turn = Rotation.from_euler("xyz", angles, degrees=True)
-    assert found.value == pytest.approx(np.degrees(turn.magnitude()), abs=3)
+    noisy = recording().noise_force_N > 0
+    assert found.value == pytest.approx(np.degrees(turn.magnitude()), abs=8 if noisy else 3)
+    assert "noise hides some degrees of a turn about the rod" in found.message
     euler, position = (json.loads(part) for part in re.findall(r"= (\[.*?\])", found.message)[:2])
-    assert euler == pytest.approx(angles, abs=6)
+    assert euler == pytest.approx(angles, abs=8 if noisy else 6)
     assert position == pytest.approx(place, abs=4)
 
 
@@ -214,6 +263,76 @@ def test_what_no_single_fault_explains_is_said_to_be_so():
     found = diagnosed(FAULTS["interleaved"](in_plane()))
     assert (found.fault, found.value) == ("unknown", None)
     assert found.message.startswith("no single fault explains the contradiction: check signs, axes and units")
+
+
+RODS = {
+    "taper": dict(tip_diameter_m=0.9),
+    "a little taper": dict(tip_diameter_m=0.98),
+    "curvature": dict(curvature_per_m=-0.3),
+    "set": dict(curvature_per_m=0.02),
+    "clamp-compliance": dict(clamp_compliance_rad_per_Nm=0.0087),
+}
+KINDS = {"a little taper": "taper", "set": "curvature"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "noise", "seed"),
+    [
+        ("taper", 0.0, 0),
+        ("curvature", 1e-3, 0),
+        *(trusted(kind, noise, seed) for kind in RODS for noise in (0.0, 1e-4, 1e-3) for seed in range(3)),
+    ],
+)
+def test_a_rod_that_is_not_the_stated_one_is_named_or_among_what_is_alike(kind, noise, seed):
+    """Small deviations may be those of several faults under noise, and are never those of another one alone."""
+    recording = read_as_simple(noise, seed, **RODS[kind])
+    (factor,) = RODS[kind].values()
+    code, size = KINDS.get(kind, kind), {"taper": factor, "curvature": factor / recording.rod.length_m}
+    found = checked(recording, scan3d.reconstruct(recording)).diagnosis
+    if noise and (found is None or found.fault == "several"):
+        texts = {"taper": "tapers to", "curvature": "rod is curved", "clamp-compliance": "the clamp gives"}
+        assert found is None or texts[code] in found.message
+        return
+    assert found.fault == code, found
+    expected = size.get(code, factor / recording.rod.moment_unit_Nm)
+    assert found.value == pytest.approx(expected, rel=0.2 if noise else 1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("weight", "tared", "noise"),
+    [trusted(weight, tared, noise) for weight in (0.01, 0.1) for tared in (True, False) for noise in (0.0, 1e-3)],
+)
+def test_the_weight_of_a_rod_is_named(weight, tared, noise):
+    recording = heavy(weight, tared, noise)
+    found = checked(recording, scan3d.reconstruct(recording)).diagnosis
+    if noise and (found is None or found.fault == "several"):
+        assert found is None or "weight of" in found.message
+        return
+    assert found.fault == "weight", found
+    assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.2 if noise else 1e-3)
+    assert f"tared = {str(tared).lower()}" in found.message
+
+
+@pytest.mark.parametrize("speed", [None, 0.02])
+def test_a_wrench_that_is_later_than_its_pose_is_named(speed):
+    """It is that of a pose that lay 3 mm back, against the sweep in -x."""
+    right = in_plane()
+    late = replace(right, position_m=right.position_m - 0.003 * right.axes()[:, 0], source={"speed_m_per_s": speed})
+    found = diagnosed(late)
+    assert (found.fault, found.unit) == ("delay", "s" if speed else "mm")
+    assert found.value == pytest.approx(0.15 if speed else 3.0, rel=1e-3)
+    assert f"wrench later than pose by 3 mm of the sweeps' way{', 0.15 s' if speed else ''}" in found.message
+    assert "only sweeps at another speed tell" in found.message
+
+
+def test_a_wrench_in_the_frame_of_the_poses_is_named():
+    right = in_plane()
+    in_world = np.einsum("nij,ni->nj", right.axes(), np.pad(right.force_N, ((0, 0), (0, 1))))
+    found = diagnosed(replace(right, force_N=in_world[:, :2]))
+    assert found.fault == "wrench-in-world", found
+    assert 'wrench_in = "world"' in found.message
 
 
 def test_wrong_poses_are_the_diagnosis_of_the_test_that_finds_them():

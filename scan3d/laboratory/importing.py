@@ -190,6 +190,8 @@ def _converted(table: Table, map: Map) -> Imported:
     every = max(1, round(sensed.rate / map.rate_hz)) if map.rate_hz and sensed.rate else 1
     kept = within[filtering.thinned(sweep[within], every)]
     recording = _recording(table, map, noise, sweep[kept], position[kept], quaternion[kept], wrench[kept], known)
+    if log.time_s is not None:
+        recording = replace(recording, source={**recording.source, "speed_m_per_s": _speed(recording, clock[kept])})
     _check_sizes(recording, map, table.name)
     touching = felt(recording.force_N, noise[0])
     summary = Summary(
@@ -390,6 +392,14 @@ def _recording(
     if not known.all():
         return recording
     return replace(recording, force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
+
+
+def _speed(recording: Recording, clock: Array) -> float:
+    """The usual speed of the clamp in the sweeps, by which a diagnosis tells a time from a way."""
+    same, time = np.diff(recording.sweep) == 0, np.diff(clock)
+    way = np.linalg.norm(np.diff(recording.position_m, axis=0), axis=1)
+    moving = same & (time > 0) & (way > 0)
+    return float(np.median(way[moving] / time[moving])) if moving.any() else 0.0
 
 
 def _check_range(position_m: Array, map: Map, table: str) -> None:

@@ -2,13 +2,16 @@
 
 A fault maps the wrench that the sensor should show to the one that it shows.  What undoes it is an affine map as well: a matrix
 for signs, units, gains, exchanged axes and frames, and a zero that is taken off; both may differ from row to row.  A rod of
-another length scales the dimensionless force by its square and the moment by itself, and is a matrix too.  A cause has at most
-six numbers, which `scan3d.reconstruction.diagnosis` estimates.  `causes` is the table of them all.
+another length scales the dimensionless force by its square and the moment by itself, and is a matrix too.  Beside the wrench
+the rod may be another one than stated, tapered, curved, heavy, or in a clamp that gives, and the poses may be those of another
+time.  A cause has at most six numbers, which `scan3d.reconstruction.diagnosis` estimates.  `causes` is the table of them all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +21,7 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.frames import euler_of, wrench_matrix
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from scan3d.spatial.march import free_reactions
 
 _CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 _ABOUT = ("about the clamp's x axis", "about the rod (the clamp's y axis)", "about the clamp's z axis")
@@ -58,6 +62,11 @@ _LENGTHS = np.linspace(0.7, 1.4, 47)
 _ANGLES = np.radians(np.concatenate([sign * np.geomspace(2.0, 165.0, 12) for sign in (-1, 1)]))
 _TURNS = np.concatenate([np.radians(angle) * (2 * np.array(list(np.ndindex(2, 2, 2))) - 1) for angle in (2.0, 15.0)])
 _DISTANCES = np.geomspace(0.03, 0.5, 4)
+# Of rods: the logarithm of tip over clamp diameter, curvature in 1/L, and logarithms of weight in EI/L² and of compliance in
+# radians per EI/L, over a tenth; and the way, in rod lengths, by which poses and wrenches are apart.
+_TIPS, _CURVATURES = np.log([[0.5], [0.95]]), np.array([0.02, 0.3])
+_TENTH, _SMALL = 0.1, np.log([[0.1], [1.0]])
+_LARGEST_LOG, _WAYS, _DOWN = 9.0, np.array([0.003, 0.03]), np.array([0.0, 0.0, -1.0])
 _ABOUT_ROD, _ALONG_ROD = np.radians(np.arange(-180, 180, 30)), np.linspace(-0.5, 0.5, 5)
 
 
@@ -76,13 +85,18 @@ class Diagnosis(NamedTuple):
 
 
 class Undone(NamedTuple):
-    """What undoes a fault: the wrench is ``matrix (w - zero)``, the rod is `length` times as long as stated."""
+    """What undoes a fault: the wrench is ``matrix (w - zero)``, the rod is `length` times as long as stated.
+
+    Or the rod is another one; or the wrench is that of poses that lay by `late`, in rod lengths, along the clamp's x axis.
+    """
 
     matrix: Array = np.eye(6)
     """(6, 6), or (n, 6, 6) for every row of the recording."""
     zero: Array = np.zeros(6)
     """(6,), or (n, 6)."""
     length: float = 1.0
+    rod: Rod | None = None
+    late: float = 0.0
 
     def of(self, wrench: Array, rows: Index) -> Array:
         """(k, 6) the wrenches of some rows without the fault, of those (n, 6) that are recorded."""
@@ -110,6 +124,8 @@ class Cause(NamedTuple):
     """How many numbers it takes from the data."""
     limit: float = np.inf
     """Largest magnitude of a number."""
+    family: str = ""
+    """Whether it is one of the sensor's frame, "sensor", which contain each other, or of the "rod"."""
 
 
 def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: Index) -> list[Cause]:
@@ -127,7 +143,13 @@ def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: 
             found.append(known(Undone(np.diag(np.array(factors, dtype=float))), named))
     exchanged = Undone(np.eye(6)[[1, 0, 2, 3, 4, 5]])
     found.append(known(exchanged, _named("fx-fy-exchanged", None, "", "fx and fy are exchanged")))
+    turned = np.zeros((len(wrench), 6, 6))
+    turned[:, :3, :3] = turned[:, 3:, 3:] = recording.axes()
+    text = 'force and moment have their components in the frame of the poses: state wrench_in = "world" in the map'
+    found.append(known(Undone(turned), _named("wrench-in-world", None, "", text)))
     found += _zeros(recording, spatial, wrench)
+    found.append(_late(recording))
+    found += _rods(recording, spatial) if rod.is_simple else []
     for code, (scaled, text) in _GAINS.items():
         if spatial or len(scaled) > 1 or scaled[0] in (0, 1):  # in a plane mz is the only moment
             found.append(_gain(code, np.isin(np.arange(6), scaled), text))
@@ -211,6 +233,94 @@ def _gain(code: str, scaled: Mask, text: str) -> Cause:
     return Cause(np.log(_SCALES)[:, None], lambda n: Undone(np.diag(np.exp(n[0] * scaled))), named, 1, _LARGEST_SCALE)
 
 
+def _late(recording: Recording) -> Cause:
+    """A wrench that is logged later than its pose, by a way (1,) in rod lengths along the sweep."""
+
+    def named(numbers: Array) -> Diagnosis:
+        way = float(numbers[0]) * recording.rod.length_m
+        speed = recording.source.get("speed_m_per_s")
+        by = f"{1000 * abs(way):.3g} mm of the sweeps' way" + (f", {abs(way) / speed:.3g} s" if speed else "")
+        text = (
+            f"wrench {'later' if way > 0 else 'earlier'} than pose by {by}: state wrench_delay_s; or the clamp is off "
+            f"by position_mm = [{1000 * way:.3g}, 0, 0] under [clamp], which only sweeps at another speed tell from it"
+        )
+        value, unit = (way / speed, "s") if speed else (1000 * way, "mm")
+        return _named("delay", value, unit, text)
+
+    starts = np.concatenate([-_WAYS, _WAYS])[:, None]
+    return Cause(starts, lambda n: Undone(late=float(n[0])), named, 1)
+
+
+def _rods(recording: Recording, spatial: bool) -> list[Cause]:
+    """Rods that are not straight, uniform and weightless in a rigid clamp, as the stated one is."""
+    rod, count = recording.rod, 2 if spatial else 1
+    thick = rod if rod.diameter_m else replace(rod, diameter_m=rod.length_m / 100)  # any diameter at the clamp will do
+    down = recording.axes() @ (_DOWN if recording.gravity is None else recording.gravity.direction)
+    directions, which = np.unique(down.round(9), axis=0, return_inverse=True)
+
+    def curvature(n: Array) -> tuple[float, float, float]:
+        about_z, about_x = (float(part) / rod.length_m for part in np.pad(n, (0, 2 - count)))
+        return about_z, about_x, 0.0
+
+    def tip(n: Array) -> float:
+        return float(np.exp(n[0]))
+
+    def weight(n: Array) -> float:
+        return _TENTH * float(np.exp(min(n[0], 2.0))) * rod.force_unit_N
+
+    def compliance(n: Array) -> float:
+        return _TENTH * float(np.exp(min(n[0], 2.0))) / rod.moment_unit_Nm
+
+    def curved(n: Array) -> Rod:
+        return replace(rod, curvature_per_m=curvature(n) if spatial else curvature(n)[0])
+
+    def heavy(n: Array, tared: bool) -> Undone:
+        found = replace(rod, weight_N=weight(n))
+        in_air = np.concatenate(free_reactions(found.in_space(), directions.T)).T[which.reshape(-1)]
+        return Undone(zero=-in_air * tared, rod=found)
+
+    def of_curvature(n: Array) -> Diagnosis:
+        value = np.array(curvature(n)[:count])
+        text = f"curvature_per_m = {_list(np.array(curvature(n))) if spatial else f'{value[0]:.3g}'}"
+        text = f"the free rod is curved: hold it against a straight edge, and state {text}"
+        return _named("curvature", float(np.linalg.norm(value)) if spatial else float(value[0]), "1/m", text)
+
+    def of_weight(n: Array, tared: bool) -> Diagnosis:
+        text = (
+            f"its weight of {weight(n):.3g} N bends the rod: weigh it, and state weight_N, and [gravity] with tared = "
+        )
+        return _named("weight", weight(n), "N", text + str(tared).lower())
+
+    def of_taper(n: Array) -> Diagnosis:
+        text = f"the rod tapers to {tip(n):.3g} of its diameter: measure it at the tip, and state tip_diameter_m"
+        return _named("taper", tip(n), "times", text)
+
+    def of_clamp(n: Array) -> Diagnosis:
+        text = (
+            f"the clamp gives by {compliance(n):.3g} rad per N m: load it by a known moment, and state "
+            "clamp_compliance_rad_per_Nm"
+        )
+        return _named("clamp-compliance", compliance(n), "rad/(N m)", text)
+
+    def tapered(n: Array) -> Undone:
+        return Undone(rod=replace(thick, tip_diameter_m=tip(n) * thick.diameter_m))
+
+    def yielding(n: Array) -> Undone:
+        return Undone(rod=replace(rod, clamp_compliance_rad_per_Nm=compliance(n)))
+
+    arcs = np.kron(np.eye(count), np.concatenate([-_CURVATURES, _CURVATURES])[:, None])
+    found = [
+        Cause(_TIPS, tapered, of_taper, 1, _LARGEST_SCALE, "rod"),
+        Cause(arcs, lambda n: Undone(rod=curved(n)), of_curvature, count, _LARGEST_SCALE, "rod"),
+        Cause(_SMALL[:1], yielding, of_clamp, 1, _LARGEST_LOG, "rod"),
+    ]
+    if spatial or np.abs(down[:, :2]).max() > np.abs(down[:, 2]).max():  # else it hardly bends the rod in its slices
+        for tared in (True, False):
+            undone, named = partial(heavy, tared=tared), partial(of_weight, tared=tared)
+            found.append(Cause(_SMALL, undone, named, 1, _LARGEST_LOG, "rod"))
+    return found
+
+
 def _length() -> Cause:
     """A rod of another length; the number is the logarithm of the true one over the stated one."""
 
@@ -239,7 +349,7 @@ def _sensor(turns: Array, places: Array, starts: Array, rod: Rod) -> Cause:
         turn, place = split(numbers)
         return Undone(wrench_matrix(Rotation.from_rotvec(turn).as_matrix(), place))
 
-    return Cause(starts, undone, lambda numbers: _frame(*split(numbers), rod), starts.shape[1])
+    return Cause(starts, undone, lambda numbers: _frame(*split(numbers), rod), starts.shape[1], family="sensor")
 
 
 def _frame_starts(felt: Array) -> Array:
@@ -289,7 +399,10 @@ def _frame(vector: Array, place: Array, rod: Rod) -> Diagnosis:
     state = f"state euler_deg = {_list(euler)}"
     if place.any():
         text = f"{turned}, and its moments refer to a point {distance:.3g} mm from the clamp: {state} and {position}"
-        return _named("turned-and-moved", angle, "deg", f"{text} under [sensor], or calibrate")
+        text = (
+            f"{text} under [sensor] for a first look, and calibrate: noise hides some degrees of a turn about the rod"
+        )
+        return _named("turned-and-moved", angle, "deg", text)
     where = _ABOUT[axis] if single else "about an axis across several of the clamp's"
     text = f"{turned} {where}: {state} under [sensor], or calibrate"
     return _named(f"turned-{'xyz'[axis]}" if single else "turned", angle, "deg", text)

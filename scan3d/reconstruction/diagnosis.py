@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 import planar
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
-from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, stuck_rows
+from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, known, stuck_rows
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
 from scan3d.reconstruction.misfits import Errors, Misfit, against_single_force, beyond_tangents, depths_in_hull
 from scan3d.reconstruction.slices import slices_of
@@ -23,12 +23,18 @@ from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.spatial import inverse
 
-# A fault is named if its correction removes at least this part of the root mean square misfit.
-_EXPLAINS = 0.8
+# A fault is named if its correction removes at least this part of the root mean square misfit; it is refined if a first search
+# finds this part.
+_EXPLAINS, _HOPEFUL = 0.8, 0.5
+# And if after its correction no more than this part of the rows, as disturbed rows of a measurement, contradicts
+# by more than so many standard deviations, of many pairs of rows, and this part of the misfit, for its estimated numbers.
+_DISTURBED, _SURELY, _OF_NUMBERS = 0.02, 6.0, 0.01
 # Faults whose mean square misfits differ by less than this factor cannot be told apart; each number must lower it by the root.
 _ALIKE = 4.0
-# Mean square misfit that counts as none, and one below which noise hides differences.
-_NO_MISFIT, _HIDDEN = 1e-12, 1e-5
+# Mean square misfit that counts as none.
+_NO_MISFIT = 1e-12
+# Cross-talk that makers of sensors state: a moment along the force up to this part of both proves no second contact.
+_OF_SENSORS = 0.01
 # The misfit of a row without a contact, and the largest one that counts, so that single rows do not decide.
 _LARGEST = 0.1
 # Distance to the tip, in rod lengths, within which a contact counts as one of the tip, which has no tangent, so that the misfit
@@ -40,8 +46,8 @@ _SIGMAS = 3.0
 _NO_FORCE = 1e-5
 # Slices that are compared, rows of each, and rows of a recording in space; a first search takes half of them.
 _SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
-# Faults that are refined, starts of each, and evaluations of a refinement.
-_REFINED, _STARTS, _EVALUATIONS = 4, 2, 12
+# Faults that are refined, starts of each, and evaluations of a refinement, fewer of rods, which are slow and nearly linear.
+_REFINED, _STARTS, _EVALUATIONS, _MARCHED = 4, 2, 12, 6
 # Runs of rows that repeat others of which each is tried.
 _RUNS = 60
 _UNKNOWN = Diagnosis(
@@ -49,8 +55,8 @@ _UNKNOWN = Diagnosis(
     None,
     "",
     0.0,
-    "no single fault explains the contradiction: check signs, axes and units, the tare of force and moment, the rod, and that "
-    "the body is convex",
+    "no single fault explains the contradiction: check signs, axes and units, the tare of force and moment, that the rod is "
+    "straight, uniform and light and its clamp rigid, and that the body is convex",
 )
 
 
@@ -62,49 +68,47 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     sample, few = (_sample(recording, model, wrench, noise, stuck, parts) for parts in (1, 2))
     if not len(sample.rows):
         return _UNKNOWN
-    recorded = sample.misfit(Undone())
-    before = _mean_square(recorded)
-    if before <= _NO_MISFIT:
+    recorded = sample.left(Undone())
+    before = _mean_square(recorded.excess)
+    if before <= _NO_MISFIT or _Trial(known(Undone(), _UNKNOWN), np.empty(0), recorded).fits(before):
         return _UNKNOWN
     stuck = _contradicting(stuck, wrench, sample)
     tried = causes(recording, model, wrench, wrench[_felt(wrench[:, :3], noise)], stuck)
-    trials = sorted((_refined(trial, sample) for trial in _searched(tried, few)), key=lambda trial: trial.score)
-
-    def explains(trial: _Trial) -> float:
-        return float(1 - np.sqrt(trial.misfit / before))
-
-    likely = [trial for trial in trials if explains(trial) >= _EXPLAINS]
-    if not likely:
-        second = model == "spatial" and 2 * _mean_square(recorded[1]) > _mean_square(np.hypot(*recorded[:2]))
-        return (
-            _second_contact(recorded[1], explains(trials[0]))
-            if second
-            else _UNKNOWN._replace(explains=explains(trials[0]))
-        )
-    first, found = likely[0], likely[0].named
-    messages = {found.fault: found.message}
-    hidden = _HIDDEN if max(noise) else _NO_MISFIT
-    for trial in likely[1:]:
-        other = trial.named
-        alike = trial.misfit + hidden < _ALIKE * (first.misfit + hidden)
-        # a fault of several numbers that contains the best one is no alternative to it, but a frame that nobody stated is as
-        # likely as any simpler fault, unless that is one of the frame
-        simple = trial.cause.cost <= first.cause.cost
-        unstated = other.fault == "turned-and-moved" and not found.fault.startswith(("turned", "moment-not-moved"))
-        if alike and (simple or unstated):
-            messages.setdefault(other.fault, other.message)
-    either = "either " if len(messages) > 1 else ""
-    return found._replace(explains=explains(first), message=f"most likely {either}{', or '.join(messages.values())}")
+    fitting: list[_Trial] = []
+    for of_rod in (False, True):  # no rod is tried where a fault leaves nothing
+        if all(trial.misfit + trial.level > _OF_NUMBERS**2 * before for trial in fitting):
+            group = [cause for cause in tried if (cause.family == "rod") == of_rod]
+            trials = [_refined(trial, sample) for trial in _searched(group, few)]
+            fitting += [trial for trial in trials if trial.explains(before) >= _EXPLAINS and trial.fits(before)]
+    if not fitting:
+        about_rod, along_force, *_ = recorded.excess if model == "spatial" else np.zeros((2, 1))
+        second = _mean_square(along_force) > _mean_square(about_rod) and np.median(along_force) > _OF_SENSORS
+        return _second_contact(along_force) if second else _UNKNOWN
+    fitting = [_settled(trial, sample) if max(noise) else trial for trial in fitting]
+    first = min(fitting, key=lambda trial: trial.score)
+    alike = {first.named.fault: first.named.message}
+    for trial in fitting:
+        other, best = trial.cause, first.cause
+        contains = other.cost > best.cost and (best.cost == 0 or (other.family == best.family == "sensor"))
+        if trial.misfit + first.level < _ALIKE * (first.misfit + first.level) and not contains:
+            alike.setdefault(trial.named.fault, trial.named.message)
+    explains = first.explains(before)
+    if len(alike) == 1:
+        return first.named._replace(explains=explains, message=f"most likely {first.named.message}")
+    text = (
+        f"{len(alike)} faults explain it alike, and what each asks for tells them apart: {'; or '.join(alike.values())}"
+    )
+    return Diagnosis("several", None, "", explains, text)
 
 
-def _second_contact(along_force: Array, explains: float) -> Diagnosis:
+def _second_contact(along_force: Array) -> Diagnosis:
     """A second contact, where the moment along the force is most of the misfit and no fault of the rig explains it."""
     percent = 100 * float((along_force > 0).mean())
     return Diagnosis(
         "second-contact",
         percent,
         "%",
-        explains,
+        0.0,
         f"most likely either a second contact, or channels that were exchanged or logged at different times: force and moment "
         f"of {percent:.2g} % of the rows are not those of a single force; look for what else the rod touches",
     )
@@ -133,17 +137,52 @@ def _contradicting(stuck: Index, wrench: Array, sample: _Sample) -> Index:
         return stuck
 
     def without(some: Index) -> float:
-        return _mean_square(sample.misfit(stuck_rows(some, wrench).undone(np.empty(0))))
+        return _mean_square(sample.left(stuck_rows(some, wrench).undone(np.empty(0))).excess)
 
     least = _ALIKE * without(stuck) + _NO_MISFIT
     wrong = [run for run in runs if without(np.setdiff1d(stuck, run)) > least]
     return np.concatenate(wrong) if wrong else stuck
 
 
+class _Left(NamedTuple):
+    """What rows (k,) miss the model by, in r kinds (r, k)."""
+
+    found: Array
+    explained: Array
+    """By `_SIGMAS` standard deviations."""
+    excess: Array
+    """Beyond what errors explain."""
+
+    @property
+    def level(self) -> float:
+        """Mean square of one standard deviation."""
+        return _mean_square(self.explained / _SIGMAS)
+
+
 class _Trial(NamedTuple):
     cause: Cause
     numbers: Array
-    misfit: float
+    left: _Left | None = None
+    """After its correction; None before it is tried."""
+
+    @property
+    def misfit(self) -> float:
+        return np.inf if self.left is None else _mean_square(self.left.excess)
+
+    @property
+    def level(self) -> float:
+        return 0.0 if self.left is None else self.left.level
+
+    def explains(self, before: float) -> float:
+        """Part of a root mean square misfit that the correction removes."""
+        return float(1 - np.sqrt(self.misfit / before))
+
+    def fits(self, before: float) -> bool:
+        """Whether nearly no row contradicts by more than its errors, and those of the numbers, explain."""
+        if self.left is None or self.level > before:  # errors that hide any misfit explain none
+            return False
+        allowed = (_SURELY / _SIGMAS - 1) * self.left.explained + _OF_NUMBERS * np.sqrt(before)
+        return float((self.left.excess > allowed).any(axis=0).mean()) <= _DISTURBED
 
     @property
     def score(self) -> float:
@@ -161,28 +200,43 @@ def _mean_square(residuals: Array) -> float:
 
 def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
     """The best faults with numbers, as estimated by few rows, and all faults without numbers."""
-    plain = [_Trial(cause, cause.starts[0], np.inf) for cause in tried if not cause.starts.shape[1]]
-    rough = []
+    plain = [_Trial(cause, cause.starts[0]) for cause in tried if not cause.starts.shape[1]]
+    rough, least = [], (1 - _HOPEFUL) ** 2 * _mean_square(few.left(Undone()).excess)
     for cause in (cause for cause in tried if cause.starts.shape[1]):
-        trials = [_Trial(cause, start, _mean_square(few.misfit(cause.undone(start)))) for start in cause.starts]
+        trials = [_Trial(cause, start, few.left(cause.undone(start))) for start in cause.starts]
         # the misfits of starts between which the right one lies differ little, those of estimates a lot
-        best = sorted(trials, key=lambda trial: trial.misfit)[:_STARTS]
+        best = sorted(trials, key=lambda trial: trial.misfit)[: 1 if cause.family == "rod" else _STARTS]
         rough.append(min((_refined(trial, few) for trial in best), key=lambda trial: trial.misfit))
-    return plain + sorted(rough, key=lambda trial: trial.score)[:_REFINED]
+    hopeful = [trial for trial in rough if trial.misfit <= least]
+    return plain + sorted(hopeful, key=lambda trial: trial.score)[:_REFINED]
 
 
 def _refined(trial: _Trial, sample: _Sample) -> _Trial:
-    """The trial with the numbers that the rows of a sample are misfits least by."""
-    cause = trial.cause
-    if not len(trial.numbers):
-        return trial._replace(misfit=_mean_square(sample.misfit(cause.undone(trial.numbers))))
+    """The trial with the numbers by which the rows of a sample have the least misfit."""
+    cause, numbers = trial.cause, trial.numbers
+    if len(numbers):
 
-    def residuals(numbers: Array) -> Array:
-        return sample.misfit(cause.undone(numbers)).ravel() / _LARGEST
+        def residuals(numbers: Array) -> Array:
+            return sample.left(cause.undone(numbers)).excess.ravel() / _LARGEST
 
-    bounds = -cause.limit, cause.limit
-    found = least_squares(residuals, trial.numbers, bounds=bounds, diff_step=1e-5, max_nfev=_EVALUATIONS)
-    return _Trial(cause, np.asarray(found.x), _mean_square(found.fun) * _LARGEST**2)
+        bounds, most = (-cause.limit, cause.limit), _MARCHED if cause.family == "rod" else _EVALUATIONS
+        numbers = least_squares(residuals, numbers, bounds=bounds, diff_step=1e-5, max_nfev=most).x
+    return _Trial(cause, numbers, sample.left(cause.undone(numbers)))
+
+
+def _settled(trial: _Trial, sample: _Sample) -> _Trial:
+    """The trial with numbers in the middle of those that noise allows: by all misfits, over their standard deviations."""
+    cause, left = trial.cause, trial.left
+    if not len(trial.numbers) or left is None:
+        return trial
+    sd = np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
+
+    def deviations(numbers: Array) -> Array:
+        return np.asarray(np.minimum(sample.left(cause.undone(numbers)).found / sd, _SURELY).ravel())
+
+    numbers = least_squares(deviations, trial.numbers, diff_step=1e-4, max_nfev=_MARCHED).x
+    settled = trial._replace(numbers=numbers, left=sample.left(cause.undone(numbers)))
+    return settled if settled.misfit <= trial.misfit + trial.level else trial
 
 
 def _sample(
@@ -213,7 +267,7 @@ def _sample(
         axes=axes[rows],
         noise=noise,
         rod=recording.rod,
-        down=None if (down := recording.down()) is None else down[rows],
+        down=axes[rows] @ (np.array([0.0, 0.0, -1.0]) if recording.gravity is None else recording.gravity.direction),
     )
 
 
@@ -234,11 +288,11 @@ class _Sample:
     """(k, 3, 3)"""
     noise: tuple[float, float]
     rod: Rod
-    down: Array | None
-    """(k, 3) gravity in the clamp's frame, for rods with weight."""
+    down: Array
+    """(k, 3) gravity in the clamp's frame."""
 
-    def misfit(self, undone: Undone) -> Array:
-        """Residuals (r, k) without a fault, as parts and in rod lengths, 0 where noise explains them.
+    def left(self, undone: Undone) -> _Left:
+        """What is left (r, k) without a fault, as parts and in rod lengths, 0 where noise explains it.
 
         In space the moment about the rod and that along the force; and in space and in the plane, how far contacts and
         tangents lie where they must not, or the largest misfit of rows that have no contact.
@@ -251,68 +305,81 @@ class _Sample:
         expected = pressed | (not undone.zero.any())
         with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
             evaluated = self._in_plane if self.frames else self._in_space
-            known, residuals = evaluated(force, moment, noise, pressed, undone.length)
-        result = np.zeros((len(residuals), len(force)))
-        for row, values in zip(result, residuals, strict=True):
-            row[pressed] = np.clip(np.nan_to_num(values[pressed], nan=_LARGEST), 0.0, _LARGEST)
-        result[-1, expected & ~(pressed & known)] = _LARGEST
-        return result
+            known, misfits = evaluated(force, moment, noise, pressed, undone)
+        found, explained = (np.nan_to_num(np.stack(parts), nan=_LARGEST) for parts in zip(*misfits, strict=True))
+        left = np.clip(np.stack([found, explained, found - explained]) * pressed, 0.0, _LARGEST)
+        left[:, -1, expected & ~(pressed & known)] = np.array([_LARGEST, 0.0, _LARGEST])[:, None]
+        return _Left(*left)
+
+    def _places(self, points: Array, rows: Index, undone: Undone) -> Array:
+        """(n, 3) contacts in the world, of those (n, 3) in the clamps' frames."""
+        clamps = self.position[rows] + undone.late * self.axes[rows, 0]
+        return np.asarray(clamps + undone.length * np.einsum("ni,nij->nj", points, self.axes[rows]))
 
     def _in_plane(
-        self, force: Array, moment: Array, noise: tuple[float, float], pressed: Mask, length: float
-    ) -> tuple[Mask, list[Array]]:
+        self, force: Array, moment: Array, noise: tuple[float, float], pressed: Mask, undone: Undone
+    ) -> tuple[Mask, list[Misfit]]:
         """Which rows (k,) have a contact, and how far others lie beyond the tangent there."""
-        reactions = force[:, 0], force[:, 1], moment[:, 2]
-        rod = self.rod.in_plane()
-        error = planar.errors(*reactions, noise=noise, rod=rod)
-        tolerance = np.maximum(contact_tolerance(error), _TIP)
-        found = planar.reconstruct(np.zeros(len(force)), *reactions, tolerance=tolerance, rod=rod)
-        known, beyond = found.phase != planar.Phase.NONE, np.zeros(len(force))
+        reactions, length = (force[:, 0], force[:, 1], moment[:, 2]), undone.length
+        error = planar.errors(*reactions, noise=noise, rod=self.rod.in_plane())  # other rods differ little
+        tolerance, bent = np.maximum(contact_tolerance(error), _TIP), undone.rod or self.rod
+        if bent.weight_N:
+            heavy = inverse.reconstruct(
+                force, moment, tolerance=tolerance, rod=bent.in_space(), gravity=self.down * [1, 1, 0]
+            )
+            phase, places, normals = heavy.phase, heavy.point, heavy.tangent[:, [1, 0]] * [1, -1]
+        else:
+            found = planar.reconstruct(np.zeros(len(force)), *reactions, tolerance=tolerance, rod=bent.in_plane())
+            phase, places, normals = found.phase, np.pad(found.point, ((0, 0), (0, 1))), found.normal
+        known, beyond, explained = phase != planar.Phase.NONE, np.zeros(len(force)), np.zeros(len(force))
         usable = pressed & known
         usable &= ~too_light(error.largest, usable)
         for part, frame in zip(self.slices, self.frames, strict=True):
             rows = part[usable[part]]
-            lines = np.flatnonzero(found.phase[rows] == planar.Phase.TANGENTIAL)
+            lines = np.flatnonzero(phase[rows] == planar.Phase.TANGENTIAL)
             if not len(lines):
                 continue
             inside = self.axes[rows, :2] @ frame.T  # (k, 2, 2) the clamps' axes in the slice's frame
-            points = self.position[rows] @ frame.T + length * np.einsum("ni,nij->nj", found.point[rows], inside)
-            normals = np.einsum("ni,nij->nj", found.normal[rows[lines]], inside[lines])
+            points = self._places(places[rows], rows, undone) @ frame.T
+            turned = np.einsum("ni,nij->nj", normals[rows[lines]], inside[lines])
             errors = None
             if max(noise):
                 covariance = length**2 * np.einsum("nia,nij,njb->nab", inside, error.point[rows], inside)
                 errors = Errors(_SIGMAS, covariance, np.minimum(error.slope[rows], 1 / _SIGMAS))
-            misfit = beyond_tangents(points, lines, normals, np.arange(len(rows)), errors, length)
-            beyond[rows[lines]] = (misfit.found - misfit.explained).max(axis=1)
-        return known, [beyond]
+            misfit = beyond_tangents(points, lines, turned, np.arange(len(rows)), errors, length)
+            worst = (np.arange(len(lines)), (misfit.found - misfit.explained).argmax(axis=1))
+            beyond[rows[lines]], explained[rows[lines]] = misfit.found[worst], misfit.explained[worst]
+        return known, [Misfit(beyond, explained)]
 
     def _in_space(
-        self, force: Array, moment: Array, noise: tuple[float, float], pressed: Mask, length: float
-    ) -> tuple[Mask, list[Array]]:
+        self, force: Array, moment: Array, noise: tuple[float, float], pressed: Mask, undone: Undone
+    ) -> tuple[Mask, list[Misfit]]:
         """Which rows (k,) have a contact, what contradicts a single force, and how deep the contacts lie in their hull."""
-        n, noisy = len(force), max(noise) > 0
-        rod, down = self.rod.in_space(), self.down
-        error = inverse.errors(force, moment, noise, rod=rod, gravity=down) if noisy else None
+        n, noisy, length = len(force), max(noise) > 0, undone.length
+        bent = undone.rod or self.rod
+        rod = self.rod.in_space()  # other rods have much the same errors
+        error = inverse.errors(force, moment, noise, rod=rod, gravity=self.down) if noisy else None
         s1, place, turn = (np.zeros(n),) * 3 if error is None else (error.s1, error.largest, _SIGMAS * error.tangent)
         tolerance = np.maximum(tip_sigmas(np.nan_to_num(s1, posinf=0.0)), _TIP)
         weights = noise if noisy else None
-        found = inverse.reconstruct(force, moment, tolerance=tolerance, noise=weights, rod=rod, gravity=down)
-        known, depth = found.status == inverse.Status.OK, np.zeros(n)
+        found = inverse.reconstruct(
+            force, moment, tolerance=tolerance, noise=weights, rod=bent.in_space(), gravity=self.down
+        )
+        known, depth, explained = found.status == inverse.Status.OK, np.zeros(n), np.zeros(n)
         usable = pressed & known
         rows = np.flatnonzero(usable & ~too_light(place, usable))
-        turned = self.axes[rows]
-        points = self.position[rows] + length * np.einsum("ni,nij->nj", found.point[rows], turned)
-        tangents = np.einsum("ni,nij->nj", found.tangent[rows], turned)
+        points = self._places(found.point[rows], rows, undone)
+        tangents = np.einsum("ni,nij->nj", found.tangent[rows], self.axes[rows])
         every, lines = np.arange(len(rows)), np.flatnonzero(found.phase[rows] == planar.Phase.TANGENTIAL)
         errors = _SIGMAS * length * place[rows], turn[rows]
         if len(rows) > 4:  # fewer lie on their hull
             misfit = depths_in_hull(points, every, every, lines, tangents, errors, length)
-            np.maximum.at(depth, rows[np.concatenate([every, lines])], _LARGEST if misfit is None else _beyond(misfit))
+            if misfit is None:
+                depth[rows] = _LARGEST
+            else:
+                both = np.concatenate([every, lines])
+                order = np.argsort(misfit.found - misfit.explained)  # the last one, and the worst, of each row stays
+                depth[rows[both[order]]], explained[rows[both[order]]] = misfit.found[order], misfit.explained[order]
         radius = self.rod.diameter_m / 2 / self.rod.length_m / length
         single = against_single_force(force, moment, found, noise, _SIGMAS, radius)
-        return known, [*map(_beyond, single), depth]
-
-
-def _beyond(misfit: Misfit) -> Array:
-    """The part of a misfit that nothing explains."""
-    return misfit.found - misfit.explained
+        return known, [*single, Misfit(depth, explained)]
