@@ -15,6 +15,7 @@ from scan3d.errors import InputError
 if TYPE_CHECKING:  # settings have rods, and help must not wait for numpy
     import planar
     from planar.rods import Profile
+    from scan3d.arrays import Array
     from scan3d.spatial.march import SpatialRod
 
 # Young's moduli in Pa of the materials that whisker sensors are made of.
@@ -130,6 +131,16 @@ class Rod:
     def varies(self) -> bool:
         """Whether the stiffness changes along the rod."""
         return len(set(self.profile.diameters)) > 1
+
+    @property
+    def tapered(self) -> bool:
+        """Whether its surface is at different distances from its centre line."""
+        return self.diameter_m > 0 and self.varies
+
+    def radius_m(self, s: Array) -> Array:
+        """(n,) radii at arc lengths (n,) in rod lengths; outside of the rod those of its ends."""
+        radius: Array = self.diameter_m / 2 * self.profile.diameter(s)
+        return radius
 
     @property
     def profile(self) -> Profile:

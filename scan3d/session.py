@@ -204,7 +204,7 @@ class Session(Described):
         """Sweeps of new slices, and of slices that their contacts leave open."""
         space = self.plan.space()
         count = max(1, sweeps // _SIDES)
-        heights = next_heights(self.cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
+        heights = next_heights(self.cloud.fattened or self.cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
         top = self.plan.around.height
         chosen = [
             (float(angle), float(z))

@@ -69,7 +69,7 @@ def test_planar_scans_with_any_rod_find_the_body(rod, tmp_path):
     scan3d.write_recording(recording, tmp_path / "recording.csv")
     stored = scan3d.read_recording(tmp_path / "recording.csv")
     # of a tapered rod the stiffness alone, since its contacts are simulated without thickness
-    assert stored.rod == (rod.without_thickness() if rod.varies else rod)
+    assert stored.rod == (rod.without_thickness() if rod.tapered else rod)
     cloud = scan3d.reconstruct(stored)
     length, radius = 1000 * rod.length_m, 500 * stored.rod.diameter_m
     assert len(cloud) > 300

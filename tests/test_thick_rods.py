@@ -70,7 +70,7 @@ def test_what_lies_deeper_than_the_radius_is_the_body_again():
     assert offset_inwards(body, 1000.0) is None
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+@pytest.mark.parametrize("noise", [1e-4, *(pytest.param(noise, marks=pytest.mark.trust) for noise in (0.0, 1e-3))])
 def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     truth, larger = ball(20.0), ball(20.15)
     plan = scan3d.Plan(slices=8, samples=40, friction=0.3, noise=noise, rod=WIRE.without_thickness())
@@ -84,7 +84,7 @@ def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     assert thick.contact_error.max() < 0.01 + 200 * noise
 
 
-@pytest.mark.parametrize("seed", [1, 3, 6])
+@pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(20) if seed != 6)])
 def test_scans_with_thick_rods_are_certified(seed):
     body = random_body(seed)
     rod = Rod.wire(float(np.linalg.norm(body.extents)) / 1000, 0.6e-3, 210e9)
@@ -103,7 +103,7 @@ def test_scans_with_thick_rods_are_certified(seed):
 def with_friction_on_the_surface(log, body):
     """The tangential contacts of a thin rod with the fattened body, as those of a thick one: the force acts on its surface.
 
-    So it has a moment about the centre line, which it would lack farther along the rod (MODEL3D (S25)).
+    So it has a moment about the centre line, which it would lack farther along the rod (MODEL3D (S25)).  Other rows stay.
     """
     cloud = scan3d.reconstruct(log).fattened
     rows = cloud.row[cloud.phase == planar.Phase.TANGENTIAL]
@@ -122,14 +122,15 @@ def with_friction_on_the_surface(log, body):
     good = np.isfinite(state.x0) & (state.s1 + lever < 1) & (state.q > 0)
     force, direction = state.root_f**2, slope + angle
     rod = log.rod
-    columns = dict(
-        sweep=log.sweep[rows],
-        position_m=log.position_m[rows] + state.x0[:, None] * rod.length_m * axes[:, 0],
-        quaternion=log.quaternion[rows],
-        force_N=rod.force_unit_N * np.stack([-force * np.sin(direction), force * np.cos(direction)], axis=1),
-        moment_Nm=2 * state.q * state.root_f * rod.moment_unit_Nm,
+    columns = {
+        name: getattr(log, name).copy() for name in ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
+    }
+    columns["position_m"][rows] += state.x0[:, None] * rod.length_m * axes[:, 0]
+    columns["force_N"][rows] = rod.force_unit_N * np.stack(
+        [-force * np.sin(direction), force * np.cos(direction)], axis=1
     )
-    moved = replace(log, **{name: column[good] for name, column in columns.items()})
+    columns["moment_Nm"][rows] = 2 * state.q * state.root_f * rod.moment_unit_Nm
+    moved = replace(log, **{name: np.delete(column, rows[~good], axis=0) for name, column in columns.items()})
     return moved, radius, (state, slope, angle, lever, x, y)
 
 
@@ -152,7 +153,7 @@ def test_a_thick_rod_with_friction_bends_as_a_thin_one_beyond_its_contact():
         assert abs(end[3]) == pytest.approx(lever[k] * state.root_f[k] ** 2 * np.cos(angle[k]), rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(1, 20))])
 def test_bounds_hold_with_friction_on_the_surface_of_the_rod(seed):
     body = random_body(seed)
     rod = Rod.wire(float(np.linalg.norm(body.extents)) / 1000, 0.8e-3, 210e9)
@@ -161,6 +162,8 @@ def test_bounds_hold_with_friction_on_the_surface_of_the_rod(seed):
     assert radius == pytest.approx(0.4, abs=1e-6)
     found = analyse(log, body)
     assert found.warnings == ()
+    assert np.isfinite(found.bounds.bound)
+    assert found.cloud.fattened.lever == pytest.approx(radius * (np.hypot(1, 0.5) - 1), rel=1e-3)
     holds(found, body)
 
 

@@ -10,13 +10,12 @@ in the slices' planes: the way from x along u leaves the body inside the slab.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index
-from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners
+from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners, bounding_nothing
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest, nearest_on
@@ -51,6 +50,8 @@ def certificate(bounds: Enclosure, surface: Any, *, convex: bool = False) -> Cer
     distance.
     """
     vertices = np.asarray(surface.vertices)
+    if not bounds.confidence:
+        return Certificate(np.inf, np.full(len(vertices), np.inf))
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     deviation = ROUNDING * diagonal if convex else distance_to_hull(surface)
     if deviation > NEGLIGIBLE * diagonal:
@@ -149,6 +150,5 @@ def _within_slabs(corners: Array, slabs: SlabCorners, vertices: Array, normals: 
 
 def withdrawn(bounds: Enclosure, surface: Any) -> tuple[Enclosure, Certificate]:
     """The enclosure and the certificate of a surface where the recording contradicts the premises: nothing is bounded."""
-    gap = np.full(len(bounds.gap), np.inf)
-    nothing = replace(bounds, tighter=None, gap=gap, bound=np.inf, volume=(0.0, np.inf), confidence=0.0)
-    return nothing, Certificate(np.inf, np.full(len(surface.vertices), np.inf))
+    nothing = bounding_nothing(bounds)
+    return nothing, certificate(nothing, surface)

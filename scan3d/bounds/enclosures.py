@@ -212,15 +212,21 @@ def enclosure(cloud: Cloud, margin: float | None = None, *, confidence: float = 
     InputError for contacts that do not span a body.
     """
     if cloud.fattened is not None:
-        return _thinner(enclosure(cloud.fattened, margin, confidence=confidence), cloud.rod_radius)
+        bounds = _thinner(enclosure(cloud.fattened, margin, confidence=confidence), cloud.rod_radius)
+        return bounding_nothing(bounds) if cloud.tapered else bounds
     if cloud.model == "spatial":
-        return _spatial_enclosure(cloud, margin, confidence)
+        bounds = _spatial_enclosure(cloud, margin, confidence)
+        return bounding_nothing(bounds) if cloud.tapered else bounds
     bounds = slice_enclosure(cloud, margin, confidence)
-    if cloud.tapered:
-        return _unbounded(bounds.inner, stacks(cloud)[0], bounds.confidence)
     exact = margin is None and cloud.covariance is None and cloud.calibration is None and cloud.tilt is None
     bounds = _with_cells(bounds, cloud) if exact else bounds
     return _with_tangents(bounds, cloud) if exact and len(bounds.inner.faces) <= _FEW_FACETS else bounds
+
+
+def bounding_nothing(bounds: Enclosure) -> Enclosure:
+    """The enclosure of a body where the premises do not hold: nothing is bounded, and nothing is stated with any confidence."""
+    gap = np.full(len(bounds.gap), np.inf)
+    return replace(bounds, tighter=None, gap=gap, bound=np.inf, volume=(0.0, np.inf), confidence=0.0)
 
 
 def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
@@ -255,7 +261,9 @@ def _shell(body: Any, distance: float) -> float:
 def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
     """The enclosure of a body by that of the body fattened by a ball of some radius."""
     inner, excess = offset_inwards(bounds.inner, radius), bounds.excess
-    bodies: tuple[tuple[Any, float], ...] = ((bounds.inner, bounds.excess + radius),)
+    bodies = (
+        (bounds.inner, bounds.excess + radius),
+    )  # which tells more than the inner body, smaller in all directions
     if inner is None:  # the body may be thinner than what the contacts leave open
         centre, factor = shrunk_by(bounds.inner, radius)
         inner = hull(centre + max(factor, _LEAST) * (bounds.inner.vertices.view(np.ndarray) - centre))
@@ -279,7 +287,7 @@ def _thinner(bounds: Enclosure, radius: float) -> Enclosure:
         volume=(low, max(low, high)),
         excess=excess,
         reach=reach,
-        inner_bodies=(*bodies, (inner, excess)),
+        inner_bodies=bodies,
         tighter=tighter,
         fattened=bounds,
     )

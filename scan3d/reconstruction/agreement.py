@@ -32,6 +32,7 @@ from scan3d.reconstruction.misfits import (
 )
 from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.recording import LARGEST_OVER_SD, Recording, rounding_sd
+from scan3d.units import UNITS_M
 
 BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
@@ -125,6 +126,9 @@ def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
         found.append(Contradiction("beyond-tangent", text, beyond))
     else:
         place = np.zeros(len(cloud)) if cloud.place_sd is None else _kappa(len(cloud)) * cloud.place_sd
+        # the force of friction on a thick rod's tip may meet the centre line as deep in the fattened body as the rod is thick
+        radius = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit]
+        place = place + cloud.lever + np.where(cloud.phase == planar.Phase.TIP, radius, 0.0)
         found += _not_convex(cloud, (place, np.zeros(len(cloud))), np.empty(0, dtype=np.intp))
     return found
 

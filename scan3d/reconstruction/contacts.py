@@ -174,7 +174,7 @@ def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *
         tilt=slices.tilt_in(scale),
         table=None if recording.table_m is None else (recording.table_m - radius) / scale,
         independent=known.independent,
-        tapered=radius > 0 and rod.varies,
+        tapered=rod.tapered,
     )
     cloud = replace(cloud, lever=radius / scale * (1 / np.cos(_steepest(cloud)) - 1))
     # a rod's tip is bent by a third of the force that is felt
@@ -197,13 +197,14 @@ def _on_surface(cloud: Cloud, recording: Recording) -> Cloud:
         return cloud
     fx, fy = (recording.force_N / rod.force_unit_N)[cloud.row].T
     moment = recording.moment_Nm[cloud.row] / rod.moment_unit_Nm
-    bent = rod.in_plane()
-    s1 = planar.reconstruct(np.zeros(len(fx)), fx, fy, moment, tolerance=LARGEST_TOLERANCE, rod=bent).s1
-    relative = bent.profile.diameter(np.clip(s1, 0.0, 1.0))
-    radii = rod.diameter_m / 2 / scale * relative
+    s1 = planar.reconstruct(np.zeros(len(fx)), fx, fy, moment, tolerance=LARGEST_TOLERANCE, rod=rod.in_plane()).s1
+    radii = rod.radius_m(s1) / scale
     force = -np.einsum("ni,nij->nj", recording.force_N[cloud.row], recording.axes()[cloud.row, :2])
     table = None if recording.table_m is None else recording.table_m / scale
-    moved = _moved_by_radius(replace(cloud, rod_radius=float(radii.max()), fattened=cloud, table=table), force, radii)
+    fattened = replace(cloud, tapered=False)
+    moved = _moved_by_radius(
+        replace(cloud, rod_radius=float(radii.max()), fattened=fattened, table=table), force, radii
+    )
     if cloud.fit is None:
         return moved
     sd = cloud.sd_along(cloud.normals)
@@ -353,7 +354,7 @@ def spatial_contacts(recording: Recording) -> Cloud:
     force = np.einsum("ni,nij->nj", known.found.force[cloud.row], recording.axes()[cloud.row])
     cloud, slides = _with_sweep_normals(cloud, track(recording, known, cloud, force), known)
     cloud = with_fit(_with_hull_normals(cloud, force, slides), force, slides)
-    return _moved_by_radius(cloud, force, np.full(len(cloud), cloud.rod_radius))
+    return _moved_by_radius(cloud, force, recording.rod.radius_m(known.found.s1[cloud.row]) / UNITS_M[recording.unit])
 
 
 def without_normals(recording: Recording, known: Readings) -> Cloud:
@@ -397,6 +398,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         table=None if recording.table_m is None else recording.table_m / scale,
         model="spatial",
         rod_radius=rod.diameter_m / 2 / scale,
+        tapered=rod.tapered,
         centre_points=points,
         centre_sd=place_sd,
         tangent_sd=tangent_sd,

@@ -148,7 +148,7 @@ def simulate_rig(
     nominal, model = rod or poses.rod, model or poses.model
     if nominal is None:
         raise InputError("the poses don't say for which rod they were planned; give one, such as --rod steel:0.3x50")
-    if model == "planar" and nominal.varies:  # as in scans of meshes
+    if model == "planar" and nominal.tapered:  # as in scans of meshes
         nominal = nominal.without_thickness()
     check_positions("poses", poses.position_m, nominal.length_m)
     real = _true_rod(nominal, faults)

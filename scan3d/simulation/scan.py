@@ -88,7 +88,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
-    if plan.rod is None or rod.varies:  # no radius fattens the body for a tapered rod
+    if plan.rod is None or rod.tapered:  # no radius fattens the body for a tapered rod
         rod = rod.without_thickness()
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
