@@ -226,6 +226,12 @@ def test_a_file_that_does_not_belong_to_the_report_is_not_shown_with_it(folder, 
     if name.endswith(".ply"):
         assert main(["export", "out", "--what", name.removesuffix(".ply"), "--to", "a.ply"]) == 1
         assert sentence in capsys.readouterr().err
+        # nor without the report that would say so
+        report = (folder / "report.json").read_text()
+        (folder / "report.json").write_text(report[: len(report) // 2])
+        assert main(["export", "out", "--what", name.removesuffix(".ply"), "--to", "a.ply"]) == 1
+        assert "report.json" in capsys.readouterr().err
+        (folder / "report.json").write_text(report)
     # files that were removed are missed by nobody
     (folder / name).unlink()
     assert main(["show", "out", "--html", "a.html"]) == (1 if name == "recording.toml" else 0)

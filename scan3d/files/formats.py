@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -226,17 +226,9 @@ def _read(source: Path, what: str) -> Shape:
             raise InputError(
                 f"there is no {name} in {source}; give a folder written by 'scan3d scan' or 'scan3d reconstruct'"
             )
-        check_belongs(source, _report(source), [name])
+        check_belongs(source, read_report(source), [name])
         return read_shape(locate(source / name))
     return read_shape(locate(source))
-
-
-def _report(folder: Path) -> Mapping[str, Any]:
-    """The report in a folder; empty if it is another program's, beside which a cloud can be exported as well."""
-    try:
-        return read_report(folder)
-    except InputError:
-        return {}
 
 
 def _pcd(shape: Shape) -> bytes:
