@@ -71,13 +71,15 @@ def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Rec
     It is the recording itself if that agrees with itself, or if an error of `LARGEST` does not explain that it does not.  The
     error changes the contacts in turn, because it decides what is told from a contact of the tip.
     """
-    needed = _relative_error(recording, cloud.fattened or cloud)
+    needed, hidden = _relative_error(recording, cloud.fattened or cloud)
     found, least, relative = recording, np.inf, min(needed, LARGEST)
     for _ in range(_PASSES if needed else 0):
         tried = replace(recording, rig=with_relative(recording.rig, relative))
-        needed = _relative_error(recording, with_rig_errors(contacts(tried, method), recording))
+        needed, hidden = _relative_error(recording, with_rig_errors(contacts(tried, method), recording))
         if needed <= relative < least:
-            found, least = tried, relative
+            # what the noise may hide is allowed for as well
+            largest = min(max(relative, hidden), LARGEST)
+            found, least = replace(recording, rig=with_relative(recording.rig, largest)), relative
         following = min(max(needed, _SMALLER * relative), LARGEST)
         if _SETTLED * relative < following <= relative or following >= least:
             break
@@ -120,22 +122,26 @@ def _pairs(compared: Compared, cloud: Cloud) -> _Pairs:
     return _Pairs(nearest[kept], each[kept], square[kept], variance[kept])
 
 
-def _relative_error(recording: Recording, cloud: Cloud) -> float:
-    """The relative error that the contacts of a recording show; 0 if they agree."""
+def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
+    """The relative error that the contacts of a recording show, and that of the one pair that differs most, whatever the noise.
+
+    Both are 0 if the contacts agree.
+    """
     total, count = 0.0, 0
     for compared in compared_in_slices(cloud):
         square = _pairs(compared, cloud).square
         total, count = total + float(np.minimum(square, _ONE_PAIR).sum()), count + len(square)
     if not count or total <= chdtri(count, FALSE_ALARM):
-        return 0.0
+        return 0.0, 0.0
     of_unit = with_rig_errors(replace(cloud, calibration=None), replace(recording, rig=with_relative(None, LARGEST)))
     unit, cloud = of_unit.calibration, cloud.select(np.isin(cloud.row, of_unit.row))
     assert unit is not None
-    by_all, expected, worst = 0.0, 0.0, 0.0
+    by_all, expected, worst, hidden = 0.0, 0.0, 0.0, 0.0
     for compared in compared_in_slices(cloud):
         error = compared.errors(1.0, unit.covariance, unit.tilt_sd)
         pairs, sum_of = _pairs(compared, cloud), sum(compared.deviations(error))
         worst = max(worst, float(((compared.misfit.found - compared.misfit.explained) / sum_of).max()))
+        hidden = max(hidden, float(((compared.misfit.found - compared.systematic) / sum_of).max()))
         by_all += float((pairs.square - 1).sum())
         expected += float((compared.variance(error)[pairs.line, pairs.contact] / pairs.variance).sum())
-    return LARGEST * max(float(np.sqrt(by_all / expected)), worst)
+    return LARGEST * max(float(np.sqrt(by_all / expected)), worst), LARGEST * hidden
