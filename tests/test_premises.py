@@ -17,7 +17,7 @@ from scan3d.reconstruction.relative import LARGEST
 from scan3d.report import report, summary
 
 BODY = trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0]))
-ROD = scan3d.Rod.of_length(0.028)
+ROD = replace(scan3d.Rod.of_length(0.028), diameter_m=0.0)
 
 
 @cache
@@ -31,7 +31,7 @@ def recorded(noise=0.0, rod=ROD, gains=(1.0, 1.0, 1.0), seed=0):
     draw, (force, moment) = np.random.default_rng(seed), (noise * ROD.force_unit_N, noise * ROD.moment_unit_Nm)
     return replace(
         recording,
-        rod=replace(ROD, diameter_m=0.0),
+        rod=ROD,
         force_N=recording.force_N * gains[:2] + force * draw.standard_normal(recording.force_N.shape),
         moment_Nm=recording.moment_Nm * gains[2] + moment * draw.standard_normal(len(recording)),
         noise_force_N=force,
@@ -49,12 +49,17 @@ def undiagnosed(monkeypatch):
     monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
 
 
+def tapered(part):
+    """The rod as a cone whose diameter at the tip is smaller by a part."""
+    table = [(s * ROD.length_m, (1 - part * s) ** 4 * ROD.bending_stiffness_Nm2) for s in np.linspace(0, 1, 11)]
+    return replace(ROD, bending_stiffness_Nm2=table)
+
+
 CURVED = replace(ROD, curvature_per_m=0.005 / ROD.length_m)
-TAPERED = replace(ROD, tip_diameter_m=0.99 * ROD.diameter_m)
 WRONG = {
     "curved": {"rod": CURVED},
     "curved away": {"rod": replace(ROD, curvature_per_m=-0.005 / ROD.length_m)},
-    "tapered": {"rod": TAPERED},
+    "tapered": {"rod": tapered(0.01)},
     "clamp": {"rod": replace(ROD, clamp_compliance_rad_per_Nm=np.radians(0.05) / ROD.moment_unit_Nm)},
     "gain of fx": {"gains": (1.01, 1.0, 1.0)},
     "gain of fy": {"gains": (1.0, 1.003, 1.0)},
@@ -74,7 +79,7 @@ def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
 
 
 def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
-    recording = recorded(1e-4, rod=replace(ROD, tip_diameter_m=0.9 * ROD.diameter_m))
+    recording = recorded(1e-4, rod=tapered(0.1))
     cloud = scan3d.reconstruct(recording)
     assert cloud.calibration is None
     assert checked(recording, cloud).contradictions
