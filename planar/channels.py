@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import elementwise
 
 from planar.arrays import BLOCK, Array, Index
 from planar.inverses import solve
@@ -163,7 +163,7 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
     near, k = np.nonzero((before >= here) & (after >= here) & (here > 0))
     if len(near):
         args = a[near], b[near], known[near], sign[near, k]
-        least = elementwise.find_minimum(
+        least = scipy.optimize.elementwise.find_minimum(
             lambda value, *given: given[3] * residual(value, *given[:3]),
             (tried[k], tried[k + 1], tried[k + 2]),
             args=args,
@@ -176,7 +176,7 @@ def _roots(residual: Residual, tried: Array, a: Array, b: Array, known: Array) -
     row, low, high = row[order], low[order], high[order]
     roots = np.full((len(a), max(int(np.bincount(row, minlength=1).max()), 1)), np.nan)
     if len(row):
-        result = elementwise.find_root(residual, (low, high), args=(a[row], b[row], known[row]))
+        result = scipy.optimize.elementwise.find_root(residual, (low, high), args=(a[row], b[row], known[row]))
         roots[row, np.arange(len(row)) - np.searchsorted(row, row)] = np.where(
             np.abs(result.f_x) < _ROOT, result.x, np.nan
         )
