@@ -74,6 +74,8 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
         return _UNKNOWN
     stuck = _contradicting(stuck, wrench, sample)
     tried = causes(recording, model, wrench, wrench[_felt(wrench[:, :3], noise)], stuck)
+    if not np.ptp(recording.sweep):  # one sweep hardly contradicts itself, and many numbers would do
+        tried = [cause for cause in tried if not cause.starts.shape[1]]
     fitting: list[_Trial] = []
     for of_rod in (False, True):  # no rod is tried where a fault leaves nothing
         if all(trial.misfit + trial.level > _OF_NUMBERS**2 * before for trial in fitting):
@@ -234,7 +236,8 @@ def _settled(trial: _Trial, sample: _Sample) -> _Trial:
     def deviations(numbers: Array) -> Array:
         return np.asarray(np.minimum(sample.left(cause.undone(numbers)).found / sd, _SURELY).ravel())
 
-    numbers = least_squares(deviations, trial.numbers, diff_step=1e-4, max_nfev=_MARCHED).x
+    bounds = -cause.limit, cause.limit
+    numbers = least_squares(deviations, trial.numbers, bounds=bounds, diff_step=1e-4, max_nfev=_MARCHED).x
     settled = trial._replace(numbers=numbers, left=sample.left(cause.undone(numbers)))
     return settled if settled.misfit <= trial.misfit + trial.level else trial
 
