@@ -41,6 +41,8 @@ class Truth:
     drift: tuple = (0.01, 0.01, -0.01, -0.005, 0.01, -0.01)
     noise: float = 0.002
     jitter: float = 20e-6
+    mixing: float = 0.0
+    """Standard deviation of the sensor's gains and cross-talk, in fractions of the largest force and moment."""
 
 
 EXACT = Truth(noise=0.0, jitter=0.0)
@@ -97,7 +99,8 @@ def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=s
     moment = (moment - np.cross(truth.sensor, force)) @ turn
     force = force @ turn
     largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
-    wrench = np.hstack([force, moment])
+    mixing = truth.mixing * np.random.default_rng([seed, 36]).normal(size=(6, 6)) * largest[:, None] / largest
+    wrench = np.hstack([force, moment]) @ (np.eye(6) + mixing).T
     time = np.linspace(-0.5, 0.5, m * n)[:, None]
     noise = rng.normal(size=wrench.shape)
     if pink:

@@ -115,7 +115,7 @@ def test_with_noise_the_errors_are_those_that_are_stated(noisy):
     # half a percent of stiffness and 50 µm of the clamp's offset, at two standard deviations
     uncertain = dict(zip(found.names, found.expanded, strict=True))
     assert uncertain["bending_stiffness_Nm2"] < 0.005 * found.rod.bending_stiffness_Nm2
-    assert max(uncertain[f"clamp_{axis}_mm"] for axis in "xyz") < 0.05
+    assert max(uncertain[f"clamp_{axis}_mm"] for axis in "xyz") < 0.06
 
 
 @pytest.mark.trust
@@ -336,12 +336,50 @@ def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case)
         assert (np.abs(errors(found, recording, **raster)) < 3 * found.standard_deviations).all()
 
 
-@pytest.mark.parametrize("mixed", [0.003, 0.01])
-def test_a_sensor_whose_channels_mix_is_noticed(mixed):
-    recording = rigs.recorded()
-    wrong = dataclasses.replace(recording, moment_x_Nm=recording.moment_x_Nm + mixed * recording.moment_Nm)
+@pytest.mark.parametrize("kind", ["sphere", pytest.param("plane", marks=pytest.mark.slow)])
+def test_gains_and_cross_talk_of_the_sensor_are_part_of_the_uncertainties(kind):
+    """One per cent between all channels: what the touches do not tell of them makes wide intervals, and no refusal."""
+    truth = rigs.Truth(mixing=0.01)
+    raster = SHORT if kind == "sphere" else {}
+    recording, touched = recorded(kind, truth, seed=1, **raster)
+    found = scan3d.calibrate(recording, touched)
+    error = np.abs(errors(found, recording, kind, truth, **raster)) / found.standard_deviations
+    assert error.max() < 4
+    assert np.sqrt((error[of_rig(found)] ** 2).mean()) < 1.6
+    assert found.details["relative_error"] == pytest.approx(0.01, rel=0.5)
+    assert found.standard_deviations[0] > 0.002 * found.rod.bending_stiffness_Nm2
+    contradiction = next(sentence for sentence in found.sentences if "contradict a single force by" in sentence)
+    assert "the noise in the air is" in contradiction
+
+
+@pytest.mark.trust
+@pytest.mark.parametrize("kind", ["sphere", "plane"])
+def test_intervals_hold_for_sensors_whose_channels_mix(kind):
+    holds = []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        truth = rigs.Truth(
+            mixing=0.01,
+            clamp=tuple(0.001 * random.normal(size=3)),
+            sensor=tuple(0.005 * random.normal(size=3) - [0, 0.015, 0]),
+            sensor_turn=tuple(random.uniform(-60, 60, 3)),
+        )
+        raster = SHORT if kind == "sphere" else {}
+        recording, touched = recorded(kind, truth, seed, **raster)
+        found = scan3d.calibrate(recording, touched)
+        error = np.abs(errors(found, recording, kind, truth, **raster))
+        holds.append((error < 1.96 * found.standard_deviations)[of_rig(found)])
+    assert 0.9 <= np.mean(np.concatenate(holds)) <= 0.98
+
+
+def test_a_gain_that_changes_from_row_to_row_is_allowed_for():
+    recording = rigs.recorded(**SHORT)
+    gain = 1 + 0.01 * np.random.default_rng(3).normal(size=(len(recording), 6))
+    force, moment = recording.wrench()
+    wrong = with_wrench(recording, force * (gain[:, :3] - 1), moment * (gain[:, 3:] - 1))
     found = scan3d.calibrate(wrong, rigs.DIAMETER)
-    assert not ((np.abs(errors(found, recording)) > 4 * found.standard_deviations) & found.well).any()
+    error = np.abs(errors(found, recording, **SHORT)) / found.standard_deviations
+    assert error[of_rig(found)].max() < 4
 
 
 @pytest.mark.slow

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d.arrays import Array, Mask
-from scan3d.calibration.fit import PLACE_NOISE, Fit, Noise, Problem, adjusted, by_parameter, fitted, place_noise
+from scan3d.calibration.fit import ROUNDING, Fit, Noise, Problem, adjusted, by_parameter, estimates, fitted
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
+    MIXING,
     PLACE,
     SENSOR,
     STIFFNESS,
@@ -30,6 +31,7 @@ from scan3d.calibration.model import (
     bent,
     clamp_wrench,
 )
+from scan3d.calibration.premises import in_air, percent
 from scan3d.calibration.references import Plane, Reference, Sphere
 from scan3d.calibration.rows import neighbours, unloaded
 from scan3d.calibration.start import first_rig
@@ -47,7 +49,17 @@ MORE_SWEEPS = (
 _FELT, _ALONG = 20.0, 0.12
 # Which of several parameters that are determined only together stays at its nominal value: the one with the largest number.
 # The reference's place and the tare have no nominal value.
-_FIXED_FIRST = {STIFFNESS: 0.5, CLAMP: 1.0, TILT: 0.9, TURN: 0.6, SENSOR: 0.8, PLACE: 0.0, LENGTH: 1.0, TARE: 0.0}
+_FIXED_FIRST = {
+    STIFFNESS: 0.5,
+    CLAMP: 1.0,
+    TILT: 0.9,
+    TURN: 0.6,
+    SENSOR: 0.8,
+    PLACE: 0.0,
+    LENGTH: 1.0,
+    MIXING: 0.0,
+    TARE: 0.0,
+}
 # Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
 # contacts' distance from the reference depends on it to the second order only, and linear uncertainties do not hold.
 _ABOUT_ROD = 0.01
@@ -63,8 +75,11 @@ _LIKELIER = 12.0
 _ROUGH = 0.01
 # Lengths of the rod that are tried, as quantiles of s1, and the tip contacts that one needs.
 _LENGTHS, _FEWEST_TIPS = np.linspace(0.3, 1.0, 71), 8
-# Noise of the poses in rod lengths: the first estimate, and the misfit beyond which the touches are not of this reference.
-_PLACE_NOISE, _NO_FIT = 3e-4, 0.01
+# Noise of the poses in rod lengths: the first estimate, and the misfit beyond which the touches are not of this reference; and
+# a first estimate of the wrench's relative errors.
+_PLACE_NOISE, _NO_FIT, _RELATIVE = 3e-4, 0.01, 2e-3
+# Relative errors of the wrench beyond which it is not that of a rod and a sensor that are read rightly.
+_CONTRADICTION = 0.1
 # Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
 _USABLE, _STIFFEST = 0.3, 2.5
 # Rows in contact by which the fit is begun.
@@ -90,8 +105,8 @@ def calibrated(
     touched = Plane.of(rod) if isinstance(reference, str) else Sphere.of(reference, rod)  # type: ignore[arg-type]
     place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
     problem, nominal = measured(recording, touched, tare)
-    first = _PLACE_NOISE if place is None else max(place / rod.length_m, PLACE_NOISE[0])
-    noise = Noise(problem.air.force_noise, problem.air.moment_noise, first)
+    first = _PLACE_NOISE if place is None else max(place / rod.length_m, ROUNDING)
+    noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, _RELATIVE * problem.channels.all())
     step = max(1, len(problem.touches.kind) // _MANY)
     few = problem.rows(np.arange(0, len(problem.touches.kind), step))
     rig = first_rig(few, nominal, noise)
@@ -134,6 +149,7 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
     kind = np.full(len(rows), Kind.EITHER, dtype=np.int8)
     touches = Touches(wrench[rows], position, frame, air.basis[rows], recording.sweep[rows], rows, around[rows], kind)
     free = np.ones(TARE + air.tare.size, dtype=bool)
+    free[MIXING:TARE] = False
     reference = replace(reference, origin=position.mean(axis=0))
     if not six:
         free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
@@ -141,7 +157,7 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
         # sweeps in a plane do not determine how far the sphere's centre is from it: its normal is one of the axes
         reference = replace(reference, axes=frame[0])
         free[PLACE + 2] = np.ptp(position @ frame[0, :, 2]) > _PLANE * reference.size
-    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), reference, 1.0, air.tare)
+    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), reference, 1.0, air.tare, np.zeros((6, 6)))
     return Problem(touches, air, channels, free), nominal
 
 
@@ -158,17 +174,22 @@ def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, est
     """The fit of rows that their neighbours choose, with the kinds of contacts and the noise of the poses at rest."""
     seen = set()
     for _ in range(_ROUNDS):
+        problem.free[MIXING:TARE] = noise.mixing > 0
         chosen, rig = _with_kinds(_strong(problem, rig, noise), rig, noise, length)
         fit = fitted(chosen, rig, noise)
         rig, length = fit.rig, fit.rig.length if chosen.free[LENGTH] else None
-        if estimate:
-            noise = noise._replace(place=place_noise(fit))
+        noise = estimates(fit, estimate)
         # few rows may alternate between two states
         state = chosen.touches.number.tobytes(), chosen.touches.kind.tobytes()
-        if state in seen and abs(math.log(noise.place / fit.noise.place)) < _SAME_NOISE:
+        if state in seen and _near(noise, fit.noise):
             break
         seen.add(state)
     return fit
+
+
+def _near(noise: Noise, other: Noise) -> bool:
+    """Whether two estimates of the noise are alike."""
+    return bool(np.allclose(noise, other, rtol=_SAME_NOISE, atol=ROUNDING))
 
 
 def _strong(problem: Problem, rig: Rig, noise: Noise) -> Problem:
@@ -202,8 +223,10 @@ def _with_kinds(
         for kind in (Kind.TANGENTIAL, Kind.TIP)
     )
     known = tangential.used[:, 3] & tip.used[:, 3]
-    variances = noise.variances(problem.channels)
-    cosine_sd, s1_sd = (np.sqrt(rows.by_row[:, 3] ** 2 @ variances + slack**2 + ~known) for rows in (tangential, tip))
+    variances = noise.variances(problem)
+    cosine_sd, s1_sd = (
+        np.sqrt((rows.by_row[:, 3] ** 2 * variances).sum(axis=1) + slack**2 + ~known) for rows in (tangential, tip)
+    )
     tried = [rig.length if length is None else length]
     if length is None and known.any():
         tried = list(rig.length + np.quantile(tip.misclosure[known, 3], _LENGTHS))
@@ -279,20 +302,29 @@ def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
         rig.reference,
         rig.length if free[LENGTH] else nominal.length,
         rig.tare,
+        rig.mixing,
     )
 
 
 def _check(fit: Fit, recording: Recording) -> None:
-    """Raise InputError for a fit that is none."""
-    reference, used = fit.rig.reference, fit.rows.used[:, 2]
-    if fit.noise.place > _NO_FIT:
-        deviation = 1000 * fit.noise.place * recording.rod.length_m
-        raise _no_fit(reference, f", from which they deviate by {deviation:.2g} mm")
+    """Raise InputError for a fit that is none, with what was seen."""
+    used, noise = fit.rows.used[:, 2], fit.noise
+    usable = used.sum() >= max(FEWEST, _USABLE * len(used))
     normal = np.diag(fit.normal)[fit.problem.free]
     known = np.isfinite(normal).all() and (normal > 0).all()
-    usable = used.sum() >= max(FEWEST, _USABLE * len(used))
-    if not (fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST):
-        raise _no_fit(reference, "")
+    fits = noise.relative <= _CONTRADICTION and noise.place <= _NO_FIT
+    if fits and fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST:
+        return
+    seen = (
+        [f"force and moment contradict a single force by {percent(noise.relative)}"]
+        if fit.problem.channels.all()
+        else []
+    )
+    seen.append(f"the noise in the air is {percent(in_air(fit))}")
+    if used.any():
+        away = 1000 * recording.rod.length_m * float(np.median(np.abs(fit.rows.misclosure[used, 2])))
+        seen.append(f"{used.sum()} of {len(used)} contacts lie {away:.2g} mm from it in the median")
+    raise _no_fit(fit.rig.reference, f" ({', '.join(seen)})")
 
 
 def _no_fit(reference: Reference, detail: str) -> InputError:

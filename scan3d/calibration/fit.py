@@ -23,6 +23,7 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
+    MIXING,
     PLACE,
     SENSOR,
     STIFFNESS,
@@ -38,7 +39,17 @@ from scan3d.calibration.rows import Unloaded
 
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
 # Of the stiffness's logarithm, lengths in rod lengths, angles in radians, and the tare in EI/L² and EI/L.
-_WIDTHS = {STIFFNESS: 0.5, CLAMP: 0.1, TILT: 0.3, TURN: 0.5, SENSOR: 0.3, PLACE: 1.0, LENGTH: 0.1, TARE: 1.0}
+_WIDTHS = {
+    STIFFNESS: 0.5,
+    CLAMP: 0.1,
+    TILT: 0.3,
+    TURN: 0.5,
+    SENSOR: 0.3,
+    PLACE: 1.0,
+    LENGTH: 0.1,
+    MIXING: 1.0,
+    TARE: 1.0,
+}
 # Rounds in which the measured values of a row are adjusted to a rig, and rigs that a fit tries at most.
 _ADJUSTMENTS, _TRIALS = 3, 50
 # What a row without a rod counts in standard deviations: more than rows that are far off, because rigs for which no row has
@@ -48,8 +59,10 @@ _NO_ROD = 100.0
 _ROUNDING = 1e-12
 # Length of the step, in standard deviations, that is left to the least sum of squares where a fit is at rest.
 _SMALL = 0.03
-PLACE_NOISE = 1e-9, 0.3
-"""Bounds of an estimated noise of the poses, in rod lengths."""
+# Standard deviations of a sum of squares that count as chance.
+_CHANCE = 4.5
+ROUNDING, LARGEST = 1e-9, 0.3
+"""Bounds of estimated noise: of the poses in rod lengths, and of the wrench relative to it."""
 
 
 class Noise(NamedTuple):
@@ -58,11 +71,18 @@ class Noise(NamedTuple):
     force: float
     moment: float
     place: float
+    relative: float = 0.0
+    """Of force and moment over their sizes, independent from row to row."""
+    mixing: float = 0.0
+    """Of gains and cross-talk that are the same in all rows, for channels as large as in the mean of the touches."""
+    contradiction: float = 0.0
+    """Of force and moment to a single force, relative to them, where it is no chance and gains and cross-talk are nought."""
 
-    def variances(self, channels: Mask) -> Array:
-        """(9,) of a row's measured values; channels (6,) that were not measured are known to vanish."""
-        reactions = np.repeat([self.force, self.moment], 3) ** 2
-        return np.concatenate([np.where(channels, reactions, 0.0), np.full(3, self.place**2)])
+    def variances(self, problem: Problem) -> Array:
+        """(n, 9) of a row's measured values; channels (6,) that were not measured are known to vanish."""
+        reactions = np.array([self.force, self.moment]) ** 2 + self.relative**2 * problem.squares
+        place = np.full((len(reactions), 3), self.place**2)
+        return np.hstack([np.where(problem.channels, np.repeat(reactions, 3, axis=1), 0.0), place])
 
 
 @dataclass(frozen=True)
@@ -86,6 +106,18 @@ class Problem:
     @property
     def widths(self) -> Array:
         return by_parameter(_WIDTHS, len(self.free))
+
+    @property
+    def squares(self) -> Array:
+        """(n, 2) of force and moment, by the neighbours of each row."""
+        wrench = self.touches.around - self.touches.basis @ self.air.tare.T
+        return np.asarray((wrench.reshape(-1, 2, 3) ** 2).sum(axis=2))
+
+    @property
+    def mixing_units(self) -> Array:
+        """(36,) gains and cross-talk of 1 between channels as large as the root mean squares of force and moment."""
+        channel = np.repeat(np.sqrt(self.squares.mean(axis=0)), 3)
+        return np.asarray(channel[:, None] / channel).ravel()
 
 
 class Rows(NamedTuple):
@@ -128,7 +160,19 @@ class Fit:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the rows: the parameters that they determine count with them, the tare with the air."""
-        return max(int(self.rows.used.sum()) - int(self.problem.free[:TARE].sum()), 1)
+        determined = int(self.problem.free[:MIXING].sum()) + round(self.mixing[1])
+        return max(int(self.rows.used.sum()) - determined, 1)
+
+    @property
+    def mixing(self) -> tuple[float, float]:
+        """The sum of squares of gains and cross-talk, and how many of them the rows determine rather than their own width."""
+        free = np.flatnonzero(self.problem.free[MIXING:TARE])
+        if not len(free):
+            return 0.0, 0.0
+        unit = self.problem.mixing_units[free]
+        known = np.linalg.pinv(self.jacobian)[MIXING + free]
+        unknown = float(((known**2).sum(axis=1) / unit**2).sum()) / self.noise.mixing**2
+        return float(((self.rig.mixing.ravel()[free] / unit) ** 2).sum()), len(free) - unknown
 
 
 def by_parameter(table: dict[int, float], count: int) -> Array:
@@ -139,7 +183,7 @@ def by_parameter(table: dict[int, float], count: int) -> Array:
 
 def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Rows:
     """The rows for a rig; `slack` is a standard deviation of the fourth equation beside that by the noise."""
-    variances = noise.variances(problem.channels)
+    variances = noise.variances(problem)
     # three channels are consistent by themselves
     applies = np.array([problem.channels.all()] * 2 + [True] * 2)
     found = equations(rig, problem.touches)
@@ -156,7 +200,7 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Ro
                 old[fine] = new[fine]
         by_row = np.where(used[:, :, None], found.by_row, 0.0)
         misclosure = np.where(used, found.value, 0.0) - np.einsum("nij,nj->ni", by_row, correction)
-        covariance = (by_row * variances) @ by_row.swapaxes(1, 2)
+        covariance = (by_row * variances[:, None]) @ by_row.swapaxes(1, 2)
         covariance[:, range(4), range(4)] = (covariance[:, range(4), range(4)] + further) * (1 + _ROUNDING)
         factor = np.linalg.inv(np.linalg.cholesky(covariance))
         white = np.einsum("nij,nj->ni", factor, misclosure)
@@ -179,6 +223,9 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> F
     free = np.flatnonzero(problem.free)
     widths = problem.widths[free]
     weight = problem.channels / np.repeat([noise.force, noise.moment], 3)
+    mixed = np.flatnonzero(problem.free[MIXING:TARE])
+    likely = np.zeros((len(mixed), len(problem.free)))
+    likely[range(len(mixed)), MIXING + mixed] = 1 / (noise.mixing * problem.mixing_units[mixed]) if len(mixed) else 0.0
     # the product of this root with deviations of the tare is as long as the deviations of the rows in the air
     root = np.linalg.qr(problem.air.basis[problem.air.air])[1]
     in_air = np.zeros((rig.tare.size, len(problem.free)))
@@ -192,9 +239,15 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> F
         moved = rig.moved(step)
         rows = adjusted(problem, moved, noise)
         tare = in_air[:, TARE:] @ (moved.tare - problem.air.tare).ravel()
-        residual = np.concatenate([rows.white.ravel(), tare, x / widths])
+        mixing = likely[:, MIXING:TARE] @ moved.mixing.ravel()
+        residual = np.concatenate([rows.white.ravel(), tare, mixing, x / widths])
         by_rig = rows.white_by_rig.reshape(-1, len(step))
-        return moved, rows, residual, np.vstack([by_rig[:, free], in_air[:, free], np.diag(1 / widths)])
+        return (
+            moved,
+            rows,
+            residual,
+            np.vstack([by_rig[:, free], in_air[:, free], likely[:, free], np.diag(1 / widths)]),
+        )
 
     found = least_squares(
         lambda x: at(x.tobytes())[2],
@@ -204,24 +257,50 @@ def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> F
         max_nfev=trials,
     )
     moved, rows, residual, slopes = at(found.x.tobytes())
-    jacobian = np.vstack([rows.white_by_rig.reshape(-1, len(problem.free)), in_air])
+    jacobian = np.vstack([rows.white_by_rig.reshape(-1, len(problem.free)), in_air, likely])
     jacobian[:, ~problem.free] = 0
     at_rest = bool(np.linalg.norm(np.linalg.qr(slopes)[0].T @ residual) < _SMALL)
     return Fit(problem, moved, noise, rows, jacobian, 2 * float(found.cost), at_rest)
 
 
-def place_noise(fit: Fit) -> float:
-    """The noise of the poses with which the sum of squares of the misclosures is that of their degrees of freedom."""
-    rows = fit.rows
+def estimates(fit: Fit, place: bool) -> Noise:
+    """The noise that the misclosures of a fit have; that of the poses is estimated only if `place` is true.
+
+    Relative errors of the wrench follow from the equations that only the wrench is in, where these contradict a single force
+    by more than chance.
+    """
+    noise, problem = fit.noise, fit.problem
+    if problem.channels.all():
+        total, count = fit.mixing
+        alone = fit.rows.used[:, :2]
+        freedom = max(float(alone.sum()) - int(problem.free[TURN:PLACE].sum()) - count, 1.0)
+        if _excess(fit, noise._replace(relative=0.0), slice(0, 2)) > freedom + _CHANCE * math.sqrt(2 * freedom):
+            noise = _estimated(fit, noise, "relative", slice(0, 2), freedom)
+            if not count:
+                noise = noise._replace(mixing=noise.relative, contradiction=noise.relative)
+        else:
+            noise = noise._replace(relative=0.0)
+        if count > 1:
+            # errors that are alike in all rows are not much larger than the contradiction that they explain
+            noise = noise._replace(mixing=min(max(math.sqrt(total / count), ROUNDING), 2 * noise.contradiction))
+    return _estimated(fit, noise, "place", slice(0, 4), fit.freedom) if place else noise
+
+
+def _excess(fit: Fit, noise: Noise, which: slice) -> float:
+    """Sum of squares of the misclosures of some equations over the variances of a noise."""
+    used, by_row, misclosure = (part[:, which] for part in (fit.rows.used, fit.rows.by_row, fit.rows.misclosure))
+    covariance = (by_row * noise.variances(fit.problem)[:, None]) @ by_row.swapaxes(1, 2)
+    covariance[:, range(used.shape[1]), range(used.shape[1])] += np.where(used, 0.0, 1.0)
+    return float((misclosure * np.linalg.solve(covariance, misclosure[:, :, None])[:, :, 0]).sum())
+
+
+def _estimated(fit: Fit, noise: Noise, name: str, which: slice, freedom: float) -> Noise:
+    """The noise whose component of a name makes the sum of squares of some equations equal to their degrees of freedom."""
 
     def excess(logarithm: float) -> float:
-        variances = fit.noise._replace(place=math.exp(logarithm)).variances(fit.problem.channels)
-        covariance = (rows.by_row * variances) @ rows.by_row.swapaxes(1, 2)
-        covariance[:, range(4), range(4)] += ~rows.used
-        solved = np.linalg.solve(covariance, rows.misclosure[:, :, None])[:, :, 0]
-        return float((rows.misclosure * solved).sum()) - fit.freedom
+        return _excess(fit, noise._replace(**{name: math.exp(logarithm)}), which) - freedom
 
-    low, high = map(math.log, PLACE_NOISE)
+    low, high = math.log(ROUNDING), math.log(LARGEST)
     if excess(low) <= 0 or excess(high) >= 0:
-        return PLACE_NOISE[int(excess(low) > 0)]
-    return math.exp(brentq(excess, low, high, rtol=1e-4))
+        return noise._replace(**{name: ROUNDING if excess(low) <= 0 else LARGEST})
+    return noise._replace(**{name: math.exp(brentq(excess, low, high, rtol=1e-4))})

@@ -32,7 +32,7 @@ from scan3d.spatial.inverse import reconstruct
 PAST_TIP = 0.999
 """Contacts that noise puts past the tip by nearly any part of the rod are used: their places do not depend on the tip."""
 # Where the parameters stand in their vector; the tare follows them.
-STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, TARE = 0, 1, 4, 6, 9, 12, 15, 16
+STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, MIXING, TARE = 0, 1, 4, 6, 9, 12, 15, 16, 52
 
 
 class Kind(IntEnum):
@@ -66,6 +66,8 @@ class Rig:
     """Free length of the rod."""
     tare: Array
     """(6, k) force and moment that the sensor shows in the air, as coefficients of the basis of the tare."""
+    mixing: Array
+    """(6, 6) what is added to the tared channels, as multiples of them, against gains and cross-talk of the sensor."""
 
     def moved(self, step: Array) -> Rig:
         """The rig after a step (p,) of its parameters; that of the sensor's turn is a rotation vector in the clamp's frame."""
@@ -78,6 +80,7 @@ class Rig:
             reference=self.reference.moved(step[PLACE:LENGTH]),
             length=float(self.length + step[LENGTH]),
             tare=self.tare + step[TARE:].reshape(self.tare.shape),
+            mixing=self.mixing + step[MIXING:TARE].reshape(6, 6),
         )
 
     def clamp_axes(self) -> tuple[Array, Array, Array]:
@@ -134,6 +137,7 @@ class Bent(NamedTuple):
 def clamp_wrench(rig: Rig, touches: Touches) -> tuple[Array, Array]:
     """(n, 3) support reaction and clamping moment in the clamp's frame."""
     tared = touches.wrench - touches.basis @ rig.tare.T
+    tared += tared @ rig.mixing.T
     return to_outer(tared[:, :3], tared[:, 3:], rig.turn, rig.sensor)
 
 
@@ -227,7 +231,10 @@ def equations(rig: Rig, touches: Touches) -> Equations:
     by_rig[:, :, TURN:SENSOR] = np.cross(force[:, None], by_force + np.cross(by_moment, rig.sensor))
     by_rig[:, :, TURN:SENSOR] += np.cross(own, by_moment)
     by_rig[:, :, SENSOR:PLACE] = np.cross(force[:, None], by_moment)
-    by_row[:, :, :6] = by_wrench @ wrench_matrix(rig.turn, rig.sensor)
+    by_channel = by_wrench @ wrench_matrix(rig.turn, rig.sensor)
+    by_row[:, :, :6] = by_channel + by_channel @ rig.mixing
+    tared = touches.wrench - touches.basis @ rig.tare.T
+    by_rig[:, :, MIXING:TARE] = (by_channel[..., None] * tared[:, None, None]).reshape(n, 4, -1)
     by_rig[:, :, TARE:] = -(by_row[:, :, :6, None] * touches.basis[:, None, None]).reshape(n, 4, -1)
     for row, applies in ((2, sure), (3, tip | (kind == Kind.TANGENTIAL))):
         for part in (value, by_rig, by_row):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.calibration.fit import Fit
 from scan3d.calibration.references import Sphere
 from scan3d.recording import Recording
@@ -58,21 +58,28 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     if rough:
         off = 1000 * fit.noise.place * recording.rod.length_m
         sentences.append(_ROUGH_POSES.format(off=off, kind=kind, check=_CHECK[kind]))
+    if fit.noise.contradiction > 0:
+        sentences.append(_CONTRADICTS.format(wrench=percent(fit.noise.contradiction), air=percent(in_air(fit))))
     excess = [_excess(white[rows.used[:, equation], equation] ** 2) for equation in range(4)]
+    runs = [_alike(fit, white[:, equation], rows.used[:, equation]) for equation in range(4)]
     # of the equations that only the wrench is in, and of those of the contact
     groups = slice(0, 2), slice(2, 4)
-    squares, alike = [1 + max(excess[group]) for group in groups], [_alike(fit, white, group) for group in groups]
-    deviates = [max(pair) > 1 for pair in zip(squares, alike, strict=True)]
+    squares, alike = (
+        [1 + max(excess[group]) for group in groups],
+        [max(run for run, _ in runs[group]) for group in groups],
+    )
+    deviates = [max(excess[group]) > 0 or any(certain for _, certain in runs[group]) for group in groups]
     spoiled = any(deviates) and (rough or max(excess) > _SPOILED or _in_plane(fit))
     inverse = np.linalg.pinv(fit.jacobian)
     covariance = inverse @ inverse.T
     for deviating, square, run, sentence in zip(deviates, squares, alike, (_WRENCHES, _CONTACTS), strict=True):
         if deviating:
             cause = _cause(fit, white, covariance, recording)
-            by = f"{square**0.5:.2f} times what noise explains" + f", alike over {run:.0f} rows" * (run > 1)
+            by = f"{square**0.5:.2f} times what noise explains" + f", alike over {run:.0f} rows" * (run >= 1.5)
             effect = _SPOILS if spoiled else _ENLARGES
             sentences.append(sentence.format(kind=kind, off=by, effect=effect, cause=cause))
-    enlarged = total if spoiled else max(square * run for square, run in zip(squares, alike, strict=True))
+    scatter = [float((white[used, k] ** 2).mean()) * runs[k][0] for k, used in enumerate(rows.used.T) if used.any()]
+    enlarged = max(1.0, total if spoiled else max(scatter))
     both = rows.used[:, :2].all(axis=1)
     consistency = float((white[both, :2] ** 2).mean()) if both.any() else 1.0
     return Checked(enlarged * covariance, total / fit.freedom, consistency, tuple(sentences), spoiled)
@@ -86,24 +93,29 @@ def _excess(square: Array) -> float:
     return above if above > _CHANCE * float(square.std()) / np.sqrt(len(square)) else 0.0
 
 
-def _alike(fit: Fit, white: Array, group: slice) -> float:
-    """Over how many rows the white misclosures of a group of equations are alike: 1 for those of white noise."""
-    white, used, touches = white[:, group], fit.rows.used[:, group], fit.problem.touches
-    last = len(touches.number) - 1
-    rows, first, pairs_of_first = 1.0, 0.0, 0
+def _alike(fit: Fit, white: Array, used: Mask) -> tuple[float, bool]:
+    """Over how many rows white misclosures (n,) are alike, 1 for those of white noise, and whether more is no chance.
+
+    The sum of autocorrelations ends where two that follow one another are not positive (Geyer, 1992).
+    """
+    touches = fit.problem.touches
+    last, square = len(touches.number) - 1, float((white[used] ** 2).mean()) if used.any() else 1.0
+    rows, pair, near, pairs_near = 1.0, 0.0, 0.0, 0
     for lag in range(1, _FARTHEST):
         there = np.minimum(np.searchsorted(touches.number, touches.number + lag), last)
-        here = (touches.number[there] == touches.number + lag) & (touches.sweep[there] == touches.sweep)
-        both = used & used[there] & here[:, None]
-        products, pairs = float((white * white[there])[both].sum()), int(both.sum())
+        both = (touches.number[there] == touches.number + lag) & (touches.sweep[there] == touches.sweep)
+        both &= used & used[there]
+        pairs, products = int(both.sum()), float((white * white[there])[both].sum())
         if not pairs:
             break
+        pair += products / pairs / square
         if lag <= _NEAR:
-            first, pairs_of_first = first + products, pairs_of_first + pairs
-        elif first < _CHANCE * np.sqrt(pairs_of_first) or products < 2 * np.sqrt(pairs):
-            break
-        rows += 2 * products / pairs
-    return rows if first >= _CHANCE * np.sqrt(max(pairs_of_first, 1)) else 1.0
+            near, pairs_near = near + products, pairs_near + pairs
+        if lag % 2 == 0:
+            if pair <= 0:
+                break
+            rows, pair = rows + 2 * pair, 0.0
+    return rows, near > _CHANCE * np.sqrt(max(pairs_near, 1))
 
 
 def _cause(fit: Fit, white: Array, inverse: Array, recording: Recording) -> str:
@@ -118,6 +130,16 @@ def _cause(fit: Fit, white: Array, inverse: Array, recording: Recording) -> str:
             diameter = 2 * rod.length_m * (reference.radius - slope / information) - rod.diameter_m
             return f"The likeliest cause is the diameter: one of {1000 * diameter:.4g} mm would fit better."
     return _PLANAR.format(kind=reference.kind) if _in_plane(fit) else _SHAPE.format(unlike=reference.unlike)
+
+
+def in_air(fit: Fit) -> float:
+    """The larger of the noises of force and moment, over the root mean square of those in contact."""
+    noise = np.array([fit.noise.force, fit.noise.moment])
+    return float((noise / np.sqrt(fit.problem.squares.mean(axis=0) / 3)).max())
+
+
+def percent(part: float) -> str:
+    return f"{100 * part:.2g} %"
 
 
 def _in_plane(fit: Fit) -> bool:
@@ -136,6 +158,11 @@ _ROUGH_POSES = (
 _IN_THE_AIR = (
     "In the air the reactions scatter by {factor:.2f} times the stated noise: the sensor drifts otherwise than the tare "
     "assumes, or the noise is larger than stated; what is found in the air was used instead."
+)
+_CONTRADICTS = (
+    "In contact force and moment contradict a single force by {wrench}, and the noise in the air is {air}: gains and "
+    "cross-talk of the sensor's channels are estimated with the rig, what the touches do not tell of them is part of all "
+    "uncertainties, and scans with this sensor have them too."
 )
 _WRENCHES = (
     "In contact the moments about the rod and along the force deviate from zero by {off}: {effect}. The likeliest causes are "

@@ -263,6 +263,7 @@ def calibrate(
             "air": int(air.air.sum()),
             "tare": air.model,
             "pose_noise": "estimated" if estimated else "given",
+            **({"relative_error": float(noise.contradiction)} if noise.contradiction > 0 else {}),
         },
         map_frames=_map_frames(recording),
     )

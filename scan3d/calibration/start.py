@@ -24,7 +24,7 @@ _TURNS, _DISTANCES = np.radians(np.arange(0, 360, 15)), np.linspace(-1.0, 1.0, 2
 _STIFFNESS, _PLANAR_TURNS = np.log([0.5, 0.7, 1.0, 1.4, 2.0]), np.radians(np.arange(-60, 61, 15))
 _POINTS, _BEGUN = 4, 12
 # The second smallest singular value must exceed the smallest by this factor for the rod's direction to follow from the wrench.
-_DISTINCT = 3.0
+_DISTINCT = 1.3
 # Contacts are far from the tip within this part of the quantile of s1 that serves as the largest.
 _FAR, _FARTHEST = 0.85, 0.98
 _ALONG_ROD = np.array([0.0, 1.0, 0.0])

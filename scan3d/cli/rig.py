@@ -111,7 +111,7 @@ def plan(
     from scan3d.files.poses import check_poses, write_poses
     from scan3d.files.section import rod_section
     from scan3d.files.whole import folder
-    from scan3d.planning.rig import FORCE_FACTOR, RigPlan, parse_envelope, plan_poses
+    from scan3d.planning.rig import RigPlan, largest_force, parse_envelope, plan_poses
 
     check_poses(out, overwrite)
     try:
@@ -130,7 +130,7 @@ def plan(
     with folder(out.parent):
         write_poses(poses, out)
     used, clearance = chosen.wire(), chosen.resolved_clearance()
-    seconds, largest = float(poses.times()[-1]), FORCE_FACTOR * used.force_unit_N / clearance**2
+    seconds, largest = float(poses.times()[-1]), largest_force(used, clearance)
     data = {
         "poses": str(out),
         "sweeps": len(poses.sweeps()),

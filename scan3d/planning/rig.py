@@ -34,13 +34,14 @@ from scan3d.rods import Rod
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.units import UNITS_M
 
-FORCE_FACTOR = 6.0
-"""Largest contact force in EI/d², for a contact at the arc length d from the clamp.  A rod that the body has turned there by
-the angle δ, without friction, is pushed with ``(∫ dδ / √(2 sin δ))²``, from 0 to δ: 3.4 for 90°, 5.9 for 135°, and no sweep
-turns it farther.  With friction the rod is turned less before it slides off; up to a coefficient of 1 the factor is below 6."""
+FORCE_FACTOR = 2.0
+"""Largest force on the rod's side in EI/d², for contacts at least the distance d in front of the clamp: 1.93 is the most that
+``f y1²`` of a bent rod (S9) can be where the force is inclined to the rod's normal by at most 45°, friction up to 1."""
+TIP_FACTOR = 9.0
+"""Largest force on its tip in EI/L²: clearance does not lessen it."""
 FARTHEST = 0.8
 """Largest distance of the clamp from the bounding body, in rod lengths.  Farther away, hardly any of the rod is left to touch
-with, and the force on its tip, up to 9 EI/L², would exceed what the rule above promises."""
+with."""
 # Distance that the rod keeps from the bounding body outside of sweeps, in rod lengths, and no more than the clearance.
 _MARGIN = 0.05
 # Height above the table that clamp and rod keep by default, in heights of the bounding body, and in diameters of the rod.
@@ -254,15 +255,14 @@ class RigPlan:
             )
         if self.max_force_N is None:
             return self.clearance
-        demanded = math.sqrt(FORCE_FACTOR * rod.force_unit_N / self.max_force_N)
-        if demanded > largest:
-            thinner = math.sqrt(largest / demanded)
+        least = largest_force(rod, largest)
+        if least > self.max_force_N:
             raise InputError(
-                f"this rod may push with up to {FORCE_FACTOR * rod.force_unit_N / largest**2:.3g} N where it still reaches "
-                f"the axis of {self.around}, and the limit is {self.max_force_N:g} N; choose a rod of {thinner:.2g} times the "
-                f"diameter, or a longer one"
+                f"this rod may push with up to {least:.3g} N where it still reaches the axis of {self.around}, and the limit "
+                f"is {self.max_force_N:g} N; choose a rod of {(self.max_force_N / least) ** 0.25:.2g} times the diameter, or a "
+                f"longer one"
             )
-        return max(self.clearance, demanded)
+        return max(self.clearance, math.sqrt(FORCE_FACTOR * rod.force_unit_N / self.max_force_N))
 
     def space(self) -> Space:
         """Where the clamp may go between sweeps."""
@@ -280,6 +280,11 @@ class RigPlan:
             min(_MARGIN, clearance) * length,
             floor,
         )
+
+
+def largest_force(rod: Rod, clearance: float) -> float:
+    """The force in N below which a rod pushes any body that is a clearance, in rod lengths, in front of its clamp."""
+    return rod.force_unit_N * max(FORCE_FACTOR / clearance**2, TIP_FACTOR)
 
 
 def plan_poses(plan: RigPlan) -> PoseList:
