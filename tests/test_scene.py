@@ -419,7 +419,7 @@ def test_key_figures_are_those_of_the_report(folder):
     shown = dict(key_figures(report))
     for name in ("contacts", "slices", "sweeps"):
         assert shown[name] == str(report["counts"][name])
-    assert shown["Hausdorff distance"].startswith(f"{report['hausdorff']['two_sided']:.3g} mm (")
+    assert shown["Hausdorff distance"] == f"{report['hausdorff']['two_sided']:.3g} mm"
     assert shown["size"] == "42.31 × 42.31 × 56 mm"
     # without the truth
     assert "Hausdorff distance" not in dict(key_figures({**report, "hausdorff": None}))

@@ -1,6 +1,7 @@
 """The certificate of contacts anywhere: never below the true distance, whatever the body, the rod and the frame."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ import scan3d
 from planar import Phase
 from scan3d import report
 from scan3d.bounds import certificate, enclosure
+from scan3d.recording import Noise
 from scan3d.report import coverage
 from scan3d.surfaces import surface
 
@@ -234,7 +236,8 @@ def test_the_report_states_the_parts_of_the_bound():
     cloud = spatial_cloud(box([1, 0.7, 0.5]), 2000, 1, 0.01)
     bounds = enclosure(cloud)
     mesh = surface(cloud, bounds=bounds)
-    analysis = report.Analysis(None, cloud, bounds, mesh, certificate(bounds, mesh))
+    recording = SimpleNamespace(noise=Noise(0.0, 0.0, 0.0, 0.0, True), rod=scan3d.Rod(0.06, 1.9e-4, 0.0003))
+    analysis = report.Analysis(recording, cloud, bounds, mesh, certificate(bounds, mesh))
     certified, budget = report._certificate(analysis), report._budget(analysis)
     assert certified["parts"] == {**bounds.parts(), "noise": bounds.margin}
     assert certified["bound"] == analysis.certificate.bound

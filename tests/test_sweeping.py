@@ -376,7 +376,6 @@ def test_events_have_kinds_and_reasons():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (dict(), "either its base positions .* or their number"),
         (dict(samples=3, base=[0.5]), "either its base positions .* and not both"),
         (dict(samples=0), "whole number of at least 1, got 0"),
         (dict(samples=-3), "whole number of at least 1, got -3"),

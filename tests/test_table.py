@@ -70,16 +70,17 @@ def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     bounds = enclosure(cloud)
     assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound < min(16, enclosure(open_below).bound)
     assert bounds.volume[0] <= mesh.volume <= bounds.volume[1]
-    assert bounds.corners[:, 2].min() == pytest.approx(0, abs=1e-9)
+    # of the body fattened by the rod, which is as much lower
+    assert bounds.corners[:, 2].min() == pytest.approx(bounds.reach, abs=1e-9)
     made = surface(cloud, bounds=bounds)
     assert convex_hausdorff(made, mesh) <= certificate(bounds, made).bound
-    # a slice at the table's height, in which nothing is touched
+    # a slice as low as the rod's centre line can be on the table, in which nothing is touched
     with_empty = dataclasses.replace(
-        open_below,
+        open_below.fattened,
         slice_axis=np.vstack([open_below.slice_axis, [0.0, 0.0, 1.0]]),
-        slice_height=np.append(open_below.slice_height, 0.0),
+        slice_height=np.append(open_below.slice_height, -cloud.rod_radius),
     )
-    assert enclosure(with_empty).bound == bounds.bound
+    assert enclosure(dataclasses.replace(open_below, fattened=with_empty)).bound == bounds.bound
 
 
 def test_the_table_below_slices_whose_normals_point_down():
@@ -124,7 +125,7 @@ def test_the_table_closes_contacts_in_space(seed, radius):
 def test_contacts_below_the_table_contradict_it(recording):
     cloud = scan3d.reconstruct(recording)
     assert checked(recording, cloud).contradictions == []
-    lowest = float(cloud.points[:, 2].min())
+    lowest = float(cloud.fattened.points[:, 2].min()) + cloud.rod_radius
     # on the table, up to rounding
     on_it = dataclasses.replace(recording, table_m=lowest / 1000)
     assert checked(on_it, scan3d.reconstruct(on_it)).contradictions == []
