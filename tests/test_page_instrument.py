@@ -382,7 +382,7 @@ def test_it_plays_to_the_end_and_through_all_sweeps(tab):
     tab.run("goTo(0, 0); byId('speed').selectedIndex = 0")
     press(tab, "#play")
     assert tab.run("byId('play').getAttribute('aria-label')") == "pause"
-    tab.run("byId('speed').selectedIndex = 3")
+    tab.run("byId('speed').selectedIndex = 2")
     wait_for(tab, "!player.playing")
     assert tab.run("[player.sweep, player.sample]") == [0, tab.run("player.starts[1] - 1")]
     press(tab, "#through")
