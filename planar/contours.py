@@ -302,8 +302,27 @@ class Polygon(Contour):
         return nearest
 
 
+class _Looped(Contour):
+    """Contours that are swept as loops: those that need not be convex."""
+
+    @cached_property
+    def _outline(self) -> Outlines:
+        return Outlines([self.loops()])
+
+    @property
+    def is_convex(self) -> bool:
+        return False
+
+    def path(self) -> Path:
+        raise ValueError("a contour that is swept as loops has no path by its slope")
+
+    def distance(self, points: ArrayLike) -> Array:
+        points = np.asarray(points, dtype=float)
+        return np.abs(self._outline.nearest(np.zeros(len(points), dtype=np.intp), points).gap)
+
+
 @dataclass(frozen=True)
-class ClosedCurve(Contour):
+class ClosedCurve(_Looped):
     """The smooth closed curve through `points` (n, 2) in rod lengths, convex or not; made by `Curve.from_points`."""
 
     points: Array = field(repr=False)
@@ -321,27 +340,12 @@ class ClosedCurve(Contour):
         between = np.linspace(0, 1, 4 * len(points), endpoint=False)
         _check_crossing(self._outline.at(np.zeros(len(between), dtype=np.intp), between).point, "curve")
 
-    @cached_property
-    def _outline(self) -> Outlines:
-        return Outlines([self.loops()])
-
-    @property
-    def is_convex(self) -> bool:
-        return False
-
-    def path(self) -> Path:
-        raise ValueError("a curve through points is swept as a loop, it has no path by its slope")
-
     def loops(self) -> list[Loop]:
         return [spline_loop(self.points)]
 
-    def distance(self, points: ArrayLike) -> Array:
-        points = np.asarray(points, dtype=float)
-        return np.abs(self._outline.nearest(np.zeros(len(points), dtype=np.intp), points).gap)
-
 
 @dataclass(frozen=True)
-class Contours(Contour):
+class Contours(_Looped):
     """Several closed contours in one plane, swept together: bodies beside each other.
 
     Contours inside others are holes, or bodies in holes: no rod reaches them from outside, and they are left out.  Raises
@@ -374,19 +378,8 @@ class Contours(Contour):
                 outer.append(parts[i])
         object.__setattr__(self, "parts", tuple(outer))
 
-    @property
-    def is_convex(self) -> bool:
-        return False
-
-    def path(self) -> Path:
-        raise ValueError("several contours are swept as loops, they have no path by their slope")
-
     def loops(self) -> list[Loop]:
         return [loop for part in self.parts for loop in part.loops()]
-
-    def distance(self, points: ArrayLike) -> Array:
-        points = np.asarray(points, dtype=float)
-        return np.abs(Outlines([self.loops()]).nearest(np.zeros(len(points), dtype=np.intp), points).gap)
 
 
 def mirrored(contour: Contour) -> Contour:
