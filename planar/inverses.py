@@ -17,11 +17,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ellipeinc, ellipkinc
 
 from planar import march
 from planar.arrays import Array, Mask
 from planar.elastica import bend, bend_by_half_angle, partial_shape, tangential_q
+from planar.pieces import integrals
 from planar.rods import Rod
 
 METHODS = ("closed-form", "scholz-rahn", "will")
@@ -96,8 +96,9 @@ def _arc(rod: Rod, f0x: Array, f0y: Array, m0z: Array) -> Solved:
     k = np.sqrt(m)
     cosine = -rod.curvature / (2 * k * root_f)
     start, end = np.arctan2(s, q), np.arccos(cosine)
-    length = ellipkinc(end, m) - ellipkinc(start, m)
-    along = 2 * (ellipeinc(end, m) - ellipeinc(start, m)) - length
+    (first, second), (begun, passed) = integrals(end, m), integrals(start, m)
+    length = first - begun
+    along = 2 * (second - passed) - length
     across = 2 * k * (np.cos(start) - cosine)
     x, y = across * np.cos(alpha) - along * np.sin(alpha), across * np.sin(alpha) + along * np.cos(alpha)
     beta = 2 * np.arcsin(k * np.sin(end)) - np.pi / 2

@@ -79,13 +79,13 @@ def _swing(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) 
     m, root = energy / force, np.sqrt(force)
     k = np.sqrt(m)
     start = np.arctan2(np.sin(theta0 / 2), kappa0 / (2 * root))
-    first, second = _integrals(start, m)
+    first, second = integrals(start, m)
     sn, cn, dn, amplitude = ellipj(first + root * s, m)
-    along = 2 * (_integrals(amplitude, m)[1] - second) / root - s
+    along = 2 * (integrals(amplitude, m)[1] - second) / root - s
     return along, 2 * np.arctan2(k * sn, dn), 2 * k * root * cn
 
 
-def _integrals(amplitude: Array, m: Array) -> tuple[Array, Array]:
+def integrals(amplitude: Array, m: Array) -> tuple[Array, Array]:
     """F and E by Carlson's forms: scipy's ellipkinc and ellipeinc jump where ``tan² = 1/√(1 - m)`` up to rounding."""
     periods = np.round(amplitude / np.pi)
     reduced = amplitude - np.pi * periods
@@ -104,9 +104,9 @@ def _turn(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) -
     """(C4): the same of pieces with m > 1, whose curvature keeps its sign."""
     p, rate, sign = force / energy, np.sqrt(energy), np.sign(kappa0)
     start = sign * theta0 / 2
-    first, second = _integrals(start, p)
+    first, second = integrals(start, p)
     _, _, dn, amplitude = ellipj(first + rate * s, p)
-    along = s - 2 * (rate * s - _integrals(amplitude, p)[1] + second) / (rate * p)
+    along = s - 2 * (rate * s - integrals(amplitude, p)[1] + second) / (rate * p)
     return along, 2 * sign * amplitude, 2 * sign * rate * dn
 
 
