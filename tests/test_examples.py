@@ -161,6 +161,21 @@ def test_one_sweep() -> None:
 
 
 @pytest.mark.slow
+def test_whisker(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = example("whisker")
+    sweep, contacts = script.read(script.whisker, script.whisker, script.ellipse)
+    pressed = np.hypot(sweep.f0x, sweep.f0y) > 0.01
+    assert np.abs(contacts.point - sweep.point)[pressed].max() < 1e-8
+    # the figures of the manual, of which two suffice
+    monkeypatch.setattr(
+        script, "NEARLY", {name: script.NEARLY[name] for name in ("tip 10 % thinner", "curvature 0.02/L")}
+    )
+    rows = script.table().splitlines()[2:]
+    manual = (EXAMPLES.parent / "docs" / "rig.md").read_text(encoding="utf-8")
+    assert all(row in manual for row in rows)
+
+
+@pytest.mark.slow
 def test_methods_by_meshes(capsys: pytest.CaptureFixture[str]) -> None:
     meshes = EXAMPLES.parent / "meshes"
     example("methods_by_meshes").main([str(meshes / "cube.stl"), "--slices", "8", "--spacing", "cosine"])

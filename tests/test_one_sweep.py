@@ -67,6 +67,9 @@ def test_an_ellipse_comes_back_through_the_file(tmp_path, sweep, capsys):
     assert list(found["status"]) == ["ok" if touches else "no_force" for touches in touching]
     assert list(found["phase"][touching]) == [planar.Phase(code).name.lower() for code in sweep.phase[touching]]
     place = np.column_stack([found[f"x{unit}"], found[f"y{unit}"]]) / length
+    if si:  # the rod's centre line touches the ellipse grown by the rod's radius
+        normal = np.nan_to_num(np.column_stack([found["normal_x"], found["normal_y"]]))
+        place += parse_rod(ROD).diameter_m / 2 / length * normal
     assert np.abs(place - sweep.point)[touching].max() < 1e-9
     assert ELLIPSE.distance(place[touching]).max() < 1e-9
     assert np.abs(found[f"s1{unit}"] / length - sweep.s1)[touching].max() < 1e-9
@@ -245,9 +248,8 @@ def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
         ),
         ("x0,f0x,f0y,m0z,f0x\n0,0,0,0,0\n", "has f0x more than once"),
         ("x0_m,f0x,f0y,m0z\n1,0,0,0\n", "mixes dimensionless columns (f0x, f0y, m0z) with columns in SI units (x0_m)"),
-        ("x0,f0x,f0y,m0z\n", "a sweep needs two rows or more"),
-        ("x0,f0x,f0y,m0z\n1,-1,1,1\n", "a sweep needs two rows or more, which tell the direction"),
-        ("x0,f0x,f0y,m0z\n1,-1,1,1\n1,-1,1,1\n", "must decrease or increase"),
+        ("x0,f0x,f0y,m0z\n", "the table has no row with a base position"),
+        ("x0,f0x,f0y,m0z\n1,-1,1,1\n0,-1,1,1\n1,-1,1,1\n", "must decrease or increase"),
         ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0,0\n", "the sweep has no contact: of 2 of its 2 rows, nothing touches"),
         ("x0,f0x,f0y,m0z\n1,-1,1,-1\n0,-1,1,-1\n", "the clamping moment is that of a rod bent against the sweep"),
         (
@@ -276,6 +278,8 @@ def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, capsys, text, senten
             "unknown names: force_N; known are force, moment for a table that is dimensionless",
         ),
         ([], "[rod]\nlength_m = 0.05\n", False, 1, "sweep.toml: unknown names: rod"),
+        ([], "[known]\nfriction = 0.25\n", False, 1, "has [known], but the table has all of x0, f0x, f0y, m0z"),
+        ([], "[known]\nfriction_sd = 0.1\n", False, 1, "[known] needs friction, or contact = 'tip'"),
         ([], "[rod]\nlength_m = 0.05\n", True, 1, "[rod] needs length_m and bending_stiffness_Nm2"),
     ],
 )
@@ -300,3 +304,67 @@ def test_noise_alone_is_no_contact(left):
     force, moment = rng.normal(scale=1e-3, size=(2, 50)), rng.normal(scale=1e-3, size=50)
     with pytest.raises(InputError, match="no contact"):
         reconstruct_sweep(OneSweep(np.linspace(1, 0, 50), *force, moment, None, 1e-3, 1e-3))
+
+
+def test_touches_at_one_place_of_the_base_are_read_row_by_row(left):
+    rows = np.flatnonzero(np.hypot(left.f0x, left.f0y) > 0.05)[::10]
+    for direction in (-1, 1):
+        reactions = direction * -left.f0x[rows], left.f0y[rows], direction * -left.m0z[rows]
+        found = reconstruct_sweep(OneSweep(np.full(len(rows), 0.2), *reactions))
+        assert found.sweep.direction == direction
+        place = (left.point[rows] - [left.x0[rows[0]], 0])[:1] * [-direction, 1] + [0.2, 0]
+        assert np.abs(found.contacts.point[0] - place).max() < 1e-9
+    alone = reconstruct_sweep(OneSweep(np.array([0.2]), *(column[:1] for column in reactions)))
+    assert np.array_equal(alone.contacts.point, found.contacts.point[:1])
+
+
+def test_a_tapered_rod_is_read_as_one(tmp_path):
+    rod = planar.Rod(tip_diameter=0.4)
+    whisker = planar.sweep(ELLIPSE, FRICTION, samples=20, rod=rod)
+    table = write(tmp_path / "sweep.csv", columns(whisker, si=True), SI_COLUMNS)
+    (tmp_path / "sweep.toml").write_text(SIDECAR.replace("0.0003", "3e-4\ntip_diameter_m = 1.2e-4"))
+    found = reconstruct_sweep(read_sweep(table))
+    felt = found.touching & (np.hypot(whisker.f0x, whisker.f0y) > 0.01)
+    place = found.contacts.point.copy()
+    radius = 1.5e-4 / 0.05 * (1 - 0.6 * found.contacts.s1)
+    place[found.tangential] += (radius[:, None] * found.contacts.normal)[found.tangential]
+    assert felt.sum() > 12
+    assert np.abs(place - whisker.point)[felt].max() < 1e-8
+
+
+@pytest.mark.parametrize("missing", ["f0y", "m0z"])
+def test_a_reaction_that_was_not_measured_is_completed_by_what_is_known(tmp_path, left, missing, capsys):
+    whole = columns(left)
+    kept = [k for k, name in enumerate(COLUMNS) if name != missing]
+    table = write(tmp_path / "sweep.csv", whole[:, kept], [COLUMNS[k] for k in kept])
+    noise = "[noise]\nforce = 1e-6\nmoment = 1e-6\n"
+    (tmp_path / "sweep.toml").write_text(f"{noise}[known]\nfriction = {FRICTION}\nfriction_sd = 1e-3\n")
+    found = reconstruct_sweep(read_sweep(table))
+    felt = np.hypot(left.f0x, left.f0y) > 0.01
+    determined = felt & ~found.undetermined
+    assert determined.sum() > 0.7 * felt.sum()
+    assert np.abs(found.contacts.point - left.point)[determined].max() < 1e-9
+    # friction that is off by one standard deviation moves contacts by about one of theirs
+    (tmp_path / "sweep.toml").write_text(f"{noise}[known]\nfriction = {FRICTION + 1e-3}\nfriction_sd = 1e-3\n")
+    off = reconstruct_sweep(read_sweep(table))
+    both = determined & ~off.undetermined & found.tangential & off.tangential & (found.errors.largest > 1e-5)
+    moved = np.linalg.norm(off.contacts.point - left.point, axis=1)[both]
+    assert both.sum() > 20
+    assert np.median(moved / off.errors.largest[both]) == pytest.approx(1, abs=0.15)
+    assert main(["reconstruct", str(table)]) == 0
+    assert ("undetermined" in capsys.readouterr().out) == bool(off.undetermined.any())
+    # contacts of the tip alone
+    tips = left.phase == planar.Phase.TIP
+    write(table, whole[tips][:, kept], [COLUMNS[k] for k in kept])
+    (tmp_path / "sweep.toml").write_text("[known]\ncontact = 'tip'\n")
+    found = reconstruct_sweep(read_sweep(table))
+    assert np.abs(found.contacts.point - left.point[tips])[found.touching].max() < 1e-8
+    assert found.touching.sum() > 10
+
+
+def test_channels_that_say_nothing_are_refused(tmp_path):
+    sweep = planar.sweep(ELLIPSE, 0.0, samples=20)
+    table = write(tmp_path / "sweep.csv", columns(sweep)[:, [0, 2, 3]], ("x0", "f0y", "m0z"))
+    (tmp_path / "sweep.toml").write_text("[known]\nfriction = 0.0\n")
+    with pytest.raises(InputError, match="axial force and moment do not locate a contact without friction"):
+        reconstruct_sweep(read_sweep(table))

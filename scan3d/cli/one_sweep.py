@@ -15,8 +15,9 @@ from scan3d.rods import parse_rod
 OPTIONS = Parameter(
     group=Group(
         "One sweep in one plane",
-        help="The table may be a .csv of one sweep, with the columns x0, f0x, f0y, m0z (dimensionless) or "
-        "x0_m, f0x_N, f0y_N, m0z_Nm.",
+        help="The table may be a .csv of one sweep, or of touches at one place of the base, with the columns x0, f0x, f0y, "
+        "m0z (dimensionless) or x0_m, f0x_N, f0y_N, m0z_Nm.  One reaction may be missing if [known] in its TOML file has the "
+        "friction, or contact = 'tip'.",
     )
 )
 # Names of the files that are written into the folder.
@@ -67,7 +68,7 @@ def _data(found: Any) -> dict[str, Any]:
 
     sweep, contacts, touching, tangential = found.sweep, found.contacts, found.touching, found.tangential
     scale, unit = (1e3 * sweep.rod.length_m, "mm") if sweep.rod else (1.0, "rod lengths")
-    codes, counts = np.unique(contacts.status[~touching], return_counts=True)
+    codes, counts = np.unique(contacts.status[~touching & ~found.undetermined], return_counts=True)
     friction, s1 = contacts.friction[tangential], scale * contacts.s1[touching]
     data = {
         "unit": unit,
@@ -76,6 +77,7 @@ def _data(found: Any) -> dict[str, Any]:
         "contacts": int(touching.sum()),
         "tip": int(touching.sum() - tangential.sum()),
         "tangential": int(tangential.sum()),
+        "undetermined": int(found.undetermined.sum()),
         "without_contact": {planar.Status(c).sentence: int(n) for c, n in zip(codes, counts, strict=True)},
         "s1": [float(s1.min()), float(s1.max())],
         "friction_median": float(np.median(friction)) if len(friction) else None,
@@ -97,6 +99,11 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
         ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
         ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),
         *(("without contact", f"{count}: {reason}") for reason, count in data["without_contact"].items()),
+        *(
+            [("undetermined", f"{data['undetermined']}: two reactions leave several contacts open")]
+            if data["undetermined"]
+            else []
+        ),
         ("s1", f"{low:.4g} to {high:.4g} {unit}"),
     ]
     if data["friction_median"] is None:

@@ -1,7 +1,7 @@
 """One sweep in one plane: a table of base positions and support reactions, and the contacts that follow from them.
 
 The table is dimensionless or in SI units, by the names of its columns.  A TOML file of the same name in the same folder may
-contain the rod and the noise.
+contain the rod, the noise, and what is known in the place of a reaction that was not measured.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import planar
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
 from scan3d.files.recordings import sidecar
-from scan3d.files.section import read_rod, read_section
+from scan3d.files.section import Section, read_rod, read_section
 from scan3d.files.text_tables import Table, read_table
 from scan3d.reconstruction.errors import FORCE_SIGMAS, contact_tolerance
 from scan3d.recording import rounding_sd, together
@@ -34,34 +34,47 @@ _VALUES = ("point", "s1", "force", "force_angle", "friction_angle_bound", "slope
 
 
 @dataclass(frozen=True)
+class Known:
+    """What is known of the contacts in the place of a reaction."""
+
+    friction: float | None = None
+    """The coefficient of friction, of contacts that are tangential or at the tip; None: all contacts are at the tip."""
+    friction_sd: float = 0.0
+
+    @property
+    def angle_sd(self) -> float:
+        """Standard deviation of the friction angle, in radians."""
+        return self.friction_sd / (1 + (self.friction or 0.0) ** 2)
+
+
+@dataclass(frozen=True)
 class OneSweep:
     """Base positions and support reactions (n,) of one sweep, of which the frame is that of `planar`.
 
     They are in m, N and N·m if the rod is given, else in rod lengths, EI/L² and EI/L.  They are kept as they were recorded,
-    because their digits tell how they were rounded.  Raises InputError for fewer than two rows, and for base positions that do
-    not tell the direction of the sweep.
+    because their digits tell how they were rounded.  One of the reactions may be None, if something is `known` in its place.
+    Raises InputError for a table without rows, and for one whose direction neither the base nor the reactions tell.
     """
 
     x0: Array
-    f0x: Array
-    f0y: Array
-    m0z: Array
+    f0x: Array | None
+    f0y: Array | None
+    m0z: Array | None
     rod: Rod | None = None
     noise_force: float = 0.0
     """Standard deviation of each force component; 0 where it is not known."""
     noise_moment: float = 0.0
     """Standard deviation of the moment; 0 where it is not known."""
+    known: Known | None = None
 
     def __post_init__(self) -> None:
-        if len(self.x0) < 2:
+        x0 = self.x0[np.isfinite(self.x0)]
+        if not len(x0):
+            raise InputError("the table has no row with a base position")
+        if x0[0] == x0[-1] and np.ptp(x0):
             raise InputError(
-                f"a sweep needs two rows or more, which tell the direction of the base's motion, got {len(self.x0)}"
-            )
-        known = self.x0[np.isfinite(self.x0)]
-        if len(known) < 2 or known[0] == known[-1]:
-            raise InputError(
-                "the base position of a sweep must decrease or increase from the first row to the last one; cut a motion "
-                "back and forth into two tables"
+                "the base position of a sweep must decrease or increase from the first row to the last one, or stay; cut a "
+                "motion back and forth into two tables"
             )
         for noise in (self.noise_force, self.noise_moment):
             if not (np.isfinite(noise) and noise >= 0):
@@ -78,9 +91,15 @@ class OneSweep:
 
     @property
     def direction(self) -> int:
-        """-1 or 1: the sign of the base's motion along x, from the first row to the last one."""
-        known = self.x0[np.isfinite(self.x0)]
-        return -1 if known[-1] < known[0] else 1
+        """-1 or 1: the sign of the base's motion along x, from the first row to the last one.
+
+        Of touches at one position of the base it is that by which the base would have come against the body.
+        """
+        x0 = self.x0[np.isfinite(self.x0)]
+        if x0[0] != x0[-1]:
+            return -1 if x0[-1] < x0[0] else 1
+        pushed = -self.f0x if self.m0z is None else self.m0z  # type: ignore[operator]  # one of them at most is missing
+        return -1 if np.nansum(pushed) >= 0 else 1
 
 
 @dataclass(frozen=True)
@@ -96,6 +115,8 @@ class SweepContacts:
     """Standard deviations, 0 for exact data; those of slope and friction angle in tangential contact only."""
     noise: tuple[float, float]
     """Standard deviations of each force component in EI/L² and of the moment in EI/L, with those of their rounding."""
+    undetermined: Mask
+    """(n,) rows that touch, where two reactions and what is known in the place of the third leave several contacts open."""
 
     @property
     def point_sd(self) -> Array:
@@ -156,10 +177,10 @@ def read_sweep(
     """
     path = Path(path)
     table = read_table(path)
-    columns = _columns(table)
-    si = columns == SI_COLUMNS
-    x0, f0x, f0y, m0z = (table.numbers(table.names.index(name), gaps=True) for name in columns)
-    stated_rod, stated_force, stated_moment = _read_sidecar(sidecar(path), si)
+    si = bool(set(SI_COLUMNS) & set(table.names))
+    stated_rod, stated_force, stated_moment, known = _read_sidecar(sidecar(path), si)
+    names = _columns(table, known)
+    x0, *reactions = (None if name is None else table.numbers(table.names.index(name), gaps=True) for name in names)
     force = stated_force if noise_force is None else noise_force
     moment = stated_moment if noise_moment is None else noise_moment
     if rod is not None and not si:
@@ -173,13 +194,18 @@ def read_sweep(
             f"[rod] in {sidecar(path).name}"
         )
     try:
-        return OneSweep(x0, f0x, f0y, m0z, rod, force, moment)
+        assert x0 is not None
+        f0x, f0y, m0z = reactions
+        return OneSweep(x0, f0x, f0y, m0z, rod, force, moment, known)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 
 
-def _columns(table: Table) -> tuple[str, ...]:
-    """The four columns of a table.  Raises InputError unless it has all of one system of units, once."""
+def _columns(table: Table, known: Known | None) -> list[str | None]:
+    """The four columns of a table, None for the reaction that something known stands for.
+
+    Raises InputError unless it has the others of one system of units, once.
+    """
     names = table.names
     plain, si = ([name for name in columns if name in names] for columns in (COLUMNS, SI_COLUMNS))
     if plain and si:
@@ -188,49 +214,74 @@ def _columns(table: Table) -> tuple[str, ...]:
             f"({', '.join(si)}); give all four in one system"
         )
     columns = SI_COLUMNS if si else COLUMNS
-    if missing := [name for name in columns if name not in names]:
+    missing = [name for name in columns if name not in names]
+    if known is not None and not missing:
+        raise InputError(f"{table.name}: its TOML file has [known], but the table has all of {', '.join(columns)}")
+    if missing and not (known is not None and len(missing) == 1 and missing[0] != columns[0]):
         separated = "; its columns must be separated by commas" if any(set(";\t") & set(name) for name in names) else ""
+        instead = "; for one of the reactions friction or contact = 'tip' in [known] of its TOML file can stand"
         raise InputError(
             f"{table.name}: the header of one sweep lacks {', '.join(missing)}; expected {','.join(COLUMNS)} or "
-            f"{','.join(SI_COLUMNS)}{separated}"
+            f"{','.join(SI_COLUMNS)}{separated or instead}"
         )
     if repeated := [name for name in columns if names.count(name) > 1]:
         raise InputError(
             f"{table.name}: its header has {', '.join(repeated)} more than once; keep one column of each name"
         )
-    return columns
+    return [None if name in missing else name for name in columns]
 
 
-def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float]:
-    """Rod and noise in the TOML file beside a table; None and zeros where it does not state them."""
+def _read_sidecar(path: Path, si: bool) -> tuple[Rod | None, float, float, Known | None]:
+    """Rod, noise and what is known, in the TOML file beside a table; None and zeros where it does not state them."""
     if not path.exists():
-        return None, 0.0, 0.0
+        return None, 0.0, 0.0, None
     meta = read_section(path, "TOML file of the table")
     meta.any("schema")
     meta.notes("source")
     noise, names = meta.section("noise"), ("force_N", "moment_Nm") if si else ("force", "moment")
     force, moment = (noise.number(name, 0.0, at_least=0) for name in names)
     rod = read_rod(meta.section("rod")) if si and "rod" in meta else None
+    known = _read_known(meta.section("known")) if "known" in meta else None
     meta.finish(f" for a table that is {'in SI units' if si else 'dimensionless'}")
-    return rod, force, moment
+    return rod, force, moment, known
+
+
+def _read_known(section: Section) -> Known:
+    friction = section.number("friction", None, at_least=0)
+    tip = section.word("contact", ("any", "tip")) == "tip"
+    sd = section.number("friction_sd", 0.0, at_least=0)
+    if tip == (friction is not None):
+        raise section.error("", "needs friction, or contact = 'tip', which says that all contacts are at the tip")
+    return Known(friction, sd)
 
 
 def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
-    """The contacts of a sweep.
+    """The contacts of a sweep; those of a thick rod on the body's surface where the normal is known, else on the centre line.
 
     Errors of the reactions are the noise that the sweep states, and the rounding of its numbers.  Rows whose force does not
     stand out from them have no contact.  Raises InputError if no row has one.
     """
     in_length, in_force, in_moment = sweep.units
-    rounding = [rounding_sd(column[np.isfinite(column)]) for column in (sweep.f0x, sweep.f0y, sweep.m0z)]
+    columns = (sweep.f0x, sweep.f0y, sweep.m0z)
+    rounding = [0.0 if column is None else rounding_sd(column[np.isfinite(column)]) for column in columns]
     force = together(sweep.noise_force, max(rounding[:2])) / in_force
     moment = together(sweep.noise_moment, rounding[2]) / in_moment
-    reactions = sweep.f0x / in_force, sweep.f0y / in_force, sweep.m0z / in_moment
-    errors = planar.errors(*reactions, noise=(force, moment), direction=sweep.direction)
-    found = planar.reconstruct(
-        sweep.x0 / in_length, *reactions, tolerance=contact_tolerance(errors), direction=sweep.direction
-    )
-    felt = np.hypot(*reactions[:2]) > FORCE_SIGMAS * max(force, moment)
+    measured = [
+        None if column is None else column / unit
+        for column, unit in zip(columns, (in_force, in_force, in_moment), strict=True)
+    ]
+    x0, rod = sweep.x0 / in_length, sweep.rod.in_plane() if sweep.rod else planar.Rod()
+    stands_out = np.linalg.norm([column for column in measured[:2] if column is not None], axis=0)
+    felt = stands_out > FORCE_SIGMAS * max(force, moment)
+    (f0x, f0y, m0z), assumed = _completed(sweep, x0, measured, np.flatnonzero(felt), rod)
+    common: dict[str, Any] = {"direction": sweep.direction, "rod": rod}
+    found = planar.reconstruct(x0, f0x, f0y, m0z, **common)
+    tip = found.phase == planar.Phase.TIP
+    errors = planar.errors(f0x, f0y, m0z, noise=(force, moment), **common, **assumed, tip=tip)
+    if not assumed:
+        found = planar.reconstruct(x0, f0x, f0y, m0z, tolerance=contact_tolerance(errors), **common)
+    given = np.isfinite([column for column in (x0, *measured) if column is not None]).all(axis=0)
+    undetermined = felt & given & ~np.isfinite(f0x + f0y + m0z)
     hidden = (found.status == planar.Status.OK) & ~felt
     found = replace(
         found,
@@ -241,9 +292,15 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
     )
     touching, tangential = found.status == planar.Status.OK, found.phase == planar.Phase.TANGENTIAL
     if not touching.any():
-        codes, counts = np.unique(found.status, return_counts=True)
-        most = planar.Status(int(codes[counts.argmax()]))
-        raise InputError(f"the sweep has no contact: of {counts.max()} of its {len(sweep)} rows, {most.sentence}")
+        codes, counts = np.unique(found.status[~undetermined], return_counts=True)
+        reason = f"in {undetermined.sum()} of its {len(sweep)} rows two reactions leave several contacts open"
+        if len(counts) and counts.max() > undetermined.sum():
+            most = planar.Status(int(codes[counts.argmax()]))
+            reason = f"of {counts.max()} of its {len(sweep)} rows, {most.sentence}"
+        raise InputError(f"the sweep has no contact: {reason}")
+    if sweep.rod is not None and sweep.rod.diameter_m:
+        radius = _kept(sweep.rod.radius_m(found.s1) / in_length, tangential)
+        found = replace(found, point=found.point - np.nan_to_num(radius[:, None] * found.normal))
     errors = planar.Errors(
         point=_kept(errors.point, touching),
         largest=_kept(errors.largest, touching),
@@ -251,7 +308,34 @@ def reconstruct_sweep(sweep: OneSweep) -> SweepContacts:
         friction_angle=_kept(errors.friction_angle, tangential),
         slope=_kept(errors.slope, tangential),
     )
-    return SweepContacts(sweep, found, errors, (force, moment))
+    return SweepContacts(sweep, found, errors, (force, moment), undetermined)
+
+
+def _completed(
+    sweep: OneSweep, x0: Array, measured: list[Array | None], felt: Index, rod: planar.Rod
+) -> tuple[list[Array], dict[str, Any]]:
+    """All reactions (n,), zero where one is missing and nothing is felt; and what `planar.errors` must know of the missing one.
+
+    Reactions that two of them and what is known leave open are NaN.
+    """
+    missing = [name for name, column in zip(("f0x", "f0y", "m0z"), measured, strict=True) if column is None]
+    reactions = [np.zeros(len(sweep)) if column is None else column for column in measured]
+    if not missing or sweep.known is None:
+        return reactions, {}
+    try:
+        done = planar.complete(
+            x0[felt],
+            *(None if column is None else column[felt] for column in measured),
+            friction=sweep.known.friction,
+            tip=sweep.known.friction is None,
+            direction=sweep.direction,
+            rod=rod,
+        )
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    for column, values in zip(reactions, done.reactions[1:], strict=True):
+        column[felt] = values
+    return reactions, {"missing": missing[0], "known_sd": sweep.known.angle_sd}
 
 
 def _kept(values: Array, rows: Mask) -> Array:
