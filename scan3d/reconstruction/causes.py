@@ -82,6 +82,8 @@ class Diagnosis(NamedTuple):
     """Part of the root mean square misfit that the correction of the fault removes."""
     message: str
     """What it is and what to do, as the end of a sentence."""
+    alike: tuple[str, ...] = ()
+    """Codes of the faults that ``several`` stands for."""
 
 
 class Undone(NamedTuple):

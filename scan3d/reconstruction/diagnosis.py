@@ -100,7 +100,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     text = (
         f"{len(alike)} faults explain it alike, and what each asks for tells them apart: {'; or '.join(alike.values())}"
     )
-    return Diagnosis("several", None, "", explains, text)
+    return Diagnosis("several", None, "", explains, text, tuple(alike))
 
 
 def _second_contact(along_force: Array) -> Diagnosis:

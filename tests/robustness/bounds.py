@@ -207,7 +207,7 @@ def failures(draw, changed=lambda recording: recording):
         cloud.normal_sd is not None and not (cloud.normal_sd >= 0).all()
     ):
         found.append(("contacts not finite", ""))
-    false = _false(draw.mesh, analysis) if not analysis.warnings else []
+    false = false_statements(draw.mesh, analysis) if not analysis.warnings else []
     if draw.plan.model == "spatial":
         return found + false
     if false and _missed(draw.mesh, analysis):
@@ -223,7 +223,7 @@ def counts(name):
     return not name.startswith((MISSED, COARSE))
 
 
-def _false(mesh, analysis):
+def false_statements(mesh, analysis):
     """The statements about the body that are false."""
     bounds, found = analysis.bounds, []
     vertices = np.asarray(mesh.vertices)

@@ -1,0 +1,223 @@
+"""Rods, clamps and sensors that are not quite the stated ones: is anything false that a planar scan states?
+
+    python -m tests.robustness.faults [--seeds 10] [--slices 13 40] [--noise 1e-3 1e-4] [--faults taper curvature] [--jobs 1]
+
+The recordings are those of `shot_rods`, which integrates each rod on its own.  Each seed is a body of one of four kinds.  Of
+each analysis is asked: does a statement on the body fail, as in `bounds`, or an interval of an extent; does the diagnosis name
+a cause that is none, alone or without the true one; is the true cause named; is there a certificate, and how wide.  Every
+false statement is printed with its seed, then a table by fault, slices and noise.  Fails if anything is false.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
+from unittest import mock
+
+import numpy as np
+import trimesh
+
+import scan3d
+from scan3d import comparison
+from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull
+from scan3d.pipeline import analyse
+from scan3d.reconstruction import diagnose
+from scan3d.report import measurands
+from tests.robustness.bounds import false_statements
+from tests.robustness.shot_rods import Bent, noisy, swept
+
+SLICES, NOISE = (13, 40), (1e-3, 1e-4)
+
+
+class Fault(NamedTuple):
+    """What is wrong, and the codes by which a diagnosis names it."""
+
+    rod: Bent = Bent()
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    named: tuple[str, ...] = ()
+    small: bool = False
+    """Whether it costs less than 0.5 % of the rod's length, so that a certificate should remain."""
+    tared: bool = True
+
+
+def steel(diameter_mm, length_mm):
+    """Weight of a rod of steel, 7850 kg/m³, in EI/L²."""
+    d, length = diameter_mm / 1e3, length_mm / 1e3
+    return 16 * 7850 * 9.81 * length**3 / (210e9 * d**2)
+
+
+def _gain(channel, factor):
+    names = (("fx-scale", "force-scale"), ("fy-scale", "force-scale"), ("moment-scale",))[channel]
+    return Fault(gains=tuple(np.where(np.arange(3) == channel, factor, 1.0)), named=names, small=factor < 1.005)
+
+
+FAULTS = {
+    "none": Fault(small=True),
+    **{f"taper {part:g} %": Fault(Bent(tip=1 - part / 100), named=("taper",), small=part < 1.5) for part in (10, 2, 1)},
+    **{
+        f"curvature {part:+g} %": Fault(Bent(curvature=part / 100), named=("curvature",), small=abs(part) < 1)
+        for part in (2, -2, 0.5, -0.5)
+    },
+    **{
+        f"weight of steel 0.3x{length}": Fault(Bent(weight=steel(0.3, length)), named=("weight",), small=length < 60)
+        for length in (50, 100)
+    },
+    **{
+        f"clamp {angle:g} deg": Fault(
+            Bent(compliance=np.radians(angle)), named=("clamp-compliance",), small=angle < 0.2
+        )
+        for angle in (0.5, 0.1)
+    },
+    **{
+        f"gain of {name} {100 * factor - 100:g} %": _gain(channel, factor)
+        for factor in (1.003, 1.01)
+        for channel, name in enumerate(("fx", "fy", "mz"))
+    },
+}
+STRONG = {
+    "taper to 0.4": Fault(Bent(tip=0.4), named=("taper",)),
+    "curvature -0.3": Fault(Bent(curvature=-0.3), named=("curvature",)),
+    "weight 0.1": Fault(Bent(weight=0.1), named=("weight",)),
+    "weight 0.1, not tared": Fault(Bent(weight=0.1), named=("weight",), tared=False),
+}
+
+
+def body(seed):
+    """A convex body of about 40 mm: an ellipsoid, a polytope, a rounded box or an egg, turned at random."""
+    draw = np.random.default_rng([seed, 41])
+    ball = np.asarray(trimesh.creation.icosphere(subdivisions=3).vertices)
+    kind = ("ellipsoid", "polytope", "rounded box", "egg")[seed % 4]
+    if kind == "ellipsoid":
+        points = ball * draw.uniform(0.5, 1.0, 3)
+    elif kind == "polytope":
+        points = draw.standard_normal((int(draw.integers(12, 40)), 3)) * draw.uniform(0.6, 1.0, 3)
+        points /= np.linalg.norm(points, axis=1).max()
+    elif kind == "rounded box":
+        corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T * draw.uniform(0.3, 0.6, 3)
+        points = (corners[:, None] + draw.uniform(0.1, 0.4) * ball[::2]).reshape(-1, 3)
+    else:
+        points = ball * [0.7, 0.7, 1.0] * (1 + draw.uniform(0.1, 0.3) * ball[:, [2]])
+    turn = trimesh.transformations.random_rotation_matrix(draw.uniform(size=3))[:3, :3]
+    return hull(20.0 * points @ turn.T)
+
+
+@functools.cache
+def template(seed, slices):
+    """The sweeps of a scan of the body; gravity lies in their planes, along -y."""
+    mesh = body(seed)
+    plan = scan3d.Plan(slices=slices, samples=8, sweeps=8, friction=0.3)
+    return mesh, scan3d.simulate(mesh, plan)
+
+
+@functools.lru_cache(2)
+def exact(seed, slices, rod, tared):
+    mesh, recording = template(seed, slices)
+    strong = 4 if rod.tip < 0.8 or abs(rod.curvature) > 0.1 or rod.weight > 0.08 else 1
+    return swept(recording, mesh, rod, tared=tared, homotopy=strong)
+
+
+class Outcome(NamedTuple):
+    false: list[tuple[str, str]]
+    cause: str
+    """'agrees', 'right', 'unknown', or 'FALSE'."""
+    named: str
+    bound: float
+    """Relative to the body's diagonal, as the next ones."""
+    error: float
+    relative: float
+    """Relative error of the wrench that the bounds allow for."""
+
+
+def outcome(seed, slices, noise, name):
+    """What an analysis of the recording with a fault says, and what of that is false."""
+    fault = (FAULTS | STRONG)[name]
+    mesh, _ = template(seed, slices)
+    recording = noisy(
+        exact(seed, slices, fault.rod, fault.tared), noise, np.random.default_rng([seed, slices]), fault.gains
+    )
+    diagonal = float(np.linalg.norm(mesh.extents))
+    with mock.patch.object(comparison, "SAMPLES", 200):
+        try:
+            analysis = analyse(recording, mesh, "hull")
+        except InputError:
+            return Outcome([], *judged(diagnose(recording, "planar"), fault), np.inf, np.inf, 0.0)
+    false = [] if analysis.warnings else false_statements(mesh, analysis)
+    for measured in measurands(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)[:3]:
+        true = mesh.extents["xyz".index(measured["quantity"][-1])]
+        if not measured["interval"][0] - 1e-9 <= true <= measured["interval"][1] + 1e-9:
+            false.append((measured["quantity"], f"true {true:.6g}, claimed {measured['interval']}"))
+    rig = analysis.cloud.calibration
+    return Outcome(
+        false,
+        *judged(analysis.diagnosis, fault),
+        analysis.certificate.bound / diagonal,
+        analysis.comparison.hausdorff / diagonal,
+        0.0 if rig is None else rig.relative,
+    )
+
+
+def judged(found, fault):
+    """Whether a diagnosis is right, and what it names."""
+    if found is None:
+        return "agrees", ""
+    if found.fault == "unknown":
+        return "unknown", ""
+    listed = found.alike or (found.fault,)
+    return "right" if set(listed) & set(fault.named) else "FALSE", " or ".join(listed)
+
+
+def of_seed(seed, slices, noises, names):
+    found = []
+    for name in names:
+        for noise in noises:
+            start = time.process_time()
+            found.append((name, noise, outcome(seed, slices, noise, name), time.process_time() - start))
+    return seed, slices, found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--slices", type=int, nargs="+", default=SLICES)
+    parser.add_argument("--noise", type=float, nargs="+", default=NOISE)
+    parser.add_argument("--faults", nargs="+", default=[""], help="beginnings of their names")
+    parser.add_argument("--strong", action="store_true", help="rods that are far from the stated one instead")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--verbose", action="store_true", help="print each outcome")
+    given = parser.parse_args()
+    names = [name for name in (STRONG if given.strong else FAULTS) if name.startswith(tuple(given.faults))]
+    tasks = [
+        (seed, n, given.noise, names) for seed in range(given.first, given.first + given.seeds) for n in given.slices
+    ]
+    rows: dict[tuple[str, int, float], list[Outcome]] = {}
+    with ProcessPoolExecutor(given.jobs) as pool:
+        results = pool.map(of_seed, *zip(*tasks, strict=True)) if given.jobs > 1 else (of_seed(*task) for task in tasks)
+        for seed, slices, found in results:
+            for name, noise, out, seconds in found:
+                rows.setdefault((name, slices, noise), []).append(out)
+                wrong = out.false + ([("cause", out.named)] if out.cause == "FALSE" else [])
+                if wrong or given.verbose:
+                    print(f"seed {seed}, {slices} slices, {noise:g}, {name}: {out}, {seconds:.1f} s", flush=True)
+    print(f"{'fault':25} slices  noise  false  finite  bound   error  agrees right unknown FALSE", flush=True)
+    bad = 0
+    for (name, slices, noise), outs in rows.items():
+        count = {word: sum(out.cause == word for out in outs) for word in ("agrees", "right", "unknown", "FALSE")}
+        false, finite = sum(bool(out.false) for out in outs), [out for out in outs if np.isfinite(out.bound)]
+        bad += false + count["FALSE"]
+        bound = 100 * np.median([out.bound for out in finite]) if finite else np.nan
+        error = 100 * np.median([out.error for out in outs])
+        print(
+            f"{name:25} {slices:6} {noise:6g} {false:6} {len(finite):4}/{len(outs):<2} {bound:6.2f}% {error:6.3f}% "
+            + " ".join(f"{value:6}" for value in count.values())
+        )
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
