@@ -71,6 +71,24 @@ def test_integrated_rods_are_found(rod, down):
         np.testing.assert_allclose([found.torsion, found.skew], 0.0, atol=1e-8)
 
 
+@pytest.mark.parametrize("rod", [CURLED, SpatialRod(Profile((0.0, 1.0), (1.0, 0.6)))])
+def test_reactions_that_contradict_a_single_force_have_the_place_of_the_least_excess(rod):
+    rng = np.random.default_rng(1)
+    force = np.array([[-0.10, 0.08, 0.12]]).T + 0.02 * rng.normal(size=(3, 4))
+    moment = np.array([[0.0928, -0.0178, 0.0892]]).T + 0.01 * rng.normal(size=(3, 4))
+    found = march.contacts(rod, force, moment)
+    assert (np.abs(found.skew) > 1e-5).all()
+    for k in range(4):
+        state = clamped(rod, -moment[:, k])
+
+        def turning(s, k=k, state=state):
+            at = integrated(rod, -force[:, k], np.zeros(3), state, (0.0, s))
+            return at[12:] @ np.cross(at[3:12].reshape(3, 3)[:, 2], -force[:, k])
+
+        s1 = scipy.optimize.brentq(turning, found.s1[k] - 0.05, found.s1[k] + 0.05, xtol=1e-12)
+        np.testing.assert_allclose(found.s1[k], s1, atol=1e-9)
+
+
 PLANAR = [
     planar.Rod(tip_diameter=0.5),
     planar.Rod(tip_diameter=0.6, curvature=-0.3, compliance=0.02),

@@ -184,6 +184,20 @@ def _turning(state: Array, hanging: Array) -> Array:
     return np.asarray((state[1] - hanging[1]) * state[3] - (state[0] - hanging[0]) * state[4])
 
 
+def _curvature(rod: SpatialRod, s: Array, state: Array) -> Array:
+    """(3, n) curvature and twist in the material frame."""
+    stiffness = rod.profile.bending_stiffness(s) * np.array([[1.0], [1.0], [rod.torsion]])
+    return np.asarray(state[_M] / stiffness + np.array(rod.curvature)[:, None])
+
+
+def _turning_rates(rod: SpatialRod, s: Array, state: Array, hanging: Array) -> tuple[Array, Array]:
+    """``(t × F)²`` and ``e·(t' × F)``: `_turning` falls by the first less the second, for ``e' = -t × F``."""
+    bend, force, excess = _curvature(rod, s, state), state[_N], state[_M] - hanging
+    by_force, by_excess = _cross(bend, force), _cross(bend, excess)
+    bending = (by_excess[0] * force[1] - by_excess[1] * force[0]) + (excess[0] * by_force[1] - excess[1] * by_force[0])
+    return force[0] ** 2 + force[1] ** 2, np.asarray(bending)
+
+
 def _refine(
     rod: SpatialRod, found: Marched, rows: Index, before: Array, start: Array, length: Array, ends: tuple[Array, Array]
 ) -> None:
@@ -196,13 +210,16 @@ def _refine(
         for _ in range(3):
             state = _step(rod, before, start, part)
             hanging = approach(start + part, state) + offset
-            change = _turning(state, hanging) / (state[3] ** 2 + state[4] ** 2)
+            across, bending = _turning_rates(rod, start + part, state, hanging)
+            change = _turning(state, hanging) / (across - bending)
             part = part + change
         if rod.profile.weight and correction < _CORRECTIONS - 1:
             offset = offset + _hanging(rod, np.minimum(start + part, 1.0), state) - hanging
+    # where the moment that is left turns the rod by more than the force does, no rod comes near these reactions
+    part = np.where(np.abs(bending) < across, part, np.nan)
     excess = state[_M] - hanging
     tangent = _rotated(state[_Q], np.stack([0 * part, 0 * part, np.ones_like(part)]))
-    bend = state[:2] / rod.profile.bending_stiffness(start + part) + np.array(rod.curvature)[:2, None]
+    bend = _curvature(rod, start + part, state)
     turned = _rotated(state[_Q], np.stack([bend[1], -bend[0], 0 * part]))
     found.s1[rows] = start + part
     found.point[:, rows] = state[_R] + tangent * change
