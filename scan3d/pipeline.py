@@ -23,9 +23,8 @@ from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
-from scan3d.files.ply import ply
 from scan3d.files.recordings import recording_files
-from scan3d.files.shapes import cloud_table, surface_table
+from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
 from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError

@@ -1,4 +1,4 @@
-"""This process and its children: how they compute, what they import, and how they end."""
+"""This process and its children: how they compute, what they import, what memory they have, and how they end."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
+
+from scan3d.errors import InputError
 
 # The folder from which this program is imported.  It may be the current one, as in a checkout.
 _HOME = Path(__file__).resolve().parents[1]
@@ -96,3 +98,35 @@ def end_on_signals() -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # not under nohup
             signal.signal(number, receive)
+
+
+# Where Linux states the limit of a container.
+_CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
+
+
+def memory_bytes() -> float:
+    """Memory that this process can have at most: that of the machine, of its container, or of the limit set for it."""
+    limits = [float("inf")]
+    with suppress(OSError, ValueError, AttributeError):  # not on every system
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    with suppress(OSError, ValueError):  # "max" is no number
+        limits.append(int(_CONTAINER_LIMIT.read_text(encoding="ascii")))
+    with suppress(ImportError):
+        import resource
+
+        limits.append(resource.getrlimit(resource.RLIMIT_AS)[0])
+    return min(limit for limit in limits if limit > 0)  # no limit of the address space is -1
+
+
+def check_memory(needed: float, what: str, advice: str) -> None:
+    """Raises InputError if something needs more bytes than this machine has.
+
+    what
+        is the subject of the sentence, such as "a scan of 10 slices".
+    advice
+        is what to do instead, its last clause.
+    """
+    limit = memory_bytes()
+    if needed > limit:
+        gigabytes = min(needed, 1e300) / 1e9  # a whole number may be larger than any float
+        raise InputError(f"{what} needs about {gigabytes:.3g} GB, and this machine has {limit / 1e9:.3g} GB; {advice}")

@@ -17,8 +17,7 @@ import planar
 from planar.tables import to_frame, words
 from scan3d.choices import one_of
 from scan3d.cloud import Cloud
-from scan3d.errors import InputError
-from scan3d.extras import import_open3d
+from scan3d.errors import InputError, import_open3d
 from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.formats import (
     CLOUD_ENDINGS,

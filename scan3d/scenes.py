@@ -17,9 +17,9 @@ import planar
 from scan3d.errors import InputError
 from scan3d.files import whole
 from scan3d.files.meshes import FORMATS, read_mesh
-from scan3d.files.ply import read_ply
 from scan3d.files.reading import check_file
 from scan3d.files.recordings import read_recording
+from scan3d.files.shapes import read_ply
 from scan3d.files.whole import REPORT, check_belongs, locate, sha256
 from scan3d.pictures.scene import Scene, columns
 from scan3d.report import SCHEMA, key_figures, summary

@@ -17,8 +17,7 @@ import scan3d
 from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.formats import POINT_ENDINGS, SURFACE_ENDINGS, export
-from scan3d.files.ply import ply, read_ply
-from scan3d.files.shapes import read_shape, surface_table
+from scan3d.files.shapes import ply, read_ply, read_shape, surface_table
 
 ROOT = Path(__file__).parents[1]
 MESHES = sorted(path for path in (ROOT / "meshes").iterdir() if path.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})

@@ -10,9 +10,9 @@ import pytest
 
 import scan3d
 from scan3d import InputError
-from scan3d.calibration import estimate, rows
+from scan3d.calibration import estimate
 from scan3d.calibration.model import Kind, equations
-from scan3d.calibration.references import Plane, Sphere
+from scan3d.calibration.references import Plane, Sphere, neighbours
 from scan3d.spatial.inverse import reconstruct
 from tests import references, rigs
 
@@ -140,8 +140,8 @@ def test_rows_are_chosen_by_their_neighbours_alone():
     for row in (0, 7, 25, 49):
         wrench = line.copy()
         wrench[row] += rng.normal(size=6)
-        assert np.allclose(rows.neighbours(wrench, sweep, contact)[row], line[row])
-    assert (rows.neighbours(line, sweep, contact)[50] == line[50]).all()
+        assert np.allclose(neighbours(wrench, sweep, contact)[row], line[row])
+    assert (neighbours(line, sweep, contact)[50] == line[50]).all()
 
 
 @pytest.mark.parametrize("stated", [0.0, 0.5])

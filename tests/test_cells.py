@@ -18,7 +18,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces.between import between, has_cells, room
-from scan3d.surfaces.held_out import hold_out
+from scan3d.surfaces.choice import hold_out
 from tests.sample_bodies import outside
 
 

@@ -12,7 +12,7 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import certificate, choice, enclosure, surface
-from scan3d.surfaces.held_out import HeldOutError, error_of_fit, error_of_surface, hold_out
+from scan3d.surfaces.choice import HeldOutError, error_of_fit, error_of_surface, hold_out
 
 
 @pytest.fixture(scope="module")

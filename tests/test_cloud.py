@@ -9,8 +9,7 @@ import trimesh
 
 import planar
 import scan3d
-from scan3d.files.ply import ply
-from scan3d.files.shapes import cloud_table
+from scan3d.files.shapes import cloud_table, ply
 from scan3d.reconstruction.contacts import contacts
 
 EGG = Path(__file__).parents[1] / "meshes" / "egg.stl"

@@ -15,8 +15,7 @@ from other_programs import FORMATS, HERE, PROGRAMS
 from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export, write_shape
-from scan3d.files.ply import ply, read_ply
-from scan3d.files.shapes import Shape, read_shape, surface_table
+from scan3d.files.shapes import Shape, ply, read_ply, read_shape, surface_table
 
 ROOT = Path(__file__).parents[1]
 

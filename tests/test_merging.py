@@ -8,8 +8,7 @@ from scipy.spatial import cKDTree
 
 import scan3d
 from scan3d.files.formats import export
-from scan3d.files.ply import ply
-from scan3d.files.shapes import surface_table
+from scan3d.files.shapes import ply, surface_table
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import collapsed, distance_of_readers, kept_apart, representatives
 from tests.shapes import box, polytope

@@ -14,7 +14,7 @@ import trimesh
 
 import planar
 import scan3d
-from scan3d import InputError, comparison, memory
+from scan3d import InputError, comparison, processes
 from scan3d.cli import main
 from scan3d.files.reading import check_file
 from scan3d.reconstruction import reconstruct
@@ -167,7 +167,7 @@ def test_reactions_that_are_no_real_numbers(column):
 
 
 def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch):
-    monkeypatch.setattr(memory, "memory_bytes", lambda: 24_000_000_000)
+    monkeypatch.setattr(processes, "memory_bytes", lambda: 24_000_000_000)
     scan3d.simulate(box(), scan3d.Plan(slices=2, samples=8))  # imports what it needs
     tracemalloc.start()
     for plan in (scan3d.Plan(slices=10**9), scan3d.Plan(samples=10**12), scan3d.Plan(sweeps=10**400)):
@@ -183,7 +183,7 @@ def test_a_scan_that_takes_more_sweeps_than_at_first_is_refused_when_that_is_kno
         patched.setattr(scan, "check_memory", lambda needed, *_: amounts.append(needed))
         scan3d.simulate(body, plan)
     assert amounts[0] < amounts[-1]  # with so few contacts to a sweep more sweeps are needed
-    monkeypatch.setattr(memory, "memory_bytes", lambda: int((amounts[0] + amounts[-1]) / 2))
+    monkeypatch.setattr(processes, "memory_bytes", lambda: int((amounts[0] + amounts[-1]) / 2))
     with pytest.raises(InputError, match=r"a scan of 6 slices with .* sweeps of 20 samples needs about"):
         scan3d.simulate(body, plan)
 
@@ -209,7 +209,7 @@ print(stated[0], 1024 * int(status["VmHWM"].split()[0]))
 
 
 def test_the_memory_is_that_of_the_machine():
-    assert 10**8 < memory.memory_bytes() < 10**15
+    assert 10**8 < processes.memory_bytes() < 10**15
 
 
 def test_special_files_are_not_read(tmp_path):

@@ -11,7 +11,7 @@ import planar
 from scan3d import InputError
 from scan3d.cli import main
 from scan3d.laboratory.one_sweep import COLUMNS, SI_COLUMNS, OneSweep, is_sweep, read_sweep, reconstruct_sweep
-from scan3d.pictures.one_sweep import sweep_figure
+from scan3d.pictures.charts import sweep_figure
 from scan3d.rods import parse_rod
 
 ELLIPSE = planar.Ellipse((0.5, 0.3), (0.0, 0.85), 0.3)

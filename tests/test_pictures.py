@@ -15,7 +15,7 @@ from PIL import Image
 from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d import memory
+from scan3d import processes
 from scan3d.choices import CAMERAS
 from scan3d.files.shapes import cloud_table
 from scan3d.pictures import figures, rendering, shading, views
@@ -86,7 +86,7 @@ def test_what_no_picture_can_have(option, values, sentence):
 
 
 def test_pictures_that_need_too_much_memory(monkeypatch):
-    monkeypatch.setattr(memory, "memory_bytes", lambda: 10**8)
+    monkeypatch.setattr(processes, "memory_bytes", lambda: 10**8)
     with pytest.raises(
         scan3d.InputError, match=r"a picture of 4200 x 3150 pixels needs about .* choose a smaller size"
     ):

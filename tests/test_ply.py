@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from scan3d import InputError
-from scan3d.files.ply import ply
-from scan3d.files.ply import read_ply as read_our_ply
+from scan3d.files.shapes import ply
+from scan3d.files.shapes import read_ply as read_our_ply
 
 ROWS = np.dtype(
     [(name, "f8") for name in "xyz"]

@@ -16,7 +16,7 @@ import planar
 import scan3d
 from scan3d import scenes
 from scan3d.cli import main, show
-from scan3d.files.ply import ply
+from scan3d.files.shapes import ply
 from scan3d.pictures import shading
 from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
 from scan3d.pictures.scene import contact_sentence, of_cloud, out_of_plane_deg

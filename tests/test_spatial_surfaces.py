@@ -10,7 +10,7 @@ from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, largest_differe
 
 import scan3d
 from scan3d.geometry.support import fit_support
-from scan3d.surfaces import anywhere, certificate, enclosure, surface
+from scan3d.surfaces import between, certificate, enclosure, surface
 
 SMOOTH = Ellipsoid(np.array([1.0, 0.7, 0.5]))
 
@@ -77,8 +77,8 @@ def test_contacts_that_the_rod_displaces_hide_no_face():
     sd[rows] = 0.1
     unsure = dataclasses.replace(cloud, points=points, normals=normals, normal_sd=sd)
     well_placed = np.delete(np.arange(len(cloud)), rows)
-    assert largest_difference(anywhere.with_edges(unsure), body) < 1e-6 * body.size
-    assert largest_difference(anywhere.with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
+    assert largest_difference(between.with_edges(unsure), body) < 1e-6 * body.size
+    assert largest_difference(between.with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
 
 
 def test_nothing_is_curved_between_edges_of_the_body():
@@ -87,7 +87,7 @@ def test_nothing_is_curved_between_edges_of_the_body():
     for body, least, most in ((polyhedron, 0.95, 1.0), (SMOOTH, 0.0, 0.0)):
         cloud = spatial_cloud(body, 800, 3)
         ends = ConvexHull(cloud.points).simplices[:, :2]
-        assert least <= anywhere._between_edges(cloud, ends).mean() <= most
+        assert least <= between._between_edges(cloud, ends).mean() <= most
 
 
 def test_long_edges_of_a_capsule_are_straight():
@@ -100,7 +100,7 @@ def test_long_edges_of_a_capsule_are_straight():
     points = normals + height[:, None] * np.array([0, 0, 1])
     cloud = spatial_cloud(SMOOTH, 4000, 3)
     capsule = dataclasses.replace(cloud, points=points, normals=normals, normal_sd=None)
-    mesh = anywhere.curved(capsule)
+    mesh = between.curved(capsule)
     vertices = np.asarray(mesh.vertices)
     axis = np.clip(vertices[:, 2:], -2, 2) * np.array([0, 0, 1])
     assert np.linalg.norm(vertices - axis, axis=1).max() < 1.002

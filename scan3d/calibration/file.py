@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.arrays import Array
-from scan3d.calibration.quantities import COVERAGE_FACTOR
-from scan3d.calibration.report import Calibration
+from scan3d.calibration.report import COVERAGE_FACTOR, Calibration
 from scan3d.errors import InputError
 from scan3d.files.section import Section, read_rod, read_section
 from scan3d.files.text import to_toml

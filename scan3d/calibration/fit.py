@@ -35,7 +35,7 @@ from scan3d.calibration.model import (
     Touches,
     equations,
 )
-from scan3d.calibration.rows import Unloaded
+from scan3d.calibration.references import Unloaded
 
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
 # Of the stiffness's logarithm, lengths in rod lengths, angles in radians, and the tare in EI/L² and EI/L.

@@ -1,19 +1,29 @@
-"""What a rig touches to be calibrated: a sphere or a plane, at a place that need not be known.
+"""What a rig touches to be calibrated, a sphere or a plane at a place that need not be known, and the rows that are contacts.
 
 A reference is fattened by the rod's radius, so that it is touched by the rod's centre line.  Lengths are in nominal lengths
 of the rod.
+
+A sweep begins in the air, and most sweeps end there.  From each end a run of rows belongs to the air until the reactions
+leave the level of that end by more than the noise; rows beyond, which may be light touches, are left out with a margin.
+
+A row in contact must not be chosen by its own noise.  If rows were taken whose measured force exceeds a limit, those near
+the limit would have noise that points outwards on average, and the estimate would be biased by a fraction of its standard
+deviation.  Rows are chosen by their neighbours in the same sweep, whose noise is another.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
-from scan3d.arrays import Array
+from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
 from scan3d.rods import Rod
 
@@ -155,3 +165,170 @@ class Plane:
 
 
 Reference = Sphere | Plane
+
+
+# Rows at an end of a sweep that give its level, and rows in the air that a calibration needs.
+_LEVEL, _FEWEST = 5, 12
+# Deviations from the level, in standard deviations of the largest channel, up to which a row counts as air, and beyond
+# which it counts as contact for certain; and the range of the rows of an end in the air.  The force of a touch grows
+# steadily, so that rows between the first two are as many as those before them in which the noise hides the touch.
+_AIR, _CONTACT, _CALM = 4.0, 12.0, 6.0
+# Parts of the largest reaction: drift within a sweep that counts as noise while the air is sought, distance of the levels of
+# sweeps in the air, and the least noise, so that exact data have weights.
+_DRIFT, _DRIFTED, _EXACT = 5e-4, 0.1, 1e-6
+# Standard deviations by which the mean square deviation of the air from a model of the drift may exceed that of noise, and
+# what it may exceed it by further where the noise is estimated from the same rows.
+_SIGMAS, _UNSURE = 4.0, 0.1
+# Neighbours on either side of a row that decide whether it is used.
+_NEIGHBOURS = 3
+_PARTS = (slice(0, 3), slice(3, 6))
+
+Runs = list[NDArray[np.intp]]
+"""Numbers of rows that follow one another."""
+
+
+class Unloaded(NamedTuple):
+    """What the rows in the air show; wrenches have the unit of those given."""
+
+    air: Mask
+    """(n,)"""
+    contact: Mask
+    """(n,) rows in which the rod is loaded for certain."""
+    force_noise: float
+    """The stated noise, or that of the rows in the air if it is not stated or they contradict it."""
+    moment_noise: float
+    basis: Array
+    """(n, k) of the tare over the rows."""
+    tare: Array
+    """(6, k)"""
+    model: str
+    """One of `scan3d.choices.TARES`, but not ``auto``."""
+    misfit: float
+    """Mean square deviation of the rows in the air from the tare, over the variance of the noise."""
+
+
+def unloaded(
+    sweep: NDArray[np.int64], wrench: Array, channels: Mask, noise: tuple[float, float], model: str
+) -> Unloaded:
+    """The air of sweeps: `sweep` (n,) numbers them, `wrench` (n, 6) is what the sensor shows, `noise` 0 where unknown.
+
+    Raises InputError for too few rows in the air.
+    """
+    runs = [np.flatnonzero(sweep == number) for number in np.unique(sweep)]
+    largest = np.maximum(np.repeat([np.abs(wrench[:, part]).max() for part in _PARTS], 3), np.finfo(float).tiny ** 0.25)
+    known, least = np.repeat(noise, 3), _EXACT * largest
+    ends = [rows[part] for rows in runs for part in (slice(0, _LEVEL), slice(-_LEVEL, None)) if len(rows) > _LEVEL]
+    # stated noise may be understated, and a sensor may drift by more than its noise within a sweep
+    rough = np.maximum(np.maximum(_noise_of_runs(wrench, ends, channels, _typical), known), _DRIFT * largest)
+    air, contact = _separated(np.where(channels, wrench / rough, 0.0), runs)
+    if air.sum() < _FEWEST:
+        raise InputError(
+            f"the recording has {air.sum()} rows in the air, and a calibration needs {_FEWEST}: let each sweep begin and end "
+            "some rows before and after the rod touches the reference"
+        )
+    quiet = [
+        run for rows in runs for run in np.split(rows[air[rows]], np.flatnonzero(np.diff(rows[air[rows]]) > 1) + 1)
+    ]
+    quick = np.maximum(np.maximum(known, _noise_of_runs(wrench, quiet, channels, np.mean)), least)
+    for name in _models(model, sweep, air):
+        basis = _basis(name, sweep)
+        tare: Array = np.asarray(np.linalg.lstsq(basis[air], wrench[air], rcond=None)[0].T, dtype=float)
+        freedom = max(int(air.sum()) - basis.shape[1], 1)
+        square: Array = ((wrench[air] - basis[air] @ tare.T) ** 2).sum(axis=0) / freedom
+        # noise that is not stated is that of the same rows, which is less certain
+        allowed = 1 + _SIGMAS * float(np.sqrt(2 / freedom / channels.sum())) + _UNSURE * (not all(noise))
+        if (square / quick**2)[channels].mean() < allowed:
+            break
+    misfit = float((square / np.where(known > 0, known, quick) ** 2)[channels].mean())
+    own = np.repeat([np.sqrt(square[part][channels[part]].mean()) for part in _PARTS], 3)
+    deviation = np.maximum(np.where((known > 0) & (misfit <= allowed), known, np.maximum(own, known)), least)
+    return Unloaded(air, contact, float(deviation[0]), float(deviation[3]), basis, tare, name, misfit)
+
+
+def _models(model: str, sweep: NDArray[np.int64], air: Mask) -> tuple[str, ...]:
+    """The models of the tare that are tried one after the other; a tare for each sweep needs rows in the air of each."""
+    without = np.setdiff1d(sweep, sweep[air])
+    if model == "sweep" and len(without):
+        raise InputError(
+            f"sweep {without[0]} has no rows in the air, which a tare for each sweep needs; let it begin earlier"
+        )
+    return (model,) if model != "auto" else ("linear",) if len(without) else ("linear", "sweep")
+
+
+def _basis(model: str, sweep: NDArray[np.int64]) -> Array:
+    """(n, k) functions of the row whose sum is the tare of a channel."""
+    if model == "sweep":
+        return np.asarray(sweep[:, None] == np.unique(sweep), dtype=float)
+    constant_and_linear = np.column_stack([np.ones(len(sweep)), np.linspace(-0.5, 0.5, len(sweep))])
+    return constant_and_linear if model == "linear" else constant_and_linear[:, :1]
+
+
+def _noise_of_runs(wrench: Array, runs: Runs, channels: Mask, mean: Callable[[Array], Any]) -> Array:
+    """(6,) the noise of force and of moment by the second differences of runs of rows, which do not drift.
+
+    `mean` is that of their squares: `numpy.mean`, or `_typical` where not all runs are in the air.
+    """
+    pieces = [np.diff(wrench[rows], n=2, axis=0) ** 2 for rows in runs if len(rows) > 2]
+    square = np.concatenate([*pieces, np.zeros((int(not pieces), 6))])
+    return np.repeat([np.sqrt(mean(square[:, part][:, channels[part]]) / 6) for part in _PARTS], 3)
+
+
+def _typical(square: Array) -> float:
+    """The mean of squares of normal numbers, by their median."""
+    return float(np.median(square) / chdtri(1, 0.5))
+
+
+def _separated(scaled: Array, runs: Runs) -> tuple[Mask, Mask]:
+    """Rows (n,) in the air, and rows in contact for certain; others are neither.
+
+    In the air the rows of an end of a sweep are alike, and its level is that of the other end or near that of other sweeps.
+    """
+    parts = [(scaled[rows[:_LEVEL]], scaled[rows[-_LEVEL:]]) for rows in runs]
+    levels = np.array([[np.median(part, axis=0) for part in pair] for pair in parts])
+    calm = np.array([[np.ptp(part, axis=0).max() <= _CALM for part in pair] for pair in parts])
+    middle = np.median(levels[:, 0], axis=0)
+    near = np.abs(levels - middle).max(axis=2) <= max(_DRIFTED * float(np.abs(scaled - middle).max()), _AIR)
+    alike = np.abs(levels[:, 0] - levels[:, 1]).max(axis=1) <= _CALM
+    free = calm & (near | alike[:, None])
+    air, contact = np.zeros(len(scaled), dtype=bool), np.zeros(len(scaled), dtype=bool)
+    for rows, pair, is_free in zip(runs, levels, free, strict=True):
+        away = np.array([np.abs(scaled[rows] - level).max(axis=1) for level in pair])
+        for k, from_end in enumerate((slice(None), slice(None, None, -1))):
+            if is_free[k]:
+                air[rows[from_end][: _quiet(away[k][from_end])]] = True
+        contact[rows] = is_free.any() & (np.where(is_free[:, None], away, np.inf).min(axis=0) > _CONTACT)
+    return air, contact & ~air
+
+
+def _quiet(away: Array) -> int:
+    """How many of the first rows are in the air, by their deviations (k,) from its level, with a margin before the touch."""
+    if not (away > _CONTACT).any():
+        return len(away)
+    pressed = int(np.argmax(away > _CONTACT))
+    # single rows beyond the limit by chance lie before the touch
+    touched = int(np.flatnonzero(away[:pressed] <= _AIR).max(initial=-1)) + 1
+    return max(touched - (pressed - touched) - 1, 0)
+
+
+def neighbours(wrench: Array, sweep: NDArray[np.int64], contact: Mask) -> Array:
+    """The wrench (n, 6) of each row in contact as the nearest rows of its sweep predict it, without its own.
+
+    It is that of the straight line through up to three rows before and three after it.
+    """
+    result: Array = wrench.copy()
+    offsets = np.delete(np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1), _NEIGHBOURS)
+    for number in np.unique(sweep[contact]):
+        rows = np.flatnonzero((sweep == number) & contact)
+        index = np.arange(len(rows))[:, None] + offsets
+        inside = np.asarray((index >= 0) & (index < len(rows)))
+        index = np.clip(index, 0, len(rows) - 1)
+        away = rows[index] - rows[:, None]
+        inside &= np.abs(away) <= _NEIGHBOURS
+        count = np.maximum(inside.sum(axis=1, keepdims=True), 1)
+        middle = (away * inside).sum(axis=1, keepdims=True) / count
+        spread = inside * (away - middle)
+        square = (spread**2).sum(axis=1, keepdims=True)
+        weight = inside / count - middle / np.where(square > 0, square, 1) * spread
+        predicted = np.einsum("nk,nkc->nc", weight, wrench[rows[index]])
+        result[rows] = np.where(inside.any(axis=1, keepdims=True), predicted, wrench[rows])
+    return result

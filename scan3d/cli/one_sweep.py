@@ -38,7 +38,7 @@ def reconstruct(
     from scan3d.files.recordings import sidecar
     from scan3d.files.whole import atomic, check_file, folder, write_atomic
     from scan3d.laboratory.one_sweep import contacts_csv, read_sweep, reconstruct_sweep
-    from scan3d.pictures.one_sweep import sweep_picture
+    from scan3d.pictures.charts import sweep_picture
 
     rod = parse_rod(rod_name) if rod_name else None
     if rod_name and rod is None:

@@ -252,8 +252,7 @@ def simulate_rig(
 ) -> int:
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
-    from scan3d.files.poses import read_poses
-    from scan3d.files.raw_logs import check_log, map_path
+    from scan3d.files.poses import check_log, map_path, read_poses
     from scan3d.files.recordings import check_path, sidecar
     from scan3d.files.section import read_section
     from scan3d.files.whole import check_file, check_pair, folder
@@ -319,7 +318,7 @@ def simulate_rig(
 def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
-    from scan3d.files.raw_logs import RAW_COLUMNS, write_exact_log, write_log
+    from scan3d.files.poses import RAW_COLUMNS, write_exact_log, write_log
     from scan3d.files.section import rod_section
 
     if log.faults is None:
@@ -340,7 +339,7 @@ def _write_placed(body: Any, unit: str, path: Path) -> None:
     """Write a mesh with coordinates of double precision."""
     import numpy as np
 
-    from scan3d.files.ply import ply
+    from scan3d.files.shapes import ply
     from scan3d.files.whole import write_atomic
 
     vertices = np.asarray(body.vertices, dtype=float)

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.shapes import FRAME, LENGTHS, Shape
-from scan3d.memory import check_memory
+from scan3d.processes import check_memory
 from scan3d.units import UNITS_M
 
 # The codes of the specification for types of numbers, by those of numpy, and for vectors by their length.

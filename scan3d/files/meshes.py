@@ -23,7 +23,7 @@ from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_face
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
-from scan3d.memory import check_memory
+from scan3d.processes import check_memory
 from scan3d.units import UNITS_M
 
 FORMATS = ("stl", "ply", "obj", "off", "glb")

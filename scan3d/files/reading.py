@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scan3d.errors import InputError
-from scan3d.memory import check_memory
+from scan3d.processes import check_memory
 
 
 def check_file(path: Path, *, memory_per_byte: float = 2.0) -> None:

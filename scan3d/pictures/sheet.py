@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from scan3d.choices import CAMERAS
 from scan3d.errors import InputError
-from scan3d.memory import check_memory
+from scan3d.processes import check_memory
 
 CHARTS = ("histogram", "forces")
 """Views that show no body: they have no camera, and need no renderer."""

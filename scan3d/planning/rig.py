@@ -25,11 +25,11 @@ from scan3d.files.reading import to_float
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.geometry.segments import segments_meet
-from scan3d.memory import check_memory
 from scan3d.planning.aims import across, base_line, clamp_axes, cosine_fractions, icosahedron, positions
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import Plan, check_choice, check_whole
 from scan3d.poses import Move, PoseList
+from scan3d.processes import check_memory
 from scan3d.rods import Rod
 from scan3d.spatial.bodies import sphere_directions
 from scan3d.units import UNITS_M

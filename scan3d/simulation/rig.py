@@ -19,8 +19,8 @@ from scan3d.errors import InputError
 from scan3d.frames import check_positions
 from scan3d.geometry.convexity import check_body
 from scan3d.geometry.segments import segments_meet
-from scan3d.memory import check_memory
 from scan3d.poses import Move, PoseList
+from scan3d.processes import check_memory
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.faults import Faults, kept, logged_positions, measured

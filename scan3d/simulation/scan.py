@@ -15,7 +15,6 @@ from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
-from scan3d.memory import check_memory
 from scan3d.planning.aims import (
     FIRST_SWEEPS,
     MAX_SWEEPS,
@@ -30,6 +29,7 @@ from scan3d.planning.aims import (
 from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
 from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
+from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import GrowingContacts, contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod

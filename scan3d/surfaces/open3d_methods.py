@@ -22,8 +22,7 @@ from scipy.spatial import ConvexHull
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index
 from scan3d.choices import NOT_CONVEX
-from scan3d.errors import InputError
-from scan3d.extras import import_open3d
+from scan3d.errors import InputError, import_open3d
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.merging import kept_apart, without_unused
 from scan3d.geometry.support import inertia

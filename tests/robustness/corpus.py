@@ -15,8 +15,8 @@ import trimesh
 
 import scan3d
 from scan3d import pipeline
-from scan3d.files.ply import ply
 from scan3d.files.recordings import write_recording
+from scan3d.files.shapes import ply
 from scan3d.pictures import rendering
 
 HUGE = "1" * 400
@@ -316,7 +316,7 @@ def _scans(folder):
     }
     cases += [_show(folder, scan, f"report {name}", {"report.json": text.encode()}, 1) for name, text in texts.items()]
     shape = (scan / "cloud.ply").read_bytes()
-    cloud, _, _ = scan3d.files.ply.read_ply(scan / "cloud.ply")
+    cloud, _, _ = scan3d.files.shapes.read_ply(scan / "cloud.ply")
     for name in cloud.dtype.names:
         for value in (-1, 1e306, np.nan, 2e9):
             rows = cloud.copy()
@@ -333,7 +333,7 @@ def _scans(folder):
         for other in kept:
             rows[other] = cloud[other]
         cases.append(_show(folder, scan, f"cloud without {name}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1))
-    surface, faces, _ = scan3d.files.ply.read_ply(scan / "surface.ply")
+    surface, faces, _ = scan3d.files.shapes.read_ply(scan / "surface.ply")
     for value in (-1, 10_000, 2**31 - 1):
         wrong = faces.copy()
         wrong[2, 1] = value
