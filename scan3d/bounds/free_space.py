@@ -1,0 +1,350 @@
+"""Free space in the planes of the slices: what rods have passed is not of the body, whatever its shape and its friction.
+
+Rods move continuously from one row of a sweep to the next and never enter the body.  A point about which the loop of the one
+rod, the path of its end, the next rod and the path of the base winds is met by a rod in between (C14).  The rod's end moves
+along a path of which only points are recorded: next to its chord nothing is claimed, as far as the path may bulge.  Across a
+snap nothing is known of it, and such steps count for nothing.  Neither do rods that were felt and gave no contact, as those
+with a second contact: of them only the part up to the first one is free.
+
+Free space is kept on a grid in each plane.  A cell counts as free if a place less than its diagonal away is.
+
+The outer contours of a slice border what is neither free nor outside the hull of its contacts, as far as it is connected with
+a contact.  Contacts are points of the body: so every point of the outer contours lies within ``max dist(y, contacts)`` of the
+body's contour (C16).  Stretches without contact next to them are those that no rod has reached.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+import planar
+from scan3d.arrays import Array, Index, Mask
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull_about_mean
+from scan3d.geometry.sections import slice_frame
+from scan3d.reconstruction.errors import felt
+from scan3d.reconstruction.slices import SAME_AXIS, SAME_HEIGHT, planes
+from scan3d.recording import Recording
+from scan3d.units import UNITS_M
+
+# Points of the bent part of each rod: of chords between them the sagitta is a fraction of a cell.
+_POINTS = 40
+# Directions, evenly spaced, along which the rods of a slice are scanned; rods in between are scanned along the next one.
+_DIRECTIONS = 48
+# Cells between successive contacts of a sweep, and cells along the longest side of a window at most.
+_CELLS, _FINEST = 3, 400
+# Travel of the rod's end, in steps of the base, beyond which it has snapped.
+_SNAPPED = 5.0
+# Cells by which a contact may lie inside free space, by the cells' size and the rods' chords; deeper ones contradict it.
+_CONTRADICTED = 2.0
+# Neighbours in the plane of a slice.
+_IN_PLANE = np.zeros((3, 3, 3), dtype=bool)
+_IN_PLANE[1] = ndimage.generate_binary_structure(2, 1)
+
+
+@dataclass(frozen=True)
+class Sheets:
+    """The planes (s,) of the slices along one axis, with the free space in each of them on one grid, in the cloud's unit."""
+
+    frame: Array
+    """(3, 3) x, y and z axes of the planes as rows."""
+    height: Array
+    """(s,) along the z axis, rising."""
+    number: Index
+    """(c,) for each slice of the cloud the number of its plane, -1 for those along other axes."""
+    origin: Array
+    """(2,) x and y of the first cell's centre."""
+    cell: float
+    free: Mask
+    """(s, ny, nx) whether the cell is free."""
+    solid: Mask
+    """(s, ny, nx) whether it may be of the body: not free, and in the hull of the slice's contacts."""
+
+    @cached_property
+    def depth(self) -> NDArray[np.float32]:
+        """(s, ny, nx) distance from the border of what may be of the body, positive outside; at most that of the slices."""
+        apart = float(np.median(np.diff(self.height))) if len(self.height) > 1 else self.cell * max(self.free.shape[1:])
+        return np.clip(_depth(~self.solid, self.cell), -apart, apart)
+
+    def at(self, points: Array) -> Array:
+        """`depth` (n,) at points (n, 3), linear between cells and between planes."""
+        place = points @ self.frame.T
+        index = np.stack(
+            [
+                np.interp(place[:, 2], self.height, np.arange(len(self.height))),
+                (place[:, 1] - self.origin[1]) / self.cell,
+                (place[:, 0] - self.origin[0]) / self.cell,
+            ]
+        )
+        found: Array = ndimage.map_coordinates(self.depth, index, order=1, mode="nearest")
+        return found
+
+    def away(self, points: Array) -> Array:
+        """(n,) distance of points (n, 3) from the nearest of the planes."""
+        height = points @ self.frame[2]
+        above = np.minimum(np.searchsorted(self.height, height), len(self.height) - 1)
+        away: Array = np.minimum(
+            np.abs(self.height[above] - height), np.abs(height - self.height[np.maximum(above - 1, 0)])
+        )
+        return away
+
+
+class Contours(NamedTuple):
+    """Border cells (n,) of the outer contours of all slices, and how far from a contact they are, in the cloud's unit."""
+
+    points: Array
+    """(n, 3)"""
+    distance: Array
+    """(n,) within which the true contour lies."""
+    normal: Array
+    """(n, 3) axis of the slice."""
+
+
+def spacing_of(cloud: Cloud) -> float:
+    """Median distance between successive contacts of a sweep, in the cloud's unit: what one sweep resolves."""
+    next_one = (np.diff(cloud.sweep) == 0) & (np.diff(cloud.row) == 1)
+    step = np.linalg.norm(np.diff(cloud.points, axis=0), axis=1)[next_one]
+    step = step[step > 1e-6 * cloud.rod_length]
+    if not len(step):
+        raise InputError(
+            "the recording has no sweep with two contacts one after the other; take more samples in a sweep"
+        )
+    return float(np.median(step))
+
+
+def sheets_of(recording: Recording, cloud: Cloud) -> list[Sheets]:
+    """The free space that a recording shows in the planes of its slices, axis by axis.
+
+    cloud
+        contacts of the recording in its slices, of a rod without thickness; rows that were felt and are not in it count as
+        unknown.
+
+    Raises InputError for clouds without slices and for rods whose shape is not that of a uniform, straight one.
+    """
+    if cloud.model == "spatial" or not len(cloud.slice_height):
+        raise InputError("free space in slices needs the planar model; a cloud of the spatial model has no slices")
+    bent = recording.rod.in_plane()
+    if not (bent is None or bent.is_straight_and_uniform):
+        raise InputError("free space is known of rods that are straight, uniform and weightless only")
+    rods = _rods(recording, cloud)
+    left = np.ones(len(cloud.slice_height), dtype=bool)
+    found = []
+    cell = spacing_of(cloud) / _CELLS
+    while left.any():
+        axis = cloud.slice_axis[np.argmax(left)]
+        # sweeps to the one side and to the other have opposite axes
+        side = np.sign(cloud.slice_axis @ axis)
+        same = np.abs(cloud.slice_axis - side[:, None] * axis).max(axis=1) < SAME_AXIS
+        left &= ~same
+        found.append(_sheets(axis, np.where(same, side * cloud.slice_height, np.nan), rods, cloud, cell))
+    return found
+
+
+class _Rods(NamedTuple):
+    """Rods (n,) of a recording, one a row, in the cloud's unit."""
+
+    clamp: Array
+    """(n, 3)"""
+    axes: Array
+    """(n, 2, 3) the clamp's x and y axes."""
+    line: Array
+    """(n, k, 2) the rod in these axes, from the clamp."""
+    slice: Index
+    """(n,) number of the slice."""
+    on: Mask
+    """(n,) whether the step to the next row is one of known rods of one sweep without snap."""
+    bulge: Array
+    """(n,) by how much the path of the end may leave its chord in that step."""
+
+
+def _rods(recording: Recording, cloud: Cloud) -> _Rods:
+    rod, unit = recording.rod, UNITS_M[recording.unit]
+    force, noise = recording.force_N / rod.force_unit_N, recording.noise.of_reactions(rod)
+    is_felt = felt(force, noise)
+    known = ~is_felt
+    known[cloud.row] = True
+    zero = np.zeros(len(force))
+    fx, fy = np.where(is_felt[:, None], force, 0.0).T
+    lines = planar.elastic_lines(
+        zero, fx, fy, np.where(is_felt, recording.moment_Nm / rod.moment_unit_Nm, 0.0), _POINTS
+    )
+    line = np.concatenate([lines.curved, lines.straight[:, 1:]], axis=1) * cloud.rod_length
+    known &= np.isfinite(line).all(axis=(1, 2))
+    axes, clamp = recording.axes(), recording.position_m / unit
+    end = clamp + np.einsum("ni,nij->nj", np.nan_to_num(line[:, -1]), axes[:, :2])
+    on = np.zeros(len(known), dtype=bool)
+    step, travel = (np.linalg.norm(np.diff(place, axis=0), axis=1) for place in (clamp, end))
+    on[:-1] = known[1:] & known[:-1] & (np.diff(recording.sweep) == 0) & (travel <= _SNAPPED * step)
+    # a path that turns halfway between two rows leaves its chord by half of what the second differences are
+    second = np.full(len(known), np.nan)
+    both = on[1:-1] & on[:-2]
+    second[1:-1][both] = np.linalg.norm(np.diff(end, 2, axis=0), axis=1)[both]
+    bulge = np.fmax(second, np.append(second[1:], np.nan)) / 2
+    alone = np.append(travel, 0.0) / 2
+    centre = cloud.points.mean(axis=0) * unit
+    number = planes(recording, axes[:, 2], centre, recording.noise.place_m).number
+    return _Rods(clamp, axes[:, :2], line, number, on, np.where(np.isnan(bulge), alone, bulge))
+
+
+def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float) -> Sheets:
+    """The sheets along an axis; heights (c,) of the cloud's slices, NaN for those along others."""
+    frame = slice_frame(axis)
+    order = np.argsort(heights)[: np.isfinite(heights).sum()]
+    new = np.diff(heights[order], prepend=-np.inf) > SAME_HEIGHT * cloud.rod_length
+    place = np.full(len(heights), -1)
+    place[order] = np.cumsum(new) - 1
+    height = heights[order][new]
+    flat = cloud.points @ frame[:2].T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    cell = max(cell, float((high - low).max()) / _FINEST)
+    shape = np.ceil((high - low) / cell).astype(int) + 5
+    middle = (low + high) / 2
+    origin = middle - (shape - 1) / 2 * cell
+    free = np.zeros((len(height), shape[1], shape[0]), dtype=bool)
+    rows = np.flatnonzero(place[rods.slice] >= 0)
+    along = rods.axes[rows, 1] @ frame[:2].T
+    direction = np.round(np.arctan2(along[:, 1], along[:, 0]) / (2 * np.pi) * _DIRECTIONS).astype(int) % _DIRECTIONS
+    across = np.arange(int(np.hypot(*shape)) + 2)
+    x, y = ((np.arange(n) - (n - 1) / 2) * cell for n in shape)
+    for number in np.unique(direction):
+        angle = 2 * np.pi * number / _DIRECTIONS
+        turn = np.array([[np.sin(angle), -np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+        some = rows[direction == number]
+        clamp = (rods.clamp[some] @ frame[:2].T - middle) @ turn.T
+        axes = rods.axes[some] @ frame[:2].T @ turn.T
+        lines = (clamp[:, None] + rods.line[some] @ axes) / cell + (len(across) - 1) / 2
+        # rows that follow one another in the recording, of which the last of a step may be missing here
+        on = rods.on[some] & (np.append(np.diff(some), 0) == 1)
+        passed = _passed(lines, on, rods.bulge[some] / cell, place[rods.slice[some]], len(height), len(across))
+        column, row = (
+            np.round((turn[k, 0] * x + turn[k, 1] * y[:, None]) / cell + (len(across) - 1) / 2).astype(int)
+            for k in (0, 1)
+        )
+        free |= passed[:, row, column]
+    solid = ~free
+    for k in range(len(height)):
+        solid[k] &= _in_hull((flat[place[cloud.slice] == k] - origin) / cell, shape)
+    return Sheets(frame, height, place, origin, cell, free, solid)
+
+
+def _passed(lines: Array, on: Mask, bulge: Array, sheet: Index, sheets: int, size: int) -> Mask:
+    """Cells (sheets, size, size) between successive rods (n, k, 2) that rise along the second coordinate, all in cells."""
+    n, points = lines.shape[:2]
+    rising = np.cumprod(np.nan_to_num(np.diff(lines[..., 1], axis=1), nan=-1.0) > 0, axis=1).astype(bool)
+    top = lines[np.arange(n), rising.sum(axis=1)]
+    # where each rod crosses the rows of the grid
+    begin = np.clip(np.floor(np.nan_to_num(lines[:, :-1, 1])).astype(int) + 1, 0, size)
+    end = np.clip(np.floor(np.nan_to_num(lines[:, 1:, 1])).astype(int) + 1, 0, size)
+    count = np.where(rising, np.maximum(end - begin, 0), 0).ravel()
+    segment = np.repeat(np.arange(n * (points - 1)), count)
+    row = begin.ravel()[segment] + np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    rod, k = np.divmod(segment, points - 1)
+    a, b = lines[rod, k], lines[rod, k + 1]
+    crossing = np.full((n, size), np.nan)
+    crossing[rod, row] = a[:, 0] + (row - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+
+    # the shorter rod of each step ends at the chord of the ends' path, next to which nothing is claimed
+    pair = np.flatnonzero(on)
+    chord = top[pair + 1] - top[pair]
+    rises, rows = (chord[:, 1] > 0)[:, None], np.arange(size)
+    long, short = (np.where(rises, crossing[pair + k], crossing[pair + 1 - k]) for k in (1, 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        path = top[pair, :1] + (rows - top[pair, 1:]) * (chord[:, :1] / chord[:, 1:])
+        side = np.where(long > path, 1.0, -1.0)
+        limit = path + side * (bulge[pair] * np.hypot(*chord.T) / np.abs(chord[:, 1]))[:, None]
+        near = rows >= (np.minimum(top[pair, 1], top[pair + 1, 1]) - bulge[pair])[:, None]
+        short = np.where(near, side * np.fmax(side * short, side * limit), short)
+        known = np.isfinite(long + short) & ~(near & ~(side * (long - short) > 0))
+    left, right = np.minimum(long, short), np.maximum(long, short)
+    p, r = np.nonzero(known)
+    start = np.clip(np.ceil(left[p, r]), 0, size).astype(int)
+    stop = np.clip(np.floor(right[p, r]) + 1, 0, size).astype(int)
+    some = stop > start
+    line_of = (sheet[pair[p]] * size + r)[some] * (size + 1)
+    total = sheets * size * (size + 1)
+    change = np.bincount(line_of + start[some], minlength=total) - np.bincount(line_of + stop[some], minlength=total)
+    passed: Mask = np.cumsum(change.reshape(sheets, size, size + 1), axis=2)[..., :-1] > 0
+    return passed
+
+
+def _in_hull(points: Array, shape: Index) -> Mask:
+    """Cells (shape[1], shape[0]) whose centres lie in the hull of points (n, 2), in cells, or within a cell of it."""
+    inside = np.zeros((shape[1], shape[0]), dtype=bool)
+    if not len(points):
+        return inside
+    hull = hull_about_mean(points)
+    corners = points if hull is None else points[hull.vertices]
+    a, b = corners, np.roll(corners, -1, axis=0)
+    rows = np.arange(shape[1])[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (np.clip(rows, corners[:, 1].min(), corners[:, 1].max()) - a[:, 1]) / (b[:, 1] - a[:, 1])
+    x = np.where((share >= 0) & (share <= 1), a[:, 0] + share * (b[:, 0] - a[:, 0]), np.nan)
+    with np.errstate(invalid="ignore"):
+        left, right = np.fmin.reduce(x, axis=1), np.fmax.reduce(x, axis=1)
+        columns = np.arange(shape[0])
+        near = np.abs(rows[:, 0] - np.clip(rows[:, 0], corners[:, 1].min(), corners[:, 1].max())) < 1
+        inside = near[:, None] & (columns >= left[:, None] - 1) & (columns <= right[:, None] + 1)
+    return np.asarray(inside)
+
+
+def _depth(outside: Mask, cell: float) -> NDArray[np.float32]:
+    """Distance (s, ny, nx) from the border in each plane, positive outside."""
+    far = float(sum(outside.shape))  # so that no other plane is nearer
+    outer = ndimage.distance_transform_edt(outside, sampling=(far, 1, 1))
+    inner = ndimage.distance_transform_edt(~outside, sampling=(far, 1, 1))
+    outer, inner = np.minimum(outer, far), np.minimum(inner, far)
+    depth: NDArray[np.float32] = (cell * np.where(outside, outer - 0.5, 0.5 - inner)).astype(np.float32)
+    return depth
+
+
+def contradicted(sheets: list[Sheets], cloud: Cloud) -> Mask:
+    """Contacts (n,) that lie in the free space of their own slice, which no contact does."""
+    wrong = np.zeros(len(cloud), dtype=bool)
+    for sheet in sheets:
+        rows, index = _cells(sheet, cloud)
+        wrong[rows] = _depth(sheet.free, 1.0)[tuple(index)] > _CONTRADICTED
+    return wrong
+
+
+def _cells(sheet: Sheets, cloud: Cloud) -> tuple[Index, Index]:
+    """Contacts (n,) in the slices of a sheet, and their cells (3, n)."""
+    place = sheet.number[cloud.slice]
+    rows = np.flatnonzero(place >= 0)
+    x, y = np.round((cloud.points[rows] @ sheet.frame[:2].T - sheet.origin) / sheet.cell).astype(int).T
+    return rows, np.stack([place[rows], y, x])
+
+
+def outer_contours(sheets: list[Sheets], cloud: Cloud) -> Contours:
+    """The outer contours of all slices with contacts; contacts that contradict free space are to be left out before."""
+    parts = [_contours(sheet, cloud) for sheet in sheets]
+    return Contours(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
+    rows, index = _cells(sheet, cloud)
+    label, count = ndimage.label(sheet.solid, structure=_IN_PLANE)
+    touched = np.zeros(count + 1, dtype=bool)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            touched[label[index[0], index[1] + dy, index[2] + dx]] = True
+    touched[0] = False
+    kept = touched[label]
+    inner = ndimage.binary_erosion(kept, _IN_PLANE)
+    number, y, x = np.nonzero(kept & ~inner)
+    flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)
+    apart = float(np.ptp(cloud.points, axis=0).sum() + cloud.rod_length)
+    contacts = np.column_stack([cloud.points[rows] @ sheet.frame[:2].T, apart * index[0]])
+    distance = np.empty(0)
+    if len(flat):
+        distance = cKDTree(contacts).query(np.column_stack([flat, apart * number]))[0]
+    points = flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
+    # a corner of the cell is as far from its centre
+    return Contours(points, distance + sheet.cell / np.sqrt(2), np.tile(sheet.frame[2], (len(number), 1)))

@@ -1,0 +1,298 @@
+"""Closed surfaces of bodies of any shape: tetrahedra between the contacts, carved by what the rods have passed.
+
+The contacts, and where no contact supports the outer contours of the slices points of these, are the corners of Delaunay's
+tetrahedra.  A tetrahedron belongs to the body unless free space fills most of it.  So the surface runs through the contacts,
+with their accuracy, and elsewhere along the border of what the rods have passed.
+
+In the plane of a slice free space is proven (`scan3d.bounds.free_space`).  Between two planes it is estimated: the distance
+from the border is interpolated.  Of slices along several axes that one decides whose border, and whose planes, are nearest; but
+free space of any axis counts where it is wider than its planes are away.  For rods that go around a body do not see its holes,
+which those of other axes see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import Delaunay, cKDTree
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_contours, sheets_of, spacing_of
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.merging import kept_apart, without_unused
+from scan3d.geometry.triangles import areas
+from scan3d.recording import Recording
+
+KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0
+"""Classes of the surface: within the spacing of a contact; between slices, where rods have reached; where no rod has."""
+# Corners of tetrahedra are moved by this part of the spacing while they are found, so that no five of them lie on a sphere.
+_JOGGLE, _SEED = 1e-4, 0
+# Distance from a contact, in spacings, up to which it supports a contour.
+_SUPPORTED = 1.5
+# Contacts closer than this part of the spacing are one corner.
+_SAME = 0.1
+# Places in a tetrahedron at which free space is evaluated, as weights of its corners.
+_PLACES = np.vstack([np.full((1, 4), 0.25), 0.15 + 0.4 * np.eye(4)])
+# Parts of less than this share of the volume are splinters between rods.
+_SPLINTER = 1e-3
+# Rounds in which edges with more than two faces are mended by the smaller side; after them only tetrahedra are added.
+_ROUNDS = 8
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+# Edges of a tetrahedron, and the corners that each does not have, opposite which lie the faces that contain it.
+_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+_OPPOSITE = _EDGES[::-1]
+
+
+@dataclass(frozen=True)
+class Carved:
+    """The surface of a body of any shape, and what is known of it, in the cloud's unit."""
+
+    surface: Any
+    """A closed `trimesh.Trimesh`, outward."""
+    known: NDArray[np.int8]
+    """(v,) class of each vertex: 2 known, 1 estimated, 0 unknown."""
+    contours_bound: float
+    """In the planes of the slices every point of the outer contours lies within it of the true contour (C16)."""
+    coverage: dict[str, Any]
+    """``known``, ``estimated``: shares of the area; ``unknown``: patches ``{center, area, extent}``, largest first."""
+
+    @property
+    def unknown(self) -> list[dict[str, Any]]:
+        """The patches of the surface that no rod has reached."""
+        patches: list[dict[str, Any]] = self.coverage["unknown"]
+        return patches
+
+
+def carved(recording: Recording, cloud: Cloud) -> Carved:
+    """The surface of a body of any shape from the contacts of a recording in its slices and from where its rods have been.
+
+    Rows that were felt and are not in the cloud, as those with second contacts, count as unknown.  Raises InputError for clouds
+    of the spatial model, and for contacts that do not span a body.
+    """
+    touched = cloud.fattened or cloud
+    sheets = sheets_of(recording, touched)
+    kept = ~contradicted(sheets, touched)
+    if not kept.any():
+        raise InputError("all contacts lie where other rods have passed; check the poses of the recording")
+    touched, cloud = touched.select(kept), cloud.select(kept)
+    contours = outer_contours(sheets, touched)
+    spacing = spacing_of(touched)
+    unreached = _unreached(contours, sheets, spacing)
+    points = np.concatenate([touched.points, unreached])
+    corners = kept_apart(points, _SAME * spacing)
+    faces = corners[_bounded(points[corners], sheets, spacing)]
+    # the tetrahedra are those of the rod's centre line; a thick rod's contacts lie on the body
+    points[: len(cloud)] = cloud.points
+    vertices, faces = _refined(points, faces, 2 * spacing)
+    surface = _mesh(vertices, faces)
+    known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, _gap(sheets))
+    return Carved(surface, known, float(contours.distance.max(initial=0.0)), _coverage(surface, known))
+
+
+def _gap(sheets: list[Sheets]) -> float:
+    """The largest of the axes' median distances between planes."""
+    gaps = [float(np.median(np.diff(sheet.height))) for sheet in sheets if len(sheet.height) > 1]
+    return max(gaps, default=0.0)
+
+
+def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Array:
+    """(n, 3) places of the outer contours, a spacing apart, without contact and not passed by rods of other slices."""
+    points = contours.points[contours.distance > _SUPPORTED * spacing]
+    if len(points):
+        points = points[_depth(points, sheets) <= max(sheet.cell for sheet in sheets)]
+    return points[kept_apart(points, spacing)] if len(points) else points
+
+
+def _depth(points: Array, sheets: list[Sheets]) -> Array:
+    """Estimated distance (n,) from the border of the body, positive in free space, by the slices along all axes."""
+    depth = np.stack([sheet.at(points) for sheet in sheets])
+    away = np.stack([sheet.away(points) for sheet in sheets])
+    nearest = np.argmin(np.abs(depth) + away, axis=0)
+    wide = np.where(depth > away, depth, -np.inf).max(axis=0)
+    found: Array = np.where(np.isfinite(wide), wide, np.take_along_axis(depth, nearest[None], axis=0)[0])
+    return found
+
+
+def _bounded(points: Array, sheets: list[Sheets], spacing: float) -> Index:
+    """Faces (f, 3), outward, of the tetrahedra between points (n, 3) that belong to the body; every edge has two of them."""
+    thin = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] if len(points) > 3 else 0.0
+    if thin < _JOGGLE * spacing * np.sqrt(len(points)):
+        raise InputError("the contacts lie in a plane, and span no body; scan more slices")
+    joggled = points + np.random.default_rng(_SEED).uniform(-1, 1, points.shape) * _JOGGLE * spacing
+    cells = Delaunay(joggled)
+    corners, neighbours = cells.simplices, cells.neighbors
+    places = np.einsum("pk,tkx->tpx", _PLACES, points[corners])
+    depth = _depth(places.reshape(-1, 3), sheets).reshape(len(corners), -1).mean(axis=1)
+    edges = joggled[corners[:, 1:]] - joggled[corners[:, :1]]
+    volume = np.abs(np.linalg.det(edges)) / 6
+    body = depth < 0
+    # free space comes from outside, and the body has no splinters in it
+    part = _parts(~body, neighbours)
+    from_outside = np.zeros(len(body) + 1, dtype=bool)
+    from_outside[part[~body & (neighbours < 0).any(axis=1)]] = True
+    body |= ~from_outside[part]
+    part = _parts(body, neighbours)
+    sizes = np.bincount(part[body], volume[body], minlength=len(body) + 1)
+    body &= sizes[part] >= _SPLINTER * sizes.sum()
+    if not body.any():
+        raise InputError("the contacts span no body that the rods have left free; take more sweeps in a slice")
+    for rounds in range(len(body)):
+        faces, owner = _border(body, joggled, corners, neighbours)
+        wrong = _shared(faces)
+        if not len(wrong):
+            break
+        _mend(body, wrong, corners, neighbours, volume * np.abs(depth), only_add=rounds >= _ROUNDS)
+    return faces
+
+
+def _parts(chosen: Mask, neighbours: Index) -> Index:
+    """(t,) number of the connected part of each chosen tetrahedron; t for the others."""
+    count = len(chosen)
+    row, column = np.nonzero(neighbours >= 0)
+    other = neighbours[row, column]
+    both = chosen[row] & chosen[other]
+    links = coo_array((np.ones(int(both.sum()), dtype=bool), (row[both], other[both])), shape=(count, count))
+    part: Index = connected_components(links, directed=False)[1]
+    return np.where(chosen, part, count)
+
+
+def _border(body: Mask, points: Array, corners: Index, neighbours: Index) -> tuple[Index, Index]:
+    """Faces (f, 3), outward, between the body and the rest, and the tetrahedra (f,) of the body that they belong to."""
+    outside = np.where(neighbours >= 0, ~body[neighbours], True)
+    owner, column = np.nonzero(body[:, None] & outside)
+    faces = corners[owner[:, None], _FACES[column]]
+    a, b, c = points[faces.T]
+    inwards = ((np.cross(b - a, c - a)) * (points[corners[owner, column]] - a)).sum(axis=1) > 0
+    faces[inwards] = faces[inwards, ::-1]
+    return faces, owner
+
+
+def _shared(faces: Index) -> Index:
+    """Edges (e, 2), rising, that belong to more than two faces (f, 3)."""
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1).astype(np.int64)
+    size = int(faces.max()) + 1
+    key, count = np.unique(ends[:, 0] * size + ends[:, 1], return_counts=True)
+    return np.stack(np.divmod(key[count > 2], size), axis=1)
+
+
+def _mend(body: Mask, wrong: Index, corners: Index, neighbours: Index, cost: Array, only_add: bool) -> None:
+    """Around each edge (e, 2) body and free space alternate more than once: the fan of least cost changes sides."""
+    size = int(corners.max()) + 1
+    at_edge = np.zeros(size, dtype=bool)
+    at_edge[wrong] = True
+    near = np.flatnonzero(at_edge[corners].sum(axis=1) >= 2)
+    ends = np.sort(corners[near][:, _EDGES], axis=2).astype(np.int64)
+    key = np.sort(wrong[:, 0] * size + wrong[:, 1])
+    sought = ends[..., 0] * size + ends[..., 1]
+    place = np.minimum(np.searchsorted(key, sought), len(key) - 1)
+    row, column = np.nonzero(key[place] == sought)
+    # tetrahedra at an edge, and their neighbours across the two faces that contain it
+    edge, cell = place[row, column].astype(np.int64), near[row]
+    count = len(corners)
+    order = np.argsort(edge * count + cell)
+    edge, cell, opposite = edge[order], cell[order], _OPPOSITE[column[order]]
+    node = edge * count + cell
+    other = neighbours[cell[:, None], opposite]
+    beyond = edge[:, None] * count + other
+    found = np.minimum(np.searchsorted(node, beyond), len(node) - 1)
+    same = (node[found] == beyond) & (other >= 0) & (body[other] == body[cell][:, None])
+    start = np.nonzero(same)[0]
+    links = coo_array((np.ones(len(start), dtype=bool), (start, found[same])), shape=(len(node),) * 2)
+    fans, fan = connected_components(links, directed=False)
+    sizes, edge_of, inside = np.bincount(fan, cost[cell]), np.zeros(fans, dtype=np.int64), np.zeros(fans, dtype=bool)
+    edge_of[fan], inside[fan] = edge, body[cell]
+    sizes[inside] = np.inf if only_add else sizes[inside]
+    by_size = np.lexsort((sizes, edge_of))
+    smallest = np.zeros(fans, dtype=bool)
+    smallest[by_size[np.diff(edge_of[by_size], prepend=-1) > 0]] = True
+    change = smallest[fan]
+    body[cell[change]] = ~inside[fan][change]
+
+
+def _refined(vertices: Array, faces: Index, longest: float) -> tuple[Array, Index]:
+    """Vertices (n, 3) and faces (f, 3) of the same surface, without edges longer than that: they are halved."""
+    used, faces = without_unused(faces)
+    vertices = vertices[used]
+    while True:
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).astype(np.int64)
+        key, number = np.unique(edges[..., 0] * len(vertices) + edges[..., 1], return_inverse=True)
+        start, end = np.divmod(key, len(vertices))
+        halved = np.linalg.norm(vertices[end] - vertices[start], axis=1) > longest
+        if not halved.any():
+            return vertices, faces
+        middle = np.cumsum(halved) - 1 + len(vertices)
+        vertices = np.concatenate([vertices, (vertices[start] + vertices[end])[halved] / 2])
+        number = number.reshape(-1, 3)
+        # turn each face so that its first edges are the halved ones
+        split = halved[number]
+        count = split.sum(axis=1)
+        first = np.where(count == 1, split.argmax(axis=1), np.where(count == 2, (split.argmin(axis=1) + 1) % 3, 0))
+        turn = (first[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(faces, turn, axis=1).T
+        ab, bc, ca = middle[np.take_along_axis(number, turn, axis=1)].T
+        parts = [faces[count == 0]]
+        for k, triangles in enumerate(
+            (
+                ((a, ab, c), (ab, b, c)),
+                ((ab, b, bc), (a, ab, bc), (a, bc, c)),
+                ((a, ab, ca), (ab, b, bc), (bc, c, ca), (ab, bc, ca)),
+            )
+        ):
+            parts += [np.stack(triangle, axis=1)[count == k + 1] for triangle in triangles]
+        faces = np.concatenate(parts)
+
+
+def _mesh(vertices: Array, faces: Index) -> Any:
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.metadata.update(method="carved", reason="tetrahedra between the contacts, carved by what the rods have passed")
+    return mesh
+
+
+def _classes(points: Array, contacts: Array, unreached: Array, spacing: float, gap: float) -> NDArray[np.int8]:
+    """(n,) class of points (n, 3) of the surface."""
+    distance = cKDTree(contacts).query(points)[0]
+    known = np.where(distance <= spacing, KNOWN, np.where(distance <= max(gap, spacing), ESTIMATED, UNKNOWN))
+    if len(unreached):
+        nearer = cKDTree(unreached).query(points, distance_upper_bound=float(distance.max()) + spacing)[0] < distance
+        known[nearer & (known == ESTIMATED)] = UNKNOWN
+    return known.astype(np.int8)
+
+
+def _coverage(surface: Any, known: NDArray[np.int8]) -> dict[str, Any]:
+    """Shares of the area by class, and the patches of unknown surface."""
+    faces, vertices = surface.faces.view(np.ndarray), surface.vertices.view(np.ndarray)
+    area = areas(vertices[faces])
+    # a third of each face belongs to each of its vertices
+    of_vertex = np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(vertices))
+    total = float(of_vertex.sum())
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    both = (known[start] == UNKNOWN) & (known[end] == UNKNOWN)
+    links = coo_array((np.ones(int(both.sum()), dtype=bool), (start[both], end[both])), shape=(len(vertices),) * 2)
+    part = connected_components(links, directed=False)[1]
+    rows = np.flatnonzero(known == UNKNOWN)
+    patches = []
+    for number in np.unique(part[rows]):
+        of_patch = rows[part[rows] == number]
+        weight = of_vertex[of_patch]
+        if not weight.sum() > 0:
+            continue
+        patches.append(
+            {
+                "center": (weight @ vertices[of_patch] / weight.sum()).tolist(),
+                "area": float(weight.sum()),
+                "extent": float(np.linalg.norm(np.ptp(vertices[of_patch], axis=0))),
+            }
+        )
+    return {
+        "known": float(of_vertex[known == KNOWN].sum()) / total,
+        "estimated": float(of_vertex[known == ESTIMATED].sum()) / total,
+        "unknown": sorted(patches, key=lambda patch: -patch["area"]),
+    }

@@ -1,0 +1,120 @@
+"""Surfaces carved by free space, against bodies of known shape: the Cassini oval turned about its axis, which has a waist."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rings import cassini, recording_of
+from scipy.spatial import cKDTree
+
+import scan3d
+from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of, spacing_of
+from scan3d.errors import InputError
+from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.contacts import contacts
+from scan3d.surfaces.carved import carved
+
+HEIGHTS = np.linspace(-26, 26, 17)
+
+
+@functools.cache
+def peanut():
+    recording = recording_of(cassini, HEIGHTS, samples=24)
+    return recording, contacts(recording)
+
+
+def off_the_oval(points):
+    """Distance in its plane of points (n, 3) from the oval."""
+    return np.abs(np.hypot(points[:, 0], points[:, 1]) - cassini(points[:, 2]))
+
+
+def test_surface_of_a_body_with_a_waist():
+    recording, cloud = peanut()
+    found = carved(recording, cloud)
+    surface = found.surface
+    assert surface.is_watertight
+    assert surface.is_winding_consistent
+    between = np.abs(surface.vertices[:, 2]) < 23
+    diagonal = np.linalg.norm(np.ptp(surface.vertices, axis=0))
+    assert off_the_oval(surface.vertices[between]).max() < 0.01 * diagonal
+    # the hull fills the waist, whose radius is 6.3 mm
+    assert cassini(0.0) < 6.4
+    assert hull(cloud.points).volume > 1.1 * surface.volume
+    middle = np.abs(surface.vertices[:, 2]) < 2
+    assert np.hypot(*surface.vertices[middle, :2].T).max() < 6.8
+
+
+def test_vertices_that_are_known_lie_within_the_spacing_of_a_contact():
+    recording, cloud = peanut()
+    found = carved(recording, cloud)
+    known = found.surface.vertices[found.known == 2]
+    assert cKDTree(cloud.points).query(known)[0].max() <= spacing_of(cloud)
+    assert off_the_oval(known[np.abs(known[:, 2]) < 22]).max() < 0.5 * spacing_of(cloud)
+    assert np.isin(np.unique(found.known), [0, 1, 2]).all()
+    # nothing has been felt of the flat ends, and they are all that is unknown
+    assert [np.sign(patch["center"][2]) for patch in found.unknown] in ([1, -1], [-1, 1])
+    assert all(abs(patch["center"][2]) > 22 for patch in found.unknown)
+    area = sum(patch["area"] for patch in found.unknown)
+    shares = found.coverage["known"] + found.coverage["estimated"] + area / found.surface.area
+    assert shares == pytest.approx(1, abs=1e-9)
+
+
+def test_contours_lie_within_their_bound_of_the_oval():
+    recording, cloud = peanut()
+    contours = outer_contours(sheets_of(recording, cloud), cloud)
+    assert (off_the_oval(contours.points) <= contours.distance).all()
+    assert contours.distance.max() < 1.5 * spacing_of(cloud)
+    assert carved(recording, cloud).contours_bound == contours.distance.max()
+
+
+def test_no_free_cell_lies_inside_the_oval():
+    recording, cloud = peanut()
+    (sheet,) = sheets_of(recording, cloud)
+    number, y, x = np.nonzero(sheet.free)
+    radius = np.hypot(*(sheet.origin[:, None] + sheet.cell * np.stack([x, y])))
+    assert (radius > cassini(sheet.height[number]) - sheet.cell).all()
+    assert sheet.free.any(axis=(1, 2)).all()
+
+
+def test_free_space_does_not_depend_on_rows_that_gave_no_contact():
+    """Rods that were felt and gave no contact pass nothing: their steps are left out, and the others stay."""
+    recording, cloud = peanut()
+    (whole,) = sheets_of(recording, cloud)
+    kept = np.ones(len(cloud), dtype=bool)
+    kept[::7] = False
+    (part,) = sheets_of(recording, cloud.select(kept))
+    assert part.cell == pytest.approx(whole.cell, rel=0.2)
+    assert (part.depth.min(axis=(1, 2)) <= 0).any()
+    points = np.random.default_rng(0).uniform(-15, 15, (2000, 3))
+    assert (part.at(points) > whole.cell).sum() < (whole.at(points) > whole.cell).sum()
+
+
+def test_a_contact_in_free_space_is_refused():
+    recording, cloud = peanut()
+    points = cloud.points.copy()
+    wrong = np.array([100, 2000])
+    points[wrong, :2] *= 1.6
+    false = replace(cloud, points=points)
+    assert contradicted(sheets_of(recording, false), false)[wrong].all()
+    surface = carved(recording, false).surface
+    assert off_the_oval(surface.vertices[np.abs(surface.vertices[:, 2]) < 22]).max() < 0.8
+
+
+def test_a_cloud_without_slices_is_refused():
+    recording, cloud = peanut()
+    with pytest.raises(InputError, match="needs the planar model"):
+        carved(recording, replace(cloud, model="spatial"))
+
+
+def test_rods_of_another_shape_are_refused():
+    recording, cloud = peanut()
+    curved = replace(recording, rod=replace(recording.rod, curvature_per_m=-3.0))
+    with pytest.raises(InputError, match="straight, uniform and weightless"):
+        carved(curved, cloud)
+
+
+def test_one_slice_spans_no_body():
+    recording = recording_of(cassini, [0.0])
+    with pytest.raises(InputError, match="in a plane"):
+        carved(recording, scan3d.reconstruct(recording))
