@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.geometry.support import SupportFit
-from scan3d.numbers import length, lengths, number
+from scan3d.numbers import force, length, lengths, number
 from scan3d.rigs import RigErrors
 from scan3d.shown import Exported, Rows, Shown
 
@@ -216,7 +216,7 @@ class Cloud(Shown, Exported):
             ("normals", f"{np.isfinite(self.normals).all(axis=1).sum()} known"),
         ]
         if len(self):
-            rows.append(("force", f"{1e3 * self.force_N.min():.3g} to {1e3 * self.force_N.max():.3g} mN"))
+            rows.append(("force", f"{force(self.force_N.min())} to {force(self.force_N.max())}"))
         if len(friction):
             spread = f"{number(friction.min())} to {number(friction.max())}"
             rows.append(("friction", f"{number(float(np.median(friction)))} (median; {spread})"))

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
+from scan3d.numbers import length, number
 
 _EULER = "xyz"
 # Largest error of a quaternion's length: that of one written with three digits.
@@ -50,8 +51,9 @@ def check_positions(what: str, position_m: Array, length_m: float) -> None:
     step = float(np.spacing(largest))
     if step > _COARSE * length_m:
         raise InputError(
-            f"{what}: position_m holds {largest:.3g} m, where numbers are {step:.2g} m apart, too coarse for a rod of "
-            f"{length_m:.3g} m; check its unit, or take a frame near the body"
+            f"{what}: position_m holds {number(largest)} m, where numbers are {length(step, 'm', digits=2)} apart, too "
+            "coarse for a rod of "
+            f"{length(length_m, 'm')}; check its unit, or take a frame near the body"
         )
 
 

@@ -1,9 +1,10 @@
 """Numbers for people: the rule by which the terminal, the words of a report, pages, pictures and notebooks write them.
 
-A length is written in the unit, nm, µm, mm or m, in which it is between 1 and 1000 (inches stay inches); what is below a
-nanometre, the size of a few atoms, is no length of a body, and is said to be.  A value with an uncertainty has the digits that
-the uncertainty leaves (M. Tanabashi et al., Review of Particle Physics, Phys. Rev. D 98, 030001, 2018, section 5.3), and bounds
-are rounded away from what they bound, so that what is written holds as well.  Files hold all digits.
+A length is written in the unit, nm, µm, mm or m, in which it is between 1 and 1000 (inches stay inches), forces and moments
+likewise; what is below a nanometre, the size of a few atoms, is no length of a body, and is said to be.  A value with an
+uncertainty has the digits that the uncertainty leaves (M. Tanabashi et al., Review of Particle Physics, Phys. Rev. D 98,
+030001, 2018, section 5.3), and bounds are rounded away from what they bound, so that what is written holds as well.  Files
+hold all digits.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from scan3d.units import UNITS_M
 
 UNITS: dict[str, Decimal] = {"m": Decimal(1), "mm": Decimal("1e-3"), "µm": Decimal("1e-6"), "nm": Decimal("1e-9")}
 """The units in which lengths are written, in metres, from the largest to the smallest."""
+_FORCES = {"N": Decimal(1), "mN": Decimal("1e-3"), "µN": Decimal("1e-6"), "nN": Decimal("1e-9")}
+_MOMENTS = {"N m": Decimal(1), "N mm": Decimal("1e-3"), "mN mm": Decimal("1e-6"), "µN mm": Decimal("1e-9")}
 # Digits of a value without an uncertainty, and the most of one with an uncertainty that is rounding.
 _DIGITS, _MOST_DIGITS = 3, 7
 
@@ -40,8 +43,37 @@ def lengths(values: Iterable[float], unit: str, *, digits: int = 4) -> tuple[lis
     metres = [_decimal(value) * Decimal(str(UNITS_M[unit])) for value in values]
     largest = max((abs(value) for value in metres), default=Decimal(0))
     symbol, size = unit_for(float(largest) / UNITS_M[unit], unit)
-    place = _exponent(max(largest, UNITS["nm"]) / size) - digits + 1
-    return [_plain(_rounded(value / size, place)).removesuffix(".") for value in metres], symbol
+    return _alike(metres, max(largest, UNITS["nm"]), size, digits), symbol
+
+
+def point(values: Iterable[float], unit: str, *, digits: int = 4) -> str:
+    """A place whose coordinates are given in `unit`: ``(12.5, 0, -3.1) mm``."""
+    shown, symbol = lengths(values, unit, digits=digits)
+    return f"({', '.join(shown)}) {symbol}"
+
+
+def force(*newtons: float, digits: int = _DIGITS, up: bool = False) -> str:
+    """A force with its unit, ``19.2 mN``, or its components, ``(19.2, 0, -3.1) mN``; rounded up if it is a limit."""
+    return _reaction(newtons, _FORCES, digits, up)
+
+
+def moment(*newton_metres: float, digits: int = _DIGITS, up: bool = False) -> str:
+    """A moment with its unit, ``1.32 N mm``, as `force`."""
+    return _reaction(newton_metres, _MOMENTS, digits, up)
+
+
+def _reaction(values: tuple[float, ...], units: dict[str, Decimal], digits: int, up: bool) -> str:
+    given = [_decimal(value) for value in values]
+    largest = max(map(abs, given))
+    if not all(value.is_finite() for value in given):
+        return "unknown"
+    least, smallest = next(reversed(units.items()))
+    if largest < smallest and largest:
+        return f"under 1 {least}"
+    symbol, size = next((pair for pair in units.items() if largest >= pair[1]), next(iter(units.items())))
+    if len(given) == 1:
+        return f"{_written(given[0] / size, digits, up)} {symbol}"
+    return f"({', '.join(_alike(given, largest, size, digits))}) {symbol}"
 
 
 def unit_for(largest: float, unit: str) -> tuple[str, Decimal]:
@@ -96,6 +128,12 @@ def _decimal(value: float) -> Decimal:
 def _exponent(value: Decimal) -> int:
     """Of the leading digit; 0 for zero."""
     return value.adjusted() if value else 0
+
+
+def _alike(values: list[Decimal], largest: Decimal, size: Decimal, digits: int) -> list[str]:
+    """Values over `size`, with the decimals that the largest of them has with so many digits."""
+    place = _exponent(largest / size) - digits + 1
+    return [_plain(_rounded(value / size, place)).removesuffix(".") for value in values]
 
 
 def _rounded(value: Decimal, place: int, rounding: str = ROUND_HALF_EVEN) -> Decimal:

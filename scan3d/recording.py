@@ -22,10 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scan3d import numbers
 from scan3d.arrays import Array, evenly
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations, check_positions
-from scan3d.numbers import length, lengths, number
 from scan3d.rigs import RigUncertainty, one_rig
 from scan3d.rods import Gravity, Rod
 from scan3d.shown import Rows, Shown
@@ -271,18 +271,18 @@ class Recording(Shown):
             ("samples", f"{len(self)}, {(force > 0).sum()} with a force"),
             ("sweeps", str(len(np.unique(self.sweep)))),
             ("z axes of the clamp" if self.six_axis else "normals of the slices", _directions(self.axes()[:, 2])),
-            ("rod", f"{length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
-            ("largest reactions", f"{number(1e3 * force.max())} mN, {number(1e6 * moment.max())} mN mm"),
+            ("rod", f"{numbers.length(rod.length_m, 'm', digits=4)} long, EI = {rod.bending_stiffness_Nm2:.4g} N m²"),
+            ("largest reactions", f"{numbers.force(force.max())}, {numbers.moment(moment.max())}"),
             ("noise", self._stated()),
-            ("clamp from", _point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
-            ("to", _point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
+            ("clamp from", numbers.point(self.position_m.min(axis=0) / UNITS_M[unit], unit)),
+            ("to", numbers.point(self.position_m.max(axis=0) / UNITS_M[unit], unit)),
         ]
 
     def _stated(self) -> str:
         if not (self.noise_force_N or self.noise_moment_Nm or self.noise_pose_m):
             return "none"
-        pose = f", {length(self.noise_pose_m, 'm', digits=2)} of the pose" if self.noise_pose_m else ""
-        reactions = f"{number(1e3 * self.noise_force_N, 2)} mN, {number(1e6 * self.noise_moment_Nm, 2)} mN mm"
+        pose = f", {numbers.length(self.noise_pose_m, 'm', digits=2)} of the pose" if self.noise_pose_m else ""
+        reactions = f"{numbers.force(self.noise_force_N, digits=2)}, {numbers.moment(self.noise_moment_Nm, digits=2)}"
         return f"{reactions}{pose} (standard deviations)"
 
 
@@ -291,11 +291,6 @@ def _directions(normals: Array) -> str:
     distinct = np.unique(np.round(normals, 3) + 0.0, axis=0)
     rest = f" and {len(distinct) - _MOST_NORMALS} more" if len(distinct) > _MOST_NORMALS else ""
     return ", ".join("({:g}, {:g}, {:g})".format(*normal) for normal in distinct[:_MOST_NORMALS]) + rest
-
-
-def _point(values: Array, unit: str) -> str:
-    shown, symbol = lengths(values, unit)
-    return f"({', '.join(shown)}) {symbol}"
 
 
 def rounding_sd(values: Array) -> float:

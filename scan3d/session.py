@@ -131,7 +131,8 @@ class Session(Described):
             raise InputError(f"the session is in {self.plan.unit}, and the recording in {recording.unit}")
         if recording.table_m not in (None, _TABLE):
             raise InputError(
-                f"the session's body stands on z = 0, and the recording's on z = {recording.table_m:.4g} m; state poses in a "
+                "the session's body stands on z = 0, and the recording's on z = "
+                f"{length(recording.table_m, 'm', digits=4)}; state poses in a "
                 "frame in which the table is at 0"
             )
         recording = replace(recording, table_m=_TABLE)
@@ -255,7 +256,8 @@ def around_contacts(recording: Recording, model: str) -> Envelope:
     low, high = float(cloud.points[:, 2].min()), float(cloud.points[:, 2].max())
     if low < -_ROUNDING * cloud.rod_length:
         raise InputError(
-            f"contacts lie down to z = {low:.4g} {cloud.unit}, and poses are planned for a body that stands on z = 0 about the "
+            f"contacts lie down to z = {length(low, cloud.unit, digits=4)}, and poses are planned for a body that "
+            "stands on z = 0 about the "
             "z axis; move the frame of the poses"
         )
     radius = float(np.hypot(*cloud.points[:, :2].T).max())

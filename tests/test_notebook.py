@@ -112,7 +112,7 @@ def test_units_normals_and_noise_of_a_recording_whose_text_stays_text(recording)
     text = other._repr_html_()
     rows = dict(Reader(text).rows)
     assert rows["normals of the slices"] == "(0, -1, 0), (0, 0, 1)"
-    assert rows["noise"] == "0.002 mN, 0.003 mN mm (standard deviations)"
+    assert rows["noise"] == "2 µN, 3 µN mm (standard deviations)"
     assert rows["to"].endswith(") mm")  # the unit of its size
     assert rows[f"source: {markup}"] == markup
     assert "<script" not in text
@@ -125,8 +125,8 @@ def test_six_axis_recordings_and_their_clouds_show_themselves(no_pictures):
     force, moment = recording.wrench()
     rows = dict(Reader(recording._repr_html_()).rows)
     assert rows["samples"] == f"{len(recording)}, {np.any(force != 0, axis=1).sum()} with a force"
-    largest = 1e3 * np.linalg.norm(force, axis=1).max(), 1e6 * np.linalg.norm(moment, axis=1).max()
-    assert rows["largest reactions"] == "{} mN, {} mN mm".format(*map(number, largest))
+    largest = (np.linalg.norm(reaction, axis=1).max() for reaction in (force, moment))
+    assert rows["largest reactions"] == "{} mN, {} mN mm".format(*map(number, np.multiply([1e3, 1e6], [*largest])))
     assert "normals of the slices" not in rows
     assert rows["z axes of the clamp"].startswith("(0, -0.343, 0.939)")
     panels = charts.reactions(recording).axes[:6]

@@ -2,12 +2,14 @@
 
 import math
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scan3d.numbers import length, lengths, number, plus_minus, share, unit_for, volume
+import scan3d
+from scan3d.numbers import force, length, lengths, moment, number, plus_minus, point, share, unit_for, volume
 from scan3d.units import UNITS_M
 
 SIZES = {"nm": 1e-9, "µm": 1e-6, "mm": 1e-3, "m": 1.0, "in": 0.0254}
@@ -42,6 +44,24 @@ def test_lengths_that_belong_together_have_one_unit_and_the_decimals_of_the_larg
     assert lengths((42.0, 41.984, 56.00001), "mm") == (["42", "41.98", "56"], "mm")
     assert lengths((0.05, -3.4e-15, -0.0), "m") == (["50", "0", "0"], "mm")
     assert lengths((), "mm") == ([], "mm")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [(force(0.0192), "19.2 mN"), (force(3.16), "3.16 N"), (force(3.1e-6, digits=2), "3.1 µN"), (force(-2e-19), "under 1 nN"),
+     (force(0.0), "0 N"), (force(math.nan), "unknown"), (force(0.0192, -3.1e-6, 0), "(19.2, 0, 0) mN"),
+     (force(0.12345, up=True), "124 mN"), (moment(0.00132), "1.32 N mm"), (moment(4e-7), "400 µN mm"),
+     (moment(1.5, -0.25), "(1.5, -0.25) N m"), (point((0.05, -3.4e-15, 0.2), "m"), "(50, 0, 200) mm")],
+)  # fmt: skip
+def test_forces_moments_and_places(text, expected):
+    assert text == expected
+
+
+def test_no_sentence_of_the_program_has_another_rule():
+    """A length, force, moment, angle or share that is formatted by itself comes out as ``3.1e-05 mm`` or ``1e+02 %``."""
+    own = re.compile(r"\{[^{}]*:\.\d[gf]\}\s?(mm|m|mN|N|N m|nm|µm|°|%|\{[\w.]*unit\})(?![\w²]| m²)")
+    product = [path for path in Path(scan3d.__file__).parent.rglob("*.py") if path.name != "numbers.py"]
+    assert [(path.name, found[0]) for path in product for found in own.finditer(path.read_text())] == []
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def test_the_thinner_rod_of_the_message_is_thin_enough():
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"rod": Rod.wire(0.05, 0.0003, 210e9)}, r"a rod of 50 mm doesn't reach the axis .* at least 57.7 mm"),
+        ({"rod": Rod.wire(0.05, 0.0003, 210e9)}, r"a rod of 50 mm doesn't reach the axis .* at least 57.8 mm"),
         (
             {"workspace": parse_envelope("box:200x300x300")},
             r"the clamp would leave the workspace box:200x300x300: \d+ of",

@@ -135,7 +135,7 @@ def test_what_a_session_refuses(egg):
         Session("egg")
     low = Session("cylinder:60x60")
     low.tell(replace(recording, position_m=recording.position_m - [0, 0, 0.01]))
-    with pytest.raises(InputError, match="where the table is at 0; move the frame"):
+    with pytest.raises(InputError, match="where the table is at 0 mm; move the frame"):
         low.ask()
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.bounds.constraints import allowed
 from scan3d.cloud import Cloud
-from scan3d.numbers import length
+from scan3d.numbers import angle, length, share
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
@@ -48,20 +48,18 @@ def _of_body(contradicted: Collection[str]) -> str:
 def _of_rod(rod: Rod, cloud: Cloud, contradicted: Collection[str]) -> Premise:
     """That on the rod and the sensor: sweeps over the same place agree, and so do six reactions."""
     known = "a straight, uniform, weightless rod in a rigid clamp" if rod.is_simple else "the stated rod and clamp"
-    share = float(_same_place(cloud.fattened or cloud).mean()) if len(cloud) else 0.0
+    part = float(_same_place(cloud.fattened or cloud).mean()) if len(cloud) else 0.0
     six_axes = "force and moment are those of a single force" if cloud.model == "spatial" else ""
     if contradicted:
         outcome = "contradicted"
     elif relative := 0.0 if cloud.calibration is None else cloud.calibration.relative:
-        outcome = (
-            f"sweeps over the same place differ by {100 * relative:.2g} % of the wrench, which the bounds allow for"
-        )
-    elif share:
-        agree = f"sweeps agree at the places that several of them touched, {100 * share:.2g} % of the contacts"
+        outcome = f"sweeps over the same place differ by {share(relative)} of the wrench, which the bounds allow for"
+    elif part:
+        agree = f"sweeps agree at the places that several of them touched, {share(part)} of the contacts"
         outcome = f"{agree}; {six_axes}" if six_axes else agree
     else:
         outcome = six_axes or "not tested: no two sweeps touched the same place"
-    return Premise(f"{known}, and a sensor that is right", bool(share or six_axes), outcome)
+    return Premise(f"{known}, and a sensor that is right", bool(part or six_axes), outcome)
 
 
 def _same_place(cloud: Cloud) -> Array:
@@ -95,7 +93,8 @@ def missing(cloud: Cloud) -> str:
     )
     return (
         f"contacts face all sides, but noise may move half of them by more than {length(place, cloud.unit)}, and turn the rod "
-        f"there by more than {np.degrees(turn):.2g}°, so that the directions of the planes that touch the body there are open: "
+        f"there by more than {angle(float(np.degrees(turn)))}, so that the directions of the planes that touch the "
+        "body there are open: "
         "less noise would bound it"
     )
 

@@ -37,10 +37,11 @@ from scan3d.calibration.model import (
     clamp_wrench,
     contacts,
 )
-from scan3d.calibration.premises import in_air, percent
+from scan3d.calibration.premises import in_air
 from scan3d.calibration.references import Plane, Reference, Sphere, neighbours, unloaded
 from scan3d.choices import TARES
 from scan3d.errors import InputError
+from scan3d.numbers import length, share
 from scan3d.recording import Recording
 
 FEWEST = 30
@@ -320,14 +321,12 @@ def _check(fit: Fit, recording: Recording) -> None:
     if fits and fit.at_rest and usable and known and abs(fit.rig.stiffness) < _STIFFEST:
         return
     seen = (
-        [f"force and moment contradict a single force by {percent(noise.relative)}"]
-        if fit.problem.channels.all()
-        else []
+        [f"force and moment contradict a single force by {share(noise.relative)}"] if fit.problem.channels.all() else []
     )
-    seen.append(f"the noise in the air is {percent(in_air(fit))}")
+    seen.append(f"the noise in the air is {share(in_air(fit))}")
     if used.any():
-        away = 1000 * recording.rod.length_m * float(np.median(np.abs(fit.rows.misclosure[used, 2])))
-        seen.append(f"{used.sum()} of {len(used)} contacts lie {away:.2g} mm from it in the median")
+        away = recording.rod.length_m * float(np.median(np.abs(fit.rows.misclosure[used, 2])))
+        seen.append(f"{used.sum()} of {len(used)} contacts lie {length(away, 'm', digits=2)} from it in the median")
     raise _no_fit(fit.rig.reference, f" ({', '.join(seen)})")
 
 

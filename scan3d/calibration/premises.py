@@ -16,6 +16,7 @@ import numpy as np
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.fit import Fit
 from scan3d.calibration.references import Sphere
+from scan3d.numbers import length, share
 from scan3d.recording import Recording
 
 # Estimated noise of the poses, in rod lengths, that is larger than that of robots, and the variance beyond 1 of the
@@ -56,10 +57,10 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
         sentences.append(_IN_THE_AIR.format(factor=air.misfit**0.5))
     rough = estimated and fit.noise.place > _ROUGH
     if rough:
-        off = 1000 * fit.noise.place * recording.rod.length_m
+        off = length(fit.noise.place * recording.rod.length_m, "m", digits=2)
         sentences.append(_ROUGH_POSES.format(off=off, kind=kind, check=_CHECK[kind]))
     if fit.noise.contradiction > 0:
-        sentences.append(_CONTRADICTS.format(wrench=percent(fit.noise.contradiction), air=percent(in_air(fit))))
+        sentences.append(_CONTRADICTS.format(wrench=share(fit.noise.contradiction), air=share(in_air(fit))))
     excess = [_excess(white[rows.used[:, equation], equation] ** 2) for equation in range(4)]
     runs = [_alike(fit, white[:, equation], rows.used[:, equation]) for equation in range(4)]
     # of the equations that only the wrench is in, and of those of the contact
@@ -128,7 +129,7 @@ def _cause(fit: Fit, white: Array, inverse: Array, recording: Recording) -> str:
         information, slope = float(left @ by_radius), float(left @ white.ravel())
         if information > 0 and slope**2 / information > _EXPLAINS * float((white**2).sum()):
             diameter = 2 * rod.length_m * (reference.radius - slope / information) - rod.diameter_m
-            return f"The likeliest cause is the diameter: one of {1000 * diameter:.4g} mm would fit better."
+            return f"The likeliest cause is the diameter: one of {length(diameter, 'm', digits=4)} would fit better."
     return _PLANAR.format(kind=reference.kind) if _in_plane(fit) else _SHAPE.format(unlike=reference.unlike)
 
 
@@ -136,10 +137,6 @@ def in_air(fit: Fit) -> float:
     """The larger of the noises of force and moment, over the root mean square of those in contact."""
     noise = np.array([fit.noise.force, fit.noise.moment])
     return float((noise / np.sqrt(fit.problem.squares.mean(axis=0) / 3)).max())
-
-
-def percent(part: float) -> str:
-    return f"{100 * part:.2g} %"
 
 
 def _in_plane(fit: Fit) -> bool:
@@ -152,7 +149,7 @@ def _in_plane(fit: Fit) -> bool:
 
 _CHECK = {"sphere": "the diameters of sphere and rod", "plane": "the flatness of the plane"}
 _ROUGH_POSES = (
-    "The contacts deviate from the {kind} as if the poses scattered by {off:.2g} mm, which is more than those of a robot do: "
+    "The contacts deviate from the {kind} as if the poses scattered by {off}, which is more than those of a robot do: "
     "check {check}, and that the {kind} did not move."
 )
 _IN_THE_AIR = (

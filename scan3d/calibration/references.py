@@ -25,6 +25,7 @@ from scipy.special import chdtri
 
 from scan3d.arrays import Array, Mask
 from scan3d.errors import InputError
+from scan3d.numbers import length
 from scan3d.rods import Rod
 
 # Largest diameter of a reference sphere in rod lengths; larger ones are planes to a rod.
@@ -72,7 +73,8 @@ class Sphere:
             raise InputError(f"the reference sphere needs a diameter above 0, got {diameter_m!r}")
         if diameter_m > _LARGEST * rod.length_m:
             raise InputError(
-                f"the reference sphere has a diameter of {diameter_m:.3g} m, and the rod a length of {rod.length_m:.3g} m; "
+                f"the reference sphere has a diameter of {length(diameter_m, 'm')}, and the rod a length of "
+                f"{length(rod.length_m, 'm')}; "
                 "check the unit of the diameter, or touch a plane"
             )
         return cls(diameter_m, (diameter_m + rod.diameter_m) / 2 / rod.length_m, np.zeros(3), np.eye(3))

@@ -17,6 +17,7 @@ from scan3d.calibration.premises import checked
 from scan3d.calibration.references import Plane, Sphere, unloaded
 from scan3d.errors import InputError
 from scan3d.frames import Frame, euler_of, to_outer, turn_of
+from scan3d.numbers import length
 from scan3d.recording import Recording
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from scan3d.rods import Rod
@@ -75,10 +76,10 @@ class Calibration(Described):
     def summary(self) -> Rows:
         """What was touched, the rod, the frames, and how well all is known."""
         rod, well = self.rod, sum(self.well)
-        length, stiffness = f"{1e3 * rod.length_m:.5g} mm long", f"EI = {rod.bending_stiffness_Nm2:.5g} N m²"
+        long, stiffness = f"{length(rod.length_m, 'm', digits=5)} long", f"EI = {rod.bending_stiffness_Nm2:.5g} N m²"
         return [
             ("reference", ", ".join(f"{name} {_short(value)}" for name, value in self.reference.items())),
-            ("rod", f"{length}, {stiffness}"),
+            ("rod", f"{long}, {stiffness}"),
             ("sensor", f"at {_short(1e3 * self.sensor_position_m)} mm, turned by {_short(self.sensor_euler_deg)}°"),
             ("clamp", f"at {_short(1e3 * self.clamp_position_m)} mm, turned by {_short(self.clamp_euler_deg)}°"),
             ("well determined", f"{well} of {len(self.well)} quantities"),

@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 from scan3d.cli.options import Output
 from scan3d.cli.terminal import print_result, table
 from scan3d.errors import UsageError
+from scan3d.numbers import length, number
 from scan3d.rods import parse_rod
 
 OPTIONS = Parameter(
@@ -95,6 +96,10 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
     """The key figures as rows (label, value)."""
     unit = data["unit"]
     low, high = data["s1"]
+
+    def size(value: float, digits: int = 3) -> str:
+        return length(value, unit, digits=digits) if unit == "mm" else f"{number(value, digits)} {unit}"
+
     rows = [
         ("samples", f"{data['samples']}, base moving in {'-' if data['direction'] < 0 else '+'}x"),
         ("contacts", f"{data['contacts']} ({data['tip']} of the tip, {data['tangential']} tangential)"),
@@ -104,23 +109,23 @@ def _rows(data: dict[str, Any]) -> list[tuple[str, str]]:
             if data["undetermined"]
             else []
         ),
-        ("s1", f"{low:.4g} to {high:.4g} {unit}"),
+        ("s1", f"{size(low, 4)} to {size(high, 4)}"),
     ]
     if data["friction_median"] is None:
         rows.append(("friction", "not known, as no contact is tangential"))
     else:
         low, high = data["friction_range"]
         sd = (
-            f", standard deviation of one contact {data['friction_sd_median']:.2g}"
+            f", standard deviation of one contact {number(data['friction_sd_median'], 2)}"
             if "friction_sd_median" in data
             else ""
         )
-        rows.append(("friction", f"{data['friction_median']:.4g}, median of {low:.4g} to {high:.4g}{sd}"))
+        rows.append(("friction", f"{number(data['friction_median'])}, median of {number(low)} to {number(high)}{sd}"))
     if "place_sd_median" not in data:
         rows.append(("error of the place", f"not known: {_ASK_NOISE}"))
         return [*rows, ("written to", ", ".join(data["files"]))]
     median, largest = data["place_sd_median"], data["place_sd_largest"]
     by_rounding = f"; by rounding alone: {_ASK_NOISE}" if data["only_rounding"] else ""
-    sds = f"{median:.2g} {unit}, median of the standard deviations; largest {largest:.2g}{by_rounding}"
+    sds = f"{size(median, 2)}, median of the standard deviations; largest {size(largest, 2)}{by_rounding}"
     rows.append(("error of the place", sds))
     return [*rows, ("written to", ", ".join(data["files"]))]

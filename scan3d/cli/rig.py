@@ -13,7 +13,7 @@ from scan3d.choices import Model, Tare
 from scan3d.cli.options import Body, File, Flag, Number, Options, Output, Overwrite, Rig
 from scan3d.cli.terminal import print_result, printable, printable_json, say, table
 from scan3d.errors import InputError, UsageError
-from scan3d.numbers import length, share
+from scan3d.numbers import force, length, moment, number, plus_minus, share
 from scan3d.rods import parse_rod
 from scan3d.units import UNITS_M, Unit, unit_question
 
@@ -142,8 +142,8 @@ def plan(
     }
     text = (
         f"{data['sweeps']} sweeps with {data['rows']} poses, {seconds / 60:.0f} minutes, for a rod of "
-        f"{1000 * used.length_m:.4g} mm with {1000 * used.diameter_m:.3g} mm diameter; forces stay below "
-        f"{largest:.3g} N; written to {data['poses']}"
+        f"{length(used.length_m, 'm', digits=4)} with {length(used.diameter_m, 'm')} diameter; forces stay below "
+        f"{force(largest, up=True)}; written to {data['poses']}"
     )
     return print_result(output, data, printable(text))
 
@@ -427,16 +427,15 @@ def rigged(recording: Any, rig: Path | None) -> Any:
 
 def _quantities(found: Any) -> list[str]:
     """The quantities, their uncertainties, and what the fit says of its premises, as lines."""
-    lines = [f"{'quantity':24} {'value':>12} {'standard u':>11} {'expanded U':>11}  determined"]
+    lines = [f"{'quantity':24} {'value ± expanded U':>24}  determined"]
     for name, value, deviation, well in zip(
         found.names, found.values, found.standard_deviations, found.well, strict=True
     ):
         if deviation == float("inf"):
-            lines.append(f"{name:24} {value:12.6g} {'-':>11} {'-':>11}  no, nominal")
+            lines.append(f"{name:24} {number(value, 6):>24}  no, nominal")
         else:
-            lines.append(
-                f"{name:24} {value:12.6g} {deviation:11.2g} {2 * deviation:11.2g}  {'well' if well else 'poorly'}"
-            )
+            known = plus_minus(value, value - 2 * deviation, value + 2 * deviation)
+            lines.append(f"{name:24} {known:>24}  {'well' if well else 'poorly'}")
     details = found.details
     lines.append(
         f"chi2 per degree of freedom {found.chi2:.3f}, of the wrench alone {found.consistency:.3f}; pose noise "
@@ -601,15 +600,15 @@ def _facts(imported: Imported) -> list[tuple[str, str]]:
     if done.air:
         unit = "s" if done.rate_hz is not None else "rows"
         some = ", ".join([*(f"{a:.4g} to {b:.4g}" for a, b in done.air[:3]), *["..."] * (len(done.air) > 3)])
-        force, moment = (max(abs(x) for x in part) for part in (done.zero[:3], done.zero[3:]))
+        largest, turning = (max(abs(x) for x in part) for part in (done.zero[:3], done.zero[3:]))
         change = tuple(max(part) for part in (done.drift[:3], done.drift[3:]))
         rows += [
-            ("in the air", f"{len(done.air)} stretches, {100 * done.air_fraction:.3g} % of the rows: {some} {unit}"),
-            ("zero taken off", f"up to {1e3 * force:.3g} mN and {1e6 * moment:.3g} mN mm"),
-            ("drift", f"up to {1e3 * change[0]:.3g} mN and {1e6 * change[1]:.3g} mN mm"),
+            ("in the air", f"{len(done.air)} stretches, {share(done.air_fraction)} of the rows: {some} {unit}"),
+            ("zero taken off", f"up to {force(largest)} and {moment(turning)}"),
+            ("drift", f"up to {force(change[0])} and {moment(change[1])}"),
         ]
     else:
         rows.append(("in the air", "not tared"))
-    noise = f"{1e3 * done.noise_force_N:.3g} mN and {1e6 * done.noise_moment_Nm:.3g} mN mm, standard deviations"
+    noise = f"{force(done.noise_force_N)} and {moment(done.noise_moment_Nm)}, standard deviations"
     filtered = "" if done.noise_factor == 1 else f"; the filter leaves {done.noise_factor:.2g} of white noise"
     return [*rows, ("noise", noise + filtered)]

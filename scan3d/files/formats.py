@@ -38,6 +38,7 @@ from scan3d.files.shapes import (
 from scan3d.files.text import rows_as_text
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
+from scan3d.numbers import length
 from scan3d.units import UNITS_M
 
 # The formats of clouds and of surfaces, in the order in which messages list them.
@@ -178,7 +179,8 @@ def _check_digits(shape: Shape, ending: str) -> None:
     if step > allowed > 0:
         double = {"cloud": (".ply", ".csv", ".vtp"), "surface": (".ply", ".obj", ".vtp")}[shape.what]
         raise InputError(
-            f"{ending} is in float32, whose numbers are {step:.2g} {shape.unit} apart at coordinates of {largest:.6g} "
+            f"{ending} is in float32, whose numbers are {length(step, shape.unit, digits=2)} apart at coordinates of "
+            f"{largest:.6g} "
             f"{shape.unit}, so that the shape of this {shape.what} would be lost; choose {one_of(double)}, which keep all "
             "digits, or scan the body nearer to the origin"
         )

@@ -23,6 +23,7 @@ from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_face
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
+from scan3d.numbers import share
 from scan3d.processes import check_memory
 from scan3d.units import UNITS_M
 
@@ -233,7 +234,7 @@ def _check_closed(name: str, covered: float) -> None:
     bare = 1 - covered
     if bare > OPEN_TOLERANCE:
         raise InputError(
-            f"{name} is open: {100 * bare:.2g} % of its convex hull has no surface, where a closed body is expected; "
+            f"{name} is open: {share(bare)} of its convex hull has no surface, where a closed body is expected; "
             "close it, or to scan its convex hull give --hull (hull=True)"
         )
 

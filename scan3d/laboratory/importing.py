@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scan3d import numbers
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.file import read_rig
 from scan3d.calibration.report import Calibration
@@ -28,6 +29,7 @@ from scan3d.laboratory.bags import is_bag, read_bag
 from scan3d.laboratory.logs import CHANNELS, Log, read_log
 from scan3d.laboratory.maps import WRENCH_IN, Map, read_frame, read_map
 from scan3d.laboratory.motion import check_directions, strokes, travel_angles, without_transfers
+from scan3d.numbers import share
 from scan3d.reconstruction.errors import FORCE_SIGMAS
 from scan3d.recording import Recording
 from scan3d.ringing import ringing
@@ -431,7 +433,7 @@ def _check_sizes(recording: Recording, map: Map, table: str) -> None:
     largest = float(force.max()) / rod.force_unit_N
     if not _FORCES[0] < largest < _FORCES[1]:
         raise InputError(
-            f"{table}: the largest force, {force.max():.3g} N, is {largest:.3g} times EI/L² of the rod, where "
+            f"{table}: the largest force, {numbers.force(force.max())}, is {largest:.3g} times EI/L² of the rod, where "
             f"{_FORCES[0]:g} to {_FORCES[1]:g} are expected; check [units] force, the columns of the force, [tare] and [rod] "
             f"of {map.name}"
         )
@@ -472,7 +474,7 @@ def _other_frame(recording: Recording | None, table: Table, map: Map) -> tuple[s
     if not other.six_axis or together > _NEARLY_ALL or (part := _bent(other)) < _NEARLY_ALL:
         return ()
     return (
-        f"force and moment have their components in the frame of the {frame}, in which {100 * part:.0f} % of the rows with a "
+        f"force and moment have their components in the frame of the {frame}, in which {share(part)} of the rows with a "
         f'force are those of a bent rod: check wrench_in = "{frame}" under [columns] or [ros] of {map.name}',
     )
 
@@ -511,7 +513,7 @@ def _contact_notes(wrench: Array, touched: Mask, known: Mask, map: Map) -> list[
         if known[2] and touched.any():
             part = float(np.median(np.abs(wrench[touched, 2]) / np.linalg.norm(wrench[touched, :3], axis=1)))
             if part > 0.05:
-                text += f"; fz is {100 * part:.2g} % of the force in contact, and the planar model takes it for zero"
+                text += f"; fz is {share(part)} of the force in contact, and the planar model takes it for zero"
         notes.append(text)
     if map.air == "none" and map.noise_force_N is None:
         notes.append(

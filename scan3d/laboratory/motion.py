@@ -21,6 +21,7 @@ from scan3d.files.text_tables import Table
 from scan3d.laboratory.air import SD_OVER_MAD
 from scan3d.laboratory.logs import read_log
 from scan3d.laboratory.maps import Map
+from scan3d.numbers import share
 
 # Displacements over which the direction is determined are at least this many standard deviations of the positions' errors.
 _OVER_JITTER = 20.0
@@ -229,7 +230,7 @@ def check_directions(
         step = max(1, len(table) // 50_000) if len(table) == len(touched) else 1
         right = _right_readings(table.rows(np.arange(0, len(table), step)), map, touched[::step], _NEARLY_ALL)
         return [
-            f"only {100 * held:.0f} % of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
+            f"only {share(held)} of the rows in contact lie in sweeps along -x of the clamp's frame, and nearly all do if "
             f"{name}: check [columns] orientation of {map.name}"
             for name in right[:1]
         ]

@@ -11,7 +11,7 @@ import planar
 from scan3d.arrays import Array, Mask
 from scan3d.comparison import UNKNOWN_UNIT, Comparison
 from scan3d.errors import InputError
-from scan3d.numbers import number
+from scan3d.numbers import number, share
 from scan3d.pictures.figures import (
     REACTION_LABELS,
     SIX_REACTION_LABELS,
@@ -170,7 +170,7 @@ def _histogram(axes: Any, values: Array, area: Array, sheet: Sheet, width: float
     lower, median, upper = (number(round(value, digits)) for value in quantiles)
     text = f"median {median}, 90 % from {lower} to {upper}".replace("-", "−")
     if not known.all():
-        text += f", unknown on {100 * area[~known].sum() / area.sum():.2g} %"
+        text += f", unknown on {share(area[~known].sum() / area.sum())}"
     axes.set_title(wrapped(text, width, sheet), fontsize=sheet.font - 1)
 
 

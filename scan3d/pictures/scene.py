@@ -13,7 +13,7 @@ from scan3d.arrays import Array
 from scan3d.cloud import Cloud
 from scan3d.files.shapes import LENGTHS, POINT, cloud_table
 from scan3d.geometry.convexity import HULL_OF_MESH
-from scan3d.numbers import lengths, number, unit_for
+from scan3d.numbers import angle, force, lengths, number, unit_for
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
@@ -155,16 +155,16 @@ def contact_sentence(scene: Scene, contact: int) -> str:
         values = scene.column(name)
         if values is not None:
             parts.append(f"{name} {values[contact]:.0f}")
-    phase, force, friction = (scene.column(name) for name in ("phase", "force", "friction"))
+    phase, pushed, friction = (scene.column(name) for name in ("phase", "force", "friction"))
     if phase is not None:
         parts.append(f"{planar.Phase(int(phase[contact])).name.lower()} contact")
-    if force is not None:
-        parts.append(f"force {number(1e3 * force[contact], 4)} mN")
+    if pushed is not None:
+        parts.append(f"force {force(pushed[contact], digits=4)}")
     if friction is not None and np.isfinite(friction[contact]):
         parts.append(f"friction {number(friction[contact])}")
     bending = scene.column("bending")
     if bending is not None:
-        parts.append(f"bending {out_of_plane_deg(bending)[contact]:.1f}° out of the sweep's plane")
+        parts.append(f"bending {angle(out_of_plane_deg(bending)[contact])} out of the sweep's plane")
     normal = scene.normals[contact]
     if np.isfinite(normal).all():
         parts.append("normal ({})".format(", ".join(f"{x:.4f}" for x in normal)))

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from scan3d import numbers
 from scan3d.arrays import Array, Index, Mask
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
@@ -250,16 +251,20 @@ class RigPlan:
         if self.clearance > largest:
             needed = self.around.width / 2 / (1 - self.clearance)
             raise InputError(
-                f"a rod of {length:.4g} {unit} doesn't reach the axis of {self.around} from a clearance of "
-                f"{self.clearance:g} rod lengths; choose a rod of at least {1.01 * needed:.3g} {unit}, or less clearance"
+                f"a rod of {numbers.length(length, unit, digits=4)} doesn't reach the axis of {self.around} from a "
+                "clearance of "
+                f"{self.clearance:g} rod lengths; choose a rod of at least "
+                f"{numbers.length(1.01 * needed, unit, up=True)}, or less clearance"
             )
         if self.max_force_N is None:
             return self.clearance
         least = largest_force(rod, largest)
         if least > self.max_force_N:
             raise InputError(
-                f"this rod may push with up to {least:.3g} N where it still reaches the axis of {self.around}, and the limit "
-                f"is {self.max_force_N:g} N; choose a rod of {(self.max_force_N / least) ** 0.25:.2g} times the diameter, or a "
+                f"this rod may push with up to {numbers.force(least)} where it still reaches the axis of "
+                f"{self.around}, and the limit "
+                f"is {numbers.force(self.max_force_N)}; choose a rod of {(self.max_force_N / least) ** 0.25:.2g} times "
+                "the diameter, or a "
                 f"longer one"
             )
         return max(self.clearance, math.sqrt(FORCE_FACTOR * rod.force_unit_N / self.max_force_N))

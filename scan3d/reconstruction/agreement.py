@@ -17,6 +17,7 @@ from scipy.special import chdtri
 import planar
 from scan3d.arrays import AT_ONCE, Array, Index, evenly
 from scan3d.cloud import Cloud, Tilt
+from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
 from scan3d.reconstruction.contacts import readings, without_normals
 from scan3d.reconstruction.diagnosis import diagnose
@@ -108,8 +109,8 @@ def _without_contact(fraction: float) -> list[Contradiction]:
     if fraction <= _DISTURBED:
         return []
     text = (
-        f"{100 * fraction:.2g} % of the rows with a force have no contact: no bent rod has their reactions "
-        f"(at most {100 * _DISTURBED:.0f} % are expected)"
+        f"{share(fraction)} of the rows with a force have no contact: no bent rod has their reactions "
+        f"(at most {share(_DISTURBED)} are expected)"
     )
     return [Contradiction("force-without-contact", text, fraction)]
 
@@ -120,8 +121,9 @@ def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     beyond, allowed = _beyond_tangents(cloud)
     if beyond > allowed:
         text = (
-            f"contacts lie up to {beyond:.3g} {cloud.unit} beyond the tangent at a contact of the same slice, where noise and "
-            f"rounding allow {allowed:.2g} {cloud.unit}: the contacts are not those of a convex body"
+            f"contacts lie up to {length(beyond, cloud.unit)} beyond the tangent at a contact of the same slice, where "
+            "noise and "
+            f"rounding allow {length(allowed, cloud.unit, digits=2)}: the contacts are not those of a convex body"
         )
         found.append(Contradiction("beyond-tangent", text, beyond))
     else:
@@ -177,8 +179,8 @@ def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
     """
     nothing = Misfit(np.empty(0), np.empty(0))
     for stack in stacks(cloud):
-        for number, slice_ in enumerate(stack.slices):
-            if cloud.tilt is not None and number in (0, len(stack.slices) - 1):
+        for k, slice_ in enumerate(stack.slices):
+            if cloud.tilt is not None and k in (0, len(stack.slices) - 1):
                 continue
             lines, some = evenly(slice_.tangential, _COMPARED), evenly(np.arange(len(slice_.rows)), _COMPARED)
             if not len(lines):
@@ -191,7 +193,7 @@ def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
                 of_rig = found.errors(rig.factor(FALSE_ALARM), rig.covariance, rig.tilt_sd)
                 systematic += beyond_tangents(*compared, of_rig, cloud.rod_length).explained
             if cloud.tilt is not None:
-                systematic += _by_tilt(cloud, cloud.tilt, stack, number, normals)[:, None]
+                systematic += _by_tilt(cloud, cloud.tilt, stack, k, normals)[:, None]
             noise = None
             if cloud.covariance is not None and cloud.normal_sd is not None:
                 noise = found.errors(_kappa(len(cloud)), cloud.covariance, cloud.normal_sd)
@@ -200,14 +202,14 @@ def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
             yield found._replace(misfit=misfit._replace(explained=explained), systematic=systematic)
 
 
-def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, number: int, normals: Array) -> Array:
+def _by_tilt(cloud: Cloud, tilt: Tilt, stack: SliceStack, k: int, normals: Array) -> Array:
     """(k,) how far contacts of a slice can lie beyond tangents with normals (k, 2), because their heights differ."""
-    slice_ = stack.slices[number]
+    slice_ = stack.slices[k]
     radius = float(np.linalg.norm((cloud.points - tilt.centre) @ stack.frame[:2].T, axis=1).max())
     apart = 2 * (tilt.spread + np.sqrt(2) * tilt.slope * radius)
     support = slice_.support_of_contacts(normals)
     slopes = np.zeros(len(normals))
-    for other in (stack.slices[number - 1], stack.slices[number + 1]):
+    for other in (stack.slices[k - 1], stack.slices[k + 1]):
         run = abs(slice_.height - other.height) - apart
         rise = np.abs(support - other.support_of_contacts(normals))
         slopes = np.maximum(slopes, rise / run if run > 0 else np.inf)
@@ -231,17 +233,17 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     skewed = float((along_force.found > along_force.explained).mean())
     found = _without_contact(without)
     if skewed > _DISTURBED:
-        angle = np.degrees(np.arcsin(np.minimum(along_force.found / np.hypot(1.0, about_rod.found), 1.0)))
-        largest = float(np.percentile(angle, 95))
+        off = np.degrees(np.arcsin(np.minimum(along_force.found / np.hypot(1.0, about_rod.found), 1.0)))
+        largest = float(np.percentile(off, 95))
         text = (
-            f"force and moment are up to {largest:.2g}° off the perpendicular, in {100 * skewed:.2g} % of the contacts by more "
+            f"force and moment are up to {angle(largest)} off the perpendicular, in {share(skewed)} of the contacts by more "
             "than noise and rounding allow: a second contact, or a misaligned or untared sensor"
         )
         found.append(Contradiction("moment-along-force", text, largest))
     if twisted > _DISTURBED:
         largest = float(np.percentile(about_rod.found, 95))
         text = (
-            f"the moment about the rod's axis is up to {largest:.2g} of the clamping moment, in {100 * twisted:.2g} % of the "
+            f"the moment about the rod's axis is up to {number(largest, 2)} of the clamping moment, in {share(twisted)} of the "
             "contacts more than noise, rounding and friction across the rod allow: a bent rod, or a misaligned sensor"
         )
         found.append(Contradiction("moment-about-rod", text, largest))
@@ -279,11 +281,11 @@ def _not_convex(cloud: Cloud, errors: tuple[Array, Array], lines: Index) -> list
     inside, allowed, at = float(depth[worst]), float(explained[worst]), rows[worst]
     if inside <= allowed:
         return []
-    where = ", ".join(f"{x:.4g}" for x in points[at])
     what = "contacts lie" if not len(lines) else "contacts, or the rod's tangents at contacts, lie"
     text = (
-        f"{what} up to {inside:.3g} {cloud.unit} inside the hull of the contacts, at ({where}), where noise and rounding allow "
-        f"{allowed:.2g} {cloud.unit}: the body is not convex there, or the contacts are not where they seem"
+        f"{what} up to {length(inside, cloud.unit)} inside the hull of the contacts, at "
+        f"{point(points[at], cloud.unit)}, where noise and rounding allow "
+        f"{length(allowed, cloud.unit, digits=2)}: the body is not convex there, or the contacts are not where they seem"
     )
     return [Contradiction("inside-hull", text, inside)]
 
@@ -305,7 +307,8 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
     if depth[worst] <= 0:
         return []
     text = (
-        f"contacts lie down to z = {heights[worst]:.4g} {cloud.unit}, where the table is at {cloud.table:.4g}; move the frame "
+        f"contacts lie down to z = {length(heights[worst], cloud.unit)}, where the table is at "
+        f"{length(cloud.table, cloud.unit)}; move the frame "
         "of the poses so that the body stands on the table, or correct the table's height"
     )
     return [Contradiction(BELOW_TABLE, text, float(cloud.table - heights[worst]))]
@@ -316,21 +319,21 @@ def _off_line(recording: Recording) -> list[Contradiction]:
     _, first = np.unique(recording.sweep, return_index=True)
     last = np.append(first[1:], len(recording)) - 1
     travel = recording.position_m[last] - recording.position_m[first]
-    length = np.linalg.norm(travel, axis=1)
+    way = np.linalg.norm(travel, axis=1)
     # the digits of two positions turn a short line by more than a fault would
-    moved = length > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / _OFF_LINE
+    moved = way > 2 * LARGEST_OVER_SD * rounding_sd(recording.position_m.ravel()) / _OFF_LINE
     if not moved.any():
         return []
-    along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / length[moved]
+    along = -(travel[moved] * recording.axes()[first[moved], 0]).sum(axis=1) / way[moved]
     wrong = along < np.sqrt(1 - _OFF_LINE**2)
     if not wrong.any():
         return []
-    angle = float(np.degrees(np.arccos(np.clip(along.min(), -1, 1))))
+    turn = float(np.degrees(np.arccos(np.clip(along.min(), -1, 1))))
     text = (
-        f"the clamp moves at up to {angle:.0f}° to the -x axis of its own frame in {wrong.sum()} of {moved.sum()} sweeps: "
+        f"the clamp moves at up to {angle(turn)} to the -x axis of its own frame in {wrong.sum()} of {moved.sum()} sweeps: "
         "check the order of the quaternion (qw first), the axes and the direction of the sweeps"
     )
-    return [Contradiction("sweep-direction", text, angle)]
+    return [Contradiction("sweep-direction", text, turn)]
 
 
 def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
@@ -353,10 +356,10 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
         allowed += rig.factor(FALSE_ALARM) * float(rig.place_sd.max())
     if lost <= _DISTURBED and error <= allowed:
         return []
-    size = f"contacts are off by up to {error:.3g} {cloud.unit}" if len(here) else "all of its contacts are lost"
+    size = f"contacts are off by up to {length(error, cloud.unit)}" if len(here) else "all of its contacts are lost"
     text = (
-        f"a recording with six axes is read by the planar model, though {100 * fraction:.2g} % of the force lies out of the "
-        f"slices' planes: {size} compared with the spatial model, and {100 * lost:.2g} % of them are missing; choose the "
+        f"a recording with six axes is read by the planar model, though {share(fraction)} of the force lies out of the "
+        f"slices' planes: {size} compared with the spatial model, and {share(lost)} of them are missing; choose the "
         "spatial model"
     )
     return [Contradiction("out-of-plane", text, fraction)]

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array, Index, Mask
 from scan3d.frames import euler_of, wrench_matrix
+from scan3d.numbers import angle, force, length, moment
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.spatial.march import free_reactions
@@ -218,8 +219,7 @@ def _of_zero(wrench: Array, rod: Rod, spatial: bool) -> tuple[float, str, str]:
     """The size of a zero (6,) that is off, its unit, and its components in words."""
     newton, newton_metres = wrench[:3] * rod.force_unit_N, wrench[3:] * rod.moment_unit_Nm
     shown = (newton, newton_metres) if spatial else (newton[:2], newton_metres[2:])
-    forces, moments = (", ".join(f"{value + 0.0:.2g}" for value in values) for values in shown)
-    text = f"({forces}) N and ({moments}) N m"
+    text = f"{force(*shown[0], digits=2)} and {moment(*shown[1], digits=2)}"
     if np.linalg.norm(wrench[3:]) > np.linalg.norm(wrench[:3]):
         return float(np.linalg.norm(newton_metres)), "N m", text
     return float(np.linalg.norm(newton)), "N", text
@@ -241,7 +241,7 @@ def _late(recording: Recording) -> Cause:
     def named(numbers: Array) -> Diagnosis:
         way = float(numbers[0]) * recording.rod.length_m
         speed = recording.source.get("speed_m_per_s")
-        by = f"{1000 * abs(way):.3g} mm of the sweeps' way" + (f", {abs(way) / speed:.3g} s" if speed else "")
+        by = f"{length(abs(way), 'm')} of the sweeps' way" + (f", {abs(way) / speed:.3g} s" if speed else "")
         text = (
             f"wrench {'later' if way > 0 else 'earlier'} than pose by {by}: state wrench_delay_s; or the clamp is off "
             f"by position_mm = [{1000 * way:.3g}, 0, 0] under [clamp], which only sweeps at another speed tell from it"
@@ -289,7 +289,7 @@ def _rods(recording: Recording, spatial: bool) -> list[Cause]:
 
     def of_weight(n: Array, tared: bool) -> Diagnosis:
         text = (
-            f"its weight of {weight(n):.3g} N bends the rod: weigh it, and state weight_N, and [gravity] with tared = "
+            f"its weight of {force(weight(n))} bends the rod: weigh it, and state weight_N, and [gravity] with tared = "
         )
         return _named("weight", weight(n), "N", text + str(tared).lower())
 
@@ -373,8 +373,8 @@ def _frame_starts(felt: Array) -> Array:
     along_rod = np.array([0.0, 1.0, 0.0])
     for sign in (1.0, -1.0):
         to_rod = Rotation.align_vectors(along_rod[None], sign * axis[None] / size)[0]
-        for angle in _ABOUT_ROD:
-            turn = Rotation.from_rotvec(angle * along_rod) * to_rod
+        for turned in _ABOUT_ROD:
+            turn = Rotation.from_rotvec(turned * along_rod) * to_rod
             across = np.cross(turn.apply(sign * arm / size), along_rod)
             starts += [[*turn.as_rotvec(), *(across + along * along_rod)] for along in _ALONG_ROD]
     return np.array(starts)
@@ -390,24 +390,25 @@ def _frame(vector: Array, place: Array, rod: Rod) -> Diagnosis:
             "moment-not-moved",
             distance,
             "mm",
-            f"the moment was not moved to the clamp: it refers to a point {distance:.3g} mm from it; state {position} under "
+            f"the moment was not moved to the clamp: it refers to a point {length(distance, 'mm')} from it; state "
+            f"{position} under "
             "[sensor], or calibrate",
         )
     axis = int(np.argmax(np.abs(vector)))
     single = bool(np.delete(np.abs(vector), axis).max() <= _ABOUT_ONE * np.abs(vector[axis])) and not place.any()
-    angle = float(np.degrees(vector[axis] if single else np.linalg.norm(vector)))
+    degrees = float(np.degrees(vector[axis] if single else np.linalg.norm(vector)))
     euler = np.degrees(vector) if single else euler_of(Rotation.from_rotvec(vector).as_matrix())
-    turned = f"the sensor is turned by {angle:.3g}°"
+    turned = f"the sensor is turned by {angle(degrees)}"
     state = f"state euler_deg = {_list(euler)}"
     if place.any():
-        text = f"{turned}, and its moments refer to a point {distance:.3g} mm from the clamp: {state} and {position}"
+        text = f"{turned}, and its moments refer to a point {length(distance, 'mm')} from the clamp: {state} and {position}"
         text = (
             f"{text} under [sensor] for a first look, and calibrate: noise hides some degrees of a turn about the rod"
         )
-        return _named("turned-and-moved", angle, "deg", text)
+        return _named("turned-and-moved", degrees, "deg", text)
     where = _ABOUT[axis] if single else "about an axis across several of the clamp's"
     text = f"{turned} {where}: {state} under [sensor], or calibrate"
-    return _named(f"turned-{'xyz'[axis]}" if single else "turned", angle, "deg", text)
+    return _named(f"turned-{'xyz'[axis]}" if single else "turned", degrees, "deg", text)
 
 
 def _list(values: Array) -> str:

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 import planar
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
+from scan3d.numbers import share
 from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, known, stuck_rows
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
 from scan3d.reconstruction.misfits import Errors, Misfit, against_single_force, beyond_tangents, depths_in_hull
@@ -112,7 +113,7 @@ def _second_contact(along_force: Array) -> Diagnosis:
         "%",
         0.0,
         f"most likely either a second contact, or channels that were exchanged or logged at different times: force and moment "
-        f"of {percent:.2g} % of the rows are not those of a single force; look for what else the rod touches",
+        f"of {share(percent / 100)} of the rows are not those of a single force; look for what else the rod touches",
     )
 
 

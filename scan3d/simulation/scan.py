@@ -15,6 +15,7 @@ from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
+from scan3d.numbers import length
 from scan3d.planning.aims import (
     FIRST_SWEEPS,
     MAX_SWEEPS,
@@ -381,7 +382,7 @@ class AxisScan:
             results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
         except ValueError as error:
             raise InputError(
-                f"this body can't be swept with a rod {self.length:.3g} {self.plan.unit} long and a clearance of "
+                f"this body can't be swept with a rod {length(self.length, self.plan.unit)} long and a clearance of "
                 f"{self.plan.clearance:g}: {error}"
             ) from None
         return [_Swept(i, line, result) for (i, _, line), result in zip(aims, results, strict=True)]

@@ -21,6 +21,7 @@ from scan3d.geometry.hulls import hull, offset_inwards
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.polytopes import clipped
 from scan3d.geometry.support import SupportFit, fit_support, fitted_body
+from scan3d.numbers import length
 from scan3d.reconstruction.normals import with_slice_normals
 from scan3d.reconstruction.slices import SAME_AXIS
 from scan3d.surfaces.between import FRACTIONS, UNKNOWN, Room, between, curved, has_cells, room, with_edges
@@ -95,8 +96,8 @@ def _without_rod(cloud: Cloud, method: str, bounds: Enclosure | None) -> Any:
     mesh = offset_inwards(fattened, cloud.rod_radius)
     if mesh is None:
         raise InputError(
-            f"the contacts of the rod's centre line span a body that is no thicker than the rod, {2 * cloud.rod_radius:.3g} "
-            f"{cloud.unit}; check its diameter"
+            f"the contacts of the rod's centre line span a body that is no thicker than the rod, "
+            f"{length(2 * cloud.rod_radius, cloud.unit)}; check its diameter"
         )
     return _labelled(mesh, method, f"{fattened.metadata['reason']}; moved inwards by the rod's radius")
 
@@ -119,7 +120,7 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
     sweeps = "sweeps" if cloud.model == "spatial" else "slices"
 
     def lie_within(error: HeldOutError) -> str:
-        return f"held-out {sweeps} lie within {error.largest:.2g} {cloud.unit}"
+        return f"held-out {sweeps} lie within {length(error.largest, cloud.unit, digits=2)}"
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
     by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
@@ -209,9 +210,8 @@ def _regression(cloud: Cloud, bounds: Enclosure, why: str) -> Any:
 def _proven(cloud: Cloud, bounds: Enclosure) -> Any:
     """The inner body, if it is proven close enough to the true one."""
     confidence = f" with {100 * bounds.confidence:g} % confidence" if bounds.confidence < 1 else ""
-    reason = (
-        f"convex hull of the contacts: proven to lie within {bounds.bound:.2g} {cloud.unit} of the body{confidence}"
-    )
+    proven = length(bounds.bound, cloud.unit, digits=2, up=True)
+    reason = f"convex hull of the contacts: proven to lie within {proven} of the body{confidence}"
     return _labelled(bounds.inner.copy(), "hull", reason)
 
 
