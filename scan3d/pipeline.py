@@ -26,6 +26,7 @@ from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.recordings import recording_files
 from scan3d.files.shapes import cloud_table, ply, surface_table
 from scan3d.files.whole import RECORDING, Inputs, Replacement, replacing
+from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.pictures import page, rendering
 from scan3d.pictures.drawing import Drawing, DrawingError
 from scan3d.pictures.scene import Scene, of_cloud
@@ -235,6 +236,7 @@ def _compared(analysis: Analysis, truth: Any) -> Analysis:
     return replace(
         analysis,
         truth=truth,
+        certificate=analysis.certificate._replace(of=HULL_OF_MESH if "filled" in truth.metadata else "body"),
         mesh_comparison=None if itself is None else compare(analysis.surface, itself),
         contact_error=contact_error,
         comparison=comparison,

@@ -297,8 +297,9 @@ def _normals(comparison: Comparison | None) -> dict[str, Any] | None:
 def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certificate) -> list[dict[str, Any]]:
     """The quantities that are measured of a body by its contacts, enclosure, surface and certificate, each with these entries.
 
-    quantity, unit
-        what was measured; the extents are those along the axes of the world.
+    quantity, of, unit
+        what was measured, and of what, which is the convex hull where that was scanned in the place of a mesh; the extents are
+        those along the axes of the world.
     value
         that of the surface.
     interval
@@ -322,6 +323,7 @@ def measurands(cloud: Cloud, bounds: Enclosure, surface: Any, certified: Certifi
     def measured(quantity: str, value: float, low: float, high: float, power: str = "") -> dict[str, Any]:
         return {
             "quantity": quantity,
+            "of": certified.of,
             "value": value,
             "unit": unit + power,
             "interval": [low, high],

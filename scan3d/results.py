@@ -110,8 +110,11 @@ class Result(Shown):
             return self.analysis.certificate
         bound, local = (self.report.get("certificate") or {}).get("bound"), self._files.bound
         unknown = np.full(len(self.surface.vertices), np.inf)
+        scanned = (self.report.get("mesh") or {}).get("scanned", "mesh")
         return Certificate(
-            np.inf if bound is None else float(bound), unknown if local is None else np.asarray(local, float)
+            np.inf if bound is None else float(bound),
+            unknown if local is None else np.asarray(local, float),
+            "body" if scanned == "mesh" else scanned,
         )
 
     @cached_property

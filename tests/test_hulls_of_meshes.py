@@ -154,6 +154,8 @@ def test_what_is_printed_says_what_it_refers_to(scanned):
     assert figures["contact error"].endswith(f"from the {HULL}")
     assert figures["distance from the mesh itself"] == itself
     assert figures["certified within"].endswith(f" of the {HULL}")
+    assert f" of the {HULL}, at_vertices" in repr(scanned.certificate)
+    assert {one["of"] for one in scanned.report["measurands"]} == {HULL}
 
 
 def test_pictures_say_what_they_show(scanned):
@@ -196,6 +198,7 @@ def test_commands_take_the_depth_and_say_what_was_filled(dimpled, tmp_path, caps
     again = ["reconstruct", recording, "--out", str(tmp_path / "again"), "--truth", str(dimpled), "--clip-dent", "0.02"]
     assert main([*again, "--method", "hull"]) == 0
     assert "to the mesh itself" in capsys.readouterr().out
+    assert scan3d.open(tmp_path / "out").certificate.of == HULL
     # the mesh that the report names is the body again
     (tmp_path / "out" / dimpled.name).write_bytes(dimpled.read_bytes())
     assert scan3d.open(tmp_path / "out")._scene().truth_name == HULL

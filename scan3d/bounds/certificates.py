@@ -34,11 +34,16 @@ class Certificate(NamedTuple):
     """Upper bound of the Hausdorff distance between the surface and the true body; infinite if nothing bounds it."""
     at_vertices: Array
     """(v,) local bound at the surface's vertices: the largest possible distance of the true surface from each of them."""
+    of: str = "body"
+    """What was touched; the convex hull of a mesh that is not convex, where that was scanned in its place."""
 
     def __repr__(self) -> str:
         known = self.at_vertices[np.isfinite(self.at_vertices)]
         local = f"{known.min():.4g} to {known.max():.4g}" if len(known) else "unknown"
-        return f"Certificate(bound={self.bound:.6g}, at_vertices: {local} at {len(known)} of {len(self.at_vertices)})"
+        of = "" if self.of == "body" else f" of the {self.of}"
+        return (
+            f"Certificate(bound={self.bound:.6g}{of}, at_vertices: {local} at {len(known)} of {len(self.at_vertices)})"
+        )
 
 
 def certificate(bounds: Enclosure, surface: Any, *, convex: bool = False) -> Certificate:
