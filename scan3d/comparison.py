@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import SOME, Array, Index
 from scan3d.geometry.convexity import CONVEX_DEPTH
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.hausdorff import Body, one_sided_distances, prepare, two_sided_distance
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 UNKNOWN_UNIT = "units of the meshes"
 """What the unit of a comparison's lengths is called."""
-# Largest number of points per surface over which averages are taken.
-SAMPLES = 20_000
 # Upper bound of the relative error of a point's distance in an average (in fact the error is about its square).
 AVERAGE_GAP = 0.05
 # Faces that are tried for each point of an average.
@@ -192,20 +190,20 @@ def _spread(corners: Array) -> _Samples:
         length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
         long = length > length.max() / 2
         # none is long if the surface is but a point beside the other one
-        if not long.any() or len(pieces) + np.count_nonzero(long) > SAMPLES:
+        if not long.any() or len(pieces) + np.count_nonzero(long) > SOME:
             break
         pieces = np.concatenate([pieces[~long], halve(pieces[long])[0]])
         owner = np.concatenate([owner[~long], owner[long], owner[long]])
     area = areas(pieces)
     covered = np.cumsum(area if area.any() else np.ones(len(pieces)))
     covered /= covered[-1]
-    if len(pieces) <= SAMPLES:
+    if len(pieces) <= SOME:
         return _Samples(pieces.mean(axis=1), owner, np.diff(covered, prepend=0.0))
     # One piece for each of equal parts of the area.  Its place in the part follows the golden ratio, because a regular choice
     # could coincide with a regularity of the mesh.
-    number = np.arange(SAMPLES)
-    chosen = np.searchsorted(covered, (number + number * 0.5 * (np.sqrt(5) - 1) % 1) / SAMPLES)
-    return _Samples(pieces[chosen].mean(axis=1), owner[chosen], np.full(SAMPLES, 1 / SAMPLES))
+    number = np.arange(SOME)
+    chosen = np.searchsorted(covered, (number + number * 0.5 * (np.sqrt(5) - 1) % 1) / SOME)
+    return _Samples(pieces[chosen].mean(axis=1), owner[chosen], np.full(SOME, 1 / SOME))
 
 
 def _deviations(source: Body, target: Body, samples: _Samples) -> tuple[Array, Array]:

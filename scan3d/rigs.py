@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.errors import InputError
 
 RIG_QUANTITIES = (
@@ -38,9 +38,6 @@ RIG_QUANTITIES = (
     *(f"sensor_turn_{axis}_rad" for axis in "xyz"),
 )
 """The quantities of a rig that change contacts, all in the clamp's frame."""
-# Rounding of a covariance, relative to its correlations: a negative eigenvalue above this is no covariance, and a component
-# below it is none.  Larger, wrong matrices pass; smaller, rounding of the calibration's linear algebra is refused.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +71,7 @@ class RigUncertainty:
         scale = np.where(deviations > 0, deviations, 1.0)
         correlations = matrix / scale / scale[:, None]
         asymmetry = float(np.abs(correlations - correlations.T).max(initial=0.0))
-        if asymmetry > _ROUNDING or (len(matrix) and np.linalg.eigvalsh(correlations)[0] < -_ROUNDING):
+        if asymmetry > NEGLIGIBLE or (len(matrix) and np.linalg.eigvalsh(correlations)[0] < -NEGLIGIBLE):
             raise InputError("rig: the covariance must be symmetric and without negative eigenvalues")
         object.__setattr__(self, "covariance", matrix)
 
@@ -96,7 +93,7 @@ class RigUncertainty:
         found[[RIG_QUANTITIES.index(name) for name in self.names]] = (
             scale[:, None] * axes * np.sqrt(np.maximum(square, 0))
         )
-        return found[:, square > _ROUNDING]
+        return found[:, square > NEGLIGIBLE]
 
 
 def _matrix(values: Any, size: int) -> Array:

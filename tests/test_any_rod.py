@@ -165,11 +165,17 @@ def test_sweeps_solve_the_boundary_value_problem():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contour", CONTOURS)
-@pytest.mark.parametrize("rod", RODS)
-@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize(
+    ("contour", "rod", "direction"),
+    [
+        pytest.param(i, k, direction, marks=() if (i + k + (direction > 0)) % 3 == 0 else pytest.mark.trust)
+        for i in range(3)
+        for k in range(5)
+        for direction in (-1, 1)
+    ],
+)
 def test_sweeps_are_reconstructed(contour, rod, direction):
-    rod = rod if direction < 0 else rod.mirrored()
+    contour, rod = CONTOURS[contour], RODS[rod] if direction < 0 else RODS[rod].mirrored()
     friction = np.random.default_rng(0).uniform(0.0, 0.4, 60)
     swept = planar.sweep(contour, friction, samples=60, rod=rod, direction=direction)
     touching = swept.phase != Phase.NONE

@@ -30,12 +30,12 @@ def parts(first, middle, end):
     ]
 
 
-@pytest.mark.parametrize("seeds", parts(100, 108, 160))
+@pytest.mark.parametrize("seeds", parts(100, 104, 160))
 def test_scans_are_as_stated(seeds):
     assert wrong(seeds) == []
 
 
-@pytest.mark.parametrize("seeds", parts(200, 206, 230))
+@pytest.mark.parametrize("seeds", parts(200, 203, 230))
 def test_exact_scans_are_as_stated(seeds):
     assert wrong(seeds, noise=(0.0,)) == []
 
@@ -56,16 +56,13 @@ def test_draws_repeat():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [0.0, 0.05])
-def test_false_statements_are_found(part):
+def test_false_statements_are_found():
     """Of a recording that states less noise than it has."""
     draw = dataclasses.replace(bounds.drawn(4, noise=(1e-3,), most=(10, 24)), digits="")
 
     def understated(recording):
         return dataclasses.replace(
-            recording,
-            noise_force_N=part * recording.noise_force_N,
-            noise_moment_Nm=part * recording.noise_moment_Nm,
+            recording, noise_force_N=0.05 * recording.noise_force_N, noise_moment_Nm=0.05 * recording.noise_moment_Nm
         )
 
     assert bounds.failures(draw) == []

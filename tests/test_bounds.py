@@ -54,7 +54,7 @@ def parts(count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", parts(6))
+@pytest.mark.parametrize("seed", parts(2))
 @pytest.mark.parametrize(("axis", "slices"), [("z", 7), ((1.0, 2.0, 0.5), 6), ("xy", 4), ("xyz", 3), ("z", 2)], ids=str)
 def test_what_is_certified_of_slices_is_true(axis, slices, seed):
     body = random_body(seed)
@@ -66,7 +66,7 @@ def test_what_is_certified_of_slices_is_true(axis, slices, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", parts(3))
+@pytest.mark.parametrize("seed", parts(1))
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])
 def test_what_is_certified_under_noise_is_true(noise, seed):
     body = random_body(seed)
@@ -76,7 +76,7 @@ def test_what_is_certified_under_noise_is_true(noise, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", parts(2))
+@pytest.mark.parametrize("seed", parts(1))
 @pytest.mark.parametrize("axis", ["z", "xyz"])
 def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
     """Also of sharp and thin bodies: their bounds were false where a margin alone allowed for the digits."""
@@ -90,7 +90,7 @@ def test_what_is_certified_of_poses_with_few_digits_is_true(axis, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", parts(4))
+@pytest.mark.parametrize("seed", parts(3))
 @pytest.mark.parametrize("radius", [0.0, 0.02])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
 def test_what_is_certified_of_contacts_anywhere_is_true(noise, radius, seed):
@@ -129,7 +129,7 @@ def tilted(seed, turn):
     return body, simulate_rig(body, poses, model="planar", friction=(0.2, 0.2)).recording()
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (2, 4, 5, 6))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2, 4, 5, 6))])
 def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
     turn = (0.5, -0.4, 0.3)
     body, recording = tilted(seed, turn)
@@ -182,7 +182,7 @@ def ball():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fraction", [-0.1, -1e-5, 1e-5, 0.1])
+@pytest.mark.parametrize("fraction", [-0.1, 1e-5])
 def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     """Nothing but the shape decides: what is pushed in by 10 % of the diagonal is not certified as convex."""
     mesh, cloud, bounds = ball

@@ -9,7 +9,8 @@ from brute_force import EXACT, certified
 from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
 from scan3d import comparison
-from scan3d.comparison import SAMPLES, compare, compare_all
+from scan3d.arrays import SOME
+from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 
@@ -18,13 +19,13 @@ from scan3d.geometry.distance import distances
 def few_samples():
     """Fewer points for the averages, which take most of the time on small meshes, in tests of other quantities."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "SAMPLES", 1000)
+        patch.setattr(comparison, "SOME", 1000)
         yield
 
 
 @pytest.fixture
 def all_samples(monkeypatch):
-    monkeypatch.setattr(comparison, "SAMPLES", SAMPLES)
+    monkeypatch.setattr(comparison, "SOME", SOME)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e6])
@@ -129,7 +130,7 @@ def test_averages_over_cubes(all_samples):
     fine = [trimesh.Trimesh(*trimesh.remesh.subdivide(cube(half).vertices, cube(half).faces)) for half in (1.0, 1.1)]
     for _ in range(5):
         fine = [mesh.subdivide() for mesh in fine]
-    assert len(fine[0].faces) > 2 * SAMPLES
+    assert len(fine[0].faces) > 2 * SOME
     for result in (compare(cube(1.0), cube(1.1)), compare(*fine)):
         assert result.mean == pytest.approx((0.1 + outwards.mean()) / 2, rel=1e-3)
         assert result.chamfer == pytest.approx(0.1 + outwards.mean(), rel=1e-3)

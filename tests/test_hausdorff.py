@@ -24,7 +24,7 @@ from scan3d.geometry.hausdorff import one_sided_distances, prepare
 def few_samples():
     """Fewer points for the averages, which take most of the time on small meshes and are not tested here."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "SAMPLES", 1000)
+        patch.setattr(comparison, "SOME", 1000)
         yield
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array, Mask, evenly
-from scan3d.calibration.fit import ROUNDING, Fit, Noise, Problem, adjusted, by_parameter, estimates, fitted
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask, evenly
+from scan3d.calibration.fit import Fit, Noise, Problem, adjusted, by_parameter, estimates, fitted
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
@@ -68,8 +68,8 @@ _FIXED_FIRST = {
 # Standard deviation of the sensor's turn about the rod, in radians, from which it is not determined.  Without friction the
 # contacts' distance from the reference depends on it to the second order only, and linear uncertainties do not hold.
 _ABOUT_ROD = 0.01
-# Smallest eigenvalue of the normal matrix over its largest that is not rounding, and the least part of a parameter in it.
-_ROUNDING, _PART = 1e-12, 1e-3
+# Least part of a parameter in a direction that the normal matrix does not determine.
+_PART = 1e-3
 # Spread of the planes of planar sweeps, over the sphere's radius, up to which they count as one plane through the centre.
 _PLANE = 0.1
 # Rounds in which the rows, their kinds and the noise of the poses come to rest, and the change of the logarithm of the last.
@@ -110,7 +110,7 @@ def calibrated(
     touched = Plane.of(rod) if isinstance(reference, str) else Sphere.of(reference, rod)  # type: ignore[arg-type]
     place = pose_noise_m if pose_noise_m is not None else recording.noise_pose_m or None
     problem, nominal = measured(recording, touched, tare)
-    first = _PLACE_NOISE if place is None else max(place / rod.length_m, ROUNDING)
+    first = _PLACE_NOISE if place is None else max(place / rod.length_m, NEGLIGIBLE)
     noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, _RELATIVE * problem.channels.all())
     step = max(1, len(problem.touches.kind) // _MANY)
     few = problem.rows(np.arange(0, len(problem.touches.kind), step))
@@ -194,7 +194,7 @@ def _settled(problem: Problem, rig: Rig, noise: Noise, length: float | None, est
 
 def _near(noise: Noise, other: Noise) -> bool:
     """Whether two estimates of the noise are alike."""
-    return bool(np.allclose(noise, other, rtol=_SAME_NOISE, atol=ROUNDING))
+    return bool(np.allclose(noise, other, rtol=_SAME_NOISE, atol=NEGLIGIBLE))
 
 
 def _strong(problem: Problem, rig: Rig, noise: Noise) -> Problem:
@@ -283,7 +283,7 @@ def _determined(problem: Problem, rig: Rig, normal: Array) -> Mask:
     while True:
         rows = np.flatnonzero(free)
         size, vectors = np.linalg.eigh((normal * widths[:, None] * widths)[np.ix_(rows, rows)])
-        if size[0] > max(1.0, _ROUNDING * size[-1]):
+        if size[0] > max(1.0, ROUNDING * size[-1]):
             break
         part = np.abs(vectors[:, 0]) * order[rows]
         if part.max() < _PART:

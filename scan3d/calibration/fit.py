@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
@@ -55,14 +55,12 @@ _ADJUSTMENTS, _TRIALS = 3, 50
 # What a row without a rod counts in standard deviations: more than rows that are far off, because rigs for which no row has
 # a rod would fit best otherwise.
 _NO_ROD = 100.0
-# Part of its variances that keeps the covariance of equations positive that nearly follow from each other.
-_ROUNDING = 1e-12
 # Length of the step, in standard deviations, that is left to the least sum of squares where a fit is at rest.
 _SMALL = 0.03
 # Standard deviations of a sum of squares that count as chance.
-_CHANCE = 4.5
-ROUNDING, LARGEST = 1e-9, 0.3
-"""Bounds of estimated noise: of the poses in rod lengths, and of the wrench relative to it."""
+CHANCE = 4.5
+# The largest noise that is estimated: of the poses in rod lengths, and of the wrench relative to it.
+_LARGEST = 0.3
 
 
 class Noise(NamedTuple):
@@ -201,7 +199,8 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Ro
         by_row = np.where(used[:, :, None], found.by_row, 0.0)
         misclosure = np.where(used, found.value, 0.0) - np.einsum("nij,nj->ni", by_row, correction)
         covariance = (by_row * variances[:, None]) @ by_row.swapaxes(1, 2)
-        covariance[:, range(4), range(4)] = (covariance[:, range(4), range(4)] + further) * (1 + _ROUNDING)
+        # positive also for equations that nearly follow from each other
+        covariance[:, range(4), range(4)] = (covariance[:, range(4), range(4)] + further) * (1 + ROUNDING)
         factor = np.linalg.inv(np.linalg.cholesky(covariance))
         white = np.einsum("nij,nj->ni", factor, misclosure)
         multiplier = np.einsum("nji,nj->ni", factor, white)
@@ -274,7 +273,7 @@ def estimates(fit: Fit, place: bool) -> Noise:
         total, count = fit.mixing
         alone = fit.rows.used[:, :2]
         freedom = max(float(alone.sum()) - int(problem.free[TURN:PLACE].sum()) - count, 1.0)
-        if _excess(fit, noise._replace(relative=0.0), slice(0, 2)) > freedom + _CHANCE * math.sqrt(2 * freedom):
+        if _excess(fit, noise._replace(relative=0.0), slice(0, 2)) > freedom + CHANCE * math.sqrt(2 * freedom):
             noise = _estimated(fit, noise, "relative", slice(0, 2), freedom)
             if not count:
                 noise = noise._replace(mixing=noise.relative, contradiction=noise.relative)
@@ -282,7 +281,7 @@ def estimates(fit: Fit, place: bool) -> Noise:
             noise = noise._replace(relative=0.0)
         if count > 1:
             # errors that are alike in all rows are not much larger than the contradiction that they explain
-            noise = noise._replace(mixing=min(max(math.sqrt(total / count), ROUNDING), 2 * noise.contradiction))
+            noise = noise._replace(mixing=min(max(math.sqrt(total / count), NEGLIGIBLE), 2 * noise.contradiction))
     return _estimated(fit, noise, "place", slice(0, 4), fit.freedom) if place else noise
 
 
@@ -300,7 +299,7 @@ def _estimated(fit: Fit, noise: Noise, name: str, which: slice, freedom: float) 
     def excess(logarithm: float) -> float:
         return _excess(fit, noise._replace(**{name: math.exp(logarithm)}), which) - freedom
 
-    low, high = math.log(ROUNDING), math.log(LARGEST)
+    low, high = math.log(NEGLIGIBLE), math.log(_LARGEST)
     if excess(low) <= 0 or excess(high) >= 0:
-        return noise._replace(**{name: ROUNDING if excess(low) <= 0 else LARGEST})
+        return noise._replace(**{name: NEGLIGIBLE if excess(low) <= 0 else _LARGEST})
     return noise._replace(**{name: math.exp(brentq(excess, low, high, rtol=1e-4))})

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scan3d.arrays import Array, Mask
-from scan3d.calibration.fit import Fit
+from scan3d.calibration.fit import CHANCE, Fit
 from scan3d.calibration.references import Sphere
 from scan3d.numbers import length, share
 from scan3d.recording import Recording
@@ -22,8 +22,6 @@ from scan3d.recording import Recording
 # Estimated noise of the poses, in rod lengths, that is larger than that of robots, and the variance beyond 1 of the
 # misclosures of an equation with which the model does not fit.
 _ROUGH, _SPOILED = 1e-3, 0.3
-# Standard deviations of mean squares, and of mean products of neighbours, that count as chance.
-_CHANCE = 4.5
 # Lags in rows whose mean product tells deviations that are alike, and those up to which these are followed.
 _NEAR, _FARTHEST = 3, 200
 # Part of the deviations that one cause must explain to be named alone, and the scatter of the reactions across their plane,
@@ -53,7 +51,7 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     sentences = []
     # the noise is not stated where it is that of the same rows
     stated = recording.noise_force_N > 0 and recording.noise_moment_Nm > 0
-    if stated and air.misfit > 1 + _CHANCE * np.sqrt(2 / (6 * air.air.sum())):
+    if stated and air.misfit > 1 + CHANCE * np.sqrt(2 / (6 * air.air.sum())):
         sentences.append(_IN_THE_AIR.format(factor=air.misfit**0.5))
     rough = estimated and fit.noise.place > _ROUGH
     if rough:
@@ -91,7 +89,7 @@ def _excess(square: Array) -> float:
     if len(square) < 2:
         return 0.0
     above = float(square.mean()) - 1
-    return above if above > _CHANCE * float(square.std()) / np.sqrt(len(square)) else 0.0
+    return above if above > CHANCE * float(square.std()) / np.sqrt(len(square)) else 0.0
 
 
 def _alike(fit: Fit, white: Array, used: Mask) -> tuple[float, bool]:
@@ -116,7 +114,7 @@ def _alike(fit: Fit, white: Array, used: Mask) -> tuple[float, bool]:
             if pair <= 0:
                 break
             rows, pair = rows + 2 * pair, 0.0
-    return rows, near > _CHANCE * np.sqrt(max(pairs_near, 1))
+    return rows, near > CHANCE * np.sqrt(max(pairs_near, 1))
 
 
 def _cause(fit: Fit, white: Array, inverse: Array, recording: Recording) -> str:

@@ -23,15 +23,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from scan3d.arrays import Array, Mask
+from scan3d.arrays import ROUNDING, Array, Mask
 from scan3d.errors import InputError
 from scan3d.numbers import length
 from scan3d.rods import Rod
 
 # Largest diameter of a reference sphere in rod lengths; larger ones are planes to a rod.
 _LARGEST = 1e3
-# Eigenvalue of a normal matrix over the largest one that is rounding: the points lie in a plane, and the centre with them.
-_FLAT = 1e-12
 
 
 class Met(NamedTuple):
@@ -108,7 +106,8 @@ class Sphere:
         relative = points - middle
         square = (relative**2).sum(axis=2, keepdims=True)
         matrix = np.concatenate([2 * relative, np.ones_like(square)], axis=2)
-        normal = np.linalg.pinv(matrix.swapaxes(1, 2) @ matrix, _FLAT, hermitian=True)
+        # where the points lie in a plane, the centre lies in it
+        normal = np.linalg.pinv(matrix.swapaxes(1, 2) @ matrix, ROUNDING, hermitian=True)
         centre = middle + (normal @ matrix.swapaxes(1, 2) @ square)[:, None, :3, 0]
         misfit = np.median(np.abs(np.linalg.norm(points - centre, axis=2) - self.radius), axis=1)
         best = int(np.argmin(misfit))

@@ -18,9 +18,6 @@ from scan3d.geometry.polytopes import half_space_intersection
 from scan3d.geometry.triangles import distance_to, dot, longest_first, spanned
 from scan3d.geometry.vectors import highest
 
-# A hull whose volume is less than this fraction of its area times the points' extent is one of points in a plane or on a line,
-# up to rounding, which is larger far from the origin.
-_THINNEST = 1e-12
 # Points closer than this fraction of their extent are merged if their hull is not a closed surface.
 _COINCIDENT = 1e-11
 # Products of points and directions up to which all are computed, in less time than the hull.
@@ -56,7 +53,7 @@ def _spanned_hull(points: Array) -> tuple[ConvexHull, Array, float]:
                 raise
             qhull = ConvexHull(scaled, qhull_options="Qt Q12")  # many nearly coplanar points make wide facets
         rounding = 4 * np.finfo(float).eps * float(np.abs(points).max()) / size
-        if not qhull.volume > max(_THINNEST, rounding) * qhull.area:
+        if not qhull.volume > max(ROUNDING, rounding) * qhull.area:
             raise QhullError
     except (QhullError, ValueError, IndexError):
         raise _no_body(points) from None

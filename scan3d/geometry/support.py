@@ -30,14 +30,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index
+from scan3d.arrays import NEGLIGIBLE, SOME, Array, Index
 from scan3d.geometry.hulls import hull_near
 from scan3d.geometry.vectors import across, unit
 
 # Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000
-# Largest number of noisy contacts used for a fit: the error falls with their number.
-_NOISY_CONTACTS = 20_000
 # Rounds in which the normals follow the fit. Each improves them by a factor of ten or more and takes as long as the first; with
 # fewer, the rough normals of the contacts show in the fit.
 _ROUNDS = 3
@@ -122,7 +120,7 @@ def fit_support(
         height z of the plane on which the body stands, if it is known: no contact tells where the body ends there.
     """
     # exact contacts say no more if they are many
-    step = max(1, -(-len(points) // (MAX_CONTACTS if sd is None else _NOISY_CONTACTS)))
+    step = max(1, -(-len(points) // (MAX_CONTACTS if sd is None else SOME)))
     center, shape = inertia(points[::step])
     root = np.ones(0) if sd is None else np.nanmin(sd) / np.nan_to_num(sd[::step], nan=np.inf)
     mapped = np.linalg.solve(shape, (points[::step] - center).T).T

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from scan3d.arrays import Array, Mask, evenly
+from scan3d.arrays import NEGLIGIBLE, SOME, Array, Mask, evenly
 from scan3d.errors import InputError
 
 # Standard deviation over the median of the absolute deviations of a normal distribution.
@@ -20,10 +20,6 @@ SD_OVER_MAD = 1.4826
 _FEWEST = 5
 # Standard deviations of the noise that a row in the air may deviate, and standard errors from which a slope counts.
 _SIGMAS = 4.0
-# Rounding, relative to the range of a channel.
-_ROUNDING = 1e-9
-# Rows from which statistics are taken, evenly spread.
-_SOME = 20_000
 
 Stretches = list[tuple[int, int]]
 """First row of each stretch, and the one after its last."""
@@ -45,7 +41,7 @@ def tare(wrench: Array, clock: Array, stretches: Stretches) -> Air:
 
     Each gives one knot in its middle, or two at its ends where the zero drifts by more than the noise within it.
     """
-    rounding = _ROUNDING * np.ptp(wrench, axis=0)
+    rounding = NEGLIGIBLE * np.ptp(wrench, axis=0)
     knots, levels, residuals, rows = [], [], [], np.zeros(len(wrench), dtype=bool)
     for start, stop in stretches:
         time, values = clock[start:stop], wrench[start:stop]
@@ -94,7 +90,7 @@ def robust_sd(residuals: Array) -> Array:
     # steps of a converter make more than half of the residuals equal
     inside = absolute <= 3 * np.maximum(mad, SD_OVER_MAD * most)
     rms = np.sqrt(np.where(inside, residuals**2, 0.0).sum(axis=0) / np.maximum(inside.sum(axis=0), 1))
-    coarse = np.array([len(np.unique(column[:_SOME])) < 64 for column in residuals.T])
+    coarse = np.array([len(np.unique(column[:SOME])) < 64 for column in residuals.T])
     return np.asarray(np.where((mad == 0) | coarse, rms, mad))
 
 
@@ -141,7 +137,7 @@ def _scales(wrench: Array) -> Array:
     """(c,) deviations within which a channel counts as near its zero: 2 % of the range, or the noise."""
     steps = np.abs(np.diff(wrench, axis=0)) if len(wrench) > 1 else np.zeros((1, wrench.shape[1]))
     # the quartile of |x| is 0.3186 standard deviations, and those of differences are √2 times as large
-    noise = np.percentile(steps[:: max(1, len(steps) // _SOME)], 25, axis=0) / (0.3186 * np.sqrt(2))
+    noise = np.percentile(steps[:: max(1, len(steps) // SOME)], 25, axis=0) / (0.3186 * np.sqrt(2))
     reach = np.ptp(wrench, axis=0)
     half = wrench.shape[1] // 2
     largest = np.repeat([reach[:half].max(), reach[half:].max()], half)
@@ -196,7 +192,7 @@ def _refined(wrench: Array, clock: Array, runs: Stretches, scale: Array) -> Stre
         return []
     noise = np.median([SD_OVER_MAD * np.median(line, axis=0) for _, line in level], axis=0)
     inner = np.concatenate([wrench[a:b] for a, b in runs])
-    limit = _SIGMAS * noise + _steps(inner) + _ROUNDING * np.abs(wrench).max(axis=0)
+    limit = _SIGMAS * noise + _steps(inner) + NEGLIGIBLE * np.abs(wrench).max(axis=0)
     found = []
     for start, line in level:
         parts = _runs((line <= limit).all(axis=1))
@@ -208,7 +204,7 @@ def _refined(wrench: Array, clock: Array, runs: Stretches, scale: Array) -> Stre
 
 def _from_line(time: Array, values: Array) -> tuple[Array, Array]:
     """The distances (m, c) from a line that most rows lie on, and by how much (c,) these rise from quarter to quarter."""
-    some = slice(None, None, max(1, len(time) // (_SOME // 10)))
+    some = slice(None, None, max(1, len(time) // (SOME // 10)))
     t, v, middle = time[some], values[some], float(time[0])
     half = len(t) // 2
     rise = np.median(v[-half:], axis=0) - np.median(v[:half], axis=0)
@@ -238,7 +234,7 @@ def _within_noise(wrench: Array, clock: Array, stretches: Stretches, calm: Mask)
     first = tare(wrench, clock, stretches)
     deviation = wrench - first.zero
     level = np.array([np.median(deviation[a:b], axis=0) for a, b in stretches])
-    slack = 6 * SD_OVER_MAD * np.median(np.abs(level), axis=0) + _ROUNDING * np.abs(wrench).max(axis=0)
+    slack = 6 * SD_OVER_MAD * np.median(np.abs(level), axis=0) + NEGLIGIBLE * np.abs(wrench).max(axis=0)
     slack += _steps(wrench[first.rows])
     near = calm & (np.abs(deviation) <= _SIGMAS * first.noise + slack).all(axis=1)
     over = 15  # rows, by whose mean light contact is distinguished from noise
@@ -259,7 +255,7 @@ def _consistent(wrench: Array, clock: Array, stretches: Stretches) -> Stretches:
     time = np.array([clock[a:b].mean() for a, b in stretches])
     count = np.array([b - a for a, b in stretches])
     inner = np.concatenate([wrench[a:b] - middle for (a, b), middle in zip(stretches, level, strict=True)])
-    harmless = np.ptp(wrench, axis=0) * _ROUNDING + 0.3 * robust_sd(inner) + np.finfo(float).tiny
+    harmless = np.ptp(wrench, axis=0) * NEGLIGIBLE + 0.3 * robust_sd(inner) + np.finfo(float).tiny
     # much shorter ones are remains of contact, or hardly matter
     kept = np.flatnonzero(count >= 0.1 * np.median(count))
     while len(kept) >= 4:

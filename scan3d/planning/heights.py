@@ -24,7 +24,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.hulls import distance_from_hull
 from scan3d.planning.aims import cosine_fractions
 from scan3d.planning.plan import Plan
-from scan3d.reconstruction.slices import SliceStack, stacks
+from scan3d.reconstruction.slices import SAME_AXIS, SliceStack, stacks
 
 FIRST_SLICES = 8
 """Slices inside the body with which adaptive spacing starts along one axis."""
@@ -49,8 +49,8 @@ _FEW_STRAIGHT = 0.1
 _ROUND_OF_BENT, _ROUND, _MANY = (0.3, 1 / 2), (0.12, 1 / 3), 128
 # Decimals of the gaps' roots, over the largest, by which slabs are compared, so that rounding decides nothing.
 _TIED_DECIMALS = 4
-# Largest difference of the components of two unit normals that are the same axis: in the cloud, and as given by the caller.
-_SAME_AXIS, _GIVEN_AXIS = 1e-8, 1e-6
+# Largest difference of the components of two unit normals, of the cloud and as given by the caller, that are the same axis.
+_GIVEN_AXIS = 1e-6
 # Halvings of the interval in which the least gap lies, and steps towards gaps with even neighbours: to rounding.
 _BISECTIONS, _EVENINGS = 60, 20
 
@@ -133,7 +133,7 @@ def next_heights(
     memory = memory or SlabMemory()
     candidates = memory.stacks = stacks(cloud)
     stack = _stack(candidates, cloud, axis)
-    done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < _SAME_AXIS).sum())
+    done = int((np.abs(cloud.slice_axis - stack.frame[2]).max(axis=1) < SAME_AXIS).sum())
     left = plan.slices + BEYOND - done if left is None else left
     if left <= 0:
         return np.empty(0)

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from scan3d import numbers
-from scan3d.arrays import Array, Index, Mask
+from scan3d.arrays import Array, Index, Mask, NEGLIGIBLE
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
@@ -60,8 +60,6 @@ _AROUND, _ON_SPHERE = 72, 600
 _COUNTS = {"cylinder": 2, "sphere": 1, "box": 3}
 # Cosine of the angle between two rods that are as good as opposite: no place lies behind both of their planes.
 _OPPOSITE = -0.98
-# Sines of angles below which a rod does not turn.
-_SAME = 1e-9
 # Level lines above the table are drawn back along the rod by no more than this part of it.
 _RAISED = 0.3
 # Part of the rod, from its tip, that must enter the body somewhere on a line, and the places where that is looked up.
@@ -414,7 +412,7 @@ def _turn(start: tuple[Array, Array], end: tuple[Array, Array], space: Space) ->
     cosine = float(old @ new)
     across = np.cross(old, new)
     sine = float(np.linalg.norm(across))
-    if sine < _SAME and cosine > 0:
+    if sine < NEGLIGIBLE and cosine > 0:
         return []
     if cosine < _OPPOSITE:
         # both rods are nearly level, and no place lies behind both planes: a quarter of a turn first

@@ -44,14 +44,10 @@ _IN_PLANE, _SLICES_OF_SIDE = 1e-7, 3
 _CROWDED, _TOO_MANY, _EARLY = 0.6, 1.0, 0.5
 # Fraction of the wide gaps at vertices below which a body counts as bent nearly everywhere, and the open cells that it takes.
 _FEW_VERTICES, _FEW_CELLS = 0.1, 8
-# Heights of vertices that differ by less, over the body's size, are the same slice.
-_SAME_HEIGHT = 1e-6
-# Least sine of the angle between a slice and the surface.
-_STEEPEST = 1e-6
+# Part of the body's size, of a gap, or of a radian that makes no difference, so that rounding does not choose between axes.
+_SAME = 1e-6
 # Factor by which another axis must do better than that with most slices.
 _OTHER = 1.5
-# Gaps that differ by less, relative to them, are equal, so that rounding does not choose between axes.
-_ROUNDING = 1e-6
 # Halvings of the interval in which the least gap lies.
 _BISECTIONS = 40
 
@@ -196,7 +192,7 @@ def _widths(points: Array, axes: Array, outward: Array, thickness: Array, depth:
     length = np.linalg.norm(across, axis=1)
     normals = outward @ shape
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    sine = np.sqrt((1 - (normals @ (across / length[:, None]).T) ** 2).clip(_STEEPEST**2))
+    sine = np.sqrt((1 - (normals @ (across / length[:, None]).T) ** 2).clip(_SAME**2))
     in_cap = np.sqrt(2 * radius * np.maximum(depth, least) / length)
     widths: Array = np.where(np.isnan(depth), np.maximum(thickness, least) / length / sine, in_cap)
     return widths
@@ -215,7 +211,7 @@ def _vertices(opened: _Open, by_axis: list[SliceStack], size: float, *, main: bo
     while len(rows):
         row = rows[0]
         height = opened.height[rows]
-        shared = (np.abs(height - height[0]) < _SAME_HEIGHT * size).sum(axis=0)
+        shared = (np.abs(height - height[0]) < _SAME * size).sum(axis=0)
         ends = [(opened.number[row, k] in (0, len(stack.slices))) for k, stack in enumerate(by_axis)]
         # in a cap the slice would lie at the end of the body; otherwise the widest strip gains most
         axis = int(np.lexsort((-opened.width[row], other, -shared, ends))[0])
@@ -225,8 +221,8 @@ def _vertices(opened: _Open, by_axis: list[SliceStack], size: float, *, main: bo
             at = end + AT_VERTEX * (at - end)
         cuts.append(_Cut(axis, at, float(opened.gap[row])))
         # the same place is the farthest corner of several cells
-        same = np.linalg.norm(opened.corner[rows] - opened.corner[row], axis=1) < _SAME_HEIGHT * size
-        rows = rows[~same & (np.abs(height[:, axis] - height[0, axis]) >= _SAME_HEIGHT * size)]
+        same = np.linalg.norm(opened.corner[rows] - opened.corner[row], axis=1) < _SAME * size
+        rows = rows[~same & (np.abs(height[:, axis] - height[0, axis]) >= _SAME * size)]
     return cuts
 
 
@@ -253,7 +249,7 @@ def _cuts(
             low, high = (low, target) if enough else (target, high)
         reached = max(high, float(opened.gap[bent & opened.on_slice[:, k]].max(initial=0.0)))
         reached *= _OTHER if len(stack.slices) < most else 1.0
-        if reached < best[0] * (1 - _ROUNDING):
+        if reached < best[0] * (1 - _SAME):
             best = reached, k, _parts(opened, rows, k, high, len(stack.slices))
     _, k, parts = best
     gaps = np.zeros(len(by_axis[k].slices) + 1)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan3d.arrays import Array
+from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.errors import InputError
 from scan3d.frames import check_positions
 from scan3d.geometry.convexity import check_body
@@ -29,8 +29,6 @@ from scan3d.units import UNITS_M
 
 # Bytes that a row of a log takes while it is computed and written.
 _MEMORY_PER_ROW = 1500
-# Smallest turn between two poses, in radians, that is no rounding.
-_TURNS = 1e-9
 BETWEEN = -1
 """Number of the sweep in rows between sweeps of a log with faults."""
 TABLE = 0.0
@@ -202,7 +200,7 @@ def _at_rate(poses: PoseList, faults: Faults) -> _Rows:
     position = poses.position_m[before] + part[:, None] * np.diff(poses.position_m, axis=0)[before]
     turns = Rotation.from_quat(poses.quaternion, scalar_first=True)
     vector = (turns[:-1].inv() * turns[1:]).as_rotvec()
-    turning = np.linalg.norm(vector, axis=1) > _TURNS
+    turning = np.linalg.norm(vector, axis=1) > NEGLIGIBLE
     quaternion = poses.quaternion[before]
     rows = np.flatnonzero(turning[before])
     if len(rows):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import Array, evenly
+from scan3d.arrays import SOME, Array, evenly
 from scan3d.bounds.enclosures import Enclosure, enclosure
 from scan3d.choices import METHODS, NOT_CONVEX
 from scan3d.cloud import Cloud
@@ -245,8 +245,6 @@ def _labelled(mesh: Any, method: str, reason: str) -> Any:
 _FEWEST = 5
 # Every how-many-th sweep in space is held out.
 _EVERY = 4
-# Held-out contacts, and in space kept ones, at most, evenly spread over all.
-_MOST = 20_000
 
 
 class HeldOutError(NamedTuple):
@@ -272,7 +270,7 @@ def hold_out(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     if parts is None:
         return None
     kept, held_out = parts
-    return replace(kept, fit=None, fit_error=np.inf), held_out.select(evenly(np.arange(len(held_out)), _MOST))
+    return replace(kept, fit=None, fit_error=np.inf), held_out.select(evenly(np.arange(len(held_out)), SOME))
 
 
 def _sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
@@ -280,7 +278,7 @@ def _sweeps(cloud: Cloud) -> tuple[Cloud, Cloud] | None:
     if len(sweeps) < _FEWEST:
         return None
     held_out = number % _EVERY == _EVERY // 2
-    return cloud.select(evenly(np.flatnonzero(~held_out), _MOST)), cloud.select(held_out)
+    return cloud.select(evenly(np.flatnonzero(~held_out), SOME)), cloud.select(held_out)
 
 
 def _slices(cloud: Cloud) -> tuple[Cloud, Cloud] | None:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, SOME, Array, Index, Mask
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
@@ -46,8 +46,6 @@ _STEPS, _ROUNDS = 20, 16
 _PATIENCE = 3
 # Directions across a plane in which it may be split.
 _DIRECTIONS = 6
-# Contacts that are fitted at most, evenly spread over all.
-_MOST = 20_000
 # A vertex counts where each of its planes has contacts within this many median distances between neighbouring contacts; other
 # vertices are drawn half way to the contacts.
 _NEAR = 8.0
@@ -119,7 +117,7 @@ def regression(cloud: Cloud) -> tuple[Any, int]:
 def _contacts(cloud: Cloud) -> tuple[Contacts, Index]:
     """The contacts that are fitted, and their rows of the cloud."""
     assert cloud.covariance is not None
-    rows = np.arange(len(cloud))[:: max(1, -(-len(cloud) // _MOST))]
+    rows = np.arange(len(cloud))[:: max(1, -(-len(cloud) // SOME))]
     entries = cloud.covariance[rows][:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return Contacts(cloud.points[rows], entries, cloud.least_variance()[rows]), rows
 
