@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from scan3d.batches import Batch, batch
-    from scan3d.calibration.file import read_rig, write_rig
-    from scan3d.calibration.report import Calibration
+    from scan3d.calibration.report import Calibration, read_rig, write_rig
     from scan3d.cloud import Cloud
     from scan3d.comparison import Comparison
     from scan3d.errors import InputError
@@ -37,9 +36,8 @@ if TYPE_CHECKING:
     from scan3d.recording import Recording
     from scan3d.results import Result, open, scan
     from scan3d.rods import Gravity, Rod
-    from scan3d.saving import load, save
     from scan3d.session import Session
-    from scan3d.steps import calibrate, compare, reconstruct, simulate, surface
+    from scan3d.steps import calibrate, compare, load, reconstruct, save, simulate, surface
 
 # Loaded when first used: `import scan3d` and `scan3d --help` stay quick.
 _HOME = {
@@ -59,19 +57,19 @@ _HOME = {
     "calibrate": "steps",
     "compare": "steps",
     "import_table": "laboratory.importing",
-    "load": "saving",
+    "load": "steps",
     "load_mesh": "files.meshes",
     "open": "results",
     "plot": "pictures.notebook",
     "read_recording": "files.recordings",
-    "read_rig": "calibration.file",
+    "read_rig": "calibration.report",
     "reconstruct": "steps",
-    "save": "saving",
+    "save": "steps",
     "scan": "results",
     "simulate": "steps",
     "surface": "steps",
     "write_recording": "files.recordings",
-    "write_rig": "calibration.file",
+    "write_rig": "calibration.report",
 }
 
 __all__ = [
@@ -126,5 +124,5 @@ def __dir__() -> list[str]:
 
 _register(
     drawn=lambda: import_module("scan3d.pictures.notebook"),
-    saved=lambda: import_module("scan3d.saving"),
+    saved=lambda: import_module("scan3d.steps"),
 )

@@ -17,9 +17,8 @@ from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.numbers import length
 from scan3d.pipeline import analyse
-from scan3d.planning.aims import further_directions, open_places
 from scan3d.planning.heights import next_heights
-from scan3d.planning.plan import Plan
+from scan3d.planning.plan import Plan, further_directions, open_places
 from scan3d.planning.rig import (
     Envelope,
     RigPlan,

@@ -81,6 +81,7 @@ def test_wrong_recordings_are_remarked_on(noise, names, slices, samples, most, u
     assert len(missed) <= most, missed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", IN_SPACE)
 def test_wrong_recordings_in_space_are_remarked_on(right, fault, undiagnosed):
     assert remarks(changed(right, IN_SPACE[fault]))
@@ -97,6 +98,7 @@ def test_no_cause_is_made_up_without_a_contact(egg):
         analyse(FAULTS["mz of the other sign"](egg))
 
 
+@pytest.mark.slow
 def test_a_body_that_is_not_convex_contradicts_the_model(undiagnosed):
     """Two boxes in one recording: the second stands in the hollow that the contacts of the first leave."""
     plan = scan3d.Plan(slices=6, samples=40, friction=0.3, rod=scan3d.Rod.of_length(0.03))

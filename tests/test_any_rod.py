@@ -199,6 +199,7 @@ def test_sweeps_are_reconstructed(contour, rod, direction):
     assert (contacts.friction_angle_bound[tip] < np.arctan(friction[tip]) + 1e-7).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contour", CONTOURS)
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 def test_a_table_of_stiffness_that_does_not_vary_gives_the_uniform_rod(contour, friction):

@@ -47,6 +47,7 @@ def clamped(rod, moment):
     return np.concatenate([np.zeros(3), frame.ravel(), moment])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rod", "down"), [(CURLED, np.zeros(3)), (HEAVY, DOWN)])
 def test_integrated_rods_are_found(rod, down):
     # rods are shot so that they carry no moment behind a contact at a given place, and their reactions are read back
@@ -176,6 +177,7 @@ def test_contacts_and_statuses():
     np.testing.assert_array_equal(straight.point, inverse.reconstruct(rows[:1], moments[:1]).point)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rod", [CURLED, HEAVY])
 def test_stated_errors_are_those_of_noisy_reactions(rod):
     rng, noise = np.random.default_rng(2), (1e-4, 2e-4)

@@ -144,6 +144,7 @@ def test_formulas_in_the_summary_are_text():
     assert {name: row[name] for name in texts} == expected
 
 
+@pytest.mark.slow
 def test_what_a_scan_has_written_is_no_mesh(serial, tmp_path):
     out, _ = serial
     shutil.copytree(out / "egg", tmp_path / "egg")

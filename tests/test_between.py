@@ -117,6 +117,7 @@ def test_support_lines_that_enclose_nothing_give_no_contour():
     assert _contour(np.zeros(4), np.ones(4), np.zeros(2)).shape == (0, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
 def test_the_estimate_lies_between_the_bounds(fraction):
     """No point lies inside the hull, and none outside the outer body by more than support functions are interpolated to."""
@@ -134,6 +135,7 @@ def test_the_estimate_lies_between_the_bounds(fraction):
     assert abs(signed_distances(tip[None], estimate)[0]) < 0.2 * bounds.bound
 
 
+@pytest.mark.slow
 def test_the_gap_at_a_slice_is_the_larger_one_beside_it():
     cloud = scanned(hull(20 * np.random.default_rng(0).normal(size=(30, 3))), slices=12, samples=32)
     found = room(cloud)

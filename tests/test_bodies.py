@@ -64,6 +64,7 @@ def test_a_scene_is_put_together_by_its_transforms(tmp_path):
     np.testing.assert_allclose(body.bounds.mean(axis=0), [5, 6, 7], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS_M)
 @pytest.mark.parametrize("ending", [".glb", ".obj", ".ply", ".stl"])
 def test_units_that_files_state_are_read(tmp_path, ending, unit):
@@ -228,6 +229,7 @@ def test_separate_bodies_in_a_file_are_counted(tmp_path):
     assert "separate" not in error(save(tmp_path, letter_l()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "units"), [(1000, "mm and the first in m"), (25.4, "mm and the first in in"), (9.9, "mm")]
 )

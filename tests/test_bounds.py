@@ -129,6 +129,7 @@ def tilted(seed, turn):
     return body, simulate_rig(body, poses, model="planar", friction=(0.2, 0.2)).recording()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2, 4, 5, 6))])
 def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
     turn = (0.5, -0.4, 0.3)

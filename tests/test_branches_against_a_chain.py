@@ -72,6 +72,7 @@ def bodies():
     return {"peanut": np.stack(cassini(0.8, 200), axis=1), "star": gear}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["star", pytest.param("peanut", marks=pytest.mark.trust)])
 def test_branches(name):
     vertices = bodies()[name]

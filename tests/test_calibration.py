@@ -53,7 +53,7 @@ def calibrated(kind):
     return recording, scan3d.calibrate(recording, touched), kind
 
 
-@pytest.fixture(params=["sphere", "plane"])
+@pytest.fixture(params=["sphere", pytest.param("plane", marks=pytest.mark.slow)])
 def noisy(request):
     """Touches under noise, the calibration by them, and the kind of their reference."""
     return calibrated(request.param)
@@ -64,6 +64,7 @@ def on_sphere():
     return calibrated("sphere")[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", "plane"])
 @pytest.mark.parametrize("contact", [Kind.TANGENTIAL, Kind.TIP])
 def test_derivatives_of_the_equations_are_those_of_difference_quotients(kind, contact):
@@ -144,6 +145,7 @@ def test_rows_are_chosen_by_their_neighbours_alone():
     assert (neighbours(line, sweep, contact)[50] == line[50]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.0, 0.5])
 def test_noise_that_is_not_stated_or_understated_is_found_in_the_air(on_sphere, stated):
     recording = rigs.recorded()
@@ -175,6 +177,7 @@ def with_wrench(recording, force, moment):
     )
 
 
+@pytest.mark.slow
 def test_a_weight_that_turns_with_the_clamp_is_a_tare_of_each_sweep():
     recording = rigs.recorded(**SHORT)
     # three times the largest force of the rod, 5 mm from the sensor
@@ -185,6 +188,7 @@ def test_a_weight_that_turns_with_the_clamp_is_a_tare_of_each_sweep():
     assert np.abs(deviations[of_rig(found)]).max() < 4
 
 
+@pytest.mark.slow
 def test_a_constant_tare_has_no_drift():
     recording = rigs.recorded(dataclasses.replace(rigs.Truth(), drift=(0,) * 6), **SHORT)
     found = scan3d.calibrate(recording, rigs.DIAMETER, tare="constant")
@@ -234,6 +238,7 @@ def test_few_light_touches_determine_poorly():
     assert any("the sensor's turn poorly" in sentence and "more friction" in sentence for sentence in found.sentences)
 
 
+@pytest.mark.slow
 def test_strokes_over_a_plane_in_one_direction_say_what_they_lack():
     raster = dict(directions=1, rolls=1, **SHORT)
     truth = dataclasses.replace(rigs.EXACT, clamp=(0.0, 0.0, 0.0), clamp_turn=(0.0, 0.0, 0.0))
@@ -246,8 +251,9 @@ def test_strokes_over_a_plane_in_one_direction_say_what_they_lack():
     assert max(error[name] for name in error if known[name] and not name.startswith("plane")) < 1e-4
 
 
+@pytest.mark.slow
 def test_touches_with_the_tip_alone_on_a_plane():
-    raster = dict(depths=(0.2, 0.3))
+    raster = dict(depths=(0.2, 0.3), **SHORT)
     recording, touched = recorded("plane", **raster)
     found = scan3d.calibrate(recording, touched)
     deviations = errors(found, recording, "plane", **raster) / found.standard_deviations
@@ -313,7 +319,9 @@ def shaken(recording, normal, sag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["facets", "planar", "diameter", "sag"])
+@pytest.mark.parametrize(
+    "case", ["diameter", "planar", *(pytest.param(case, marks=pytest.mark.trust) for case in ("facets", "sag"))]
+)
 def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case):
     touched, raster, sentence = rigs.DIAMETER, {}, "a reference that is no sphere, such as one of facets"
     if case == "facets":
@@ -336,7 +344,8 @@ def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case)
         assert (np.abs(errors(found, recording, **raster)) < 3 * found.standard_deviations).all()
 
 
-@pytest.mark.parametrize("kind", ["sphere", pytest.param("plane", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sphere", "plane"])
 def test_gains_and_cross_talk_of_the_sensor_are_part_of_the_uncertainties(kind):
     """One per cent between all channels: what the touches do not tell of them makes wide intervals, and no refusal."""
     truth = rigs.Truth(mixing=0.01)
@@ -372,6 +381,7 @@ def test_intervals_hold_for_sensors_whose_channels_mix(kind):
     assert 0.9 <= np.mean(np.concatenate(holds)) <= 0.98
 
 
+@pytest.mark.slow
 def test_a_gain_that_changes_from_row_to_row_is_allowed_for():
     recording = rigs.recorded(**SHORT)
     gain = 1 + 0.01 * np.random.default_rng(3).normal(size=(len(recording), 6))
@@ -477,14 +487,23 @@ def test_the_command_writes_a_rig_and_prints_a_table(call, touches, tmp_path, on
     assert data["rod"]["bending_stiffness_Nm2"] == on_sphere.rod.bending_stiffness_Nm2
 
 
-def test_units_json_and_quiet(call, touches, tmp_path):
+def test_units_json_and_quiet(call, touches, tmp_path, on_sphere, monkeypatch):
+    asked = []
+
+    def calibrate(recording, reference=None, **arguments):
+        asked.append((reference, arguments))
+        return on_sphere
+
+    monkeypatch.setattr("scan3d.calibration.report.calibrate", calibrate)
     code, out, _ = call("calibrate", touches, "--sphere", 0.03, "--unit", "m", "--out", tmp_path / "rig.toml", "--json")
     data = json.loads(out)
     assert code == 0
     assert data["sphere"]["diameter_mm"] == pytest.approx(30)
     given = ("--pose-noise", 0.02, "--tare", "linear", "--quiet")
     assert call("calibrate", touches, "--sphere", 30, "--out", tmp_path / "rig.toml", *given) == (0, "", "")
-    assert tomllib.loads((tmp_path / "rig.toml").read_text())["noise"]["pose_m"] == pytest.approx(20e-6)
+    (first, _), (second, chosen) = asked
+    assert first == second == pytest.approx(0.03)
+    assert chosen == {"tare": "linear", "pose_noise_m": pytest.approx(20e-6)}
 
 
 def test_what_the_command_refuses(call, touches, tmp_path):

@@ -218,6 +218,7 @@ def test_with_few_slices_the_estimate_is_made_without_cross_validation():
     assert "too few slices" in surface(cloud).metadata["reason"]
 
 
+@pytest.mark.slow
 def test_every_second_slice_is_held_out_except_the_end_slices(ball):
     _, ball = ball
     kept, held_out = hold_out(ball)

@@ -247,6 +247,7 @@ def test_a_disk_that_is_full(call, tmp_path, monkeypatch, no_pictures):
     assert tree(tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_output_into_a_closed_pipe(tmp_path):
     asked = [COMMAND, "scan", CUBE, "--out", tmp_path / "out", "--print-config"]
     # the reader has ended, as in `| true`
@@ -339,6 +340,7 @@ def test_bash_completes_commands_options_and_values(call, tmp_path):
         assert {word.strip() for word in done.stdout.split()} == offers
 
 
+@pytest.mark.slow
 def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, monkeypatch, no_pictures):
     mesh = scan3d.load_mesh(scenes.DEMO)
     monkeypatch.syspath_prepend(MESHES)
@@ -462,6 +464,7 @@ def test_compare_prints_the_distance(call, tmp_path):
     assert "5 mm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
 
 
+@pytest.mark.slow
 def test_hull_scans_a_body_that_is_not_convex_and_quiet_prints_nothing(call, bad, tmp_path, no_pictures):
     asked = ["scan", bad / "torus.stl", "--out", tmp_path, "--hull", *FEW, "--slices", "6", "--quiet"]
     assert call(*asked) == (0, "", f"scan3d: {rendering.NO_RENDERER}\n")

@@ -122,6 +122,7 @@ def test_open_and_flat_surfaces(all_samples):
     assert np.isnan(result.normal_median_deg)
 
 
+@pytest.mark.slow
 def test_averages_over_cubes(all_samples):
     """Along an edge of the outer cube the distance bends within 5 % of the side: the samples see that to 1e-3."""
     x = (np.arange(2000) + 0.5) / 2000 * 1.1

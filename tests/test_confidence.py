@@ -118,6 +118,7 @@ def test_averages_are_those_of_runs_and_of_the_runs_beside_them():
     np.testing.assert_allclose(weighted.variance(variance), least)
 
 
+@pytest.mark.slow
 def test_a_mean_of_contacts_lies_as_close_as_its_covariance_says():
     """The rows that are averaged do not depend on the errors, so that the errors of the mean are those of the sum."""
     _, _, cloud = scanned("cube.stl", 1e-4)
@@ -182,6 +183,7 @@ def test_the_part_of_a_polygon_beyond_a_line():
 # --- enclosures and certificates ---
 
 
+@pytest.mark.slow
 def test_exact_contacts_need_no_confidence():
     cloud = scanned("cube.stl", 0.0)[2]
     assert cloud.covariance is None
@@ -219,6 +221,7 @@ def test_the_bound_is_at_most_five_times_the_least_one_that_holds(name, noise):
 # --- contacts ---
 
 
+@pytest.mark.slow
 def test_light_touches_are_left_out_with_a_count():
     _, _, cloud = scanned("cube.stl", 1e-3)
     assert cloud.light > 0
@@ -226,6 +229,7 @@ def test_light_touches_are_left_out_with_a_count():
     assert cloud.accurate() is cloud or len(cloud.accurate()) < len(cloud)
 
 
+@pytest.mark.slow
 def test_surfaces_do_not_use_the_least_certain_contacts():
     """A light touch is out along the face by far more than across it, and so beyond the cube's edge."""
     _, _, cloud = scanned("cube.stl", 1e-5)

@@ -170,6 +170,7 @@ def test_planar_offsets_and_zeros_are_named_with_their_size(name):
     assert found.value == pytest.approx(0.1 * np.hypot(1, 0.6) * unit, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
@@ -316,6 +317,7 @@ def test_the_weight_of_a_rod_is_named(weight, tared, noise):
     assert f"tared = {str(tared).lower()}" in found.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [None, 0.02])
 def test_a_wrench_that_is_later_than_its_pose_is_named(speed):
     """It is that of a pose that lay 3 mm back, against the sweep in -x."""

@@ -37,6 +37,7 @@ def beta(recording):
     return np.arcsin((force * found.tangent[rows]).sum(axis=1)[tangential])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), (0.0, 0.4)])
 def test_friction_on_a_fine_mesh_shows_no_more_than_was_set(friction):
     """Where facets stand for a smooth body; 1 % of the samples showed up to 0.43 for 0.4, and all up to 0.04 for 0."""
@@ -47,6 +48,7 @@ def test_friction_on_a_fine_mesh_shows_no_more_than_was_set(friction):
     assert shown.max() < np.max(friction) + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.trust) for k in range(1, 6))])
 def test_rows_between_solved_ones_are_those_of_rods_that_touch(seed):
     """A dense log of a rig, whose rows are partly interpolated: 1 to 4 % were not in the cone of 0.4, and up to 0.6 mm off."""

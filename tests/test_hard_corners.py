@@ -58,6 +58,7 @@ def passed(contours, frictions, count):
     return np.stack([found.status for found in swept])
 
 
+@pytest.mark.slow
 def test_hard_corners():
     status = passed([CORNERS[name] for name in QUICK], [0.0, 0.3, 0.3], 24)
     assert (status != SweepStatus.UNRESOLVED).all()
@@ -92,6 +93,7 @@ def test_a_polygon_of_a_peanut_is_like_the_peanut():
     assert np.median(np.abs(smooth.m0z - facets.m0z)[one]) < 5e-3
 
 
+@pytest.mark.slow
 def test_friction_that_changes_from_sample_to_sample():
     rng = np.random.default_rng(20)
     swept = planar.sweep(CORNERS["a hook"], rng.uniform(0, 0.5, 12), base=np.linspace(0.2, -0.5, 12))

@@ -16,7 +16,6 @@ import scan3d
 from scan3d import InputError, Plan, Recording, Rod
 from scan3d.geometry.sections import extent_along, slice_polygons
 from scan3d.planning import next_heights
-from scan3d.planning.aims import base_fractions, first_directions
 from scan3d.planning.heights import (
     BEYOND,
     FIRST_SLICES,
@@ -29,6 +28,7 @@ from scan3d.planning.heights import (
     least_parts,
     open_contours,
 )
+from scan3d.planning.plan import base_fractions, first_directions
 from scan3d.planning.several_axes import FIRST_SLICES as FIRST_TOGETHER
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.reconstruction.contacts import contacts
@@ -256,6 +256,7 @@ def test_a_rig_is_given_the_heights_of_the_simulation(gem):
     assert bounds[-1] < 0.2 * bounds[0]
 
 
+@pytest.mark.slow
 def test_no_slices_are_taken_that_buy_nothing():
     """The contacts of few samples leave more open in the planes of slices than lies between them."""
     egg = scan3d.load_mesh(GEM.with_name("egg.stl"))

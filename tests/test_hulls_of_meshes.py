@@ -17,7 +17,7 @@ from scan3d.cli import main
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.files.reading import dent_size
 from scan3d.numbers import length
-from scan3d.pictures import page, rendering, shading
+from scan3d.pictures import page, parts, rendering
 from scan3d.pipeline import to_scene
 from scan3d.report import _filled, key_figures
 
@@ -161,11 +161,11 @@ def test_what_is_printed_says_what_it_refers_to(scanned):
 def test_pictures_say_what_they_show(scanned):
     scene = to_scene(scanned.analysis)
     assert scene.truth_name == HULL
-    _, shaded = shading.shade_surface(scene)
+    _, shaded = parts.shade_surface(scene)
     assert shaded.title == f"signed deviation from the {HULL} in µm"
-    assert shading.shade_surface(scene, "bound")[1].title == f"certified bound of the {HULL} in µm"
+    assert parts.shade_surface(scene, "bound")[1].title == f"certified bound of the {HULL} in µm"
     assert f'"name":"{HULL}"' in page.page(scene).decode()
-    assert shading.shade_contacts(scene, "error").title == f"distance from the {HULL} in nm"
+    assert parts.shade_contacts(scene, "error").title == f"distance from the {HULL} in nm"
 
 
 @pytest.mark.rendering
@@ -182,7 +182,7 @@ def test_of_a_convex_mesh_nothing_of_the_kind_is_said():
     assert HULL not in repr(result)
     scene = to_scene(result.analysis)
     assert scene.truth_name == "truth"
-    assert shading.shade_surface(scene)[1].title == "signed deviation in µm"
+    assert parts.shade_surface(scene)[1].title == "signed deviation in µm"
 
 
 @pytest.mark.slow

@@ -145,6 +145,7 @@ def test_rows_without_a_pose_are_counted(tmp_path, recording):
         load(path, map)
 
 
+@pytest.mark.slow
 def test_damaged_bags_are_refused_in_a_sentence(tmp_path, recording, monkeypatch):
     log = track(recording, air=25)
     map = read_map(made(recording, {}))

@@ -222,6 +222,7 @@ FILES_OF_ARRAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", FILES_OF_ARRAYS)
 def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
     columns, data = table(track(planar), EXACT), map_of(planar.rod, EXACT)
@@ -259,6 +260,7 @@ def test_what_a_file_needs_is_named(tmp_path, monkeypatch, planar, file, library
         scan3d.import_table(tmp_path / file, map_of(planar.rod, EXACT))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [6, 3])
 def test_signals_of_a_transducer(tmp_path, planar, rows):
     """Bridges whose volts a matrix makes force and moment of."""
@@ -421,6 +423,7 @@ def with_columns(data, **entries):
     return data | {"columns": data["columns"] | entries}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", [EXACT, Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), noise=0.002)])
 def test_a_wrench_in_the_frame_of_the_poses_is_turned_back_and_is_noted_where_the_map_says_otherwise(
     tmp_path, planar, rig

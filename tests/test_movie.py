@@ -12,7 +12,7 @@ from PIL import Image, ImageSequence
 from small_scans import EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d.pictures import movie, rendering, shading
+from scan3d.pictures import movie, parts, rendering
 
 SIZE = (980, 560)
 LEFT, RIGHT = (slice(0, 500), slice(0, 550)), (slice(0, 500), slice(640, 980))
@@ -32,7 +32,7 @@ def images(path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "colors"),
-    [(lambda: scanned(EGG), [shading.ROD]), (scanned_in_space, shading.REACTION_COLORS)],
+    [(lambda: scanned(EGG), [parts.ROD]), (scanned_in_space, parts.REACTION_COLORS)],
     ids=["planar", "spatial"],
 )
 def test_a_sweep(make, colors, tmp_path):
@@ -41,10 +41,10 @@ def test_a_sweep(make, colors, tmp_path):
     assert len(shown) == 5
     for image in shown:
         assert (image[:5] == 255).all()
-        assert of_color(image[LEFT], shading.BODY).mean() > 0.03
-        assert of_color(image[LEFT], shading.ROD).sum() > 200
+        assert of_color(image[LEFT], parts.BODY).mean() > 0.03
+        assert of_color(image[LEFT], parts.ROD).sum() > 200
     # the trace of contacts and the curves grow, in space those of three components of force and moment
-    for color, part in [(shading.TANGENTIAL, LEFT)] * (len(colors) == 1) + [(color, RIGHT) for color in colors]:
+    for color, part in [(parts.TANGENTIAL, LEFT)] * (len(colors) == 1) + [(color, RIGHT) for color in colors]:
         assert np.all(np.diff([of_color(image[part], color).sum() for image in shown]) > 0)
 
 
@@ -52,7 +52,7 @@ def test_the_rod_moves_as_the_clamp_did(egg):
     # in the clamp's frame the base goes in -x: its black square in the picture to the left
     squares = []
     for image in movie._sweep_frames(egg, 4):
-        ink = of_color(image[LEFT].astype(int), shading.INK)
+        ink = of_color(image[LEFT].astype(int), parts.INK)
         # the square is the only black thing some pixels thick
         thick = ink[2:-2, 2:-2] & ink[:-4, 2:-2] & ink[4:, 2:-2] & ink[2:-2, :-4] & ink[2:-2, 4:]
         squares.append(np.argwhere(thick)[:, 1].mean())

@@ -18,7 +18,7 @@ from without_renderer import MISSING, headless, hidden_renderer
 import planar
 import scan3d
 from scan3d.numbers import number
-from scan3d.pictures import charts, rendering, shading
+from scan3d.pictures import charts, parts, rendering
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +244,7 @@ def test_a_recording_of_one_sweep(recording):
 def test_clouds_of_a_few_contacts(cloud):
     for count in (1, 2):
         image = np.asarray(cloud.select(np.arange(count)).plot(color="phase", dpi=50))[:, :235]
-        seen = [fraction_of_color(image, color, 60) for color in (shading.TIP, shading.TANGENTIAL)]
+        seen = [fraction_of_color(image, color, 60) for color in (parts.TIP, parts.TANGENTIAL)]
         assert 0 < max(seen) < 0.1
 
 
@@ -258,7 +258,7 @@ def test_clouds_and_surfaces_in_pictures(recording, cloud, surface):
     lid = "#053061"  # the hull's lid lies below the cube's
     assert fraction_of_color(scan3d.plot(surface, dpi=100), lid) == 0
     assert fraction_of_color(scan3d.plot(surface, truth=mesh, view="compare", dpi=100), lid) > 0.02
-    assert fraction_of_color(recording.plot(view="explain", truth=mesh, dpi=100), shading.ROD) > 3e-3
+    assert fraction_of_color(recording.plot(view="explain", truth=mesh, dpi=100), parts.ROD) > 3e-3
 
 
 @pytest.mark.slow

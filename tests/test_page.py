@@ -15,9 +15,8 @@ from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
 from scan3d.pictures.page import page, player, samples_of
-from scan3d.pictures.parts import shown_surface
+from scan3d.pictures.parts import shown_lengths, shown_surface
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import shown_lengths
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 

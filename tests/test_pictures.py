@@ -18,7 +18,7 @@ import scan3d
 from scan3d import processes
 from scan3d.choices import CAMERAS
 from scan3d.files.shapes import cloud_table
-from scan3d.pictures import figures, rendering, shading, views
+from scan3d.pictures import figures, parts, rendering, views
 from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.charts import histograms, reactions
 from scan3d.pictures.parts import shown_surface
@@ -151,8 +151,8 @@ def test_points_that_differ_by_rounding_are_seen_as_one():
     point = (-20.0, -20.0, 19.3)
     canvas = Canvas(np.array([point, np.multiply(point, 1 + 2e-16)]))
     assert (canvas.size, len(canvas.corners)) == (1.0, 1)
-    canvas.add_points(canvas.corners, shading.TIP, 7)
-    assert 0 < fraction_of_color(canvas.image(64, 64)[0], shading.TIP, 60) < 0.5
+    canvas.add_points(canvas.corners, parts.TIP, 7)
+    assert 0 < fraction_of_color(canvas.image(64, 64)[0], parts.TIP, 60) < 0.5
     canvas.plotter.close()
 
 
@@ -381,8 +381,8 @@ def test_the_cloud_by_its_colours(egg, tmp_path, color):
     image = draw(egg, tmp_path / "cloud.png", "cloud", color)
     body = image[:, :545]
     if color == "phase":
-        assert fraction_of_color(body, shading.TANGENTIAL, 60) > 2e-3
-        assert fraction_of_color(body, shading.TIP, 60) > 5e-5
+        assert fraction_of_color(body, parts.TANGENTIAL, 60) > 2e-3
+        assert fraction_of_color(body, parts.TIP, 60) > 5e-5
     else:
         assert (np.ptp(body, axis=2) > 60).mean() > 2e-3
         # viridis from yellow to violet
@@ -390,7 +390,7 @@ def test_the_cloud_by_its_colours(egg, tmp_path, color):
         assert top[0] > bottom[0]
         assert top[2] < bottom[2]
     # normals stick out of the body
-    assert fraction_of_color(body, shading.NORMAL, 60) > 1e-3
+    assert fraction_of_color(body, parts.NORMAL, 60) > 1e-3
 
 
 @pytest.mark.rendering
@@ -409,9 +409,9 @@ def test_truth_and_reconstruction_side_by_side(cube):
 def test_the_view_that_explains(make, tmp_path):
     image = draw(make(), tmp_path / "explain.png", "explain")
     upper, legend = image[:-75], image[-75:]
-    for color in (shading.BODY, shading.ROD, shading.INK):
+    for color in (parts.BODY, parts.ROD, parts.INK):
         assert fraction_of_color(upper, color, 60) > 1e-3
-    assert fraction_of_color(upper, shading.TANGENTIAL, 60) > 4e-4
+    assert fraction_of_color(upper, parts.TANGENTIAL, 60) > 4e-4
     assert (legend < 128).all(axis=2).mean() > 0.005
 
 
@@ -423,7 +423,7 @@ def test_a_long_body_is_cut_off_where_the_rods_do_not_reach(cube, tmp_path):
     scene = replace(cube, truth=tall, surface=tall, contacts=contacts, recording=recording)
     image = draw(scene, tmp_path / "a.png", "explain")
     # its ends are seen: faces in the colour of the body, and white paper above
-    assert of_color(image, shading.BODY, 60).any()
+    assert of_color(image, parts.BODY, 60).any()
 
 
 @pytest.mark.parametrize(

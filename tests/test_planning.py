@@ -10,7 +10,7 @@ from shapes import rotation
 
 from scan3d import InputError, Plan
 from scan3d.geometry.sections import slice_frame
-from scan3d.planning.aims import (
+from scan3d.planning.plan import (
     AIMED_SLOPE,
     OPEN_FRACTION,
     base_fractions,

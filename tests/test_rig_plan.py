@@ -14,8 +14,8 @@ from planar.elastica import bend
 from scan3d import InputError, Rod
 from scan3d.cli import main
 from scan3d.files.poses import COLUMNS, read_poses, to_yaml, write_poses
+from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.segments import segments_meet
 from scan3d.planning.rig import (
     FARTHEST,
     FORCE_FACTOR,

@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scan3d import InputError, read_recording, write_recording
-from scan3d.calibration.file import read_rig, write_rig
-from scan3d.calibration.report import OF_CONTACTS
+from scan3d.calibration.report import OF_CONTACTS, read_rig, write_rig
 from scan3d.recording import joined
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from tests import rigs

@@ -115,7 +115,7 @@ def test_pyvista_has_normals_friction_and_deviations(result):
     assert np.array_equal(data.points, result.cloud.points)
     assert np.allclose(data["Normals"], result.cloud.normals, atol=1e-6, equal_nan=True)
     assert {"friction", "force", "quality", "phase"} <= set(data.point_data.keys())
-    surface = scan3d.saving.to_pyvista(result.surface, CUBE)
+    surface = scan3d.steps.to_pyvista(result.surface, CUBE)
     assert surface.n_cells == len(result.surface.faces)
     assert np.allclose(surface["quality"], distances(result.surface.vertices, result.analysis.truth))
     assert np.allclose(surface["bound"], result.certificate.at_vertices, rtol=1e-6)
@@ -129,7 +129,7 @@ def test_open3d_has_normals_friction_and_deviations(result):
     assert np.allclose(cloud.point["normals"].numpy(), result.cloud.normals, atol=1e-6, equal_nan=True)
     assert cloud.point["friction"].numpy().shape == (len(result.cloud), 1)
     assert cloud.point["quality"].numpy().max() < 1e-9
-    mesh = scan3d.saving.to_open3d(result.surface)
+    mesh = scan3d.steps.to_open3d(result.surface)
     assert np.array_equal(mesh.triangle["indices"].numpy(), result.surface.faces)
 
 
@@ -140,7 +140,7 @@ def test_a_missing_library_is_named(result, monkeypatch, library):
         getattr(result.cloud, f"to_{library}")()
     if library == "open3d":
         with pytest.raises(scan3d.InputError, match=r"pip install 'scan3d\[open3d\]'$"):
-            scan3d.saving.to_open3d(result.surface)
+            scan3d.steps.to_open3d(result.surface)
 
 
 def test_what_can_not_be_saved(result, tmp_path):

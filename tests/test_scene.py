@@ -17,7 +17,7 @@ import scan3d
 from scan3d import scenes
 from scan3d.cli import main, show
 from scan3d.files.shapes import ply
-from scan3d.pictures import shading
+from scan3d.pictures import parts
 from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
 from scan3d.pictures.scene import contact_sentence, of_cloud, out_of_plane_deg
 from scan3d.report import key_figures
@@ -315,36 +315,36 @@ def test_the_distance_from_another_surface_is_signed_and_exact(cube):
 def test_colours_of_bounds_between_vertices_are_on_the_scale(cube):
     """Values are interpolated, not colours: a mixture of pale and dark need not be a colour of the scale."""
     bound = np.where(cube.surface.vertices[:, 0] > 0, 0.4, 0.0)
-    mesh, shaded = shading.shade_surface(replace(cube, bound=bound, truth=None), "bound")
+    mesh, shaded = parts.shade_surface(replace(cube, bound=bound, truth=None), "bound")
     assert mesh.volume == pytest.approx(cube.surface.volume)
     assert (shaded.norm.vmin, shaded.norm.vmax) == (0.0, pytest.approx(400.0))  # µm
     colors = {tuple(color) for color in shaded.rgb}
-    scale = shading.shade(np.linspace(0, 1, 256), "", 0, 1, map="YlGnBu").rgb
+    scale = parts.shade(np.linspace(0, 1, 256), "", 0, 1, map="YlGnBu").rgb
     assert colors <= {tuple(color) for color in scale}
     assert len(colors) > 30
 
 
 def test_a_body_found_exactly_is_not_shown_in_colours(cube):
     exact = replace(cube, surface=cube.truth)
-    _, shaded = shading.shade_surface(exact)
+    _, shaded = parts.shade_surface(exact)
     assert (shaded.rgb.min(axis=1) > 240).all()
     assert (shaded.title, shaded.norm.vmax) == ("signed deviation in nm", 1.0)
 
 
 def test_colours_are_those_of_their_scales(egg):
-    friction = shading.shade_contacts(egg, "friction")
+    friction = parts.shade_contacts(egg, "friction")
     tip = egg.column("phase") == planar.Phase.TIP
     assert tip.any()
     assert (friction.rgb[tip] == [154, 154, 154]).all()  # unknown: grey
     low, high = np.nanargmin(egg.column("friction")), np.nanargmax(egg.column("friction"))
     assert friction.rgb[low] == pytest.approx([68, 1, 84], abs=1)  # viridis
     assert friction.rgb[high] == pytest.approx([253, 231, 37], abs=1)
-    force = shading.shade_contacts(egg, "force")
+    force = parts.shade_contacts(egg, "force")
     assert (force.norm.vmin, force.norm.vmax) == (0.0, pytest.approx(1e3 * egg.column("force").max()))
 
 
 def test_the_bending_out_of_the_plane(ellipsoid):
-    shaded = shading.shade_contacts(ellipsoid, "bending")
+    shaded = parts.shade_contacts(ellipsoid, "bending")
     assert shaded.title == "bending out of the sweep's plane in °"
     assert shaded.norm.vmin == -shaded.norm.vmax  # symmetric
     # a rod that bends to the clamp's z by as much as along the sweep bends 45° out of the plane
@@ -369,7 +369,7 @@ def test_colours_that_a_cloud_does_not_know(cube):
         (None, "taste", "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
     ):
         with pytest.raises(scan3d.InputError, match=sentence):
-            shading.shade_contacts(replace(cube, contacts=contacts[columns] if columns else contacts), color)
+            parts.shade_contacts(replace(cube, contacts=contacts[columns] if columns else contacts), color)
 
 
 # Linear red, green and blue as they are seen without one kind of cones (G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A
@@ -402,11 +402,11 @@ def test_what_must_be_told_apart_is_so_by_the_colour_blind():
     # red and green of one lightness, which this test is to find
     assert least_difference(("#b2182b", "#3a6f1f")) < 20
     for colors in (
-        (shading.TANGENTIAL, shading.TIP, shading.UNKNOWN, shading.NORMAL),
-        (shading.ROD, shading.TANGENTIAL, shading.BODY, shading.INK),
-        shading.REACTION_COLORS,
-        shading.ON_DEVIATION,
-        (shading.ROD, shading.BOUND),
+        (parts.TANGENTIAL, parts.TIP, parts.UNKNOWN, parts.NORMAL),
+        (parts.ROD, parts.TANGENTIAL, parts.BODY, parts.INK),
+        parts.REACTION_COLORS,
+        parts.ON_DEVIATION,
+        (parts.ROD, parts.BOUND),
     ):
         assert least_difference(colors) > 15, colors
 

@@ -12,9 +12,8 @@ import scan3d
 from scan3d import InputError, Rod, Session
 from scan3d.cli import main
 from scan3d.files.poses import COLUMNS, read_poses
-from scan3d.geometry.distance import distances
+from scan3d.geometry.distance import distances, segments_meet
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.segments import segments_meet
 from scan3d.poses import Move
 from scan3d.session import around_contacts
 from scan3d.simulation.felt import steps_touch

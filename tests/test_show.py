@@ -15,7 +15,7 @@ from without_renderer import MISSING, hidden_renderer
 
 import scan3d
 from scan3d.cli import show
-from scan3d.pictures import movie, rendering, shading, window
+from scan3d.pictures import canvas, movie, parts, rendering
 from scan3d.pictures.scene import contact_sentence
 from scan3d.scenes import other_surface
 
@@ -192,7 +192,7 @@ def test_what_has_no_surface_to_compare_with(folder, tmp_path, shown):
 @pytest.mark.parametrize("spatial", [False, True])
 def test_the_window(spatial):
     scene, sentences = scanned_in_space() if spatial else scanned(EGG), []
-    built = window.Window(scene, sentences.append, "bending" if spatial else "phase", off_screen=True)
+    built = canvas.Window(scene, sentences.append, "bending" if spatial else "phase", off_screen=True)
     try:
         lines = ["contact paths"] if spatial else ["slices"]
         truth = [] if spatial else ["truth"]
@@ -203,7 +203,7 @@ def test_the_window(spatial):
         built.switch("rods", True)
         assert built.layers["rods"][0].GetVisibility()
         for color in ("bending" if spatial else "phase", "force"):
-            assert np.array_equal(built.contacts["rgb"], shading.shade_contacts(scene, color).rgb)
+            assert np.array_equal(built.contacts["rgb"], parts.shade_contacts(scene, color).rgb)
             built.paint("force")
         built.pick(scene.points[17])
         built.pick(scene.points[17] + 100.0)
@@ -218,13 +218,13 @@ def test_without_a_display_there_is_no_window(shown, monkeypatch, display):
         monkeypatch.delenv(name, raising=False)
     if display:
         monkeypatch.setenv("DISPLAY", display)
-    monkeypatch.setattr(window.sys, "platform", "linux")
-    window.can_open.cache_clear()
+    monkeypatch.setattr(canvas.sys, "platform", "linux")
+    canvas.can_open.cache_clear()
     try:
-        assert shown() == (1, "", f"scan3d: {window.NO_DISPLAY}\n")
+        assert shown() == (1, "", f"scan3d: {canvas.NO_DISPLAY}\n")
         with pytest.raises(
             scan3d.InputError, match="there is no display to open a window on; write a picture with --scr"
         ):
-            window.open_window(scanned(EGG), print)
+            canvas.open_window(scanned(EGG), print)
     finally:
-        window.can_open.cache_clear()
+        canvas.can_open.cache_clear()

@@ -12,7 +12,7 @@ from scan3d.cli import main
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.pictures import rendering
-from scan3d.planning import aims
+from scan3d.planning import plan as aims
 from scan3d.simulation import spatial
 from scan3d.spatial.bodies import RoundedPolyhedron
 

@@ -387,8 +387,8 @@ def calibrate(
     pose_noise
         standard deviation of the clamp's coordinates (default: estimated)
     """
-    from scan3d.calibration.file import check_path, sections, write_rig
     from scan3d.calibration.report import calibrate as calibrate_rig
+    from scan3d.calibration.report import check_path, sections, write_rig
     from scan3d.files.recordings import read_recording, sidecar
     from scan3d.files.text import to_json
     from scan3d.laboratory.importing import not_rigged
@@ -418,7 +418,7 @@ def rigged(recording: Any, rig: Path | None) -> Any:
     """The recording, corrected by a rig if one is named."""
     if rig is None:
         return recording
-    from scan3d.calibration.file import read_rig
+    from scan3d.calibration.report import read_rig
     from scan3d.laboratory.importing import not_rigged
 
     not_rigged(recording.source, "the recording")

@@ -93,11 +93,11 @@ def show(
     except InputError as error:
         raise UsageError(str(error)) from None
     from scan3d.files.whole import atomic, check_file, write_atomic
-    from scan3d.pictures import drawing, page, views, window
+    from scan3d.pictures import canvas, drawing, page, views
     from scan3d.pictures import movie as movies
 
-    if not (screenshot or html or movie) and not window.can_open():
-        raise InputError(window.NO_DISPLAY)
+    if not (screenshot or html or movie) and not canvas.can_open():
+        raise InputError(canvas.NO_DISPLAY)
     # file names are checked before the work
     if screenshot:
         views.check_path(screenshot)
@@ -116,7 +116,7 @@ def show(
     output.progress.tell("drawing")
     if not (screenshot or html or movie):
         output.progress.end()
-        window.open_window(scene, print, color or "force")
+        canvas.open_window(scene, print, color or "force")
         return 0
     if html:
         write_atomic(html, page.page(scene), "--html")

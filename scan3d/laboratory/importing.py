@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from scan3d import numbers
 from scan3d.arrays import Array, Mask
-from scan3d.calibration.file import read_rig
-from scan3d.calibration.report import Calibration
+from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
 from scan3d.files.section import Section
 from scan3d.files.text_tables import Table, read_table

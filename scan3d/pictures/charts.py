@@ -23,9 +23,20 @@ from scan3d.pictures.figures import (
     ticks,
     wrapped,
 )
-from scan3d.pictures.parts import area_of_vertices, evenly_chosen, shown_surface, weighted_quantiles
+from scan3d.pictures.parts import (
+    BOUND,
+    INK,
+    ROD,
+    TANGENTIAL,
+    TIP,
+    UNKNOWN,
+    area_of_vertices,
+    evenly_chosen,
+    shown_lengths,
+    shown_surface,
+    weighted_quantiles,
+)
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import BOUND, INK, ROD, TANGENTIAL, TIP, UNKNOWN, shown_lengths
 from scan3d.pictures.sheet import FONT, WIDTH, Sheet
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M, unit_symbol

@@ -17,7 +17,7 @@ import numpy as np
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.pictures.canvas import Canvas
-from scan3d.pictures.shading import INK, UNKNOWN, Shade
+from scan3d.pictures.parts import INK, UNKNOWN, Shade
 from scan3d.pictures.sheet import DPI, FONT, WIDTH, Sheet
 from scan3d.units import unit_symbol
 

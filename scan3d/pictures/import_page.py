@@ -12,8 +12,7 @@ import numpy as np
 
 from scan3d.arrays import Array, Mask
 from scan3d.pictures.figures import SPATIAL_LABELS, open_axes, own_style
-from scan3d.pictures.parts import evenly_chosen
-from scan3d.pictures.shading import INK, REACTION_COLORS, UNKNOWN
+from scan3d.pictures.parts import INK, REACTION_COLORS, UNKNOWN, evenly_chosen
 from scan3d.pictures.sheet import FONT
 
 if TYPE_CHECKING:

@@ -19,6 +19,12 @@ from scan3d.geometry.hulls import hull
 from scan3d.pictures.canvas import DIRECTION, Canvas
 from scan3d.pictures.figures import REACTION_LABELS, SPATIAL_LABELS, blank_figure, open_axes, own_style
 from scan3d.pictures.parts import (
+    BODY,
+    INK,
+    REACTION_COLORS,
+    ROD,
+    SLICE,
+    TANGENTIAL,
     ShownSweep,
     evenly_chosen,
     has_rods,
@@ -29,7 +35,6 @@ from scan3d.pictures.parts import (
 )
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import BODY, INK, REACTION_COLORS, ROD, SLICE, TANGENTIAL
 from scan3d.pictures.sheet import FONT
 from scan3d.units import unit_symbol
 

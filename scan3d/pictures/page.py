@@ -24,18 +24,6 @@ from scan3d.errors import InputError
 from scan3d.numbers import UNITS
 from scan3d.pictures.figures import own_style
 from scan3d.pictures.parts import (
-    SWEEP_DIRECTION,
-    area_of_vertices,
-    has_rods,
-    is_spatial,
-    most_informative_sweep,
-    normal_lines,
-    recording_rows,
-    sections,
-    weighted_quantiles,
-)
-from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import (
     BODY,
     FORCE,
     INK,
@@ -44,11 +32,21 @@ from scan3d.pictures.shading import (
     REACTION_COLORS,
     ROD,
     SELECTED,
+    SWEEP_DIRECTION,
     TIP,
     Shade,
+    area_of_vertices,
+    has_rods,
+    is_spatial,
+    most_informative_sweep,
+    normal_lines,
+    recording_rows,
+    sections,
     shade_contacts,
     surface_shades,
+    weighted_quantiles,
 )
+from scan3d.pictures.scene import Scene
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M, unit_symbol
 

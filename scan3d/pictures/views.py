@@ -23,10 +23,25 @@ from scan3d.pictures.figures import (
     save,
     show_canvas,
 )
-from scan3d.pictures.parts import ShownSweep, evenly_chosen, normal_lines, sections, shown_sweep, sweep_direction
+from scan3d.pictures.parts import (
+    BODY,
+    INK,
+    NORMAL,
+    ROD,
+    SLICE,
+    TANGENTIAL,
+    TIP,
+    ShownSweep,
+    evenly_chosen,
+    normal_lines,
+    sections,
+    shade_contacts,
+    shade_surface,
+    shown_sweep,
+    sweep_direction,
+)
 from scan3d.pictures.rendering import need_renderer
 from scan3d.pictures.scene import Scene
-from scan3d.pictures.shading import BODY, INK, NORMAL, ROD, SLICE, TANGENTIAL, TIP, shade_contacts, shade_surface
 from scan3d.pictures.sheet import CHARTS, Sheet
 
 PICTURES = (".png", ".pdf", ".svg")

@@ -22,8 +22,7 @@ from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import distance_from_hull
-from scan3d.planning.aims import cosine_fractions
-from scan3d.planning.plan import Plan
+from scan3d.planning.plan import Plan, cosine_fractions
 from scan3d.reconstruction.slices import SAME_AXIS, SliceStack, stacks
 
 FIRST_SLICES = 8

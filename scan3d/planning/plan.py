@@ -1,13 +1,22 @@
-"""The settings of a scan."""
+"""The settings of a scan, and where its sweeps go.
+
+In a slice that is directions, samples and base lines.  In space a rod that comes from one side bends aside and slides over the
+body (S24): it sees the part of the surface whose normals lie some 13° to 70° from its own direction.  Twelve directions, those
+of the vertices of an icosahedron, see every normal from two or more sides.  From each of them the straight lines of a round
+rod run in two directions across each other, and every other line runs backwards, because a sweep sees most of the side that
+it comes to.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import Array
 from scan3d.choices import MODELS, SPACINGS, Model, Spacing
@@ -163,3 +172,218 @@ def check_whole(name: str, value: object, minimum: int) -> None:
     """Raises InputError for a setting whose value is no whole number, or too small."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
         raise InputError(f"{name} must be a whole number of at least {minimum}, got {value!r}")
+
+
+# By which fraction a sweep's samples are denser than evenly spaced at its start, and sparser at its end.
+CROWDING = 0.45
+FIRST_SWEEPS = 6
+"""Approach directions with which a slice is begun; one sweep sees some 100° of its normals, less of straight sides."""
+MAX_SWEEPS = 16
+"""Upper bound of the number of approach directions of a slice."""
+OPEN_FRACTION = 5e-4
+"""A slice is covered where contacts and their tangents leave less than this fraction of its width open between them."""
+AIMED_SLOPE = math.radians(40)
+"""The slope at which a sweep aimed at a normal meets it: the middle of the slopes that it sees tangentially."""
+# Decimals to which angles in radians are rounded: those of normals, so that contacts on one edge have the same, and those of
+# approach directions, so that the poses are short numbers.
+_NORMAL_DECIMALS, _DIRECTION_DECIMALS = 9, 3
+# Where along the rod, in its lengths, a place in space is touched that a sweep is aimed at.
+_TOUCHED = 0.6
+# Angles by which the directions in space are turned, in radians: any that belong to no symmetry.
+_ASKEW = (0.2, 0.37, 0.61)
+
+
+def cosine_fractions(count: int) -> Array:
+    """Chebyshev's nodes (count,) between 0 and 1: dense at the ends, where bodies are small."""
+    nodes: Array = (1 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
+    return nodes
+
+
+def base_fractions(samples: int) -> Array:
+    """Where the samples (n,) of a sweep are taken, as fractions of the travel from touch-down to the sweep's end.
+
+    They are denser at the start, where the contour turns fastest under the rod, so that the normals are met about evenly.
+    """
+    u = np.linspace(0.0, 1.0, samples)
+    return u - CROWDING / np.pi * np.sin(np.pi * u)
+
+
+def first_directions(plan: Plan) -> Array:
+    """The approach directions with which a slice is begun: angles (k,) of the undeformed rod in it, in radians."""
+    count = plan.sweeps or FIRST_SWEEPS
+    return 2 * np.pi * np.arange(count) / count
+
+
+def further_directions(points: Array, normals: Array, width: float, limit: float | None = None) -> Array:
+    """Approach directions (k,), in radians, towards those parts of a slice's contour that tangential contacts leave open.
+
+    points, normals (n, 2)
+        contacts and their outward unit normals.  Two neighbouring contacts leave open the triangle between their chord and
+        their tangents.
+    width
+        of the contour, in the unit of the points.
+    limit
+        height of an open triangle, in the same unit, above which a sweep is aimed at it; by default a part of the width.
+
+    Returns no directions where there are no tangential contacts.
+    """
+    if not len(points):
+        return np.empty(0)
+    # contacts on one edge have the same normal, up to rounding; their order is that along the edge
+    angle = np.round(np.arctan2(normals[:, 1], normals[:, 0]), _NORMAL_DECIMALS)
+    order = np.lexsort((points[:, 1] * np.cos(angle) - points[:, 0] * np.sin(angle), angle))
+    points, angle = points[order], angle[order]
+    chord = np.roll(points, -1, axis=0) - points
+    gap = np.diff(angle, append=angle[0] + 2 * np.pi)
+    ahead = angle + gap
+    before = np.maximum(-chord[:, 0] * np.cos(angle) - chord[:, 1] * np.sin(angle), 0.0)
+    after = np.maximum(chord[:, 0] * np.cos(ahead) + chord[:, 1] * np.sin(ahead), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = np.nan_to_num(before * after / (np.hypot(*chord.T) * np.sin(gap)))
+    open_height = np.where(gap >= np.pi, width, height)
+    limit = OPEN_FRACTION * width if limit is None else limit
+    middle = (angle + gap / 2)[open_height > limit]
+    # n = (sin α̃, -cos α̃) in the clamp's frame, whose y axis, the undeformed rod, has the direction sought
+    return np.unique(np.round(middle + np.pi - AIMED_SLOPE, _DIRECTION_DECIMALS))
+
+
+class BaseLine(NamedTuple):
+    """The line on which the clamp moves in a sweep, in the frame of the slices and in the outline's unit."""
+
+    axes: Array
+    """(2, 2) the clamp's x and y axes, as rows: along the sweep, and along the undeformed rod."""
+    origin: Array
+    """(2,) a point of the line."""
+
+
+def base_line(outline: Array, angle: float, clearance: float) -> BaseLine:
+    """The base line at a given distance from an outline.
+
+    outline (n, 2)
+        points of a slice's contour, of the projection of the whole body, or of a box around it.
+    angle
+        direction of the undeformed rod in the slice, in radians.
+    clearance
+        distance of the line from the outline, in the outline's unit.
+    """
+    y = np.array([np.cos(angle), np.sin(angle)])
+    x = np.array([y[1], -y[0]])
+    # the origin lies below the middle of the outline's box, which keeps the coordinates small
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    depth = ((outline - middle) @ y).min() - clearance
+    return BaseLine(np.stack([x, y]), middle + depth * y)
+
+
+def positions(line: BaseLine, x0: Array, height: float, frame: Array) -> Array:
+    """Positions (n, 3) of the clamp in the world, at the base positions x0 (n,) in the slice at a height.
+
+    The rows of `frame` (3, 3) are the axes of the slices' frame in the world.
+    """
+    in_slice = line.origin + x0[:, None] * line.axes[0]
+    return np.column_stack([in_slice, np.full(len(x0), height)]) @ frame
+
+
+def clamp_axes(line: BaseLine, frame: Array) -> Array:
+    """(3, 3) the clamp's x, y and z axes in the world, as rows."""
+    return np.vstack([line.axes @ frame[:2], frame[2]])
+
+
+class Lines(NamedTuple):
+    """Straight paths (k) of a clamp, before it is known where on them the rod touches."""
+
+    origin: Array
+    """(k, 3) a point of each path."""
+    axes: Array
+    """(k, 3, 3) axes of the clamp as rows: x, against which it moves, y along the rod, and z."""
+
+
+def icosahedron() -> Array:
+    """(12, 3) unit vectors to the vertices of an icosahedron that is turned askew.
+
+    A rod that lies flat on a face, or sweeps in a body's plane of symmetry, sees little.
+    """
+    golden = (1 + np.sqrt(5)) / 2
+    ends = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)])
+    vertices = np.concatenate([np.roll(ends, k, axis=1) for k in range(3)])
+    turned: Array = Rotation.from_euler("xyz", _ASKEW).apply(vertices / np.linalg.norm(vertices[0]))
+    return turned
+
+
+def rasters(points: Array, count: int, clearance: float) -> Lines:
+    """`count` lines from each of twelve directions.
+
+    points
+        (n, 3) that span the body, such as its vertices.
+    clearance
+        distance of the clamp from the body along the rod.
+    """
+    parts = [_raster(points, -direction, count, clearance) for direction in icosahedron()]
+    return Lines(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _raster(points: Array, along: Array, count: int, clearance: float) -> Lines:
+    """Lines across the direction `along` of the rod, as many each way as the body is wide there."""
+    first, second = across(along)
+    widths = [float(np.ptp(points @ axis)) for axis in (first, second)]
+    numbers = [max(1, round(count * width / sum(widths))) for width in widths]
+    origin, axes = [], []
+    for spread, moved, number in ((first, second, numbers[0]), (second, first, numbers[1])):
+        place = points @ spread
+        offsets = place.min() + np.ptp(place) * cosine_fractions(number)
+        middle = points.mean(axis=0)
+        base = middle + ((points @ along).min() - clearance - middle @ along) * along
+        origin.append(base + (offsets - base @ spread)[:, None] * spread)
+        sign = np.where(np.arange(number) % 2, -1.0, 1.0)
+        x = sign[:, None] * moved
+        y = np.broadcast_to(along, x.shape)
+        axes.append(np.stack([x, y, np.cross(x, y)], axis=1))
+    return Lines(np.concatenate(origin), np.concatenate(axes))
+
+
+def aimed(contacts: Array, normals: Array, count: int, generator: np.random.Generator) -> Lines:
+    """At most `count` lines aimed at the places where contacts leave most room for the body outside of their hull.
+
+    The rod comes down on such a place along its normal, lying across it: it touches there first, wherever it slides afterwards.
+
+    contacts, normals
+        (n, 3) in rod lengths, and outward unit vectors (n, 3), NaN where they are unknown.
+    """
+    target, normal = open_places(contacts, normals, count)
+    angle = generator.uniform(0, 2 * np.pi, len(target))[:, None]
+    first, second = (np.array(axes) for axes in zip(*map(across, normal), strict=True))
+    y = np.cos(angle) * first + np.sin(angle) * second
+    return Lines(target - _TOUCHED * y, np.stack([normal, y, np.cross(normal, y)], axis=1))
+
+
+def open_places(contacts: Array, normals: Array, count: int) -> tuple[Array, Array]:
+    """Points and normals (k, 3), k <= count, of facets of the contacts' hull that leave most room, apart from each other.
+
+    The room is the height above the middle of a facet at which the tangent planes at its three corners end it.
+    """
+    qhull = ConvexHull(contacts)
+    faces, outward = qhull.simplices, qhull.equations[:, :3]
+    corners = contacts[faces]
+    target, size = corners.mean(axis=1), np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    height = ((corners - target[:, None]) * normals[faces]).sum(axis=2)
+    slope = (outward[:, None] * normals[faces]).sum(axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(slope > 0, height / slope, np.inf).min(axis=1)
+    room = np.clip(room, 0.0, size)
+    turn = np.where(slope > 0, slope, 0.0).min(axis=1)  # cosine of the largest angle to a corner's normal
+    tree, taken = cKDTree(target), np.zeros(len(target), dtype=bool)
+    chosen: list[int] = []
+    for facet in np.argsort(-room, kind="stable"):
+        if len(chosen) == count:
+            break
+        if not taken[facet]:
+            chosen.append(int(facet))
+            near = np.array(tree.query_ball_point(target[facet], size[facet]))
+            taken[near[outward[near] @ outward[facet] >= turn[facet]]] = True
+    return target[chosen], outward[chosen]
+
+
+def across(direction: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a direction (3,) and across each other."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(direction, first)

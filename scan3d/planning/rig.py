@@ -19,16 +19,25 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from scan3d import numbers
-from scan3d.arrays import Array, Index, Mask, NEGLIGIBLE
+from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
+from scan3d.geometry.distance import segments_meet
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
-from scan3d.geometry.segments import segments_meet
-from scan3d.planning.aims import across, base_line, clamp_axes, cosine_fractions, icosahedron, positions
 from scan3d.planning.heights import first_heights
-from scan3d.planning.plan import Plan, check_choice, check_whole
+from scan3d.planning.plan import (
+    Plan,
+    across,
+    base_line,
+    check_choice,
+    check_whole,
+    clamp_axes,
+    cosine_fractions,
+    icosahedron,
+    positions,
+)
 from scan3d.poses import Move, PoseList
 from scan3d.processes import check_memory
 from scan3d.rods import Rod

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
-from scan3d.geometry.segments import segments_meet
+from scan3d.geometry.distance import segments_meet
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod

@@ -18,7 +18,7 @@ from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.errors import InputError
 from scan3d.frames import check_positions
 from scan3d.geometry.convexity import check_body
-from scan3d.geometry.segments import segments_meet
+from scan3d.geometry.distance import segments_meet
 from scan3d.poses import Move, PoseList
 from scan3d.processes import check_memory
 from scan3d.recording import Recording

@@ -16,10 +16,12 @@ from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body
 from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
 from scan3d.numbers import length
-from scan3d.planning.aims import (
+from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
+from scan3d.planning.plan import (
     FIRST_SWEEPS,
     MAX_SWEEPS,
     BaseLine,
+    Plan,
     base_fractions,
     base_line,
     clamp_axes,
@@ -27,8 +29,6 @@ from scan3d.planning.aims import (
     further_directions,
     positions,
 )
-from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
-from scan3d.planning.plan import Plan
 from scan3d.planning.several_axes import first_heights_together, next_slices
 from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import GrowingContacts, contacts

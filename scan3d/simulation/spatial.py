@@ -9,8 +9,7 @@ import numpy as np
 
 from scan3d.arrays import Array
 from scan3d.errors import InputError
-from scan3d.planning.aims import Lines, aimed, rasters
-from scan3d.planning.plan import Plan
+from scan3d.planning.plan import Lines, Plan, aimed, rasters
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import check_simple, drawn_friction, recorded, rounded_body
