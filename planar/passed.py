@@ -10,17 +10,21 @@ count for nothing, and neither do rods with a second contact, of which only the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
-from planar.arrays import Array, Mask
+from planar.arrays import Array, Index, Mask
 from planar.lines import elastic_lines
 
 # Points of each rod.
 _POINTS = 60
 # Travel of the tip, in steps of the base, beyond which the rod has snapped.
 _SNAPPED = 5.0
+# Groups of parts of areas by their size.
+_SIZES = 4
 # Pairs of points and edges at once, which limits the memory.
 _PAIRS = 2_000_000
 
@@ -40,18 +44,44 @@ class FreeSpace:
         deepest = np.zeros(len(points))
         if not len(self.loops):
             return deepest
-        low, high = self.loops.min(axis=1), self.loops.max(axis=1)
-        rows = max(1, _PAIRS // (len(self.loops) * 2))
-        for start in range(0, len(points), rows):
-            part = points[start : start + rows]
-            inside = ((part[:, None] >= low) & (part[:, None] <= high)).all(axis=2)
-            row, area = np.nonzero(inside)
-            chunk = max(1, _PAIRS // self.loops.shape[1])
-            for k in range(0, len(row), chunk):
-                r, a = row[k : k + chunk], area[k : k + chunk]
-                depth = _depths(part[r], self.loops[a]) - self.margin[a]
-                np.maximum.at(deepest, start + r, depth)
+        row, area = self._near(points)
+        chunk = max(1, _PAIRS // self.loops.shape[1])
+        for k in range(0, len(row), chunk):
+            r, a = row[k : k + chunk], area[k : k + chunk]
+            np.maximum.at(deepest, r, _depths(points[r], self.loops[a]) - self.margin[a])
         return deepest
+
+    def _near(self, points: Array) -> tuple[Index, Index]:
+        """Pairs of a point and an area of which a part, between neighbouring points of the two rods, contains it.
+
+        An area winds about a point as often as all of its parts together.
+        """
+        count = self.loops.shape[1] // 2
+        first, second = self.loops[:, :count], self.loops[:, : count - 1 : -1]
+        corners = np.stack([first[:, :-1], first[:, 1:], second[:, 1:], second[:, :-1]]).reshape(4, -1, 2)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        middle, half = (low + high) / 2, (high - low) / 2
+        pairs: list[Index] = []
+        tree = scipy.spatial.cKDTree(points)
+        # parts of a size together, so that few pairs are looked at
+        for part in np.array_split(np.argsort(half.max(axis=1)), _SIZES):
+            around = tree.query_ball_point(middle[part], float(half[part].max(initial=0.0)), p=np.inf)
+            owner = np.repeat(part, [len(rows) for rows in around])
+            row = np.fromiter(chain.from_iterable(around), np.intp, len(owner))
+            inside = (np.abs(points[row] - middle[owner]) <= half[owner]).all(axis=1)
+            row, owner = row[inside], owner[inside]
+            inside = _winds(corners[:, owner] - points[row])
+            pairs.append(row[inside] * len(self.loops) + owner[inside] // (count - 1))
+        both: Index = np.unique(np.concatenate(pairs))
+        return both // len(self.loops), both % len(self.loops)
+
+
+def _winds(corners: Array) -> Mask:
+    """Whether closed polygons (k, n, 2) wind about the origin."""
+    (x, y), (u, v) = corners.transpose(2, 0, 1), np.roll(corners, -1, axis=0).transpose(2, 0, 1)
+    left = x * v - y * u
+    up, down = (y <= 0) & (v > 0) & (left > 0), (y > 0) & (v <= 0) & (left < 0)
+    return np.asarray(up.sum(axis=0) != down.sum(axis=0))
 
 
 def _depths(points: Array, loops: Array) -> Array:

@@ -114,6 +114,10 @@ class Cloud(Shown, Exported):
     places that the body may reach there.  None: there is no such slice."""
     light: int = 0
     """Number of contacts left out because the rod touched too lightly for the noise."""
+    convex: bool = True
+    """Whether the body counts as convex: contacts that are not those of a convex body, and in accord with each other, tell."""
+    second: int = 0
+    """Number of rows with a force of which no contact is known, because the rod touched at a second place as well."""
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
     tilt: Tilt | None = None

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from scan3d.bounds import certificate, enclosure, withdrawn
+from scan3d.bounds import certificate, enclosure, unbounded, withdrawn
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
@@ -37,6 +37,7 @@ from scan3d.report import Analysis, key_figures, report
 from scan3d.settings import Settings
 from scan3d.simulation.scan import Progress, simulate_judged
 from scan3d.surfaces import surface
+from scan3d.surfaces.carved import carved
 from scan3d.surfaces.open3d_methods import check_method
 from scan3d.units import unit_question, unit_remark
 
@@ -93,10 +94,7 @@ def scan(
 
     def record(clock: Clock) -> tuple[Recording, Any]:
         with clock("load"):
-            if is_path:
-                body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
-            else:
-                body = judge_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent)
+            body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit) if is_path else judge_mesh(mesh, hull=chosen.hull)
         with clock("simulate"):
             return with_origin(simulate_judged(body, plan, progress), body), body
 
@@ -207,20 +205,28 @@ def analyse(
     with clock("check"):
         warnings, diagnosis = checked(recording, cloud)
     with clock("bounds"):
-        bounds = enclosure(cloud)
+        bounds = enclosure(cloud) if cloud.convex else unbounded(cloud)
+    found = None
     with clock("surface"):
-        # a hull is only taken as proven where the recording agrees with the model
-        known = replace(bounds, bound=np.inf) if warnings else bounds
-        mesh = surface(cloud, method, bounds=known)
+        if not cloud.convex:
+            found = carved(recording, cloud)
+            mesh = found.surface if method == "auto" else surface(cloud, method)
+        else:
+            # a hull is only taken as proven where the recording agrees with the model
+            known = replace(bounds, bound=np.inf) if warnings else bounds
+            mesh = surface(cloud, method, bounds=known)
         mesh.units = cloud.unit
     made(cloud, mesh)
     with clock("certificate"):
-        if warnings:
+        if warnings or found is not None:
             bounds, certified = withdrawn(bounds, mesh)
         else:
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
-    mesh.vertex_attributes["bound"] = certified.at_vertices
-    analysis = Analysis(recording, cloud, bounds, mesh, certified, warnings=tuple(warnings), diagnosis=diagnosis)
+    if cloud.convex:
+        mesh.vertex_attributes["bound"] = certified.at_vertices
+    analysis = Analysis(
+        recording, cloud, bounds, mesh, certified, carved=found, warnings=tuple(warnings), diagnosis=diagnosis
+    )
     if truth is not None:
         with clock("compare"):
             analysis = _compared(analysis, truth)
@@ -290,7 +296,7 @@ def _put_tables(analysis: Analysis, result: Replacement) -> None:
         for name, data in recording_files(analysis.recording, RECORDING[0]).items():
             result.put(name, data)
     result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
-    vertices = surface_table(mesh, analysis.certificate.at_vertices)
+    vertices = surface_table(mesh, mesh.vertex_attributes.get("bound"))
     result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
 
 

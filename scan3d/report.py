@@ -23,12 +23,14 @@ from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.numbers import angle, length, lengths, number, share, volume
 from scan3d.reconstruction import Contradiction, Diagnosis, radius_errors
-from scan3d.recording import Recording
+from scan3d.recording import LARGEST_OVER_SD, Recording
 from scan3d.shown import Rows
 from scan3d.spatial.bodies import sphere_directions
 
 if TYPE_CHECKING:
     import trimesh
+
+    from scan3d.surfaces.carved import Carved
 
 SCHEMA = 1
 """Number of the format of ``report.json``."""
@@ -39,6 +41,8 @@ _CAUSES = {
     "caps": "past_end_slices",
     "rod": "thickness_of_rod",
 }
+HIDDEN = 1e-8
+"""Distance of an exact contact from the truth, in rod lengths, from which on a second contact is to blame."""
 _PACKAGES = ("scan3d", "numpy", "scipy", "trimesh", "pyvista")
 
 
@@ -64,6 +68,8 @@ class Analysis:
     """Hausdorff distance of the contacts' convex hull to the truth."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Time spent on each step."""
+    carved: Carved | None = None
+    """What is known of a body that is not convex, and where; None for a convex one."""
     warnings: tuple[Contradiction, ...] = ()
     """Contradictions between the recording and the model; with any of them nothing is certified."""
     diagnosis: Diagnosis | None = None
@@ -95,6 +101,7 @@ def report(
         "schema": SCHEMA,
         "model": cloud.model,
         "mesh": None if analysis.truth is None else _mesh(analysis.truth, unit),
+        "body": {"convex": cloud.convex, "parts": int(surface.body_count)},
         "settings": dict(settings),
         "source": dict(recording.source),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
@@ -116,7 +123,8 @@ def report(
         "noise": _noise(analysis),
         **_calibration(recording, cloud),
         "error_budget": _budget(analysis),
-        "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate),
+        "coverage": coverage(analysis.cloud, analysis.bounds, analysis.surface, analysis.certificate)
+        | ({} if analysis.carved is None else analysis.carved.coverage),
         "surface": {
             "method": surface.metadata["method"],
             "reason": surface.metadata["reason"],
@@ -145,7 +153,7 @@ def _mesh(mesh: Any, unit: str) -> dict[str, Any]:
     }
 
 
-def _counts(analysis: Analysis) -> dict[str, int]:
+def _counts(analysis: Analysis) -> dict[str, int | None]:
     recording, cloud = analysis.recording, analysis.cloud
     slices = len(np.unique(cloud.slice[cloud.slice >= 0]))
     return {
@@ -158,7 +166,19 @@ def _counts(analysis: Analysis) -> dict[str, int]:
         "tangential": int((cloud.phase == planar.Phase.TANGENTIAL).sum()),
         "tip": int((cloud.phase == planar.Phase.TIP).sum()),
         "light": cloud.light,
+        **({} if cloud.convex else _second(analysis)),
     }
+
+
+def _second(analysis: Analysis) -> dict[str, int | None]:
+    """Rows with a second contact that were found, and, against the truth, contacts that are wrong because one stayed hidden."""
+    cloud, hidden = analysis.cloud, None
+    if analysis.contact_error is not None:
+        noise = np.zeros(len(cloud)) if cloud.place_sd is None else cloud.place_sd
+        allowed = HIDDEN * cloud.rod_length + LARGEST_OVER_SD * noise
+        hidden = int((analysis.contact_error > allowed).sum())
+    unresolved = analysis.recording.source.get("unresolved")
+    return {"second_contacts": cloud.second, "hidden_second_contacts": hidden, "unresolved": unresolved}
 
 
 def _friction(cloud: Cloud, friction_set: str | None) -> dict[str, Any]:
@@ -220,7 +240,8 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
         "table": cloud.table,
-        "missing": "" if np.isfinite(bounds.bound) or analysis.warnings else missing(cloud),
+        **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
+        "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": _grown(analysis.recording),
         "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _calibration_off(cloud, bounds),
         "volume": list(bounds.volume),
@@ -475,8 +496,12 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if measured and low is not None and high is not None and np.isfinite([low, high]).all():
         known = volume(measured["value"], low, high, certified["unit"])
         rows.append(("volume", f"{known}, certified{of_scanned(data)}"))
+    rows += _known_rows(data)
     if data["warnings"]:
         rows.append(("certified", "nothing, because the recording contradicts the model: see the warnings"))
+    elif "contours" in certified:
+        rows.append(("certified", f"{_contours(certified)}; between them nothing, because the body is not convex"))
+        rows += _premise_rows(certified)
     elif certified["bound"] is not None and np.isfinite(certified["bound"]):
         bound = f"{_bound(certified)}{of_scanned(data)}"
         confidence = f" with {100 * certified['confidence']:g} % confidence" if certified["confidence"] < 1 else ""
@@ -498,6 +523,38 @@ def summary(data: Mapping[str, Any]) -> Summary:
     if certified.get("grown"):
         rows.append(("measured", certified["grown"]))
     return Summary(heading, rows)
+
+
+def _known_rows(data: Mapping[str, Any]) -> Rows:
+    """What of the surface of a body that is not convex is known, and what of the samples; none of a convex one."""
+    if (data.get("body") or {}).get("convex", True):
+        return []
+    counts, coverage = data["counts"], data["coverage"]
+    rows = [
+        ("second contacts", f"{counts['second_contacts']} samples left out, whose rod touched at another place as well")
+    ]
+    if counts["hidden_second_contacts"]:
+        rows.append(
+            ("hidden", f"{counts['hidden_second_contacts']} contacts are wrong because a second one stayed hidden")
+        )
+    unknown = coverage["unknown"]
+    if "known" in coverage:
+        shares = f"{share(coverage['known'])} known, {share(coverage['estimated'])} estimated between slices"
+        where = "nothing unknown"
+        if unknown:
+            place, unit = lengths(unknown[0]["center"], data["certificate"]["unit"])
+            left = share(max(1 - coverage["known"] - coverage["estimated"], 0.0))
+            where = f"{left} unknown, in {len(unknown)} patches, the largest at ({', '.join(place)}) {unit}"
+        rows.append(("surface known", f"{shares}, {where}"))
+    return rows
+
+
+def _contours(certified: Mapping[str, Any]) -> str:
+    """What is certified in the planes of the slices."""
+    bound = certified["contours"]["bound"]
+    if bound is None or not np.isfinite(bound):
+        return "nothing in the planes of the slices"
+    return f"outer contours within {length(bound, certified['unit'], up=True)} in the planes of the slices"
 
 
 def _premise_rows(certified: Mapping[str, Any]) -> Rows:
@@ -605,6 +662,10 @@ def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         rows.append(("Hausdorff distance", length(hausdorff["two_sided"], unit) + from_hull))
         if itself := hausdorff.get("mesh_itself"):
             rows.append(("distance from the mesh itself", length(itself["two_sided"], unit)))
+    rows += _known_rows(data)
+    if "contours" in certified and not data["warnings"]:
+        rows.append(("certified", _contours(certified)))
+        rows += _premise_rows(certified)
     if certified["bound"] is not None and np.isfinite(certified["bound"]):
         rows.append(("certified within", length(certified["bound"], unit, up=True) + of_hull))
         rows += _premise_rows(certified)

@@ -134,6 +134,8 @@ def read_ply_scene(path: Path, unit: str) -> Scene | None:
     bound = rows["bound"] if "bound" in (rows.dtype.names or ()) else None
     is_known = bound is not None and np.isfinite(bound).any()
     mesh = trimesh.Trimesh(columns(rows, "x", "y", "z"), faces, process=False)
+    if "known" in (rows.dtype.names or ()):
+        mesh.vertex_attributes["known"] = rows["known"]
     return Scene(path.stem, unit, surface=mesh, bound=bound if is_known else None)
 
 

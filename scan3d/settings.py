@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
 
 from scan3d.choices import METHODS, Method, Model, Spacing
 from scan3d.errors import InputError, UsageError
-from scan3d.files.reading import dent_size, did_you_mean, to_float
+from scan3d.files.reading import did_you_mean, to_float
 from scan3d.files.section import read_section
 from scan3d.rods import parse_rod
 from scan3d.units import Unit
@@ -69,12 +69,8 @@ class Settings:
         "auto", "surface from the contacts; bracket estimates it between the certified bounds, auto chooses"
     )
     hull: bool = _setting(False, "scan the convex hull of a body that is not convex")
-    clip_dent: str = _setting(
-        "0", "fill dents up to this depth, in the mesh's unit or relative to its diagonal like 0.05%"
-    )
 
     def __post_init__(self) -> None:
-        dent_size(self.clip_dent)
         if self.method not in METHODS:
             raise InputError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
 
@@ -118,7 +114,6 @@ class Given(TypedDict, total=False):
     unit: Unit
     method: Method
     hull: bool
-    clip_dent: float | str
 
 
 def shows_settings(function: _Function) -> _Function:

@@ -3,7 +3,7 @@
 from scan3d.bounds.cells import Gap
 from scan3d.bounds.certificates import Certificate, certificate, withdrawn
 from scan3d.bounds.constraints import Allowed, allowed, sigmas
-from scan3d.bounds.enclosures import Enclosure, enclosure
+from scan3d.bounds.enclosures import Enclosure, enclosure, unbounded
 from scan3d.bounds.premises import Premise, missing, premises
 
 __all__ = [
@@ -18,5 +18,6 @@ __all__ = [
     "missing",
     "premises",
     "sigmas",
+    "unbounded",
     "withdrawn",
 ]

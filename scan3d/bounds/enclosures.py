@@ -229,6 +229,15 @@ def bounding_nothing(bounds: Enclosure) -> Enclosure:
     return replace(bounds, tighter=None, gap=gap, bound=np.inf, volume=(0.0, np.inf), confidence=0.0)
 
 
+def unbounded(cloud: Cloud) -> Enclosure:
+    """The enclosure of a body that need not be convex: the contacts' hull, which bounds nothing."""
+    nothing = np.empty((0, 3))
+    inner = hull(cloud.points[np.isfinite(cloud.points).all(axis=1)])
+    return Enclosure(
+        inner=inner, corners=nothing, gap=np.empty(0), bound=np.inf, margin=0.0, volume=(0.0, np.inf), confidence=0.0
+    )
+
+
 def _with_cells(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     """The enclosure with that by the cells between the slices of all axes, if it is tighter by more than a few percent."""
     by_axis = stacks(cloud)

@@ -28,8 +28,11 @@ def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) 
     """What the bounds of a cloud's body rest on; `contradicted` are the codes of what the recording contradicts."""
     noise = recording.noise
     stated = max(noise.force_N, noise.moment_Nm, noise.pose_m) > 0
+    hidden = "not tested: what neither friction nor path nor other sweeps contradict stays hidden"
     return (
-        Premise("a convex body", True, _of_body(contradicted)),
+        Premise("a convex body", True, _of_body(contradicted))
+        if cloud.convex
+        else Premise("no contact is that of a rod with a second one that stayed hidden", False, hidden),
         _of_rod(recording.rod, cloud, contradicted),
         Premise(
             "white noise of the stated size" if stated else "reactions without noise",

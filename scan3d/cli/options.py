@@ -34,9 +34,6 @@ Strict = Annotated[
     Parameter(help="exit with 1 if the recording contradicts the model (results are written)", show_default=False),
 ]
 Flag = Annotated[bool, Parameter(show_default=False)]
-ClipDent = Annotated[
-    str, Parameter(metavar="SIZE", help=Settings.__dataclass_fields__["clip_dent"].metadata["meaning"])
-]
 
 
 @Parameter(name="*")

@@ -277,7 +277,7 @@ def simulate_rig(
     faults = read_faults(faults_file) if faults_file else None
     if faults is not None and "seed" in options.given():
         faults = dataclasses.replace(faults, seed=plan.seed)
-    body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
+    body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit)
     body = body if as_is else rig.standing(body)
     log = rig.simulate_rig(
         body,

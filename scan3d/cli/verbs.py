@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from scan3d.choices import Export, Method, Model, ScalarNames
 from scan3d.cli import one_sweep
-from scan3d.cli.options import ClipDent, File, Flag, Folder, Mesh, Number, Options, Output, Overwrite, Rig, Strict
+from scan3d.cli.options import File, Flag, Folder, Mesh, Number, Options, Output, Overwrite, Rig, Strict
 from scan3d.cli.rig import RIG_OPTIONS, refuse_settings_of_scans, rigged, simulate_rig
 from scan3d.cli.terminal import duration, print_result, print_settings, printable, say, table
 from scan3d.errors import InputError, UsageError
@@ -141,7 +141,7 @@ def simulate(
     check_pair(out, sidecar(out), {"mesh": mesh, "file of settings": options.config}, overwrite)
     plan = chosen.plan()
     output.progress.tell("reading")
-    body = load_mesh(mesh, hull=chosen.hull, clip_dent=chosen.clip_dent, unit=plan.unit)
+    body = load_mesh(mesh, hull=chosen.hull, unit=plan.unit)
     with folder(out.parent):
         recording = simulate_scan(body, plan, output.progress.counter(_parts(chosen)))
         write_recording(with_origin(recording, body), out, overwrite=True)  # checked above
@@ -159,7 +159,6 @@ def reconstruct(
     out: Folder | None = None,
     truth: Mesh | None = None,
     hull: Flag = False,
-    clip_dent: ClipDent = "0",
     method: Method = "auto",
     model: Model | None = None,
     rig: Rig = None,
@@ -231,7 +230,7 @@ def reconstruct(
         f"one sweep in one plane, which {recording.name} is not",
     )
     # the remaining settings concern the simulation
-    used = {"method": method, "hull": hull, "clip_dent": clip_dent}
+    used = {"method": method, "hull": hull}
     settings(used)
 
     def read() -> tuple[Any, Any]:
@@ -240,7 +239,7 @@ def reconstruct(
             measured = dataclasses.replace(measured, table_m=UNITS_M[measured.unit] * table)
         if truth is None:
             return measured, None
-        return measured, load_mesh(truth, hull=hull, clip_dent=clip_dent, unit=measured.unit)
+        return measured, load_mesh(truth, hull=hull, unit=measured.unit)
 
     kept = out / RECORDING[0]
     if (rig or table is not None) and kept.exists() and recording.exists() and kept.samefile(recording):

@@ -1,4 +1,4 @@
-"""Mesh files: they are read, and judged whether they are closed and convex."""
+"""Mesh files: they are read, and judged whether they are closed, and whether they are convex."""
 
 from __future__ import annotations
 
@@ -18,10 +18,18 @@ from scan3d.arrays import Array, Index
 from scan3d.errors import InputError
 from scan3d.files.gltf import read_glb
 from scan3d.files.mesh_text import is_binary_stl, plain, text_stl
-from scan3d.files.reading import check_file, dent_size
-from scan3d.geometry.convexity import DENT_TOLERANCE, deepest_dent, outward_faces, outward_hull
+from scan3d.files.reading import check_file
+from scan3d.geometry.convexity import (
+    DENT_TOLERANCE,
+    deepest_dent,
+    is_convex,
+    judged_convex,
+    outward_faces,
+    outward_hull,
+    runs_both_ways,
+)
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.merging import without_unused
+from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.geometry.triangles import areas, distinct_rows
 from scan3d.numbers import share
 from scan3d.processes import check_memory
@@ -39,55 +47,52 @@ _HEAD = 1 << 12
 _MEMORY_PER_BYTE, _MEMORY_PER_FACE = 10, 1200
 
 
-def load_mesh(
-    path: str | os.PathLike[str], *, hull: bool = False, clip_dent: float | str = 0.0, unit: str = "mm"
-) -> trimesh.Trimesh:
-    """The convex body in a mesh file: STL (binary or ASCII), PLY, OBJ, OFF or GLB.
+def load_mesh(path: str | os.PathLike[str], *, hull: bool = False, unit: str = "mm") -> trimesh.Trimesh:
+    """The closed body in a mesh file: STL (binary or ASCII), PLY, OBJ, OFF or GLB.
 
     path
         of the file.
     hull
-        whether the convex hull is taken even of a body that is dented or open.
-    clip_dent
-        depth of the dents that are filled, in `unit`, or as text such as ``"0.05%"`` of the diagonal of the bounding box: of a
-        closed body without deeper ones the convex hull is taken.
+        whether the convex hull is taken of a body that is not convex, or open.
     unit
         of the body that is returned.  Lengths are converted from the unit of the file where it is known: GLB is in metres by
         its specification, and scan3d states the unit in the files that it writes.  Those of other files are in `unit`.
 
-    Returns the triangulated convex hull of the file's surface, watertight and outward, with the hull's vertices only.  A body
-    that is convex within `DENT_TOLERANCE` differs from its file by at most the dent, so that everything else may rely on exact
-    convexity.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that size must be brought to unit
-    size before they are computed.)
+    Of a body that is convex within `DENT_TOLERANCE` the triangulated convex hull is returned, watertight and outward, with the
+    hull's vertices only: it differs from its file by at most the dent, so that everything else may rely on exact convexity.  Of
+    others the mesh itself is returned, with equal vertices merged and faces turned outwards; it may have holes and cavities,
+    and several parts, which may overlap.  (`trimesh` gives zero normals to triangles below 1e-13 square units; a body of that
+    size must be brought to unit size before they are computed.)
 
     Its `metadata` has `file` (name), `path`, `sha256`, `file_faces`, `dent` (upper bound of the deepest dent, in
     `unit`), `dent_relative` (to the diagonal of the bounding box), `hull` (whether the body is the hull of a mesh that is not
-    convex, or was asked for), and `geometry_sha256` (of the vertices returned).  Where the body differs from the mesh it also
+    convex, or was asked for), and `geometry_sha256` (of the vertices returned).  Where a hull differs from the mesh it also
     has the mesh itself (`mesh_vertices` and `mesh_faces`), and `filled`: `depth` and place (`at`) of the deepest dent, whether
     the mesh is `open`, and `volume_relative`, the part of the hull's volume that the mesh lacks, None if its triangles enclose
     no volume.
 
-    Raises InputError if the file can't be read, has no triangles or coordinates that aren't finite, and if the body is flat,
-    dented or open.
+    Raises InputError if the file can't be read, has no triangles or coordinates that aren't finite, and if the body is flat
+    or open.
     """
     path = Path(path)
     data = _read(path)
-    body = _judged(path.name, *_merged(*_triangles(path, data, unit)), hull, clip_dent, _scale(path, data, unit))
+    body = _judged(path.name, *_merged(*_triangles(path, data, unit)), hull, _scale(path, data, unit))
     body.metadata.update(file=path.name, path=str(path.resolve()), sha256=hashlib.sha256(data).hexdigest())
     return body
 
 
-def judge_mesh(mesh: Any, *, hull: bool = False, clip_dent: float | str = 0.0) -> trimesh.Trimesh:
-    """The convex body of a `trimesh.Trimesh`, judged and returned as by `load_mesh`.
+def judge_mesh(mesh: Any, *, hull: bool = False) -> trimesh.Trimesh:
+    """The closed body of a `trimesh.Trimesh`, judged and returned as by `load_mesh`.
 
-    A body of `load_mesh` that was not changed since keeps its `metadata`.  Of others, `metadata` has no `file`, and `sha256` is
-    that of the vertices returned.  Raises InputError for another type, and as `load_mesh`.
+    A body of `load_mesh` that was not changed since keeps its `metadata`, unless its hull is asked for and differs.  Of others,
+    `metadata` has no `file`, and `sha256` is that of the vertices returned.  Raises InputError for another type, and as
+    `load_mesh`.
     """
     bounding_box(mesh, "body")
-    if "geometry_sha256" in mesh.metadata and mesh.metadata["geometry_sha256"] == _geometry(mesh):
+    if mesh.metadata.get("geometry_sha256") == _geometry(mesh) and not (hull and not is_convex(mesh)):
         return mesh
     vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
-    body = _judged("the mesh", *_merged(vertices, faces), hull, clip_dent)
+    body = _judged("the mesh", *_merged(vertices, faces), hull)
     body.metadata.update(sha256=body.metadata["geometry_sha256"])
     return body
 
@@ -111,10 +116,8 @@ def _merged(vertices: Array, faces: Index) -> tuple[Array, Index]:
     return vertices[used[first]], number[faces]
 
 
-def _judged(
-    name: str, vertices: Array, faces: Index, hull: bool, clip_dent: float | str, scale: float = 1.0
-) -> trimesh.Trimesh:
-    """The convex body of distinct vertices (v, 3) and faces (t, 3), as `load_mesh` describes it.
+def _judged(name: str, vertices: Array, faces: Index, hull: bool, scale: float = 1.0) -> trimesh.Trimesh:
+    """The body of distinct vertices (v, 3) and faces (t, 3), as `load_mesh` describes it.
 
     `name` is that of the mesh in messages, and `scale` what its coordinates were multiplied by.
     """
@@ -134,25 +137,25 @@ def _judged(
 
     outer, dent, deepest, covered = _against_hull(points, faces)
     place = center + diagonal * deepest
-    if not hull:
-        size, share = dent_size(clip_dent)
-        allowed = max(DENT_TOLERANCE, size / diagonal + share)
-        if dent > allowed:
-            _check_digits(name, vertices, scale, dent * diagonal)
-        _check_convex(name, dent, diagonal, place, allowed, _bodies(vertices, faces) if dent > allowed else 1)
-        _check_closed(name, covered)
-
-    used, facets = without_unused(outer)
-    body = trimesh.Trimesh(vertices=vertices[used], faces=facets, process=False)
+    hollow = not hull and dent > DENT_TOLERANCE
+    if hollow:
+        _check_digits(name, vertices, scale, dent * diagonal)
+        body = _closed(name, vertices, faces)
+    else:
+        if not hull:
+            _check_covered(name, covered)
+        used, facets = without_unused(outer)
+        body = trimesh.Trimesh(vertices=vertices[used], faces=facets, process=False)
+    judged_convex(body, not hollow)
     body.metadata.update(
         file_faces=len(faces),
         dent=dent * diagonal,
         dent_relative=dent,
-        hull=hull or dent > DENT_TOLERANCE,
+        hull=hull,
         geometry_sha256=_geometry(body),
     )
     is_dented, is_open = bool(dent > DENT_TOLERANCE), bool(1 - covered > OPEN_TOLERANCE)
-    if is_dented or is_open:
+    if not hollow and (is_dented or is_open):
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         filled = {
             "depth": float(dent * diagonal) if is_dented else 0.0,
@@ -201,35 +204,37 @@ def _check_digits(name: str, vertices: Array, scale: float, size: float) -> None
         )
 
 
-def _bodies(vertices: Array, faces: Index) -> int:
-    """Number of separate closed surfaces; 1 if any is open."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return int(mesh.body_count) if mesh.is_watertight else 1
+def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
+    """The closed surface of faces (t, 3) of distinct vertices (v, 3), turned outwards.
 
-
-def _check_convex(name: str, dent: float, diagonal: float, deepest: Array, allowed: float, bodies: int) -> None:
-    """Raises InputError for a dented body; `dent` and `allowed` are relative to the diagonal, `deepest` (3,) is where it is."""
-    if dent > allowed:
-        if bodies > 1:
-            raise InputError(
-                f"{name} isn't convex: it holds {bodies} separate bodies, where one is expected; keep one of them, or to scan "
-                "the convex hull of all give --hull (hull=True)"
-            )
-        place = ", ".join(f"{x:.6g}" for x in deepest)
+    Where edges are not those of a closed surface, vertices are merged that agree in float32, as exports leave them at seams,
+    and faces are turned as their neighbours.  Raises InputError if the surface stays open.
+    """
+    attempts = [np.arange(len(vertices)), representatives(vertices, 2 * distance_of_readers(vertices))]
+    for chosen in attempts:
+        used, kept = without_unused(collapsed(faces, chosen))
+        body = trimesh.Trimesh(vertices[used], kept, process=False)
+        if len(kept) and not runs_both_ways(kept):
+            trimesh.repair.fix_winding(body)
+        if len(kept) and runs_both_ways(body.faces):
+            if body.volume < 0:
+                body.invert()
+            return body
+    edges, count = np.unique(np.sort(body.edges, axis=1), axis=0, return_counts=True)
+    alone = edges[count % 2 == 1]
+    if not len(alone):
         raise InputError(
-            f"{name} isn't convex: its deepest dent is {dent * diagonal:.3g} deep, in the unit of the mesh "
-            f"({dent:.3g} of its diagonal, where {allowed:.3g} is allowed), at ({place}); to scan its convex hull instead, "
-            f"give --hull (hull=True), or to fill dents up to that depth --clip-dent {_above(dent * diagonal):g} (clip_dent)"
+            f"{name} has faces that can't be turned outwards together, as those of a closed body can; repair it, or to scan "
+            "its convex hull give --hull (hull=True)"
         )
+    place = ", ".join(f"{x:.6g}" for x in body.vertices[alone[0]].mean(axis=0))
+    raise InputError(
+        f"{name} is open: {len(alone)} of its {len(edges)} edges belong to one face only, such as that at ({place}), where a "
+        "closed body is expected; close it, or to scan its convex hull give --hull (hull=True)"
+    )
 
 
-def _above(depth: float) -> float:
-    """A depth rounded up to two digits."""
-    unit = 10.0 ** (np.floor(np.log10(depth)) - 1)
-    return float(f"{np.ceil(depth / unit) * unit:.3g}")
-
-
-def _check_closed(name: str, covered: float) -> None:
+def _check_covered(name: str, covered: float) -> None:
     """Raises InputError for an open body, whose surface covers only a fraction of the area of its hull."""
     bare = 1 - covered
     if bare > OPEN_TOLERANCE:

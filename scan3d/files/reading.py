@@ -64,21 +64,3 @@ def did_you_mean(unknown: Iterable[str], known: Iterable[str], mark: str = "") -
     known = list(known)
     near = [mark + match for name in unknown for match in get_close_matches(name, known, n=1)]
     return f"; did you mean {' and '.join(near)}?" if near else ""
-
-
-def dent_size(given: float | str) -> tuple[float, float]:
-    """A depth of dents in the mesh's unit, and one relative to the diagonal of its bounding box: one of them is given.
-
-    Raises InputError for what is neither a number nor a percentage, and for negative ones.
-    """
-    number, percent, rest = str(given).strip().partition("%")
-    try:
-        size = float(number)
-    except ValueError:
-        size = -1.0
-    if rest or not 0 <= size < float("inf"):
-        raise InputError(
-            "clip_dent must be a depth in the mesh's unit, such as 0.1, or a part of its diagonal, such as 0.05%; "
-            f"got {given!r}"
-        )
-    return (0.0, size / 100) if percent else (size, 0.0)

@@ -209,10 +209,15 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
 
 
 def surface_table(surface: Any, bound: Array | None) -> NDArray[np.void]:
-    """Vertices, their normals and the certified local bound (v,), unless it is None, as a structured array for `files.ply`."""
+    """Vertices, their normals, the certified local bound (v,), unless it is None, and how well they are known, if the surface
+    says so, as a structured array for `files.ply`."""
     columns: dict[str, NDArray[Any]] = dict(zip(POINT, np.asarray(surface.vertices, dtype=np.float64).T, strict=True))
     columns |= dict(zip(NORMAL, np.asarray(surface.vertex_normals).astype(np.float32).T, strict=True))
-    return table(columns if bound is None else columns | {"bound": np.asarray(bound).astype(np.float32)})
+    if bound is not None:
+        columns["bound"] = np.asarray(bound).astype(np.float32)
+    if "known" in surface.vertex_attributes:
+        columns["known"] = np.asarray(surface.vertex_attributes["known"]).astype(np.uint8)
+    return table(columns)
 
 
 def read_shape(path: str | Path) -> Shape:

@@ -393,17 +393,35 @@ def _bounds(corners: Array, hull: Hull) -> Array:
     return bound
 
 
+def is_convex(mesh: Any) -> bool:
+    """Whether a closed `trimesh.Trimesh` is convex within rounding, as judged when it was read, or else by its shape."""
+    number, convex = mesh.metadata.get("convex", (None, False))
+    if number != hash(mesh.vertices):
+        vertices = np.asarray(mesh.vertices)[without_unused(np.asarray(mesh.faces))[0]]
+        # twice, because a body that was judged may have been moved, which rounds its vertices
+        allowed = 2 * DENT_TOLERANCE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        convex = bool(distance_to_hull(mesh) <= allowed)
+        judged_convex(mesh, convex)
+    return bool(convex)
+
+
+def judged_convex(mesh: Any, convex: bool) -> None:
+    """Keep with a mesh, as long as its vertices stay, whether it is convex."""
+    mesh.metadata["convex"] = hash(mesh.vertices), convex
+
+
+def runs_both_ways(faces: Index) -> bool:
+    """Whether faces (m, 3) run through every edge as often one way as the other, as those of closed surfaces do."""
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    size = int(faces.max(initial=-1)) + 1
+    return bool(np.array_equal(np.sort(start * size + end), np.sort(end * size + start)))
+
+
 def check_body(mesh: Any) -> None:
-    """Raises InputError unless a mesh is a closed and convex `trimesh.Trimesh`, as bodies that are scanned must be."""
+    """Raises InputError unless a mesh is a closed `trimesh.Trimesh`, as bodies that are scanned must be."""
     check_mesh(mesh, "body")
-    deviation = distance_to_hull(mesh)
-    diagonal = float(
-        np.linalg.norm(np.ptp(np.asarray(mesh.vertices)[without_unused(np.asarray(mesh.faces))[0]], axis=0))
-    )
-    # twice, because a body that `load_mesh` has judged may have been moved, which rounds its vertices
-    if not deviation <= 2 * DENT_TOLERANCE * diagonal:
+    if not (is_convex(mesh) or runs_both_ways(np.asarray(mesh.faces, dtype=np.int64))):
         raise InputError(
-            f"the body isn't a closed convex surface: it lies up to {deviation:.3g} from its convex hull "
-            f"({deviation / diagonal:.3g} of its diagonal, where {DENT_TOLERANCE:g} is allowed); to scan the hull instead, "
-            "give mesh.convex_hull"
+            "the body isn't a closed surface whose faces are turned alike; repair it, as scan3d.scan does where it can, or to "
+            "scan the hull instead give mesh.convex_hull"
         )

@@ -1,4 +1,4 @@
-"""Plane sections of convex meshes."""
+"""Plane sections of closed meshes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from scan3d.arrays import NEGLIGIBLE, Array, Index
+from scan3d.geometry.outlines import outer_outlines
 
 if TYPE_CHECKING:
     import trimesh
@@ -86,6 +87,54 @@ def slice_polygons(mesh: trimesh.Trimesh, rotation: ArrayLike, heights: ArrayLik
     for i, j in enumerate(order):
         polygons[j] = convex_polygon(outline[ends[i] : ends[i + 1]], rounding) + origin[:2]
     return polygons
+
+
+def slice_outlines(mesh: trimesh.Trimesh, rotation: Array, heights: Array) -> list[list[Array]]:
+    """Plane sections of any closed mesh: the contours that can be reached from outside, in the units of the mesh.
+
+    Rotation and heights are as in `slice_polygons`.  Returns for each height simple polygons (m, 2) outside of each other,
+    counter-clockwise; none where the plane misses the body.  Holes, and what lies in them, are left out.  Vertices in the plane
+    count as above it, so that the section by a plane that contains faces is the one just below.
+    """
+    center = mesh.bounds.mean(axis=0)
+    origin = rotation @ center
+    points, faces = (mesh.vertices.view(np.ndarray) - center) @ rotation.T, mesh.faces.view(np.ndarray)
+    order = np.argsort(heights)
+    levels = heights[order] - origin[2]
+    outlines: list[list[Array]] = [[] for _ in heights]
+    for i, lines in zip(order, _closed_lines(points, faces, levels), strict=True):
+        outlines[i] = [line + origin[:2] for line in outer_outlines(lines, float(np.linalg.norm(mesh.extents)))]
+    return outlines
+
+
+def _closed_lines(points: Array, faces: Index, levels: Array) -> list[list[Array]]:
+    """The closed lines (m, 2) in which planes at rising levels cut the triangles of a closed mesh, body on the left."""
+    z = points[faces, 2]
+    first, last = (np.searchsorted(levels, end, side="right") for end in (z.min(axis=1), z.max(axis=1)))
+    face, level = _pairs(first, last)
+    above = z[face] >= levels[level, None]
+    following = np.roll(above, -1, axis=1)
+    ends = []
+    for crossing in (above & ~following, ~above & following):  # where a face is entered, and where it is left
+        k = crossing.argmax(axis=1)
+        ends.append(np.sort(np.stack([faces[face, k], faces[face, (k + 1) % 3]], axis=1), axis=1))
+    a, b = points[ends[0]].transpose(1, 0, 2)
+    share = (levels[level] - a[:, 2]) / (b[:, 2] - a[:, 2])
+    places = a[:, :2] + share[:, None] * (b - a)[:, :2]
+    entered, left = (np.lexsort((edge[:, 1], edge[:, 0], level)) for edge in ends)
+    next_face = np.empty(len(face), dtype=np.intp)
+    next_face[left] = entered
+    lines: list[list[Array]] = [[] for _ in levels]
+    number, pending = next_face.tolist(), [True] * len(face)
+    for start in range(len(face)):
+        line, k = [], start
+        while pending[k]:
+            pending[k] = False
+            line.append(k)
+            k = number[k]
+        if line:
+            lines[level[start]].append(places[line])
+    return lines
 
 
 def _pairs(first: Index, last: Index) -> tuple[Index, Index]:

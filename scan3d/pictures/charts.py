@@ -137,7 +137,7 @@ def histograms(scene: Scene, sheet: Sheet) -> Any:
         raise InputError(
             f"{scene.name} has no surface, whose deviation and bound the view histogram shows: give a scan's folder"
         )
-    mesh, deviation, bound = shown_surface(scene)
+    mesh, deviation, bound, _ = shown_surface(scene)
     shown: list[tuple[str, Array, str]] = []
     if deviation is not None:
         shown.append((scene.deviation_title, deviation, ROD))

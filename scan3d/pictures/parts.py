@@ -99,13 +99,16 @@ def shown_lengths(values: Array, unit: str) -> tuple[Array, str]:
 
 
 def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
-    """The surface, and the colours of its vertices by the deviation from the truth and by the bound, of those that are known.
+    """The surface, and the colours of its vertices by how well they are known, the deviation from the truth and the bound: by
+    those that are said.
 
     A body with few vertices, such as a cube, may show one bound everywhere: bounds are known at vertices only, and that of a
     vertex is the largest of the facets around it.
     """
-    mesh, deviation, bound = shown_surface(scene)
+    mesh, deviation, bound, known = shown_surface(scene)
     shades = []
+    if known is not None:  # patches that no rod has reached are dark
+        shades.append(shade(np.asarray(known, dtype=float), "2 known, 1 estimated, 0 unknown", 0.0, 2.0, map="Reds_r"))
     if deviation is not None:
         values, unit = shown_lengths(deviation, scene.unit)
         # a body that was found exactly, to a nanometre, is not shown in the colours of a large deviation
@@ -118,7 +121,7 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
 
 
 def shade_surface(scene: Scene, view: str = "surface") -> tuple[Any, Shade | None]:
-    """The surface and the colours of its vertices by the deviation from the truth, or by the bound; None if neither is known.
+    """The surface and the colours of its vertices by the first that is known of `surface_shades`; None without any.
 
     Raises InputError without a surface, and for the view "bound" without bounds.
     """
@@ -143,25 +146,29 @@ def evenly_chosen(count: int, at_most: int) -> NDArray[np.integer]:
     return np.unique(np.linspace(0, count - 1, at_most).round().astype(int))
 
 
-def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None]:
-    """The surface, and at its vertices (v,) the signed deviation from the truth and the certified local bound, None if unknown.
+def shown_surface(scene: Scene) -> tuple[Any, Array | None, Array | None, Array | None]:
+    """The surface, and at its vertices (v,) the signed deviation from the truth, the certified local bound, and how well they
+    are known (2, 1 or 0); None if that is not known.
 
     Where either is known, edges longer than a sixtieth of the diagonal are split.  The deviation, positive outside, is computed
     at the new vertices.  The bound, certified at the old vertices, is interpolated linearly: on a convex surface the result is
     no less than the certified bound of a facet, as a vertex has the largest bound of the facets around it.
     """
+    known = scene.surface.vertex_attributes.get("known")
     if scene.truth is None and scene.bound is None:
-        return scene.surface, None, None
+        return scene.surface, None, None, known
     mesh, weights, corners = _subdivide(scene.surface, scene.diagonal / 60)
+    if known is not None:
+        known = (np.asarray(known, dtype=float)[corners] * weights).sum(axis=1)
     bound = None
     if scene.bound is not None:
         # an infinite bound does not count where its weight is zero but for rounding
         counts = weights > 0
         bound = np.where(counts, scene.bound[corners] * np.where(counts, weights, 1.0), 0.0).sum(axis=1)
     if scene.truth is None:
-        return mesh, None, bound
+        return mesh, None, bound, known
     distances = _distances_from_other if scene.is_other else signed_distances
-    return mesh, distances(np.asarray(mesh.vertices), scene.truth), bound
+    return mesh, distances(np.asarray(mesh.vertices), scene.truth), bound, known
 
 
 def _distances_from_other(points: Array, other: Any) -> Array:

@@ -182,6 +182,8 @@ MAX_SWEEPS = 16
 """Upper bound of the number of approach directions of a slice."""
 OPEN_FRACTION = 5e-4
 """A slice is covered where contacts and their tangents leave less than this fraction of its width open between them."""
+FAR_CLEARANCE = 0.8
+"""Distance in rod lengths of the far base lines from a slice that is not convex: the last fifth of the rod probes it."""
 AIMED_SLOPE = math.radians(40)
 """The slope at which a sweep aimed at a normal meets it: the middle of the slopes that it sees tangentially."""
 # Decimals to which angles in radians are rounded: those of normals, so that contacts on one edge have the same, and those of
@@ -212,6 +214,16 @@ def first_directions(plan: Plan) -> Array:
     """The approach directions with which a slice is begun: angles (k,) of the undeformed rod in it, in radians."""
     count = plan.sweeps or FIRST_SWEEPS
     return 2 * np.pi * np.arange(count) / count
+
+
+def base_clearances(plan: Plan, directions: int) -> list[list[float]]:
+    """Distances of the base lines from the slice in rod lengths, for each direction, of a body that need not be convex.
+
+    A base far away probes with the end of the rod, as with a finger, and reaches into what the bent rod passes from a near one;
+    with a given number of sweeps the two take turns.
+    """
+    both = [plan.clearance, max(plan.clearance, FAR_CLEARANCE)]
+    return [both if plan.sweeps is None else [both[k % 2]] for k in range(directions)]
 
 
 def further_directions(points: Array, normals: Array, width: float, limit: float | None = None) -> Array:

@@ -117,7 +117,12 @@ def _without_contact(fraction: float) -> list[Contradiction]:
 
 def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     pressed = int(felt(recording.reactions(six_axis=False)[0], recording.noise.of_reactions(recording.rod)).sum())
-    found = _without_contact(1 - (len(cloud) + cloud.light) / pressed if pressed else 0.0)
+    found = _without_contact(1 - (len(cloud) + cloud.light + cloud.second) / pressed if pressed else 0.0)
+    return found + shape_contradictions(recording, cloud) if cloud.convex else found
+
+
+def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradiction]:
+    """Whether contacts in slices are not those of a convex body: an empty list if they are."""
     beyond, allowed = _beyond_tangents(cloud)
     if beyond > allowed:
         text = (
@@ -125,14 +130,12 @@ def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
             "noise and "
             f"rounding allow {length(allowed, cloud.unit, digits=2)}: the contacts are not those of a convex body"
         )
-        found.append(Contradiction("beyond-tangent", text, beyond))
-    else:
-        place = np.zeros(len(cloud)) if cloud.place_sd is None else _kappa(len(cloud)) * cloud.place_sd
-        # the force of friction on a thick rod's tip may meet the centre line as deep in the fattened body as the rod is thick
-        radius = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit]
-        place = place + cloud.lever + np.where(cloud.phase == planar.Phase.TIP, radius, 0.0)
-        found += _not_convex(cloud, (place, np.zeros(len(cloud))), np.empty(0, dtype=np.intp))
-    return found
+        return [Contradiction("beyond-tangent", text, beyond)]
+    place = np.zeros(len(cloud)) if cloud.place_sd is None else _kappa(len(cloud)) * cloud.place_sd
+    # the force of friction on a thick rod's tip may meet the centre line as deep in the fattened body as the rod is thick
+    radius = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit]
+    place = place + cloud.lever + np.where(cloud.phase == planar.Phase.TIP, radius, 0.0)
+    return _not_convex(cloud, (place, np.zeros(len(cloud))), np.empty(0, dtype=np.intp))
 
 
 def _beyond_tangents(cloud: Cloud) -> tuple[float, float]:

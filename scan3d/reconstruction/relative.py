@@ -29,6 +29,7 @@ from scan3d.cloud import Cloud
 from scan3d.reconstruction.agreement import FALSE_ALARM, Compared, compared_in_slices
 from scan3d.reconstruction.contacts import by_model, contacts
 from scan3d.reconstruction.errors import with_rig_errors
+from scan3d.reconstruction.hollow import without_second_contacts
 from scan3d.reconstruction.misfits import ROUNDING
 from scan3d.recording import Recording
 from scan3d.rigs import with_relative
@@ -61,7 +62,12 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     model needs, and ValueError for an unknown method.
     """
     cloud = by_model(recording, method, model)
-    known = recording if cloud.model == "spatial" else _with_relative_error(recording, cloud, method)
+    if cloud.model == "spatial":
+        return cloud
+    hollow = without_second_contacts(cloud, recording)
+    if not hollow.convex:
+        return hollow
+    known = _with_relative_error(recording, cloud, method)
     return cloud if known is recording else by_model(known, method, model)
 
 

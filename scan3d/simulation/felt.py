@@ -16,7 +16,7 @@ from scan3d.geometry.distance import segments_meet
 from scan3d.planning.plan import Plan
 from scan3d.recording import Recording
 from scan3d.rods import Rod
-from scan3d.simulation.grown import grown_polygons
+from scan3d.simulation.grown import sections
 from scan3d.spatial.bodies import RoundedPolyhedron
 from scan3d.spatial.equilibrium import wrench
 from scan3d.spatial.sweeping import End, sweep
@@ -224,9 +224,9 @@ def _outlines(mesh: Any, tracks: list[Track], length: float, radius: float) -> l
     for k, row in enumerate(first):
         members = np.flatnonzero(group.reshape(-1) == k)
         start = np.array([tracks[i].position[0] @ frames[row].T for i in members])
-        polygons = grown_polygons(mesh, frames[row], start[:, 2], radius, length)
-        for i, polygon, place in zip(members, polygons, start, strict=True):
-            outlines[i] = (polygon - place[:2]) / length
+        loops = sections(mesh, frames[row], start[:, 2], radius, length)
+        for i, part, place in zip(members, loops, start, strict=True):
+            outlines[i] = (np.concatenate([*part, np.empty((0, 2))]) - place[:2]) / length
     return outlines
 
 

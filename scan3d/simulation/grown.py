@@ -1,4 +1,4 @@
-"""Plane sections of a convex body fattened by a rod's radius: the contours that the centre line of a thick rod touches.
+"""Plane sections of a body, fattened by a rod's radius if it is convex: the contours that the rod's centre line touches.
 
 The surface of a convex polyhedron fattened by a ball of radius a consists of its faces moved outwards by a, of parts of
 cylinders about its edges, and of parts of spheres about its vertices.  A plane cuts the cylinders in arcs of ellipses and the
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index
-from scan3d.geometry.sections import convex_polygon, extent_along, slice_polygons
+from scan3d.geometry.convexity import is_convex
+from scan3d.geometry.sections import convex_polygon, extent_along, slice_outlines, slice_polygons
 from scan3d.spatial.bodies import RoundedPolyhedron
 
 if TYPE_CHECKING:
@@ -33,13 +34,21 @@ def grown_extent(mesh: trimesh.Trimesh, axis: Array, radius: float) -> tuple[flo
     return low - radius, high + radius
 
 
-def grown_polygons(mesh: trimesh.Trimesh, frame: Array, heights: Array, radius: float, length: float) -> list[Array]:
-    """`slice_polygons` of a convex mesh fattened by a radius, for a rod of some length, all in the unit of the mesh.
+def sections(
+    mesh: trimesh.Trimesh, frame: Array, heights: Array, radius: float = 0.0, length: float = 1.0
+) -> list[list[Array]]:
+    """The contours of plane sections that can be reached from outside, as `slice_outlines`, for a rod of a radius and a length.
 
-    The polygons' vertices are exact to rounding, and their sides within `_SAGITTA` of the surface.
+    A convex mesh may be fattened by the radius: then the contours' vertices are exact to rounding, and their sides within
+    `_SAGITTA` of the surface.
     """
-    if not radius:
-        return slice_polygons(mesh, frame, heights)
+    if not is_convex(mesh):
+        return slice_outlines(mesh, frame, heights)
+    polygons = _grown_polygons(mesh, frame, heights, radius, length) if radius else slice_polygons(mesh, frame, heights)
+    return [[polygon] if len(polygon) else [] for polygon in polygons]
+
+
+def _grown_polygons(mesh: trimesh.Trimesh, frame: Array, heights: Array, radius: float, length: float) -> list[Array]:
     center = mesh.bounds.mean(axis=0)
     origin = frame @ center
     body = RoundedPolyhedron((mesh.vertices.view(np.ndarray) - center) @ frame.T, mesh.faces)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +14,8 @@ import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
-from scan3d.geometry.convexity import check_body
-from scan3d.geometry.sections import extent_along, slice_frame, slice_polygons
+from scan3d.geometry.convexity import check_body, is_convex
+from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.numbers import length
 from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
 from scan3d.planning.plan import (
@@ -22,6 +23,7 @@ from scan3d.planning.plan import (
     MAX_SWEEPS,
     BaseLine,
     Plan,
+    base_clearances,
     base_fractions,
     base_line,
     clamp_axes,
@@ -35,7 +37,7 @@ from scan3d.reconstruction.contacts import GrowingContacts, contacts
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 from scan3d.simulation.felt import drawn_friction, recorded
-from scan3d.simulation.grown import grown_extent, grown_polygons
+from scan3d.simulation.grown import grown_extent, sections
 from scan3d.simulation.spatial import simulate_spatial
 from scan3d.units import UNITS_M
 
@@ -62,7 +64,7 @@ _MEMORY_PER_SAMPLE, _MEMORY_PER_SLICE, _MEMORY_PER_FACET, _MEMORY_OF_PROGRAM = 1
 
 
 def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = None) -> Recording:
-    """Recording of a simulated scan of a convex `trimesh.Trimesh`.
+    """Recording of a simulated scan of a closed `trimesh.Trimesh`.
 
     mesh
         the body, with coordinates in the plan's unit.
@@ -71,7 +73,7 @@ def simulate(mesh: Any, plan: Plan | None = None, progress: Progress | None = No
     progress
         is called with the number of slices done and the number of all slices.
 
-    Raises InputError if the body is not closed and convex, if it is too thin to be sliced along an axis of the plan, and if the
+    Raises InputError if the body is not closed, if it is too thin to be sliced along an axis of the plan, and if the
     recording would not fit into memory.
     """
     plan = plan or Plan()
@@ -89,7 +91,15 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]
     rod = plan.rod or Rod.of_length(metres * max(width_of(mesh, frame) for frame in frames))
-    if plan.rod is None or rod.tapered:  # no radius fattens the body for a tapered rod
+    convex = is_convex(mesh)
+    if not convex and not rod.without_thickness().is_simple:
+        raise InputError(
+            "a body that is not convex is swept by a straight, uniform, weightless rod in a rigid clamp only; choose such a "
+            "rod, or scan the convex hull with --hull"
+        )
+    if not convex and plan.spacing == "adaptive":  # which asks for bounds between slices, as convex bodies have
+        plan = replace(plan, spacing="uniform")
+    if plan.rod is None or rod.tapered or not convex:  # no radius fattens the body for a tapered rod
         rod = rod.without_thickness()
     length, radius = rod.length_m / metres, rod.diameter_m / 2 / metres
     scans = [AxisScan(mesh, plan, length, radius, frame, k) for k, frame in enumerate(frames)]
@@ -270,8 +280,18 @@ class AxisScan:
     number: int
     """Of the axis among those of the plan."""
     heights: list[float] = field(default_factory=list)
-    polygons: list[Array] = field(default_factory=list)
+    loops: list[list[Array]] = field(default_factory=list)
+    """Contours (m, 2) of each slice."""
     swept: list[_Swept] = field(default_factory=list)
+
+    @cached_property
+    def convex(self) -> bool:
+        """Whether the body is, so that the rod touches it at one place at a time."""
+        return is_convex(self.mesh)
+
+    def outline(self, i: int) -> Array:
+        """(m, 2) vertices of the contours of slice i."""
+        return np.concatenate([*self.loops[i], np.empty((0, 2))])
 
     @property
     def extent(self) -> tuple[float, float]:
@@ -282,11 +302,11 @@ class AxisScan:
         """Sweep further slices."""
         first = len(self.heights)
         self.heights += heights.tolist()
-        self.polygons += grown_polygons(self.mesh, self.frame, heights, self.radius, self.length)
+        self.loops += sections(self.mesh, self.frame, heights, self.radius, self.length)
         new = range(first, len(self.heights))
-        self.swept += self._sweep_slices([i for i in new if len(self.polygons[i])])
+        self.swept += self._sweep_slices([i for i in new if self.loops[i]])
         for i in new:
-            if not len(self.polygons[i]):
+            if not self.loops[i]:
                 self.swept += self._sweep_empty(i)
 
     def sweep_again(self, heights: Array) -> None:
@@ -302,7 +322,7 @@ class AxisScan:
         The limit is a length in the mesh's unit.  Says whether there are such sweeps.
         """
         done = {i: [swept for swept in self.swept if swept.slice == i] for i in self._nearest(heights)}
-        further = self._sweep({i: self._open_directions(done[i], i, limit) for i in done}, done)
+        further = self._sweep({i: self._lines(i, self._open_directions(done[i], i, limit)) for i in done}, done)
         self.swept += further
         return bool(further)
 
@@ -314,39 +334,40 @@ class AxisScan:
     def _sweep_slices(self, slices: list[int]) -> list[_Swept]:
         """All sweeps of some slices, in the order of slices and directions."""
         done: dict[int, list[_Swept]] = {i: [] for i in slices}
-        directions = {i: first_directions(self.plan) for i in slices}
+        lines = {i: self._lines(i, first_directions(self.plan), first=True) for i in slices}
         for rounds_done in range(1 + _ROUNDS):
-            for swept in self._sweep(directions, done):
+            for swept in self._sweep(lines, done):
                 done[swept.slice].append(swept)
-            if self.plan.sweeps is not None or rounds_done == _ROUNDS:
+            # what tangents leave open is known of convex contours
+            if self.plan.sweeps is not None or rounds_done == _ROUNDS or not self.convex:
                 break
-            directions = {i: self._open_directions(done[i], i) for i in directions}
-            directions = {i: angles for i, angles in directions.items() if len(angles)}
+            directions = {i: self._open_directions(done[i], i) for i in lines}
+            lines = {i: self._lines(i, angles) for i, angles in directions.items() if len(angles)}
         return [swept for i in slices for swept in done[i]]
 
     def _sweep_empty(self, i: int) -> list[_Swept]:
         """Sweeps without contact of an empty slice, past the nearest contour and where it would be if the body went on."""
-        filled = [j for j, polygon in enumerate(self.polygons) if len(polygon)]
+        filled = [j for j, loops in enumerate(self.loops) if loops]
         if not filled:
             return []
         nearest = min(filled, key=lambda j: abs(self.heights[j] - self.heights[i]))
-        outline = np.concatenate([self.polygons[nearest], self._extrapolated(nearest, filled, self.heights[i])])
+        outline = np.concatenate([self.outline(nearest), self._extrapolated(nearest, filled, self.heights[i])])
         swept = []
         for angle in first_directions(self.plan):
-            line = self._base_line(angle, outline)
+            line = base_line(outline, angle, self.plan.clearance * self.length)
             across = (outline - line.origin) @ line.axes[0] / self.length
             swept.append(_Swept(i, line, self._nothing(across)))
         return swept
 
     def _extrapolated(self, i: int, filled: list[int], height: float) -> Array:
         """Slice i's contour (n, 2) at another height, moved and scaled as from the nearest of the other filled slices."""
-        contour = self.polygons[i]
+        contour = self.outline(i)
         others = [j for j in filled if j != i]
         if not others:
             return contour
         behind = min(others, key=lambda j: abs(self.heights[j] - self.heights[i]))
         (centre, size), (before, size_before) = (
-            (polygon.mean(axis=0), np.ptp(polygon, axis=0)) for polygon in (contour, self.polygons[behind])
+            (polygon.mean(axis=0), np.ptp(polygon, axis=0)) for polygon in (contour, self.outline(behind))
         )
         ahead = (height - self.heights[i]) / (self.heights[i] - self.heights[behind])
         scaled = np.maximum(1 + ahead * (1 - size_before / size), 0.0)
@@ -361,23 +382,27 @@ class AxisScan:
         phase = np.full(n, planar.Phase.NONE, dtype=np.int8)
         return planar.Sweep(x0, unknown, unknown, unknown, unknown, np.full((n, 2), np.nan), unknown, phase, unknown)
 
-    def _base_line(self, angle: float, outline: Array) -> BaseLine:
-        return base_line(outline, angle, self.plan.clearance * self.length)
-
-    def _sweep(self, directions: dict[int, Array], done: dict[int, list[_Swept]]) -> list[_Swept]:
-        """Sweeps of slices from some directions each, after those that are done."""
-        aims = [
-            (i, len(done[i]) + k, self._base_line(angle, self.polygons[i]))
-            for i, angles in directions.items()
-            for k, angle in enumerate(angles)
+    def _lines(self, i: int, directions: Array, *, first: bool = False) -> list[BaseLine]:
+        """Base lines of sweeps of slice i from some directions: with the `first` ones, nearer and farther ones."""
+        outline, near = self.outline(i), self.plan.clearance
+        clearances = (
+            base_clearances(self.plan, len(directions)) if first and not self.convex else [[near]] * len(directions)
+        )
+        return [
+            base_line(outline, angle, clearance * self.length)
+            for angle, several in zip(directions, clearances, strict=True)
+            for clearance in several
         ]
+
+    def _sweep(self, lines: dict[int, list[BaseLine]], done: dict[int, list[_Swept]]) -> list[_Swept]:
+        """Sweeps of slices along some base lines each, after those that are done."""
+        aims = [(i, len(done[i]) + k, line) for i, of_slice in lines.items() for k, line in enumerate(of_slice)]
         if not aims:
             return []
-        outlines = [(self.polygons[i] - line.origin) @ line.axes.T / self.length for i, _, line in aims]
         bounds, samples, seed = self.plan.friction_range, self.plan.samples, self.plan.seed
         friction = [drawn_friction(bounds, samples, [seed, 0, self.number, i, number]) for i, number, _ in aims]
         try:
-            contours, shares = [planar.Polygon(o) for o in outlines], base_fractions(samples)
+            contours, shares = [self._contour(i, line) for i, _, line in aims], base_fractions(samples)
             rod = None if self.plan.rod is None else self.plan.rod.in_plane()
             results = planar.sweep_all(contours, friction, shares=shares, rod=rod)
         except ValueError as error:
@@ -387,6 +412,11 @@ class AxisScan:
             ) from None
         return [_Swept(i, line, result) for (i, _, line), result in zip(aims, results, strict=True)]
 
+    def _contour(self, i: int, line: BaseLine) -> planar.Contour:
+        """The contour of slice i in the frame of a base line, in rod lengths."""
+        parts = [planar.Polygon((loop - line.origin) @ line.axes.T / self.length) for loop in self.loops[i]]
+        return parts[0] if len(parts) == 1 else planar.Contours(parts)
+
     def _open_directions(self, done: list[_Swept], i: int, limit: float | None = None) -> Array:
         """Approach directions for what the sweeps of slice i have left open of its contour, as `further_directions`."""
         points, normals = [], []
@@ -395,7 +425,7 @@ class AxisScan:
             slope = result.slope[tangential]
             points.append(result.point[tangential] @ line.axes * self.length + line.origin)
             normals.append(np.stack([np.sin(slope), -np.cos(slope)], axis=1) @ line.axes)
-        width = float(np.ptp(self.polygons[i], axis=0).max())
+        width = float(np.ptp(self.outline(i), axis=0).max())
         further = further_directions(np.concatenate(points), np.concatenate(normals), width, limit)
         return further[: max(MAX_SWEEPS - len(done), 0)]
 
@@ -403,19 +433,31 @@ class AxisScan:
 def width_of(mesh: Any, frame: Array) -> float:
     """Largest diameter of the slices about their middles; a sweep with a rod of that length sees most of a slice."""
     low, high = extent_along(mesh, frame[2])
-    polygons = slice_polygons(mesh, frame, np.linspace(low, high, _WIDTH_HEIGHTS + 2)[1:-1])
-    widths = [2 * np.linalg.norm(p - (p.min(axis=0) + p.max(axis=0)) / 2, axis=1).max() for p in polygons if len(p)]
+    loops = sections(mesh, frame, np.linspace(low, high, _WIDTH_HEIGHTS + 2)[1:-1])
+    outlines = [np.concatenate(part) for part in loops if part]
+    widths = [2 * np.linalg.norm(p - (p.min(axis=0) + p.max(axis=0)) / 2, axis=1).max() for p in outlines]
     if not widths:
         raise InputError("the body is too thin to be sliced along this axis; choose another one")
     return float(max(widths))
 
 
 def recording_of(scans: list[AxisScan], rod: Rod, first: int = 0) -> Recording:
-    """The recording of all sweeps so far, as a rig would log it; of each axis from sweep number `first` on."""
+    """The recording of all sweeps so far, as a rig would log it; of each axis from sweep number `first` on.
+
+    Samples of which no equilibrium was found are left out, and what follows them counts as another sweep.
+    """
     plan, length = scans[0].plan, scans[0].length
     swept = [(scan, *swept) for scan in scans for swept in scan.swept[first:]]
     places = [positions(line, result.x0 * length, scan.heights[i], scan.frame) for scan, i, line, result in swept]
     axes = np.array([clamp_axes(line, scan.frame) for scan, _, line, _ in swept])
     wrenches = [np.stack([result.f0x, result.f0y, result.m0z], axis=1) for *_, result in swept]
-    number = np.repeat(np.arange(len(swept)), [len(result) for *_, result in swept])
-    return recorded(plan, rod, axes, number, np.concatenate(places), np.concatenate(wrenches), {}, first)
+    of_sweep = np.repeat(np.arange(len(swept)), [len(result) for *_, result in swept])
+    known = np.concatenate([result.status != planar.SweepStatus.UNRESOLVED for *_, result in swept])
+    begins = known & ((np.diff(of_sweep, prepend=-1) != 0) | ~np.roll(known, 1))
+    number, place, wrench = (
+        (np.cumsum(begins) - 1)[known],
+        np.concatenate(places)[known],
+        np.concatenate(wrenches)[known],
+    )
+    source = {} if scans[0].convex else {"unresolved": int((~known).sum())}
+    return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source, first)

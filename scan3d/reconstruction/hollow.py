@@ -1,0 +1,143 @@
+"""Contacts of bodies that are not convex: which ones are none, because the rod touched at a second place as well.
+
+Whether a body is convex is a finding: of a convex one no contact lies beyond the tangent at another one, nor inside the hull of
+the others.  Where some do, either the body is hollow there or the rig is wrong.  What tells them apart are the other sweeps:
+no contact lies inside what they have passed, whatever the body's shape (C14), unless the rod, the sensor or the poses are not
+as stated; then much of what one sweep touches another one has passed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import planar
+from scan3d.arrays import Array, Index, Mask
+from scan3d.cloud import Cloud, NormalSource
+from scan3d.reconstruction.agreement import shape_contradictions
+from scan3d.reconstruction.errors import felt
+from scan3d.recording import Recording
+from scan3d.units import UNITS_M
+
+# Share of the contacts that may lie in what other sweeps have passed, because they are those of rods with two contacts; larger
+# shares are those of a wrong rig.
+_SECOND = 0.15
+# Standard deviations of a place by which noise may put a contact into what was passed.
+_DEVIATIONS = 5.0
+# Contacts around one that tell how steep the surface is there, across its slice.
+_AROUND = 12
+
+
+def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
+    """The contacts of a recording in slices, less those that can't be single ones if the body proves not to be convex.
+
+    The cloud is returned as it is where its contacts are those of a convex body, and where they contradict each other whatever
+    the body's shape.
+    """
+    if not shape_contradictions(recording, cloud):
+        return cloud
+    rows = _Rows(cloud, recording)
+    refused = rows.refused()
+    # at first rods with a second contact that only the others show are among those that pass
+    passed = rows.passed(refused, rows.passed(refused, np.zeros_like(refused)))
+    if passed.sum() > _SECOND * len(cloud):
+        return cloud
+    single = cloud.select(~(refused | passed)[cloud.row])
+    normals = _estimated_normals(single)
+    known = np.isfinite(normals[:, 0])
+    source = np.where(known, NormalSource.SLICES, NormalSource.UNKNOWN).astype(np.int8)
+    second = int(rows.pressed.sum()) - cloud.light - len(single)
+    return replace(
+        single, convex=False, second=second, normals=normals, normal_source=source, fit=None, fit_error=np.inf
+    )
+
+
+class _Rows:
+    """The rows (n,) of a recording in slices: their rods in rod lengths, and their sweeps."""
+
+    def __init__(self, cloud: Cloud, recording: Recording) -> None:
+        rod, self.axes = recording.rod, recording.axes()
+        force, moment = recording.force_N / rod.force_unit_N, recording.moment_Nm / rod.moment_unit_Nm
+        place = np.einsum("nij,nj->ni", self.axes, recording.position_m) / rod.length_m
+        self.columns = place[:, 0], *force.T, moment
+        self.above = place[:, 1]
+        """(n,) place of the clamp along the y axis of its frame."""
+        noise = recording.noise.of_reactions(rod)
+        self.found = planar.reconstruct(*self.columns)
+        self.errors = planar.errors(force[:, 0], force[:, 1], moment, noise=noise)
+        self.pressed = felt(force, noise)
+        self.touching = np.zeros(len(moment), dtype=bool)
+        self.touching[cloud.row] = True
+        order = np.argsort(recording.sweep, kind="stable")
+        self.sweeps = np.split(order, np.flatnonzero(np.diff(recording.sweep[order])) + 1)
+        first = np.array([rows[0] for rows in self.sweeps])
+        height = (recording.position_m[first] * self.axes[first, 2]).sum(axis=1) / UNITS_M[cloud.unit]
+        apart = np.abs(self.axes[first, 2][:, None] - cloud.slice_axis).max(axis=2) * cloud.rod_length
+        self.slice = (apart + np.abs(height[:, None] - cloud.slice_height)).argmin(axis=1)
+
+    def refused(self) -> Mask:
+        """(n,) contacts that are not those of single ones by friction and path."""
+        rows = np.flatnonzero(self.touching)
+        friction = np.tan(planar.constant_friction_angle(_of(self.found, rows), _of_errors(self.errors, rows)))
+        refused = np.zeros(len(self.touching), dtype=bool)
+        for sweep in self.sweeps:
+            rows = sweep[self.touching[sweep]]
+            if len(rows):
+                # without a friction that the contacts agree on this is NaN, and nothing is told by it
+                found, errors = _of(self.found, rows), _of_errors(self.errors, rows)
+                refused[rows] = planar.second_contacts(self.columns[0][rows], found, friction=friction, errors=errors)
+        return refused
+
+    def passed(self, refused: Mask, others: Mask) -> Mask:
+        """(n,) contacts in what other sweeps of their slice have passed, by rods that are neither refused nor `others`."""
+        single = (self.touching & ~refused & ~others) | ~self.pressed
+        asked = self.touching & ~refused
+        found = np.zeros(len(asked), dtype=bool)
+        for number in np.unique(self.slice):
+            members = [self.sweeps[k] for k in np.flatnonzero(self.slice == number)]
+            plane = self.axes[members[0][0], :2]
+            rows = np.concatenate(members)
+            rows = rows[asked[rows]]
+            sweep = np.repeat(np.arange(len(members)), [int(asked[member].sum()) for member in members])
+            points = self._in_plane(self.found.point[rows], rows, plane)
+            for k, member in enumerate(members):
+                free = planar.free_space(*(column[member] for column in self.columns), single=single[member])
+                loops = self._in_plane(free.loops, member[:1], plane)
+                apart = np.flatnonzero(sweep != k)
+                depth = replace(free, loops=loops).depth(points[apart])
+                found[rows[apart]] |= depth > _DEVIATIONS * self.errors.largest[rows[apart]]
+        return found
+
+    def _in_plane(self, points: Array, rows: Index, plane: Array) -> Array:
+        """Points of the clamps' frames at some rows, in the axes (2, 3) of a slice's plane."""
+        above = np.stack([np.zeros(len(rows)), self.above[rows]], axis=1)
+        turn = self.axes[rows, :2] @ plane.T
+        return np.asarray(np.einsum("...i,...ij->...j", points + above, turn))
+
+
+def _of(found: planar.Contacts, rows: Index) -> planar.Contacts:
+    return replace(found, **{column.name: getattr(found, column.name)[rows] for column in fields(found)})
+
+
+def _of_errors(errors: planar.Errors, rows: Index) -> planar.Errors:
+    return planar.Errors(*(column[rows] for column in errors))
+
+
+def _estimated_normals(cloud: Cloud) -> Array:
+    """(n, 3) normals: in the slice's plane as they are known there, tilted as the contacts around lie; NaN where unknown."""
+    normals = np.full((len(cloud), 3), np.nan)
+    rows = np.flatnonzero(np.isfinite(cloud.in_plane_normals[:, 0]))
+    count = min(_AROUND, len(cloud))
+    near = cKDTree(cloud.points).query(cloud.points[rows], k=range(1, count + 1))[1]
+    level, axis = cloud.in_plane_normals[rows], cloud.slice_axis[cloud.slice[rows]]
+    offset = cloud.points[near] - cloud.points[rows, None]
+    along, across = np.einsum("nki,ni->nk", offset, axis), np.einsum("nki,ni->nk", offset, level)
+    spread = (along**2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tilt = -(along * across).sum(axis=1) / spread
+    known = np.isfinite(tilt)
+    tilted = level[known] + tilt[known, None] * axis[known]
+    normals[rows[known]] = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+    return normals
