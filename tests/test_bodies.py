@@ -107,9 +107,10 @@ def test_float32_far_from_the_origin_is_named_as_the_cause(tmp_path, shape, endi
     assert "lost its shape in float32, whose numbers are 0.062 apart" in error(save(tmp_path, moved, f"far{ending}"))
     assert load_mesh(save(tmp_path, moved, "far.off")).extents == pytest.approx(shape.extents, rel=1e-6)
     # what is dented, or flat, in itself
-    for mesh, why in ((letter_l(), "isn't convex"), (as_mesh(box().vertices * [5, 5, 0], box().faces), "flat")):
-        assert why in error(save(tmp_path, mesh, f"near{ending}"))
-    assert "isn't convex" in error(save(tmp_path, as_mesh(letter_l().vertices + FAR, letter_l().faces), "far.stl"))
+    flat = as_mesh(box().vertices * [5, 5, 0], box().faces)
+    assert "flat" in error(save(tmp_path, flat, f"near{ending}"))
+    far = load_mesh(save(tmp_path, as_mesh(letter_l().vertices + FAR, letter_l().faces), "far.stl"))
+    assert len(far.faces) == len(letter_l().faces)
 
 
 def written_glb(path, points, changed=lambda tree: None, more=b""):

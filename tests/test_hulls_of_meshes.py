@@ -1,4 +1,4 @@
-"""Bodies that are not convex: what is scanned in their place, which dents are filled, and to what distances refer.
+"""Hulls of bodies that are not convex: what is filled, and to what distances refer.
 
 The authority for the numbers is the shape itself: a cube whose dent has a given depth, and an L, whose hull lies 1/√2 from its
 reentrant edge and has 7/6 of its volume.
@@ -15,7 +15,7 @@ from small_scans import FEW
 import scan3d
 from scan3d.cli import main
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
-from scan3d.files.reading import dent_size
+from scan3d.geometry.convexity import is_convex
 from scan3d.numbers import length
 from scan3d.pictures import page, parts, rendering
 from scan3d.pipeline import to_scene
@@ -48,9 +48,8 @@ def scanned():
 # --- dents ---
 
 
-@pytest.mark.parametrize("size", [0.0101, "0.0101", f"{101 * DEPTH / DIAGONAL}%", "0.6 %"])
-def test_dents_up_to_a_depth_are_filled(dimpled, size):
-    body = load_mesh(dimpled, clip_dent=size)
+def test_the_hull_fills_dents(dimpled):
+    body = load_mesh(dimpled, hull=True)
     assert body.is_convex
     assert body.volume == pytest.approx(1)
     assert body.metadata["hull"] is True
@@ -60,25 +59,17 @@ def test_dents_up_to_a_depth_are_filled(dimpled, size):
     assert filled["volume_relative"] == pytest.approx(DEPTH / 3, rel=1e-6)  # a pyramid
     assert len(mesh_itself(body).faces) == 14
     # of faces that are turned inwards the volume is not known
-    turned = judge_mesh(dimpled_box(DEPTH), clip_dent=size)
+    turned = judge_mesh(dimpled_box(DEPTH), hull=True)
     assert turned.volume == pytest.approx(1)
     assert turned.metadata["filled"]["volume_relative"] is None
 
 
-@pytest.mark.parametrize("size", [0, 0.0099, "0.5%"])
-def test_deeper_dents_are_refused_with_what_would_fill_them(dimpled, size):
-    with pytest.raises(
-        scan3d.InputError,
-        match=r"isn't convex: .* 0\.01 deep, in the unit of the mesh .* --clip-dent 0\.01\d?\d? \(clip_dent\)",
-    ):
-        load_mesh(dimpled, clip_dent=size)
-
-
-def test_the_depth_that_is_suggested_suffices(dimpled):
-    with pytest.raises(scan3d.InputError) as refused:
-        load_mesh(dimpled)
-    suggested = str(refused.value).rpartition("--clip-dent ")[2].partition(" ")[0]
-    assert load_mesh(dimpled, clip_dent=suggested).is_convex
+def test_without_the_hull_dents_stay_and_faces_are_turned_outwards(dimpled):
+    for body in (load_mesh(dimpled), judge_mesh(dimpled_box(DEPTH)), judge_mesh(load_mesh(dimpled))):
+        assert body.volume == pytest.approx(1 - DEPTH / 3)
+        assert not is_convex(body)
+        assert "filled" not in body.metadata
+    assert is_convex(judge_mesh(load_mesh(dimpled), hull=True))
 
 
 def test_a_body_that_was_moved_has_lost_its_mesh():
@@ -92,32 +83,15 @@ def test_open_bodies_are_not_filled(tmp_path):
     mesh = box()
     path = save(tmp_path, without(mesh, mesh.face_normals[:, 2] < 0.5))
     with pytest.raises(scan3d.InputError, match=r"is open: .* give --hull"):
-        load_mesh(path, clip_dent="50%")
+        load_mesh(path)
     filled = load_mesh(path, hull=True).metadata["filled"]
     assert filled == {"depth": 0.0, "at": None, "open": True, "volume_relative": None}
     assert _filled({"mesh": {"filled": filled, "unit": "mm"}}) == [("scanned", f"the {HULL}; the mesh is open")]
 
 
 def test_of_a_convex_body_nothing_is_filled():
-    for options in ({}, {"hull": True}, {"clip_dent": 1}):
-        assert not {"filled", "mesh_faces"} & set(judge_mesh(box(), **options).metadata)
-
-
-@pytest.mark.parametrize(
-    ("given", "size"), [("0.1", (0.1, 0)), (2, (2, 0)), ("0.05%", (0, 5e-4)), (" 5 % ", (0, 0.05))]
-)
-def test_depths_are_absolute_or_relative(given, size):
-    assert dent_size(given) == pytest.approx(size)
-
-
-@pytest.mark.parametrize("given", ["-1", "deep", "nan", "inf", "5%%", "% 5", ""])
-def test_other_depths_are_refused(given):
-    with pytest.raises(
-        scan3d.InputError, match=r"clip_dent must be a depth in the mesh's unit, such as 0\.1, or a part"
-    ):
-        dent_size(given)
-    with pytest.raises(scan3d.InputError, match="clip_dent must be a depth"):
-        scan3d.scan(box(), clip_dent=given)
+    for hull in (False, True):
+        assert not {"filled", "mesh_faces"} & set(judge_mesh(box(), hull=hull).metadata)
 
 
 # --- what is printed, reported and drawn ---
@@ -186,16 +160,16 @@ def test_of_a_convex_mesh_nothing_of_the_kind_is_said():
 
 
 @pytest.mark.slow
-def test_commands_take_the_depth_and_say_what_was_filled(dimpled, tmp_path, capsys, monkeypatch):
+def test_commands_say_what_was_filled(dimpled, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: False)
-    options = [*FEW[:-1], "--method", "hull", "--clip-dent", "1%"]
+    options = [*FEW[:-1], "--method", "hull", "--hull"]
     assert main(["scan", str(dimpled), "--out", str(tmp_path / "out"), *options]) == 0
     printed = capsys.readouterr().out
     assert f"the {HULL}, which fills dents up to 10 µm deep, 0.33 % of its volume\n" in printed
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
-    assert report["settings"]["clip_dent"] == "1%"
+    assert report["settings"]["hull"] is True
     recording = str(tmp_path / "out" / "recording.csv")
-    again = ["reconstruct", recording, "--out", str(tmp_path / "again"), "--truth", str(dimpled), "--clip-dent", "0.02"]
+    again = ["reconstruct", recording, "--out", str(tmp_path / "again"), "--truth", str(dimpled), "--hull"]
     assert main([*again, "--method", "hull"]) == 0
     assert "to the mesh itself" in capsys.readouterr().out
     assert scan3d.open(tmp_path / "out").certificate.of == HULL
@@ -205,14 +179,13 @@ def test_commands_take_the_depth_and_say_what_was_filled(dimpled, tmp_path, caps
     page = tmp_path / "page.html"
     assert main(["show", str(tmp_path / "out"), "--html", str(page)]) == 0
     assert HULL in page.read_text(encoding="utf-8")
-    assert main(["scan", str(dimpled), "--out", str(tmp_path / "x"), "--clip-dents"]) == 2
 
 
 @pytest.mark.trust
 def test_batches_keep_both_distances(dimpled, tmp_path, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: False)
     few = dict(sweeps=4, samples=8, method="hull")
-    batch = scan3d.batch(dimpled, tmp_path / "study", grid={"slices": [4, 5, 6]}, clip_dent=0.02, **few)
+    batch = scan3d.batch(dimpled, tmp_path / "study", grid={"slices": [4, 5, 6]}, hull=True, **few)
     row = batch.rows[0]
     report = batch.open(row["run"]).report
     assert row["hausdorff_mesh"] == report["hausdorff"]["mesh_itself"]["two_sided"]

@@ -65,7 +65,7 @@ def test_the_page_holds_the_scan(cube):
 
 
 def test_histograms_count_area_and_contacts_alike(cube):
-    layers, (mesh, deviation, bound) = layers_of(page(cube)), shown_surface(cube)
+    layers, (mesh, deviation, bound, _) = layers_of(page(cube)), shown_surface(cube)
     weight = np.zeros(len(mesh.vertices))
     np.add.at(weight, np.asarray(mesh.faces), np.asarray(mesh.area_faces)[:, None] / 3)
     for scale, values in zip(layers["surface"]["colors"], (deviation, bound), strict=True):

@@ -254,7 +254,7 @@ def test_a_place_of_the_surface_shows_its_deviation_and_its_bound(tab, cube):
     tab.click(x, y)
     text = tab.run("picked.textContent").replace("−", "-")
     place = np.array([float(value) for value in re.findall(r"[xyz] = (\S+) mm", text)])
-    mesh, deviation, bound = shown_surface(cube)
+    mesh, deviation, bound, _ = shown_surface(cube)
     assert distances(place[None], mesh)[0] < 1e-3
     units = {"nm": 1e-6, "µm": 1e-3, "mm": 1.0}
     near = np.argsort(np.linalg.norm(mesh.vertices - place, axis=1))[:12]

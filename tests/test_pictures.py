@@ -454,7 +454,7 @@ def test_a_histogram_counts_area(egg):
     deviation, bound = histograms(egg, Sheet()).axes
     assert deviation.get_xlabel().replace("\n", " ") == "signed deviation in µm"
     assert bound.get_xlabel().replace("\n", " ") == "certified bound in mm"
-    mesh, signed, local = shown_surface(egg)
+    mesh, signed, local, _ = shown_surface(egg)
     for axes, values, factor in ((deviation, signed, 1e-3), (bound, local, 1.0)):
         shares, edges, _ = axes.patches[0].get_data()
         edges = factor * edges

@@ -280,7 +280,7 @@ def test_sweeps_that_can_not_be_shown(egg, ellipsoid):
 
 
 def test_the_deviation_is_looked_up_inside_large_facets(cube):
-    mesh, deviation, bound = shown_surface(cube)
+    mesh, deviation, bound, _ = shown_surface(cube)
     assert mesh.edges_unique_length.max() <= cube.diagonal / 60 * (1 + 1e-9)
     assert mesh.volume == pytest.approx(cube.surface.volume)
     # the hull of the contacts lies inside: its lid below the cube's, its sides in the cube's
@@ -302,7 +302,7 @@ def test_the_distance_from_another_surface_is_signed_and_exact(cube):
     for factor in (0.5, 2.0):
         other = trimesh.creation.box([factor * side] * 3)
         for shape in (other, trimesh.Trimesh(other.vertices, other.faces[:, ::-1], process=False)):
-            mesh, distance, _ = shown_surface(replace(cube, surface=inner, bound=None).against(shape))
+            mesh, distance, *_ = shown_surface(replace(cube, surface=inner, bound=None).against(shape))
             inside = np.abs(mesh.vertices).max(axis=1) - factor * side / 2
             facing = np.sort(np.abs(mesh.vertices), axis=1)[:, 1] < 0.2 * side  # opposite the middles of faces
             np.testing.assert_allclose(distance[facing], inside[facing], atol=1e-9 * side)

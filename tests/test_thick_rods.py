@@ -18,7 +18,7 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.report import measurands, report, summary
 from scan3d.rods import parse_rod
-from scan3d.simulation.grown import grown_extent, grown_polygons
+from scan3d.simulation.grown import grown_extent, sections
 
 WIRE = parse_rod("steel:0.3x50")
 
@@ -47,7 +47,7 @@ def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
     frame, radius, length = slice_frame(np.array(axis, dtype=float)), 0.3, 50.0
     low, high = grown_extent(body, frame[2], radius)
     heights = np.linspace(low, high, 9)[1:-1]
-    for height, polygon in zip(heights, grown_polygons(body, frame, heights, radius, length), strict=True):
+    for height, (polygon,) in zip(heights, sections(body, frame, heights, radius, length), strict=True):
         following = np.roll(polygon, -1, axis=0)
         corners, middles = (
             np.column_stack([points, np.full(len(points), height)]) @ frame
