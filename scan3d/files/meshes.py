@@ -27,6 +27,7 @@ from scan3d.geometry.convexity import (
     outward_faces,
     outward_hull,
     runs_both_ways,
+    turned_alike,
 )
 from scan3d.geometry.distance import bounding_box
 from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
@@ -213,10 +214,9 @@ def _closed(name: str, vertices: Array, faces: Index) -> trimesh.Trimesh:
     attempts = [np.arange(len(vertices)), representatives(vertices, 2 * distance_of_readers(vertices))]
     for chosen in attempts:
         used, kept = without_unused(collapsed(faces, chosen))
+        kept = turned_alike(kept)
         body = trimesh.Trimesh(vertices[used], kept, process=False)
-        if len(kept) and not runs_both_ways(kept):
-            trimesh.repair.fix_winding(body)
-        if len(kept) and runs_both_ways(body.faces):
+        if len(kept) and runs_both_ways(kept):
             if body.volume < 0:
                 body.invert()
             return body

@@ -34,6 +34,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
@@ -397,10 +399,10 @@ def is_convex(mesh: Any) -> bool:
     """Whether a closed `trimesh.Trimesh` is convex within rounding, as judged when it was read, or else by its shape."""
     number, convex = mesh.metadata.get("convex", (None, False))
     if number != hash(mesh.vertices):
+        deviation = distance_to_hull(mesh)
         vertices = np.asarray(mesh.vertices)[without_unused(np.asarray(mesh.faces))[0]]
         # twice, because a body that was judged may have been moved, which rounds its vertices
-        allowed = 2 * DENT_TOLERANCE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
-        convex = bool(distance_to_hull(mesh) <= allowed)
+        convex = bool(deviation <= 2 * DENT_TOLERANCE * float(np.linalg.norm(np.ptp(vertices, axis=0))))
         judged_convex(mesh, convex)
     return bool(convex)
 
@@ -415,6 +417,32 @@ def runs_both_ways(faces: Index) -> bool:
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     size = int(faces.max(initial=-1)) + 1
     return bool(np.array_equal(np.sort(start * size + end), np.sort(end * size + start)))
+
+
+def turned_alike(faces: Index) -> Index:
+    """Faces (m, 3) turned so that neighbours run through their common edge in opposite directions, if they do not yet."""
+    if runs_both_ways(faces):
+        return faces
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    order = np.lexsort(np.sort(ends, axis=1).T)
+    rows = np.sort(ends, axis=1)[order]
+    following = (rows[1:] == rows[:-1]).all(axis=1)
+    # edges of two faces, and no more
+    single = following & ~np.append(following[1:], False) & ~np.append(False, following[:-1])
+    one, other = order[:-1][single], order[1:][single]
+    against = (ends[one] == ends[other]).all(axis=1)
+    count = len(faces)
+    links = coo_array((np.where(against, 4, 1), (one // 3, other // 3)), shape=(count, count)).tocsr()
+    links = links + links.T  # two faces have three edges in common at most
+    flipped, seen = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    for start in range(count):
+        if seen[start]:
+            continue
+        reached, before = breadth_first_order(links, start, directed=False)
+        seen[reached] = True
+        for face in reached[1:].tolist():
+            flipped[face] = flipped[before[face]] != (links[face, before[face]] >= 4)
+    return np.where(flipped[:, None], faces[:, ::-1], faces)
 
 
 def check_body(mesh: Any) -> None:

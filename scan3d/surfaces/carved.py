@@ -92,6 +92,7 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     vertices, faces = _refined(points, faces, 2 * spacing)
     surface = _mesh(vertices, faces)
     known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, _gap(sheets))
+    surface.vertex_attributes["known"] = known
     return Carved(surface, known, float(contours.distance.max(initial=0.0)), _coverage(surface, known))
 
 
