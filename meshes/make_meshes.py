@@ -7,7 +7,7 @@ The meshes are exactly convex as they are read back: points are rounded to a lat
 without loss, and their convex hull is computed afterwards. Orientation and facets are determined in integers, so that the
 result depends neither on rounding nor on the order in which the hull is built.
 
-`make` returns a body as a mesh with a given number of subdivisions; `distance` and `normal` describe the exact smooth body.
+`make` returns a body as a mesh with a given number of subdivisions; `distance` describes the exact smooth body.
 """
 
 import argparse
@@ -211,11 +211,6 @@ def distance(name: str, points: Floats) -> Floats:
     level, gradient = SMOOTH[name](points)
     outside: Floats = level / np.linalg.norm(gradient, axis=1)
     return outside
-
-
-def normal(name: str, points: Floats) -> Floats:
-    """Return the outward unit normals (n, 3) of a body in `SMOOTH` at points (n, 3) on it, in mm."""
-    return unit(SMOOTH[name](points)[1])
 
 
 def make(name: str, subdivisions: int = SUBDIVISIONS) -> trimesh.Trimesh:

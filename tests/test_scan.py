@@ -134,7 +134,7 @@ def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(pat
     assert np.isnan(cloud.friction[~tangential]).all()
 
 
-@pytest.mark.parametrize("path", MESHES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [CUBE, EGG], ids=lambda path: path.stem)
 @pytest.mark.slow
 def test_constant_friction_is_found_in_every_tangential_contact(path):
     _, cloud = places(scan3d.load_mesh(path), slices=4, friction=0.3)
@@ -282,33 +282,17 @@ def without(report, *keys):
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_files(scanned, tmp_path, no_pictures):
-    # `scanned` was written by a process with other hashes and one thread
+def test_the_same_seed_gives_the_same_files(scanned, tmp_path):
+    """Also pictures, where something can draw; `scanned` was written by a process with other hashes and one thread."""
     again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
-    files = {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"}
-    for folder in (scanned, again):
-        assert files == {p.name for p in folder.iterdir()} - {"cloud.png", "surface.png"}
+    files = {path.name for path in scanned.iterdir()}
+    assert files == {path.name for path in again.iterdir()}
+    assert {"recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html"} <= files
     for name in files:
         first, second = ((folder / name).read_bytes() for folder in (scanned, again))
         if name == "report.json":
-            # the files themselves are compared; pictures were made by one of the two only
-            first, second = (without(text, "timings_s", "files", "sha256") for text in (first, second))
+            first, second = (without(text, "timings_s") for text in (first, second))
         assert first == second, name
-
-
-@pytest.mark.rendering
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_pictures(scanned, tmp_path):
-    again = scan(tmp_path / "out", *ROUGH, "--seed", "5")
-    for name in ("cloud.png", "surface.png"):
-        assert (scanned / name).read_bytes() == (again / name).read_bytes(), name
-
-
-@pytest.mark.slow
-def test_another_seed_gives_other_friction_and_noise(scanned, tmp_path, no_pictures):
-    other = scan(tmp_path / "out", *ROUGH, "--seed", "6")
-    for name in ("recording.csv", "cloud.ply", "surface.ply"):
-        assert (scanned / name).read_bytes() != (other / name).read_bytes()
 
 
 @pytest.mark.parametrize("random", [dict(friction=(0.0, 0.4)), dict(noise=1e-3)], ids=str)
@@ -317,16 +301,6 @@ def test_friction_and_noise_each_follow_the_seed(random):
     first, second, third = (places(mesh, slices=2, sweeps=2, samples=8, **random, seed=seed)[0] for seed in (1, 1, 2))
     assert np.array_equal(first.force_N, second.force_N)
     assert not np.allclose(first.force_N, third.force_N)
-
-
-@pytest.mark.parametrize("axis", ["z", "xyz"])
-def test_no_two_sweeps_draw_the_same_friction(watched_sweeps, axis):
-    """Whether they differ by their axis, by their slice or by their number in the slice."""
-    plan = dict(slices=4, sweeps=5, samples=16, friction=(0.0, 0.4), axis=axis, seed=3)
-    scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(**plan))
-    drawn = [sweep.friction.tobytes() for sweep in watched_sweeps]
-    assert len(drawn) == 4 * 5 * len(axis)
-    assert len(set(drawn)) == len(drawn)
 
 
 def test_the_certificate_under_noise_states_its_confidence(tmp_path, no_pictures):

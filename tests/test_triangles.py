@@ -1,4 +1,4 @@
-"""Triangles: areas, halves, and which faces of a closed surface are wound against the others."""
+"""Triangles: which faces of a closed surface are wound against the others."""
 
 import numpy as np
 import pytest
@@ -7,42 +7,10 @@ from shapes import ball, cube, without
 
 from scan3d.geometry import triangles
 from scan3d.geometry.triangles import (
-    areas,
-    distinct_rows,
-    halve,
     longest_first,
     mirrored_faces,
     offset_from,
 )
-
-
-def test_the_longest_edge_comes_first_and_the_winding_stays():
-    corners = np.array([[(0, 0, 0), (3, 0, 0), (0, 4, 0)]], dtype=float)
-    for shift in range(3):
-        rolled = np.roll(corners, shift, axis=1)
-        order = longest_first(rolled)
-        assert rolled[0, order[0]].tolist() == [[3, 0, 0], [0, 4, 0], [0, 0, 0]]
-
-
-def test_halves_share_the_area_and_the_longest_edge():
-    corners = np.array([[(3, 0, 0), (0, 4, 0), (0, 0, 0)], [(0, 0, 0), (8, 0, 0), (4, 1, 0)]], dtype=float)
-    halves, order = halve(corners)
-    assert halves.shape == (4, 3, 3)
-    assert areas(halves) == pytest.approx([3.0, 2.0, 3.0, 2.0])
-    assert (longest_first(halves) == np.arange(3)).all()
-    middles = [(1.5, 2.0, 0.0), (4.0, 0.0, 0.0)]
-    for i, triangle in enumerate(halves):
-        assert sum(np.allclose(corner, middles[i % 2]) for corner in triangle) == 1
-        # the order is that in which the corners of the unsorted halves were put
-        unsorted = triangle[np.argsort(order[i])]
-        assert unsorted[1 if i < 2 else 0] == pytest.approx(middles[i % 2])
-
-
-def test_distinct_rows_stand_for_all():
-    rows = np.array([(1.0, 2.0), (0.0, 2.0), (1.0, 2.0), (1.0, 3.0), (0.0, 2.0)])
-    first, number = distinct_rows(rows)
-    assert len(first) == 3
-    assert (rows[first][number] == rows).all()
 
 
 @pytest.mark.parametrize("body", [cube(), ball(3, 40)], ids=["cube", "ball"])
