@@ -27,8 +27,7 @@ from urllib.parse import quote
 from scan3d import pipeline
 from scan3d.errors import InputError
 from scan3d.files.meshes import FORMATS
-from scan3d.files.reading import read_small
-from scan3d.files.section import read_section
+from scan3d.files.reading import read_section, read_small
 from scan3d.files.whole import BATCH, REPORT, Inputs, earlier_files, read_report, replacing, sha256, unchanged
 from scan3d.numbers import length, share
 from scan3d.processes import undone_if_ended

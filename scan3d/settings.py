@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
 
 from scan3d.choices import METHODS, Method, Model, Spacing
 from scan3d.errors import InputError, UsageError
-from scan3d.files.reading import did_you_mean, to_float
-from scan3d.files.section import read_section
+from scan3d.files.reading import did_you_mean, read_section, to_float
 from scan3d.rods import parse_rod
 from scan3d.units import Unit
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.section import rod_section
+from scan3d.files.reading import rod_section
 from scan3d.files.text import to_toml
 from tests import rigs
 

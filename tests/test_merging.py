@@ -10,7 +10,7 @@ import scan3d
 from scan3d.files.formats import export
 from scan3d.files.shapes import ply, surface_table
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.merging import collapsed, distance_of_readers, kept_apart, representatives
+from scan3d.geometry.triangles import collapsed, distance_of_readers, kept_apart, representatives
 from tests.shapes import box, polytope
 
 

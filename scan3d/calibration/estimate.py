@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask, evenly
-from scan3d.calibration.fit import Fit, Noise, Problem, adjusted, by_parameter, estimates, fitted
+from scan3d.calibration.fit import Fit, Noise, Problem, adjusted, by_parameter, estimates, fitted, in_air
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
@@ -37,7 +37,6 @@ from scan3d.calibration.model import (
     clamp_wrench,
     contacts,
 )
-from scan3d.calibration.premises import in_air
 from scan3d.calibration.references import Plane, Reference, Sphere, neighbours, unloaded
 from scan3d.choices import TARES
 from scan3d.errors import InputError

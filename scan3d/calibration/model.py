@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -31,8 +32,8 @@ from scan3d.spatial.inverse import reconstruct
 
 PAST_TIP = 0.999
 """Contacts that noise puts past the tip by nearly any part of the rod are used: their places do not depend on the tip."""
-# Where the parameters stand in their vector; the tare follows them.
-STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, MIXING, TARE = 0, 1, 4, 6, 9, 12, 15, 16, 52
+# Where the parameters stand in their vector, by their numbers; the tare follows them.
+STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, MIXING, TARE = accumulate((0, 1, 3, 2, 3, 3, 3, 1, 36))
 
 
 class Kind(IntEnum):

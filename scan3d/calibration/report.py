@@ -13,12 +13,11 @@ import numpy as np
 
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.estimate import calibrated, six_channels
-from scan3d.calibration.fit import Fit
+from scan3d.calibration.fit import Fit, checked
 from scan3d.calibration.model import PLACE, TURN, Kind, Rig
-from scan3d.calibration.premises import checked
 from scan3d.calibration.references import Plane, Sphere, unloaded
 from scan3d.errors import InputError
-from scan3d.files.section import Section, read_rod, read_section
+from scan3d.files.reading import Section, read_rod, read_section
 from scan3d.files.text import to_toml
 from scan3d.files.whole import Inputs, check_file, folder, write_atomic
 from scan3d.frames import Frame, euler_of, to_outer, turn_of

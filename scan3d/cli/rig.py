@@ -109,7 +109,7 @@ def plan(
         unit of the bounding body, of floor, workspace and speed
     """
     from scan3d.files.poses import check_poses, write_poses
-    from scan3d.files.section import rod_section
+    from scan3d.files.reading import rod_section
     from scan3d.files.whole import folder
     from scan3d.planning.rig import RigPlan, largest_force, parse_envelope, plan_poses
 
@@ -253,8 +253,8 @@ def simulate_rig(
     """Write the log of a rig that goes through a list of poses."""
     from scan3d.files.meshes import load_mesh
     from scan3d.files.poses import check_log, map_path, read_poses
+    from scan3d.files.reading import read_section
     from scan3d.files.recordings import check_path, sidecar
-    from scan3d.files.section import read_section
     from scan3d.files.whole import check_file, check_pair, folder
     from scan3d.simulation import rig
     from scan3d.simulation.faults import read_faults
@@ -319,7 +319,7 @@ def _write_log(log: RawLog, path: Path) -> None:
     import numpy as np
 
     from scan3d.files.poses import RAW_COLUMNS, write_exact_log, write_log
-    from scan3d.files.section import rod_section
+    from scan3d.files.reading import rod_section
 
     if log.faults is None:
         write_exact_log(log.recording(slice(None)), log.time_s, log.move, path)

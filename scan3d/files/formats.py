@@ -37,7 +37,7 @@ from scan3d.files.shapes import (
 )
 from scan3d.files.text import rows_as_text
 from scan3d.files.whole import Inputs, atomic, check_belongs, check_file, folder, locate, read_report
-from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
+from scan3d.geometry.triangles import collapsed, distance_of_readers, representatives, without_unused
 from scan3d.numbers import length
 from scan3d.units import UNITS_M
 

@@ -30,8 +30,14 @@ from scan3d.geometry.convexity import (
     turned_alike,
 )
 from scan3d.geometry.distance import bounding_box
-from scan3d.geometry.merging import collapsed, distance_of_readers, representatives, without_unused
-from scan3d.geometry.triangles import areas, distinct_rows
+from scan3d.geometry.triangles import (
+    areas,
+    collapsed,
+    distance_of_readers,
+    distinct_rows,
+    representatives,
+    without_unused,
+)
 from scan3d.numbers import share
 from scan3d.processes import check_memory
 from scan3d.units import UNITS_M

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scan3d.arrays import Array
 from scan3d.choices import MODELS
 from scan3d.errors import InputError
+from scan3d.files.reading import read_rod, read_section, rod_section
 from scan3d.files.recordings import SCHEMA, TABLE, recording_files, sidecar
-from scan3d.files.section import read_rod, read_section, rod_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import Inputs, check_pair, check_path, write_together

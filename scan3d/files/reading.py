@@ -1,18 +1,26 @@
-"""Reading of whole files: what is no regular file, or does not fit into memory, is refused before it is read."""
+"""Reading of whole files, and of TOML entry by entry.
+
+What is no regular file, or does not fit into memory, is refused before it is read.  In tables of TOML files types, ranges and
+words are checked, and names that nothing reads are refused.  Each message names the file, the table and the entry, and says
+what was expected and what came.
+"""
 
 from __future__ import annotations
 
 import errno
+import math
 import os
 import stat
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from scan3d.errors import InputError
 from scan3d.processes import check_memory
+from scan3d.rods import Rod
 
 
 def check_file(path: Path, *, memory_per_byte: float = 2.0) -> None:
@@ -64,3 +72,209 @@ def did_you_mean(unknown: Iterable[str], known: Iterable[str], mark: str = "") -
     known = list(known)
     near = [mark + match for name in unknown for match in get_close_matches(name, known, n=1)]
     return f"; did you mean {' and '.join(near)}?" if near else ""
+
+
+T = TypeVar("T")
+REQUIRED: Any = object()
+"""The default of an entry that must be there."""
+
+
+class Section:
+    """A table of a TOML file whose entries are taken by name; those without a default must be there."""
+
+    def __init__(self, file: str, data: Mapping[str, Any], name: str = "") -> None:
+        self.file, self.data, self.name = file, data, name
+        self._asked: dict[str, None] = {}
+        self._inner: list[Section] = []
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.data
+
+    def __bool__(self) -> bool:
+        return bool(self.data)
+
+    def error(self, key: str, sentence: str) -> InputError:
+        """The error of an entry, or of the whole table if `key` is empty."""
+        return InputError(" ".join(filter(None, (f"{self.file}:", self.name and f"[{self.name}]", key, sentence))))
+
+    @contextmanager
+    def errors_named(self) -> Iterator[None]:
+        """Let errors of values that are made of the table name the file and the table."""
+        try:
+            yield
+        except InputError as error:
+            raise self.error("", str(error)) from None
+
+    def finish(self, advice: str = "") -> None:
+        """Raise InputError for names, here and in the tables within, that nobody asked for."""
+        known = list(self._asked)
+        unknown = sorted(set(self.data) - set(known))
+        if unknown:
+            what = f"unknown names: {', '.join(unknown)}; known are {', '.join(known)}{advice}"
+            raise self.error("", f"{'has ' if self.name else ''}{what}{did_you_mean(unknown, known)}")
+        for section in self._inner:
+            section.finish(advice)
+
+    def any(self, key: str, default: Any = None) -> Any:
+        """The value of an entry, whatever its type."""
+        self._asked[key] = None
+        return self.data.get(key, default)
+
+    def _value(self, key: str, default: Any, what: str = "") -> Any:
+        """The value of an entry, or its default.  Raises InputError if it has neither."""
+        value = self.any(key, default)
+        if value is REQUIRED:
+            others = [name for name in self.data if name not in self._asked]
+            raise self.error(key, f"is missing{what}{did_you_mean([key], others)}")
+        return value
+
+    def notes(self, key: str) -> Mapping[str, Any]:
+        """A table within this one that may hold anything; an empty one if it is not there."""
+        value = self.any(key, {})
+        if not isinstance(value, Mapping):
+            raise self.error(key, f"must be a section [{self._path(key)}] or a table in braces, got {value!r}")
+        return value
+
+    def section(self, key: str) -> Section:
+        """A table within this one, with entries of its own; an empty one if it is not there."""
+        self._inner.append(Section(self.file, self.notes(key), self._path(key)))
+        return self._inner[-1]
+
+    def _path(self, key: str) -> str:
+        return f"{self.name}.{key}" if self.name else key
+
+    def text(self, key: str, default: str | T = REQUIRED) -> str | T:
+        value = self._value(key, default)
+        if key not in self.data:
+            return default
+        if not isinstance(value, str):
+            raise self.error(key, f"must be text, got {value!r}")
+        return value
+
+    def word(self, key: str, words: Sequence[str], default: str | None = None) -> str:
+        """One of some words; by default the first of them."""
+        value = self.any(key, words[0] if default is None else default)
+        if value not in words:
+            near = did_you_mean([value], words) if isinstance(value, str) else ""
+            raise self.error(key, f"must be one of {', '.join(words)}; got {value!r}{near}")
+        return str(value)
+
+    def boolean(self, key: str, default: bool = REQUIRED) -> bool:
+        value = self._value(key, default)
+        if not isinstance(value, bool):
+            raise self.error(key, f"must be true or false, got {value!r}")
+        return value
+
+    def number(
+        self,
+        key: str,
+        default: float | T = REQUIRED,
+        *,
+        above: float = -math.inf,
+        at_least: float = -math.inf,
+        below: float = math.inf,
+    ) -> float | T:
+        """A finite number in a range; a default may lie outside."""
+        value = self._value(key, default)
+        if key not in self.data:
+            return default
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(key, f"must be a number, got {value!r}")
+        number = to_float(value)
+        if not (math.isfinite(number) and above < number < below and number >= at_least):
+            bounds = [
+                f"{word} {bound:g}"
+                for word, bound in (("above", above), ("of at least", at_least), ("below", below))
+                if math.isfinite(bound)
+            ]
+            raise self.error(key, f"must be a finite number{' ' * bool(bounds)}{' and '.join(bounds)}, got {value!r}")
+        return number
+
+    def table(self, key: str, default: T) -> float | tuple[tuple[float, ...], ...] | T:
+        """A number, or a table of rows of numbers, which who takes it checks."""
+        value = self.any(key)
+        if not isinstance(value, list):
+            return self.number(key, default)
+        if not all(isinstance(row, list) for row in value):
+            raise self.error(key, f"must be a number or a list of rows, got {value!r}")
+        return tuple(map(tuple, value))
+
+    def integer(self, key: str, default: int | T = REQUIRED, *, at_least: int) -> int | T:
+        value = self._value(key, default)
+        if key not in self.data:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int) or value < at_least:
+            raise self.error(key, f"must be a whole number of at least {at_least}, got {value!r}")
+        return value
+
+    def numbers(self, key: str, count: int, default: T = REQUIRED) -> tuple[float, ...] | T:
+        """A list of so many finite numbers."""
+        value = self._value(key, default)
+        if key not in self.data:
+            return default
+        right = isinstance(value, (list, tuple)) and len(value) == count
+        right = right and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in value)
+        if not right or not all(math.isfinite(to_float(x)) for x in value):
+            raise self.error(key, f"must be a list of {count} finite numbers, got {value!r}")
+        return tuple(map(to_float, value))
+
+    def texts(self, key: str, count: int | None = None) -> tuple[str, ...]:
+        """A list of texts; empty if there is no such entry."""
+        value = self.any(key)
+        if value is None:
+            return ()
+        right = isinstance(value, (list, tuple)) and count in (None, len(value))
+        if not right or not all(isinstance(x, str) for x in value):
+            raise self.error(key, f"must be a list of {'' if count is None else f'{count} '}names, got {value!r}")
+        return tuple(value)
+
+
+def read_section(path: str | os.PathLike[str], what: str, advice: str = "", name: str = "") -> Section:
+    """The whole of a TOML file; messages name the file as it is, or by `name`.
+
+    Raises InputError with `what` the file is if it can't be read, and with the clause `advice` if it is not there.
+    """
+    path = Path(path)
+    try:
+        return Section(name or path.name, read_toml(path))
+    except OSError as error:
+        raise InputError(f"can't read the {what} {path}: {error.strerror or error}{advice}") from None
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{name or path.name} is not a TOML file: {error}") from None
+
+
+def read_rod(section: Section) -> Rod:
+    """The rod of a table [rod]: its length, its stiffness or a wire's diameter and modulus, and in what it is not simple."""
+    length, modulus = section.number("length_m", None), section.number("modulus_Pa", None)
+    stiffness: Any
+    diameter: Any
+    stiffness, diameter = (section.table(name, None) for name in ("bending_stiffness_Nm2", "diameter_m"))
+    curvature: Any = section.any("curvature_per_m", 0.0)
+    further: dict[str, Any] = {
+        "tip_diameter_m": section.number("tip_diameter_m", None),
+        "curvature_per_m": tuple(curvature) if isinstance(curvature, list) else curvature,
+        "weight_N": section.number("weight_N", 0.0),
+        "clamp_compliance_rad_per_Nm": section.number("clamp_compliance_rad_per_Nm", 0.0),
+    }
+    with section.errors_named():
+        if length is not None and stiffness is not None:
+            return Rod(length, stiffness, 0.0 if diameter is None else diameter, **further)
+        if length is not None and diameter is not None and modulus is not None:
+            at_clamp = diameter if isinstance(diameter, float) else diameter[0][1]
+            wire = Rod.wire(length, at_clamp, modulus)
+            return Rod(length, wire.bending_stiffness_Nm2, diameter, **further)
+    section.finish()  # a name that is nearly right is the likelier reason
+    raise section.error("", "needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa")
+
+
+def rod_section(rod: Rod) -> dict[str, Any]:
+    """The table [rod] of a rod, without what is as for a straight, uniform, weightless rod."""
+    table: dict[str, Any] = {
+        "length_m": rod.length_m,
+        "bending_stiffness_Nm2": rod.stiffness_table or rod.bending_stiffness_Nm2,
+        "diameter_m": rod.diameter_table or rod.diameter_m,
+    }
+    further = ("tip_diameter_m", "curvature_per_m", "weight_N", "clamp_compliance_rad_per_Nm")
+    return table | {name: value for name in further if (value := getattr(rod, name))}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scan3d.errors import InputError
 from scan3d.files.binary_tables import ENDING as PARQUET
 from scan3d.files.binary_tables import parquet_bytes
-from scan3d.files.section import Section, read_rod, read_section, rod_section
+from scan3d.files.reading import Section, read_rod, read_section, rod_section
 from scan3d.files.text import rows_as_text, to_toml
 from scan3d.files.text_tables import read_table
 from scan3d.files.whole import locate, source_kind, write_together

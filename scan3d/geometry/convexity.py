@@ -41,7 +41,6 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
 from scan3d.errors import InputError
 from scan3d.geometry.distance import bounding_box, check_mesh, welded
-from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import (
     areas,
     distinct_rows,
@@ -51,6 +50,7 @@ from scan3d.geometry.triangles import (
     longest_first,
     mirrored_faces,
     spanned,
+    without_unused,
 )
 from scan3d.geometry.vectors import unit_or_zero
 

@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.errors import InputError
-from scan3d.geometry.merging import without_unused
 from scan3d.geometry.triangles import (
     areas,
     distance_to,
@@ -20,6 +19,7 @@ from scan3d.geometry.triangles import (
     largest_of_three,
     longest_first,
     offset_from,
+    without_unused,
 )
 
 if TYPE_CHECKING:

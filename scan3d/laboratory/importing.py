@@ -19,7 +19,7 @@ from scan3d import numbers
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.report import Calibration, read_rig
 from scan3d.errors import InputError
-from scan3d.files.section import Section
+from scan3d.files.reading import Section
 from scan3d.files.text_tables import Table, read_table
 from scan3d.frames import Frame, euler_of, wrench_matrix
 from scan3d.laboratory import filtering

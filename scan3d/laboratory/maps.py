@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan3d.files.reading import did_you_mean, to_float
+from scan3d.files.reading import REQUIRED, Section, did_you_mean, read_rod, read_section, to_float
 from scan3d.files.recordings import TABLE
-from scan3d.files.section import REQUIRED, Section, read_rod, read_section
 from scan3d.files.text_tables import Layout
 from scan3d.frames import Frame
 from scan3d.rigs import RigUncertainty

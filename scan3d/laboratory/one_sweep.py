@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.errors import InputError
+from scan3d.files.reading import Section, read_rod, read_section
 from scan3d.files.recordings import sidecar
-from scan3d.files.section import Section, read_rod, read_section
 from scan3d.files.text_tables import Table, read_table
 from scan3d.reconstruction.errors import FORCE_SIGMAS, contact_tolerance
 from scan3d.recording import rounding_sd, together

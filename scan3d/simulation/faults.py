@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len
 
 from scan3d.arrays import Array, Mask
-from scan3d.files.section import Section, read_section
+from scan3d.files.reading import Section, read_section
 from scan3d.frames import to_inner, turn_of
 
 SHOWS = ("clamp-on-rod", "rod-on-clamp")

@@ -46,8 +46,8 @@ from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.merging import distance_of_readers, kept_apart
 from scan3d.geometry.polytopes import cut_polytope, plane_faces
+from scan3d.geometry.triangles import distance_of_readers, kept_apart
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
 
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)

@@ -25,8 +25,7 @@ from scan3d.arrays import Array, Index, Mask
 from scan3d.bounds.free_space import Contours, Sheets, contradicted, outer_contours, sheets_of, spacing_of
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.geometry.merging import kept_apart, without_unused
-from scan3d.geometry.triangles import areas
+from scan3d.geometry.triangles import areas, kept_apart, without_unused
 from scan3d.recording import Recording
 
 KNOWN, ESTIMATED, UNKNOWN = 2, 1, 0

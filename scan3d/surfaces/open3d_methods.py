@@ -24,9 +24,8 @@ from scan3d.arrays import NEGLIGIBLE, Array, Index
 from scan3d.choices import NOT_CONVEX
 from scan3d.errors import InputError, import_open3d
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.merging import kept_apart, without_unused
 from scan3d.geometry.support import inertia
-from scan3d.geometry.triangles import areas
+from scan3d.geometry.triangles import areas, kept_apart, without_unused
 from scan3d.geometry.vectors import unit_or_zero
 
 # Multiples to which coordinates are rounded, over the cloud's size.
