@@ -16,8 +16,15 @@ from scan3d.units import UNITS_M
 
 UNITS: dict[str, Decimal] = {"m": Decimal(1), "mm": Decimal("1e-3"), "µm": Decimal("1e-6"), "nm": Decimal("1e-9")}
 """The units in which lengths are written, in metres, from the largest to the smallest."""
-_FORCES = {"N": Decimal(1), "mN": Decimal("1e-3"), "µN": Decimal("1e-6"), "nN": Decimal("1e-9")}
-_MOMENTS = {"N m": Decimal(1), "N mm": Decimal("1e-3"), "mN mm": Decimal("1e-6"), "µN mm": Decimal("1e-9")}
+FORCES: dict[str, Decimal] = {"N": Decimal(1), "mN": Decimal("1e-3"), "µN": Decimal("1e-6"), "nN": Decimal("1e-9")}
+"""The units in which forces are written, in N."""
+MOMENTS: dict[str, Decimal] = {
+    "N m": Decimal(1),
+    "N mm": Decimal("1e-3"),
+    "mN mm": Decimal("1e-6"),
+    "µN mm": Decimal("1e-9"),
+}
+"""The units in which moments are written, in N m."""
 # Digits of a value without an uncertainty, and the most of one with an uncertainty that is rounding.
 _DIGITS, _MOST_DIGITS = 3, 7
 
@@ -54,12 +61,17 @@ def point(values: Iterable[float], unit: str, *, digits: int = 4) -> str:
 
 def force(*newtons: float, digits: int = _DIGITS, up: bool = False) -> str:
     """A force with its unit, ``19.2 mN``, or its components, ``(19.2, 0, -3.1) mN``; rounded up if it is a limit."""
-    return _reaction(newtons, _FORCES, digits, up)
+    return _reaction(newtons, FORCES, digits, up)
 
 
 def moment(*newton_metres: float, digits: int = _DIGITS, up: bool = False) -> str:
     """A moment with its unit, ``1.32 N mm``, as `force`."""
-    return _reaction(newton_metres, _MOMENTS, digits, up)
+    return _reaction(newton_metres, MOMENTS, digits, up)
+
+
+def reaction_unit(largest: float, units: dict[str, Decimal]) -> tuple[str, Decimal]:
+    """The one of the units of forces or moments in which those up to one in N or N m are written, and its size."""
+    return next((pair for pair in units.items() if largest >= pair[1]), next(iter(units.items())))
 
 
 def _reaction(values: tuple[float, ...], units: dict[str, Decimal], digits: int, up: bool) -> str:
@@ -70,7 +82,7 @@ def _reaction(values: tuple[float, ...], units: dict[str, Decimal], digits: int,
     least, smallest = next(reversed(units.items()))
     if largest < smallest and largest:
         return f"under 1 {least}"
-    symbol, size = next((pair for pair in units.items() if largest >= pair[1]), next(iter(units.items())))
+    symbol, size = reaction_unit(float(largest), units)
     if len(given) == 1:
         return f"{_written(given[0] / size, digits, up)} {symbol}"
     return f"({', '.join(_alike(given, largest, size, digits))}) {symbol}"

@@ -14,6 +14,7 @@ import pytest
 from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
+from scan3d.numbers import FORCES, MOMENTS
 from scan3d.pictures.page import page, player, samples_of
 from scan3d.pictures.parts import shown_lengths, shown_surface
 from scan3d.pictures.scene import Scene
@@ -162,7 +163,8 @@ def test_the_player_has_the_poses_and_reactions_of_the_recording(model):
     if width == 6:
         force, moment = recording.wrench()
         assert array(data["bending"])[of_contact] == pytest.approx(scene.column("bending"), abs=1e-6)
-    expected = np.hstack([1e3 * force, 1e6 * moment])[rows]
+    units = [chart["title"].partition(" in ")[2] for chart in data["labels"] for _ in chart["names"]]
+    expected = np.hstack([force, moment])[rows] / [float((FORCES | MOMENTS)[unit]) for unit in units]
     assert reactions[of_contact] == pytest.approx(expected, rel=1e-6)
     # the orientation of a sample is the last one that begins at it or before
     turned, turns = array(data["turned"]), array(data["turns"]).reshape(-1, 3, 3)

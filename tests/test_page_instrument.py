@@ -12,7 +12,7 @@ from PIL import Image
 from small_scans import CUBE, scanned, scanned_in_space
 
 from scan3d.geometry.distance import distances
-from scan3d.numbers import length, number
+from scan3d.numbers import FORCES, MOMENTS, length, number
 from scan3d.pictures.page import page
 from scan3d.pictures.parts import shown_surface, shown_sweep
 
@@ -105,15 +105,15 @@ def wait_for(tab, expression):
 
 
 def reactions_in(text):
-    return [
-        float(value.replace("−", "-").replace(",", "")) for value in re.findall(rf"[fm]0[xyz]\s=\s({NUMBER})", text)
-    ]
+    """The reactions that the page's text states, in N and N m."""
+    found = re.findall(rf"[fm]0[xyz]\s=\s({NUMBER})\s([mµn]?N(?:\s(?:mm|m)\b)?)", text)
+    return [float(value.replace("−", "-").replace(",", "")) * float((FORCES | MOMENTS)[unit]) for value, unit in found]
 
 
 def of_contact(scene, contact):
-    """The reactions at a contact as the page's text has them."""
+    """The reactions at a contact, which the page states."""
     row = int(scene.column("row")[contact])
-    return [*(1e3 * scene.recording.force_N[row]), 1e6 * scene.recording.moment_Nm[row]]
+    return [*scene.recording.force_N[row], scene.recording.moment_Nm[row]]
 
 
 def differing(image, other):
@@ -340,7 +340,9 @@ def test_the_rod_in_the_page_is_the_elastic_line(shows, model, cube):
     wrench = np.column_stack([recording.force_N, zero]), np.column_stack([zero, zero, recording.moment_Nm])
     if model == "spatial":
         wrench = recording.wrench()
-    for shown, scale, expected in zip((force, moment), (1e3, 1e6), wrench, strict=True):
+    units = np.array(tab.run("[player.forceUnit, player.momentUnit]"))
+    scales = units / [recording.rod.force_unit_N, recording.rod.moment_unit_Nm]
+    for shown, scale, expected in zip((force, moment), scales, wrench, strict=True):
         world = scale * np.einsum("ni,nij->nj", expected[rows], recording.axes()[rows])
         assert np.abs(shown - world).max() < 1e-5 * np.abs(world).max()
     assert tab.complaints() == []

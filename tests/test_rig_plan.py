@@ -167,7 +167,7 @@ def test_a_force_limit_keeps_the_clamp_farther_away():
     assert largest_force(rod, clearance) == pytest.approx(0.15)
     log = simulate_rig(hull(limited.around.points() * 0.99 + [0, 0, 0.2]), plan_poses(limited), friction=(0.0, 0.0))
     assert 0.02 < np.linalg.norm(log.wrench[:, :3], axis=1).max() < 0.15
-    with pytest.raises(InputError, match=r"may push with up to .* the limit is 0.01 N; choose a rod of 0.* times the"):
+    with pytest.raises(InputError, match=r"may push with up to .* the limit is 10 mN; choose a rod of 0.* times the"):
         plan_poses(RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=0.01))
 
 

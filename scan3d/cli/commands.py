@@ -34,7 +34,7 @@ scan3d: seeing by touch.  A flexible rod is swept along a body, and the body is 
   scan3d reconstruct log.csv --out out
                                      reconstruct a body from measurements
   scan3d doctor                      what works on this machine
-  scan3d --help                      all commands
+  scan3d --help                      all commands; docs/glossary.md has every word of a report
 """
 _DESCRIPTION = """\
 Seeing by touch: sweep a flexible rod along a body, and reconstruct the body from the reactions at the rod's clamp.

@@ -72,11 +72,12 @@ def demo(*, out: Folder = Path("scan3d-demo"), overwrite: Overwrite = False, out
     code = _report(_scanned(DEMO, settings(DEMO_SETTINGS), out, overwrite, output), out, False, output)
     if not (output.json or output.quiet):
         page, place = printable(str(out / "view.html")), printable(str(out))
-        further = {
+        drawn = {
             f"scan3d show {place}": "the scan in a window",
             f"scan3d show {place} --view compare": "a picture beside the true body",
-            "scan3d scan part.stl --out out": "a scan of your own mesh",
         }
+        further = drawn if (out / "surface.png").exists() else {"scan3d doctor": "what windows and pictures need here"}
+        further |= {"scan3d scan part.stl --out out": "a scan of your own mesh"}
         print(f"\nOpen {page} in a browser. To go on with:")
         width = max(map(len, further))
         print("\n".join(f"  {command:{width}}  {what}" for command, what in further.items()))

@@ -21,7 +21,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.choices import COLORS
 from scan3d.errors import InputError
-from scan3d.numbers import UNITS
+from scan3d.numbers import FORCES, MOMENTS, UNITS, reaction_unit
 from scan3d.pictures.figures import own_style
 from scan3d.pictures.parts import (
     BODY,
@@ -219,19 +219,21 @@ class Samples(NamedTuple):
 def player(scene: Scene, center: Array) -> dict[str, Any]:
     """Poses and reactions of the samples, from which the page integrates the rod, for a scene that has rods (`has_rods`).
 
-    Positions are relative to `center` in the scene's unit, forces are in mN and moments in mN mm.  Raises InputError if the
-    contacts do not come from the scene's recording.
+    Positions are relative to `center` in the scene's unit, forces and moments in those of their sizes.  Raises InputError if
+    the contacts do not come from the scene's recording.
     """
     recording = scene.recording
     assert recording is not None
     samples = samples_of(recording, recording_rows(scene, recording))
     rows, spatial = samples.rows, is_spatial(scene)
     force, moment = recording.wrench() if spatial else (recording.force_N, recording.moment_Nm[:, None])
-    force, moment = 1e3 * force[rows], 1e6 * moment[rows]
+    newton, force_unit = reaction_unit(float(np.abs(force[rows]).max()), FORCES)
+    newton_metre, moment_unit = reaction_unit(float(np.abs(moment[rows]).max()), MOMENTS)
+    force, moment = force[rows] / float(force_unit), moment[rows] / float(moment_unit)
     if spatial:
-        charts = [("force in mN", ["f0x", "f0y", "f0z"]), ("moment in mN mm", ["m0x", "m0y", "m0z"])]
+        charts = [(f"force in {newton}", ["f0x", "f0y", "f0z"]), (f"moment in {newton_metre}", ["m0x", "m0y", "m0z"])]
     else:
-        charts = [("f0x in mN", ["f0x"]), ("f0y in mN", ["f0y"]), ("m0z in mN mm", ["m0z"])]
+        charts = [(f"{name} in {newton}", [name]) for name in ("f0x", "f0y")] + [(f"m0z in {newton_metre}", ["m0z"])]
     # the samples from which on the clamp has another orientation
     differs = np.diff(recording.quaternion[rows], axis=0) != 0
     turned = np.flatnonzero(np.concatenate([[True], differs.any(axis=1)]))
@@ -255,8 +257,8 @@ def player(scene: Scene, center: Array) -> dict[str, Any]:
         "labels": [{"title": title, "names": names} for title, names in charts],
         "contact": _array(samples.of_contact, "u4"),
         "length": recording.rod.length_m / UNITS_M[scene.unit],
-        "forceUnit": 1e3 * recording.rod.force_unit_N,
-        "momentUnit": 1e6 * recording.rod.moment_unit_Nm,
+        "forceUnit": recording.rod.force_unit_N / float(force_unit),
+        "momentUnit": recording.rod.moment_unit_Nm / float(moment_unit),
         "colors": {"rod": ROD, "force": FORCE, "selected": SELECTED, "curves": REACTION_COLORS},
     }
     angles = scene.column("bending")
