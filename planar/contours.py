@@ -102,7 +102,10 @@ class Curve(SmoothContour):
         slope = np.linspace(-np.pi / 2, np.pi / 2, _SLOPES)
         points, radius = np.asarray(self.points(slope)), self.radius_of_curvature(slope)
         if points.shape != (len(slope), 2) or not np.isfinite(points).all():
-            raise ValueError(f"a curve must give finite points (n, 2) for slopes (n,), got the shape {points.shape}")
+            raise ValueError(
+                f"a curve must give finite points (n, 2) for slopes (n,), got the shape {points.shape}; of x and y over any "
+                "parameter make one by Curve.from_points(x(t), y(t))"
+            )
         if not (radius > 0).all():
             worst = int(np.argmin(radius))
             raise ValueError(

@@ -10,9 +10,9 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
-from scan3d.choices import METHODS, Method, Model, Spacing
+from scan3d.choices import METHODS, Method, Model, Spacing, one_of
 from scan3d.errors import InputError, UsageError
 from scan3d.files.reading import did_you_mean, read_section, to_float
 from scan3d.rods import parse_rod
@@ -118,7 +118,7 @@ class Given(TypedDict, total=False):
 def shows_settings(function: _Function) -> _Function:
     """The function, whose keywords ``**settings`` stand one by one in its signature and at the end of its docstring.
 
-    `help` and completion show them with their types, their defaults and what they mean.
+    `help` and completion show them with their choices or types, their defaults and what they mean.
     """
     shown = inspect.signature(function)
     keywords = [
@@ -132,7 +132,12 @@ def shows_settings(function: _Function) -> _Function:
     ]
     others = [parameter for parameter in shown.parameters.values() if parameter.name != "settings"]
     function.__signature__ = shown.replace(parameters=[*others, *keywords])  # type: ignore[attr-defined]
-    meanings = "\n".join(f"    {one.name}\n        {one.metadata['meaning']}" for one in fields(Settings))
+    types = get_type_hints(Settings)
+    choices = {name: f": {one_of(get_args(type))}" for name, type in types.items() if get_origin(type) is Literal}
+    meanings = "\n".join(
+        f"    {one.name}{choices.get(one.name, '')} (default {one.default})\n        {one.metadata['meaning']}"
+        for one in fields(Settings)
+    )
     function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nSettings:\n\n{inspect.cleandoc(meanings)}\n"
     return function
 
