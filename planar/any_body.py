@@ -6,9 +6,12 @@ becomes one, the tip leaves or takes a contact over, a contact passes to the nex
 with its friction changes the direction of its slip, or sticks.  Where the steps become too small the equilibrium ends in a
 fold, and the rod snaps (`planar.settling`).  All sweeps are stepped together.
 
+Along polygons most rods touch at one place: tables tell where (`planar.singles`), and only rods that would be inside a body are
+followed, up to where the tables hold again.
+
 What the theory leaves open: after a snap contacts are taken to slip as the sweep does; with a coefficient of friction per
-sample the rod goes on from the sample before with the new one, which is the state of a sweep with a single coefficient
-except where that snapped earlier or later.  A rod that finds no equilibrium is reported as such, never as free.
+sample a rod that is followed goes on from the sample before with the new one, which is the state of a sweep with a single
+coefficient except where that snapped earlier or later.  A rod that finds no equilibrium is reported as such, never as free.
 """
 
 from __future__ import annotations
@@ -23,10 +26,13 @@ from planar import settling
 from planar.arrays import Array, Index, Mask
 from planar.loops import Nearest, Outlines
 from planar.several import MOST, Rods, Shapes, free_rods, reactions, shapes, solve
+from planar.singles import Singles, Start
 
 # Step of the base, in rod lengths: the largest, the one below which a rod that does not follow has come to a fold, and the one
 # across a fold, which the chain in its coarseness must see.
 _STEP, _FOLD, _ACROSS = 0.02, 2e-5, 5e-4
+# By what a step becomes smaller that fails.
+_SHRINKS = 16
 # Arc lengths at which a rod is tested, intervals into which the least gap is divided at a time, and how often.
 _TESTED, _ZOOM, _ZOOMS = 129, 8, 6
 # Depth in the body, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
@@ -76,10 +82,35 @@ class Followed:
 
 def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> list[Followed]:
     """The sweep of each body in -x, over base positions (n,) that do not rise, with the friction angles (n,)."""
-    sweeps = _Sweeps(outlines, bases, friction_angles)
-    while len(sweeps.going):
-        sweeps.step()
-    return [_followed(outlines, rods, status) for rods, status in zip(sweeps.sampled, sweeps.status, strict=True)]
+    # also at places between touch-down and the first base position, and between those that are far apart
+    dense = [_dense(outlines.touch_down(body) + 1e-3, base) for body, base in enumerate(bases)]
+    angles = [
+        angle[np.searchsorted(rows, np.arange(len(base)))]
+        for (base, rows), angle in zip(dense, friction_angles, strict=True)
+    ]
+    sweeps = _Sweeps(outlines, [base for base, _ in dense], angles)
+    while sweeps.waits or sweeps.folded:
+        sweeps.leap()
+        while len(sweeps.going):
+            sweeps.step()
+    return [
+        _followed(outlines, rods.rows(rows), status[rows])
+        for rods, status, (_, rows) in zip(sweeps.sampled, sweeps.status, dense, strict=True)
+    ]
+
+
+def _dense(start: float, base: Array) -> tuple[Array, Index]:
+    """Base positions from the start on with steps of at most _STEP, and the rows of the given ones (n,)."""
+    if not len(base):
+        return base, np.zeros(0, dtype=np.intp)
+    before = np.concatenate([[max(start, base[0])], base[:-1]])
+    parts = np.maximum(np.ceil((before - base) / _STEP - 1e-9), 1).astype(np.intp)
+    parts[0] += before[0] > base[0]
+    rows = np.cumsum(parts) - 1
+    of = np.repeat(np.arange(len(base)), parts)
+    left = rows[of] - np.arange(len(of))
+    size = np.where((of == 0) & (before[0] > base[0]), np.maximum(parts[of] - 1, 1), parts[of])
+    return np.where(left == 0, base[of], base[of] + left * ((before - base)[of] / size)), rows
 
 
 def _followed(outlines: Outlines, rods: Rods, status: NDArray[np.int8]) -> Followed:
@@ -96,14 +127,80 @@ class _Sweeps:
     def __init__(self, outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> None:
         self.outlines, self.bases, self.friction = outlines, bases, friction_angles
         m = len(bases)
-        beyond = np.array([outlines.touch_down(body) for body in range(m)]) + 1e-3
-        self.rods = free_rods(np.maximum(beyond, [base[0] if len(base) else np.inf for base in bases]))
+        self.rods = free_rods(np.array([base[0] if len(base) else np.inf for base in bases]))
         self.sample, self.stride = np.zeros(m, dtype=np.intp), np.full(m, _STEP)
         self.chain: list[Array | None] = [None] * m  # the last known shape of rods that are not resolved
         self.sampled = [free_rods(base) for base in bases]
         self.status = [np.full(len(base), SweepStatus.UNRESOLVED, dtype=np.int8) for base in bases]
-        self.going = np.array([i for i in range(m) if len(bases[i])], dtype=np.intp)
-        self.shape = self._points(self.going, self.rods.rows(self.going))[0] if len(self.going) else np.empty((0, 0, 2))
+        self.going = np.zeros(0, dtype=np.intp)
+        self.shape = np.full((m, _TESTED, 2), np.nan)
+        self.singles = Singles(outlines, bases, friction_angles)
+        # sweeps whose rods the tables may lead on, and those at folds; the samples to wait for until the tables are asked, and
+        # the next time after that; the last place on the path
+        self.waits, self.folded = [i for i in range(m) if len(bases[i])], list[int]()
+        self.pause, self.patience, self.place = np.zeros(m, np.intp), np.ones(m, np.intp), np.full(m, -1, np.intp)
+
+    def leap(self) -> None:
+        """Let the tables lead the waiting sweeps on as far as they hold, and those at folds go that they do not lead on."""
+        waiting, folded = self.waits, self.folded
+        self.waits, self.folded = [], []
+        starts = [
+            Start(i, max(int(self.sample[i]) - 1, 0), int(self.place[i]), self._rod(i) if self.sample[i] else None)
+            for i in waiting
+            if self.singles.known[i]
+        ]
+        for i in folded:
+            touched = self._places(i)
+            starts += [Start(i, int(self.sample[i]), k, None, self.shape[i], touched) for k in touched]
+        for start, ahead in zip(starts, self.singles.ahead(starts) if starts else [], strict=True):
+            i, first = start.sweep, int(start.rod is not None)
+            if ahead.holds > first and start.sample + first == self.sample[i]:
+                rods = ahead.rods.rows(np.arange(first, ahead.holds))
+                samples = self.sample[i] + np.arange(len(rods.x0))
+                self.sampled[i].put(samples, rods)
+                self.status[i][samples] = np.where(rods.count > 0, SweepStatus.ONE_CONTACT, SweepStatus.FREE)
+                self.rods.put(np.array([i]), rods.rows(np.array([len(samples) - 1])))
+                self.sample[i] += len(samples)
+                self.stride[i], self.pause[i], self.patience[i] = _STEP, 1, 1
+                self._keep_place(i, rods.rows(np.flatnonzero(rods.count)[-1:]))
+                folded = [k for k in folded if k != i]
+                waiting = [*waiting, i] if start.shape is not None else waiting
+            elif start.shape is None:
+                self.pause[i], self.patience[i] = self.patience[i], 2 * self.patience[i]
+        left = np.array([i for i in waiting if self.sample[i] < len(self.bases[i])], dtype=np.intp)
+        if len(left):
+            self.shape[left] = self._points(left, self.rods.rows(left))[0]
+        for i in folded:
+            self._let_go(i, _ACROSS)
+        gone = [i for i in folded if self.sample[i] < len(self.bases[i]) and i not in self.waits]
+        self.going = np.union1d(left, gone).astype(np.intp)
+
+    def _rod(self, i: int) -> Rods:
+        return self.rods.rows(np.array([i]))
+
+    def _places(self, i: int) -> tuple[int, ...]:
+        """The places of a rod's contacts on the path."""
+        count = self.rods.count[i]
+        found = {
+            self.singles.place(int(k), float(u))
+            for k, u in zip(self.rods.piece[i, :count], self.rods.u[i, :count], strict=True)
+        }
+        return tuple(sorted(found - {-1}))
+
+    def _let_go(self, i: int, travel: float) -> None:
+        """Let a rod go that has come to a fold, or is lost, and the base go on."""
+        aim = self.bases[i][self.sample[i]]
+        x0 = max(self.rods.x0[i] - travel, aim)
+        rod, points, chain = self._snap(i, float(x0), float(self.friction[i][self.sample[i]]), self.shape[i])
+        self.rods.put(np.array([i]), rod)
+        self.shape[i], self.chain[i], self.stride[i] = points, chain, _STEP / 4
+        if x0 <= aim:
+            self._record(i, rod)
+
+    def _keep_place(self, i: int, rod: Rods) -> None:
+        if len(rod.x0) and rod.count[0] == 1:
+            place = self.singles.place(int(rod.piece[0, 0]), float(rod.u[0, 0]))
+            self.place[i] = place if place >= 0 else self.place[i]
 
     def step(self) -> None:
         """One step of each sweep that is under way."""
@@ -123,21 +220,49 @@ class _Sweeps:
         good[settled], points = self._admissible(rows[settled], part, zeta[settled], before.rows(settled))
         reached[settled] = points
         trial.put(settled, part)
-        moved = np.hypot(*(reached - self.shape).transpose(2, 0, 1)).max(axis=1)
+        moved = np.hypot(*(reached - self.shape[rows]).transpose(2, 0, 1)).max(axis=1)
         good &= ~(moved > _JUMP + 3 * (before.x0 - trial.x0))
-        self.stride[rows] = np.where(good, np.minimum(2 * self.stride[rows], _STEP), self.stride[rows] / 4)
-        for k in np.flatnonzero(lost | (~good & (self.stride[rows] < _FOLD))):
-            trial.x0[k] = max(before.x0[k] - (_STEP if lost[k] else _ACROSS), aim[k])
-            snapped, points, chain = self._snap(rows[k], float(trial.x0[k]), zeta[k], self.shape[k])
-            trial.put(np.array([k]), snapped)
-            reached[k], good[k] = points, True
-            self.chain[rows[k]], self.stride[rows[k]] = chain, _STEP / 4
+        self.stride[rows] = np.where(good, np.minimum(2 * self.stride[rows], _STEP), self.stride[rows] / _SHRINKS)
+        folds = np.flatnonzero(~good & ~lost & (self.stride[rows] < _FOLD))
+        if len(folds):
+            good[folds], part, reached[folds] = self._around_corners(rows[folds], aim[folds], zeta[folds])
+            trial.put(folds, part)
+            self.stride[rows[folds]] = np.where(good[folds], _STEP / 4, self.stride[rows[folds]])
         self.rods.put(rows[good], trial.rows(good))
-        self.shape[good] = reached[good]
+        self.shape[rows[good]] = reached[good]
         for k in np.flatnonzero(good & (trial.x0 <= aim)):
             self._record(int(rows[k]), trial.rows(np.array([k])))
-        left = np.array([self.sample[i] < len(self.bases[i]) for i in rows], dtype=bool)
-        self.going, self.shape = rows[left], self.shape[left]
+        for i in rows[lost]:
+            self._let_go(i, _STEP)
+        for i in rows[~good & ~lost & (self.stride[rows] < _FOLD)]:
+            if self.singles.known[i]:
+                self.folded.append(int(i))
+            else:
+                self._let_go(i, _ACROSS)
+        elsewhere = {*self.waits, *self.folded}
+        left = np.array([self.sample[i] < len(self.bases[i]) and i not in elsewhere for i in rows], dtype=bool)
+        self.going = rows[left]
+
+    def _around_corners(self, rows: Index, aim: Array, zeta: Array) -> tuple[Mask, Rods, Array]:
+        """Rods at folds whose tip comes round a convex corner, on to the next edge: where that is so, and their points."""
+        rods, outlines = self.rods.rows(rows), self.outlines
+        rods.x0 = np.maximum(rods.x0 - _ACROSS, aim)
+        last, every = np.maximum(rods.count - 1, 0), np.arange(len(rows))
+        piece = rods.piece[every, last]
+        # against the outline's direction, as the sweep goes
+        corner = np.where(outlines.is_vertex[piece], piece, outlines.previous[piece])
+        beyond = outlines.previous[corner]
+        at_end = (rods.count > 0) & (rods.s[every, last] > 1 - _ACROSS) & ~outlines.is_closed[piece]
+        tried = np.flatnonzero(at_end & (outlines.turn[corner] > 0))
+        good, points = np.zeros(len(rows), dtype=bool), np.full((len(rows), _TESTED, 2), np.nan)
+        column = last[tried]
+        rods.piece[tried, column], rods.u[tried, column] = beyond[tried], 1.0
+        rods.tip[tried, column], rods.s[tried, column] = True, 1.0
+        part = rods.rows(tried)
+        good[tried], points[tried] = self._admissible(rows[tried], part, zeta[tried], None)
+        rods.put(tried, part)
+        moved = np.hypot(*(points - self.shape[rows]).transpose(2, 0, 1)).max(axis=1)
+        return good & (moved < _JUMP), rods, points
 
     def _record(self, sweep: int, rod: Rods) -> None:
         sample = self.sample[sweep]
@@ -146,6 +271,11 @@ class _Sweeps:
         known = self.chain[sweep] is None
         self.status[sweep][sample] = kinds[min(int(rod.count[0]), 2)] if known else SweepStatus.UNRESOLVED
         self.sample[sweep] += 1
+        self._keep_place(sweep, rod)
+        if known and rod.count[0] <= 1 and self.sample[sweep] < len(self.bases[sweep]) and self.singles.known[sweep]:
+            self.pause[sweep] -= 1
+            if self.pause[sweep] <= 0:
+                self.waits.append(sweep)
 
     def _points(self, bodies: Index, rods: Rods) -> tuple[Array, Shapes]:
         shape = shapes(self.outlines, rods, np.broadcast_to(np.linspace(0, 1, _TESTED), (len(rods.x0), _TESTED)))

@@ -116,6 +116,7 @@ class Outlines:
         self.is_arc = np.isfinite(self.axes[:, 0, 0])
         self.is_vertex = self.intervals == 0
         self.is_closed = (pieces == 1)[loop_of]
+        self.is_curved = ~self.is_vertex & (self.is_arc | self.is_closed | self.cubics[self.first, 2:].any(axis=(1, 2)))
         within = np.arange(len(loop_of)) - start[loop_of]
         self.following = start[loop_of] + (within + 1) % pieces[loop_of]
         self.previous = start[loop_of] + (within - 1) % pieces[loop_of]
@@ -244,6 +245,12 @@ class Outlines:
 
     def touch_down(self, body: int) -> float:
         """Base position at which the straight rod coming from the right touches a body: the largest x at heights up to 1."""
+        edges = np.flatnonzero((self.body == body) & ~self.is_vertex)
+        if not self.is_curved[edges].any():
+            (x, y), (dx, dy) = self.cubics[self.first[edges], 0].T, self.cubics[self.first[edges], 1].T
+            cuts = (y - 1) * (y + dy - 1) < 0
+            across = x[cuts] + (1 - y[cuts]) / dy[cuts] * dx[cuts]
+            return float(max(x[y <= 1].max(initial=-np.inf), across.max(initial=-np.inf)))
         rows = np.flatnonzero(self.body[self._piece] == body)
         piece, u = np.repeat(self._piece[rows], 33), np.repeat(self._u[rows], 33).reshape(-1, 33)
         reach = np.full((len(rows), 1), 0.5) / np.bincount(self._piece)[self._piece[rows], None]

@@ -125,7 +125,7 @@ class _Pieces(NamedTuple):
 def _polygon_pieces(vertices: Array) -> _Pieces:
     """The pieces on the lower side of a counter-clockwise convex polygon, within reach and short enough."""
     check_height(vertices[:, 1].min())
-    return _subdivided(_within_reach(_lower_side(vertices)))
+    return _Pieces(*subdivided(*_within_reach(_lower_side(vertices)))[0])
 
 
 def _lower_side(vertices: Array) -> _Pieces:
@@ -165,15 +165,14 @@ def _within_reach(pieces: _Pieces) -> _Pieces:
     return _Pieces(slope, turn, point, move)
 
 
-def _subdivided(pieces: _Pieces) -> _Pieces:
-    """The pieces divided evenly until none is longer or wider than the bounds."""
-    slope, turn, point, move = pieces
+def subdivided(slope: Array, turn: Array, point: Array, move: Array) -> tuple[tuple[Array, Array, Array, Array], Index]:
+    """The pieces divided evenly until none is longer or wider than the bounds, and the piece that each part is of."""
     parts = np.maximum(np.hypot(*move.T) / _LONGEST_PIECE, np.abs(turn) / _WIDEST_PIECE)
     parts = np.maximum(np.ceil(parts), 1).astype(np.intp)
     row = np.repeat(np.arange(len(parts)), parts)
     step = (np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
     turn, move = turn[row] / parts[row], move[row] / parts[row, None]
-    return _Pieces(slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move)
+    return (slope[row] + step[:, 0] * turn, turn, point[row] + step * move, move), row
 
 
 def check_height(lowest: float) -> None:

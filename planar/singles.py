@@ -1,0 +1,334 @@
+"""Sweeps of rods that touch polygons of any shape at one place at a time, from tables as those of convex ones.
+
+The candidate at a base position is the next equilibrium on the path (`planar.outline_paths`) from the one before, as on a
+convex contour, or the straight rod.  It holds as long as no rod is inside a body, and where the rod jumps, nothing of the body
+lies between the two but what it slides along.  What does not hold, and what lies behind it, is left to `planar.any_body`.
+
+With a coefficient of friction per sample, each candidate is looked for between the places of sweeps with neighbouring ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from planar import clearance, segments
+from planar.arrays import BLOCK, Array, Index, Mask
+from planar.loops import Outlines
+from planar.outline_paths import Runs, runs
+from planar.several import Rods, free_rods
+
+# Coefficients at which a sweep with friction per sample is tabulated.
+_LEVELS = 3
+# Movement of the rod, in rod lengths, beyond three times that of the base, that is looked at as a jump.
+_JUMP = 0.03
+# Distance between two places, in rod lengths, that are the same.
+_SAME = 1e-7
+
+
+class Start(NamedTuple):
+    """From where the tables lead a sweep on."""
+
+    sweep: int
+    sample: int
+    """The first one that they are asked for."""
+    place: int = -1
+    """The piece of the path from which on the next equilibrium is looked for; -1 for its beginning."""
+    rod: Rods | None = None
+    """(1,) the rod at the first sample, which the first candidate must be; None: not yet known."""
+    shape: Array | None = None
+    """(k, 2) a rod from which the first candidate must be within reach without anything between."""
+    touched: tuple[int, ...] = ()
+    """Pieces of the path that it touches."""
+
+
+class Ahead(NamedTuple):
+    """What the tables tell of the samples of one sweep from a given one on."""
+
+    rods: Rods
+    """(n,)"""
+    holds: int
+    """How many of them hold."""
+
+
+class _Places(NamedTuple):
+    """Candidates (n,): pieces of the path, -1 where the rod is free and -2 where nothing is known, and the states there."""
+
+    piece: Index
+    t: Array
+    slope: Array
+    tangential: Mask
+    q: Array
+    root_f: Array
+    s1: Array
+
+
+def _nowhere(n: int) -> _Places:
+    zero = np.zeros(n)
+    return _Places(np.full(n, -2), zero, zero.copy(), np.zeros(n, bool), zero.copy(), zero.copy(), zero + 1)
+
+
+class Singles:
+    """Tables of the sweeps along the bodies of outlines, one each; not changed after they are made."""
+
+    def __init__(self, outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> None:
+        self.outlines, self.bases, self.angles = outlines, bases, friction_angles
+        self.runs: Runs = runs(outlines)
+        known = np.bincount(self.runs.body, minlength=len(bases)) > 0
+        self.known = known & np.array([len(base) > 0 for base in bases], dtype=bool)
+        # corners of each body, and the path's pieces
+        edges = np.flatnonzero(~outlines.is_vertex)
+        self._corner, self._next = np.full(len(outlines.is_vertex), -1), outlines.following[outlines.following]
+        counts = np.bincount(outlines.body[edges], minlength=len(bases))
+        begin = np.cumsum(counts) - counts
+        self._edges = [edges[b : b + c] for b, c in zip(begin, counts, strict=True)]
+        for part in self._edges:
+            self._corner[part] = np.arange(len(part))
+        body = self.runs.body[self.runs.run]
+        self._pieces = np.searchsorted(body, np.arange(len(bases) + 1))
+        if self.known.any():
+            self._tabulate()
+
+    def _tabulate(self) -> None:
+        """Segments of all runs at the coefficients between which the samples of each sweep lie, rows by sweep and level."""
+        run_begin = np.searchsorted(self.runs.body, np.arange(len(self.bases) + 1))
+        self.levels = [
+            np.unique(np.linspace(angle.min(), angle.max(), _LEVELS)) if len(angle) and known else np.zeros(1)
+            for angle, known in zip(self.angles, self.known, strict=True)
+        ]
+        first, stop, angle, count = [], [], [], []
+        offsets = self.runs.path.offsets
+        for body, levels in enumerate(self.levels):
+            part = np.arange(run_begin[body], run_begin[body + 1])
+            first += [offsets[part]] * len(levels)
+            stop += [offsets[part + 1]] * len(levels)
+            angle.append(np.repeat(levels, len(part)))
+            count += [len(part)] * len(levels)
+        self.table, bounds = self._cut(np.concatenate(first), np.concatenate(stop), np.concatenate(angle))
+        ends = bounds[np.cumsum([0, *count])]
+        slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        level_of = np.cumsum([0] + [len(levels) for levels in self.levels])
+        self.rows = [slices[a:b] for a, b in zip(level_of[:-1], level_of[1:], strict=True)]
+
+    def _cut(self, first: Index, stop: Index, angle: Array) -> tuple[segments.Segments, Index]:
+        """Segments of intervals of the path, each within one run, and where those of each begin."""
+        count = stop - first
+        owner = np.repeat(np.arange(len(count)), count)
+        piece = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count)
+        table = segments.cut(self.runs.path, owner, piece, angle[owner])
+        # along a concave stretch no rod lies
+        table.x0[table.tangential & (self.runs.hollow[table.piece] == 2)] = np.nan
+        return table, np.searchsorted(table.owner, np.arange(len(count) + 1))
+
+    def place(self, piece: int, u: float) -> int:
+        """The path's piece at a place of the outline, -1 where it is none."""
+        rows = slice(*self._pieces[self.outlines.body[piece] + np.arange(2)])
+        on = np.flatnonzero(self.runs.piece[rows] == piece)
+        if not len(on):
+            return -1
+        begin = self.runs.u[rows][on]
+        past = np.flatnonzero(begin >= u - 1e-12)
+        return int(rows.start + on[past[-1] if len(past) else 0])
+
+    def ahead(self, starts: list[Start]) -> list[Ahead]:
+        """What the samples of sweeps are from their starts on."""
+        size = [len(self.bases[start.sweep]) - start.sample for start in starts]
+        base = np.concatenate([self.bases[start.sweep][start.sample :] for start in starts])
+        angle = np.concatenate([self.angles[start.sweep][start.sample :] for start in starts])
+        found = self._candidates(starts, size, base, angle)
+        rods = self._rods(found, base, angle)
+        lines = np.empty((5, len(base), clearance.POINTS + 1))
+        for begin in range(0, len(base), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            force, alpha = rods.force[part, 0], found.slope[part] + angle[part]
+            s1 = np.where(found.piece[part] >= 0, found.s1[part], 1.0)
+            lines[:, part] = clearance.lines(
+                base[part], rods.kappa[part], force * np.sin(alpha), -force * np.cos(alpha), s1
+            )
+        answers, begin = [], 0
+        for start, count in zip(starts, size, strict=True):
+            rows = np.arange(begin, begin + count)
+            begin += count
+            holds = self._hold(start, clearance.Lines(*lines[:, rows]), found.piece[rows])
+            if holds and start.rod is not None and not self._same(rods.rows(rows[:1]), start.rod):
+                holds = 0
+            answers.append(Ahead(rods.rows(rows), holds))
+        return answers
+
+    def _same(self, one: Rods, other: Rods) -> bool:
+        if one.count[0] != other.count[0]:
+            return False
+        if not one.count[0]:
+            return True
+        places = [self.outlines.at(rods.piece[:, 0], rods.u[:, 0]).point[0] for rods in (one, other)]
+        return bool(np.hypot(*(places[0] - places[1])) < _SAME and abs(one.s[0, 0] - other.s[0, 0]) < _SAME)
+
+    def _hold(self, start: Start, rods: clearance.Lines, piece: Index) -> int:
+        """How many rods from the first on hold."""
+        n = int(np.argmin(piece > -2)) if (piece == -2).any() else len(piece)
+        if not n:
+            return 0
+        edges = self._edges[start.sweep]
+        corners = self.outlines.at(edges, np.zeros(len(edges))).point
+        following = self._corner[self._next[edges]]
+        bad, touching = np.zeros(n, dtype=bool), piece[:n] >= 0
+        if touching.any():
+            bad[touching] = clearance.crosses(corners, following, rods.rows(np.flatnonzero(touching)))
+        free = np.flatnonzero(~touching)
+        bad[free] = clearance.straight_crosses(corners, following, rods.x[free, 0])
+        n = int(np.argmax(bad)) if bad.any() else n
+        shape = np.stack([rods.x[:n], rods.y[:n]], axis=2)
+        before = start.shape
+        if (
+            n
+            and before is not None
+            and self._something_between(corners, edges, before, shape[0], start.touched, piece[0])
+        ):
+            return 0
+        moved = np.hypot(*np.diff(shape, axis=0).transpose(2, 0, 1)).max(axis=1, initial=0.0)
+        for k in np.flatnonzero(moved > _JUMP - 3 * np.diff(rods.x[:n, 0])):
+            if self._something_between(corners, edges, shape[k], shape[k + 1], [piece[k]], piece[k + 1]):
+                return int(k) + 1
+        return n
+
+    def _something_between(
+        self, corners: Array, edges: Index, before: Array, after: Array, touched: Sequence[int], piece: int
+    ) -> bool:
+        """Whether corners lie between two rods apart from those of the path from the contacts of the one to the other's."""
+        loop = np.concatenate([before, after[::-1]])
+        inside = (corners > loop.min(axis=0) - _SAME).all(axis=1) & (corners < loop.max(axis=0) + _SAME).all(axis=1)
+        offset = loop - corners[inside, None]
+        following = np.roll(offset, -1, axis=1)
+        cross = offset[..., 0] * following[..., 1] - offset[..., 1] * following[..., 0]
+        turned = np.arctan2(cross, (offset * following).sum(axis=2)).sum(axis=1)
+        between = edges[inside][np.abs(turned) > np.pi]  # corners at the beginning of these edges
+        run, offsets = self.runs.run, self.runs.path.offsets
+        slid = [np.empty(0, np.intp)]
+        for first in touched:
+            if first >= 0 and piece >= 0 and run[first] == run[piece]:
+                slid.append(np.arange(min(first, piece), max(first, piece) + 1))
+            else:
+                if first >= 0:
+                    slid.append(np.arange(first, offsets[run[first] + 1]))
+                if piece >= 0:
+                    slid.append(np.arange(offsets[run[piece]], piece + 1))
+        passed = self.runs.piece[np.concatenate(slid)]
+        # the vertex at the beginning of an edge, or one of the edges next to it
+        along = np.isin(self.outlines.previous[between], passed) | np.isin(between, passed)
+        along |= np.isin(self.outlines.previous[self.outlines.previous[between]], passed)
+        return bool((~along).any())
+
+    def _rods(self, found: _Places, base: Array, angle: Array) -> Rods:
+        rods = free_rods(base)
+        on = found.piece >= 0
+        piece = found.piece[on]
+        rods.count[on] = 1
+        rods.kappa[on] = -2 * found.q[on] * found.root_f[on]
+        rods.force[on, 0], rods.s[on, 0] = found.root_f[on] ** 2, np.where(found.tangential[on], found.s1[on], 1.0)
+        rods.piece[on, 0] = self.runs.piece[piece]
+        rods.u[on, 0] = np.clip(self.runs.u[piece] + found.t[on] * self.runs.u_move[piece], 0, 1)
+        rods.zeta[on, 0], rods.tip[on, 0] = angle[on], ~found.tangential[on]
+        return rods
+
+    def _candidates(self, starts: list[Start], size: list[int], base: Array, angle: Array) -> _Places:
+        found = _nowhere(len(base))
+        table = self.table
+        begin = 0
+        constant: list[tuple[Index, Index]] = []
+        varying: list[tuple[int, Index, Index]] = []
+        for start, count in zip(starts, size, strict=True):
+            part = np.arange(begin, begin + count)
+            begin += count
+            levels = self.rows[start.sweep]
+            found_rows = np.stack([_passed(table, level, base[part], start.place) for level in levels])
+            if len(levels) == 1:
+                constant.append((part, found_rows[0]))
+            else:
+                varying.append((start.sweep, part, found_rows))
+        if constant:
+            part, rows = (np.concatenate(columns) for columns in zip(*constant, strict=True))
+            found.piece[part[rows < 0]] = -1
+            self._solve(found, table, part[rows >= 0], rows[rows >= 0], base)
+        if varying:
+            self._search(found, varying, base, angle)
+        return found
+
+    def _search(self, found: _Places, varying: list[tuple[int, Index, Index]], base: Array, angle: Array) -> None:
+        """Samples with their own friction, between the places at the neighbouring levels."""
+        offsets, run = self.runs.path.offsets, self.runs.run
+        samples, first, last = [], [], []
+        for i, part, rows in varying:
+            levels = self.levels[i]
+            above = np.clip(np.searchsorted(levels, angle[part]), 1, len(levels) - 1)
+            pieces = np.where(rows >= 0, self.table.piece[rows], -1)
+            pair = np.take_along_axis(pieces, np.stack([above - 1, above]), axis=0)
+            free = (pair < 0).all(axis=0)
+            found.piece[part[free]] = -1
+            one = (pair < 0).any(axis=0)
+            low = np.where(one, pair.max(axis=0), pair.min(axis=0))
+            # where a sweep with neighbouring friction has left, up to the end of the run
+            high = np.where(one, offsets[run[low] + 1] - 1, pair.max(axis=0))
+            samples.append(part[~free])
+            first.append(low[~free])
+            last.append(high[~free])
+        sample, low, high = (np.concatenate(columns) for columns in (samples, first, last))
+        ended = high == offsets[run[low] + 1] - 1
+        begin = np.maximum(low - 1, offsets[run[low]])
+        other = run[low] != run[high]
+        end = np.where(other, offsets[run[low] + 1], np.minimum(high + 2, offsets[run[low] + 1]))
+        missed = self._search_each(found, sample, begin, end, base, angle)
+        again = missed & other
+        begin, end = offsets[run[high[again]]], np.minimum(high[again] + 2, offsets[run[high[again]] + 1])
+        self._search_each(found, sample[again], begin, end, base, angle)
+        # past the end of its run a sample is free, if its rod is clear
+        found.piece[sample[missed & ~other & ended]] = -1
+
+    def _search_each(self, found: _Places, sample: Index, first: Index, stop: Index, base: Array, angle: Array) -> Mask:
+        missed = np.ones(len(sample), dtype=bool)
+        for start in range(0, len(sample), BLOCK):
+            part = slice(start, start + BLOCK)
+            here = sample[part]
+            table, bounds = self._cut(first[part], stop[part], angle[here])
+            target = base[here][table.owner]
+            crossing = (table.x0[:, 0] >= target) & (table.x0[:, 1] <= target)
+            rows = np.minimum.reduceat(np.where(crossing, np.arange(len(target)), len(target)), bounds[:-1])
+            on = rows < len(target)
+            self._solve(found, table, here[on], rows[on], base)
+            missed[part] = ~on
+        return missed
+
+    def _solve(self, found: _Places, table: segments.Segments, samples: Index, rows: Index, base: Array) -> None:
+        for start in range(0, len(samples), BLOCK):
+            part, row = samples[start : start + BLOCK], rows[start : start + BLOCK]
+            t, state = segments.solve(self.runs.path, table, row, base[part])
+            slope, _, _ = self.runs.path.at(table.piece[row], t)
+            good = np.isfinite(state.root_f + state.q + state.s1)
+            # at touch-down the rod is still straight
+            found.piece[part] = np.where(good, np.where(state.q > 0, table.piece[row], -1), -2)
+            found.t[part], found.slope[part], found.tangential[part] = t, slope, table.tangential[row]
+            found.q[part], found.root_f[part] = np.nan_to_num(state.q), np.nan_to_num(state.root_f)
+            found.s1[part] = np.minimum(np.nan_to_num(state.s1, nan=1.0), 1.0)
+
+
+def _passed(table: segments.Segments, part: slice, base: Array, place: int) -> Index:
+    """Rows (n,) of the table on which a sweep is at base positions (n,), from a piece of the path on; -1 where on none."""
+    begin, end = table.x0[part].T
+    count = len(begin)
+    crossing = (begin[:, None] >= base) & (end[:, None] <= base)
+    row = 0
+    if place >= 0:
+        rows = np.flatnonzero(table.piece[part] == place)
+        row = int(rows[0]) if len(rows) else 0
+        if len(rows) and begin[row] < base[0]:
+            back = np.flatnonzero(crossing[:row, 0])
+            row = int(back[-1]) if len(back) else row
+    found = np.full(len(base), -1)
+    for j in range(len(base)):
+        if row < count:
+            ahead = int(np.argmax(crossing[row:, j]))
+            if crossing[row + ahead, j]:
+                row += ahead
+                found[j] = part.start + row
+    return found
