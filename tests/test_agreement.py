@@ -169,7 +169,7 @@ def right_recording(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 200), marks=pytest.mark.trust)], ids=["2", "198"])
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 200), marks=pytest.mark.trust)], ids=["1", "199"])
 def test_200_right_recordings_are_not_remarked_on(seeds, undiagnosed):
     assert [seed for seed in seeds if remarks(right_recording(seed))] == []
 

@@ -191,7 +191,7 @@ def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
 def test_the_choice_follows_the_cross_validation(box, monkeypatch):
     _, cloud = box
     nothing, least = HeldOutError(1.0, 1.0, 1.0, 1.0), HeldOutError(0.5, 0.5, 0.5, 0.5)
-    for best, said in enumerate(("slopes of neighbouring", "half as far from", "0 %", "25 %", "50 %", "75 %", "100 %")):
+    for best, said in ((0, "slopes of neighbouring"), (1, "half as far from"), (6, "100 %")):
         errors = iter([least if k == best else nothing for k in range(7)])
         monkeypatch.setattr(choice, "error_of_surface", lambda *_, errors=errors: next(errors))
         assert said in surface(cloud).metadata["reason"]

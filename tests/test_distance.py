@@ -11,7 +11,10 @@ from scan3d.geometry.distance import Search, distances, nearest, signed_distance
 from scan3d.geometry.triangles import areas, longest_first
 
 
-@pytest.mark.parametrize("height", [1e-1, 1e-3, 1e-6, 1e-8, 1e-9, 1e-11, 1e-13, 1e-15, 0.0])
+@pytest.mark.parametrize(
+    "height",
+    [1e-1, 1e-6, 1e-9, 1e-13, 0.0, *(pytest.param(h, marks=pytest.mark.trust) for h in (1e-3, 1e-8, 1e-11, 1e-15))],
+)
 @pytest.mark.slow
 def test_distances_to_slivers_against_60_digits(height):
     rng = np.random.default_rng(2)
@@ -35,7 +38,7 @@ def test_distances_to_slivers_against_60_digits(height):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tried", [1, 4, 10])
+@pytest.mark.parametrize("tried", [1, 10])
 @pytest.mark.parametrize("name", ["fine", "few faces", "crossing"])
 def test_quick_estimates_and_their_lower_bounds_enclose_the_distance(name, tried):
     rng = np.random.default_rng(7)

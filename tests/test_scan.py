@@ -537,7 +537,7 @@ def test_adaptive_slices_stop_at_their_tolerance():
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_adaptive_scan():
     mesh = scan3d.load_mesh(FOLDER / "gem.glb")
-    plan = dict(slices=16, spacing="adaptive", samples=16, friction=(0.0, 0.4), noise=1e-4)
+    plan = dict(slices=10, spacing="adaptive", samples=16, friction=(0.0, 0.4), noise=1e-4)
     (first, _), (second, _), (third, _) = (places(mesh, **plan, seed=seed) for seed in (1, 1, 2))
     assert first.force_N.tobytes() == second.force_N.tobytes()
     assert first.position_m.tobytes() == second.position_m.tobytes()
