@@ -1,4 +1,4 @@
-"""Types of arrays by their elements; shapes are given in the docstrings."""
+"""Types of arrays by their elements, and operations on their rows; shapes are given in the docstrings."""
 
 from __future__ import annotations
 
@@ -27,3 +27,28 @@ AT_ONCE = 4_000_000
 def evenly(rows: NDArray[Any], count: int) -> NDArray[Any]:
     """At most `count` of the rows (n, ...), evenly chosen, the first and the last among them."""
     return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
+
+
+def unit(vectors: Array) -> Array:
+    """Vectors (..., 3) scaled to unit length."""
+    scaled: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return scaled
+
+
+def unit_or_zero(vectors: Array) -> Array:
+    """Vectors (n, 3) scaled to unit length, zero where they have none."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    scaled: Array = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return scaled
+
+
+def across(normals: Array) -> tuple[Array, Array]:
+    """Two unit vectors (n, 3) across each of the unit normals (n, 3) and across each other."""
+    first = unit(np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)]))
+    return first, np.cross(normals, first)
+
+
+def highest(points: Array, directions: Array) -> Array:
+    """(d,) the largest products of points (n, 3) with each of the directions (d, 3): the support function of their hull."""
+    blocks = np.array_split(directions, 1 + len(points) * len(directions) // AT_ONCE)
+    return np.concatenate([(block @ points.T).max(axis=1) for block in blocks])

@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, Array, Index, highest
 from scan3d.bounds.enclosures import Directions, Enclosure, SlabCorners, bounding_nothing
 from scan3d.comparison import compare
 from scan3d.geometry.convexity import distance_to_hull
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import support_values
 from scan3d.geometry.triangles import spanned
-from scan3d.geometry.vectors import highest
 
 # Corners of the outer body that are measured at once.
 _CORNERS_AT_ONCE = 2048

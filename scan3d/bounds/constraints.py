@@ -16,14 +16,13 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, unit
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
 from scan3d.geometry.arcs import Arcs, arcs_at
 from scan3d.geometry.hulls import edges_of
 from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import dot
-from scan3d.geometry.vectors import across, unit
 from scan3d.reconstruction.slices import Slice, SliceStack
 
 CONFIDENCE = 0.95

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from scan3d.arrays import ROUNDING, Array, Index, Mask
+from scan3d.arrays import ROUNDING, Array, Index, Mask, highest
 from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
@@ -52,7 +52,6 @@ from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
-from scan3d.geometry.vectors import highest
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
 

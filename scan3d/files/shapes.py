@@ -181,7 +181,7 @@ def table(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
 
 
 def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
-    """Contacts as a structured array for `files.ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
+    """Contacts as a structured array for `ply`; `quality` (n,) is their distance to the true mesh, NaN if not given.
 
     Contacts of noisy data have two further columns, the standard deviations of their places and of their normals' angles.
     Contacts of the spatial model lie in no slices; instead of the slice they have the rod's tangent and its bending angle.
@@ -210,7 +210,7 @@ def cloud_table(cloud: Cloud, quality: Array | None = None) -> NDArray[np.void]:
 
 def surface_table(surface: Any, bound: Array | None) -> NDArray[np.void]:
     """Vertices, their normals, the certified local bound (v,), unless it is None, and how well they are known, if the surface
-    says so, as a structured array for `files.ply`."""
+    says so, as a structured array for `ply`."""
     columns: dict[str, NDArray[Any]] = dict(zip(POINT, np.asarray(surface.vertices, dtype=np.float64).T, strict=True))
     columns |= dict(zip(NORMAL, np.asarray(surface.vertex_normals).astype(np.float32).T, strict=True))
     if bound is not None:

@@ -38,7 +38,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, unit_or_zero
 from scan3d.errors import InputError
 from scan3d.geometry.distance import bounding_box, check_mesh, welded
 from scan3d.geometry.triangles import (
@@ -52,7 +52,6 @@ from scan3d.geometry.triangles import (
     spanned,
     without_unused,
 )
-from scan3d.geometry.vectors import unit_or_zero
 
 if TYPE_CHECKING:
     import trimesh

@@ -9,13 +9,12 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, highest
 from scan3d.errors import InputError
 from scan3d.geometry.convexity import outward_faces, outward_facets
 from scan3d.geometry.distance import locator, nearest
 from scan3d.geometry.polytopes import half_space_intersection
 from scan3d.geometry.triangles import distance_to, dot, longest_first, representatives, spanned, without_unused
-from scan3d.geometry.vectors import highest
 
 # Points closer than this fraction of their extent are merged if their hull is not a closed surface.
 _COINCIDENT = 1e-11

@@ -9,9 +9,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, across, highest
 from scan3d.geometry.triangles import areas, dot
-from scan3d.geometry.vectors import across, highest
 
 # Distance, in sizes of the body, of the planes that close a polytope.
 _FAR = 2.0

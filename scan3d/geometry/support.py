@@ -30,9 +30,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.spatial import ConvexHull, QhullError
 
-from scan3d.arrays import NEGLIGIBLE, SOME, Array, Index
+from scan3d.arrays import NEGLIGIBLE, SOME, Array, Index, across, unit
 from scan3d.geometry.hulls import hull_near
-from scan3d.geometry.vectors import across, unit
 
 # Largest number of contacts used for a fit, spread over all slices.
 MAX_CONTACTS = 4000

@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index
+from scan3d.arrays import NEGLIGIBLE, Array, Index, unit_or_zero
 from scan3d.choices import NOT_CONVEX
 from scan3d.errors import InputError, import_open3d
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import areas, kept_apart, without_unused
-from scan3d.geometry.vectors import unit_or_zero
 
 # Multiples to which coordinates are rounded, over the cloud's size.
 _GRID = 2.0**-30

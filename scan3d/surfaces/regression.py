@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, SOME, Array, Index, Mask
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, ROUNDING, SOME, Array, Index, Mask, across, unit
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.polytopes import cut_polytope
-from scan3d.geometry.vectors import across, unit
 from scan3d.reconstruction.slices import stacks
 
 # Decrease of the sum of squared misfits for which a plane is added, and below which it is left out. Its three parameters alone
