@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.constraints import allowed, exact_error
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
 from scan3d.geometry.hulls import hull_about_mean
@@ -120,12 +121,23 @@ def spacing_of(cloud: Cloud) -> float:
     return float(np.median(step))
 
 
-def sheets_of(recording: Recording, cloud: Cloud) -> list[Sheets]:
+def place_errors(cloud: Cloud) -> Array:
+    """(n,) largest errors of the contacts' places, with the confidence of bounds where there is noise, in the cloud's unit."""
+    allow = allowed(cloud)
+    errors = np.full(len(cloud), exact_error(cloud)) + allow.place
+    if allow.kappa is not None and cloud.place_sd is not None:
+        errors += allow.kappa * cloud.place_sd
+    return np.asarray(errors)
+
+
+def sheets_of(recording: Recording, cloud: Cloud, beyond: float = 0.0) -> list[Sheets]:
     """The free space that a recording shows in the planes of its slices, axis by axis.
 
     cloud
         contacts of the recording in its slices, of a rod without thickness; rows that were felt and are not in it count as
         unknown.
+    beyond
+        distance around the contacts that is looked at, in the cloud's unit.
 
     Raises InputError for clouds without slices and for rods whose shape is not that of a uniform, straight one.
     """
@@ -144,7 +156,7 @@ def sheets_of(recording: Recording, cloud: Cloud) -> list[Sheets]:
         side = np.sign(cloud.slice_axis @ axis)
         same = np.abs(cloud.slice_axis - side[:, None] * axis).max(axis=1) < SAME_AXIS
         left &= ~same
-        found.append(_sheets(axis, np.where(same, side * cloud.slice_height, np.nan), rods, cloud, cell))
+        found.append(_sheets(axis, np.where(same, side * cloud.slice_height, np.nan), rods, cloud, cell, beyond))
     return found
 
 
@@ -194,7 +206,7 @@ def _rods(recording: Recording, cloud: Cloud) -> _Rods:
     return _Rods(clamp, axes[:, :2], line, number, on, np.where(np.isnan(bulge), alone, bulge))
 
 
-def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float) -> Sheets:
+def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float, beyond: float) -> Sheets:
     """The sheets along an axis; heights (c,) of the cloud's slices, NaN for those along others."""
     frame = slice_frame(axis)
     order = np.argsort(heights)[: np.isfinite(heights).sum()]
@@ -203,7 +215,7 @@ def _sheets(axis: Array, heights: Array, rods: _Rods, cloud: Cloud, cell: float)
     place[order] = np.cumsum(new) - 1
     height = heights[order][new]
     flat = cloud.points @ frame[:2].T
-    low, high = flat.min(axis=0), flat.max(axis=0)
+    low, high = flat.min(axis=0) - beyond, flat.max(axis=0) + beyond
     cell = max(cell, float((high - low).max()) / _FINEST)
     shape = np.ceil((high - low) / cell).astype(int) + 5
     middle = (low + high) / 2
@@ -344,7 +356,8 @@ def _contours(sheet: Sheets, cloud: Cloud) -> Contours:
     contacts = np.column_stack([cloud.points[rows] @ sheet.frame[:2].T, apart * index[0]])
     distance = np.empty(0)
     if len(flat):
-        distance = cKDTree(contacts).query(np.column_stack([flat, apart * number]))[0]
+        distance, nearest = cKDTree(contacts).query(np.column_stack([flat, apart * number]))
+        distance += place_errors(cloud)[rows[nearest]]
     points = flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
     # a corner of the cell is as far from its centre
     return Contours(points, distance + sheet.cell / np.sqrt(2), np.tile(sheet.frame[2], (len(number), 1)))

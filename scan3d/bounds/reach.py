@@ -1,0 +1,206 @@
+"""Two bodies between which a body without fine features lies: by balls that roll around contacts and free space (C19).
+
+Premise: the body and its surroundings are unions of balls of radius R, so that nothing is thinner than 2R, no gap is narrower,
+and no edge or groove is sharper; every part of the body was touched; and there is no cavity, so that the balls of the
+surroundings are connected with the outside.
+
+*Outer body.*  A ball in the body holds no free place.  So the body lies in the union of the balls about the centres that are at
+least R away from all free places, as far as these centres are connected with such that reach a contact.
+
+*Inner body.*  A ball in the surroundings holds no contact.  So the surroundings lie in the union of the balls about the centres
+that are at least R away from all contacts, as far as these are connected with the outside.  Where contacts are apart by more
+than 2R, balls roll in between, and nothing is claimed.  The sheets of free space play no part in it.
+
+Every closed surface between the two is as close to the body's surface as they are to each other.  A contact outside the outer
+body, or a free place inside the inner one, refutes the premise.
+
+Centres and places are those of a grid.  Distances on it are never less than the true ones; how far a centre lies from the next
+one of the grid, half the diagonal of a cell at most, is allowed for in each step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.bounds.free_space import Sheets, contradicted, place_errors, sheets_of
+from scan3d.cloud import Cloud
+from scan3d.errors import InputError
+from scan3d.geometry.levels import below
+from scan3d.numbers import length
+from scan3d.recording import Recording
+
+# Cells of the grid.
+_CELLS = 4_000_000
+# Cells in R at least, and cells around the balls.
+_COARSEST, _AROUND = 4.0, 3
+_EVERY_NEIGHBOUR = np.ones((3, 3, 3), dtype=bool)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What contacts and free space prove of a body without features finer than R, in the cloud's unit."""
+
+    outer: Any
+    """A `trimesh.Trimesh` that contains the body; empty where nothing bounds it."""
+    inner: Any
+    """A `trimesh.Trimesh` in the body; empty where there is none."""
+    bound: float
+    """Largest distance between a closed surface between the two and that of the body; infinite where nothing bounds it."""
+    refuted: str | None
+    """What contradicts the premise, in a sentence; None if nothing does."""
+    unbounded: str | None
+    """Why there is no bound although nothing refutes the premise, in a sentence; None if there is one."""
+
+
+def reach(recording: Recording, cloud: Cloud, R: float) -> Reach:
+    """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices together.
+
+    Raises InputError for an R that is no positive number or too fine for the grid, and as `surfaces.carved`.
+    """
+    if not (np.isfinite(R) and R > 0):
+        raise InputError(f"the reach must be a positive number, got {R}")
+    touched = cloud.fattened or cloud
+    sheets = sheets_of(recording, touched, R)
+    touched = touched.select(~contradicted(sheets, touched))
+    contacts, errors = touched.points, place_errors(touched)
+    free = np.concatenate([_free_places(sheet) for sheet in sheets])
+    grid = _Grid.around(contacts, R)
+    if grid.step * _COARSEST > R:
+        raise InputError(
+            f"a reach of {length(R, cloud.unit)} is too fine for a body of this size; it must be at least "
+            f"{length(_COARSEST * grid.step, cloud.unit)}"
+        )
+    error = float(errors.max())
+    of_free = max(sheet.cell for sheet in sheets) / np.sqrt(2) + error
+    # every centre lies within half a diagonal of one of the grid; distances are linear between cells but for their curvature
+    half = grid.step * np.sqrt(3) / 2
+    level = R + half + 3 * grid.step**2 / (8 * R)
+    to_contact = grid.distance(contacts)
+    in_body = grid.distance(free) >= R - half - of_free
+    touching = np.nonzero(in_body & (to_contact <= R + 3 * half + error))
+    nearest = cKDTree(contacts).query(grid.origin + grid.step * np.stack(touching, axis=1))[0]
+    seeds = np.zeros(grid.shape, dtype=bool)
+    seeds[touching] = nearest <= R + half + error
+    in_body = _joined(in_body, seeds)
+    in_air = _joined(to_contact >= R - half - error, grid.border())
+    to_body, to_air = grid.from_cells(in_body), grid.from_cells(in_air)
+    outer, inner = (
+        below(to_body, level, grid.origin, grid.step),
+        below(-to_air, -level, grid.origin, grid.step),
+    )
+    contradictions = [
+        f"{count} {what}"
+        for count, what in (
+            (
+                np.count_nonzero(grid.at(to_body, contacts) > level + half + errors),
+                "contacts lie outside the outer body",
+            ),
+            (np.count_nonzero(grid.at(to_air, free) > level + half + of_free), "free places lie inside the inner body"),
+            (np.count_nonzero((to_body > level) & (to_air > level)), "cells are outside the one and inside the other"),
+        )
+        if count
+    ]
+    refuted = unbounded = None
+    bound = np.inf
+    if contradictions:
+        refuted = (
+            f"the body has features finer than {length(R, cloud.unit)}, or rods touched at a second place unnoticed: "
+            f"{' and '.join(contradictions)}; take a smaller reach"
+        )
+    elif (in_body & grid.border()).any():
+        place = grid.centres(in_body & grid.border()).mean(axis=0)
+        unbounded = (
+            f"nothing bounds the body towards ({', '.join(f'{x:.3g}' for x in place)}) {cloud.unit}: slices farther apart than "
+            "twice the reach, or none beyond the body's end; scan along further axes"
+        )
+    elif not (to_air > level).any():
+        unbounded = "contacts are too far apart to enclose anything for this reach; take more slices and samples"
+    else:
+        between = (to_body <= level) & (to_air <= level)
+        to_outer, to_inner = grid.from_cells(to_body > level), grid.from_cells(to_air > level)
+        bound = float(np.maximum(to_outer, to_inner)[between].max(initial=0.0) + half)
+    return Reach(outer, inner, bound, refuted, unbounded)
+
+
+def _free_places(sheet: Sheets) -> Array:
+    """(n, 3) the centres of the free cells."""
+    number, y, x = np.nonzero(sheet.free)
+    flat = sheet.origin + sheet.cell * np.stack([x, y], axis=1)
+    places: Array = flat @ sheet.frame[:2] + sheet.height[number, None] * sheet.frame[2]
+    return places
+
+
+def _joined(cells: Mask, seeds: Mask) -> Mask:
+    """The connected parts of some cells that have a seed, diagonal neighbours included."""
+    label, count = ndimage.label(cells, structure=_EVERY_NEIGHBOUR)
+    chosen = np.zeros(count + 1, dtype=bool)
+    chosen[label[seeds & cells]] = True
+    joined: Mask = chosen[label]
+    return joined
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Cubes around contacts."""
+
+    origin: Array
+    """(3,) centre of the first cube."""
+    step: float
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def around(cls, points: Array, R: float) -> _Grid:
+        low, high = points.min(axis=0) - R, points.max(axis=0) + R
+        step = float(np.prod(high - low) / _CELLS) ** (1 / 3)
+        count = np.ceil((high - low) / step).astype(int) + 2 * _AROUND + 1
+        return cls(low - _AROUND * step, step, (int(count[0]), int(count[1]), int(count[2])))
+
+    def border(self) -> Mask:
+        border = np.ones(self.shape, dtype=bool)
+        border[1:-1, 1:-1, 1:-1] = False
+        return border
+
+    def centres(self, cells: Mask) -> Array:
+        """(n, 3) the centres of some cells."""
+        return np.asarray(self.origin + self.step * np.stack(np.nonzero(cells), axis=1))
+
+    def cells_of(self, points: Array) -> tuple[Index, Mask]:
+        """The cells (n, 3) of those points that are in the grid, and which (m,) these are."""
+        cells = np.round((points - self.origin) / self.step).astype(int)
+        known: Mask = np.all((cells >= 0) & (cells < self.shape), axis=1)
+        return cells[known], known
+
+    def distance(self, points: Array) -> Array:
+        """Distance of every cell's centre from a point (n, 3) nearby: never less than from the nearest."""
+        cells, known = self.cells_of(points)
+        flat = np.ravel_multi_index(tuple(cells.T), self.shape)
+        chosen = np.full(int(np.prod(self.shape)), -1)
+        chosen[flat] = np.flatnonzero(known)
+        chosen = chosen.reshape(self.shape)
+        nearest = ndimage.distance_transform_edt(chosen < 0, return_distances=False, return_indices=True)
+        point = chosen[tuple(nearest)]
+        squares = np.zeros(self.shape)
+        for axis, n in enumerate(self.shape):
+            place = self.origin[axis] + self.step * np.arange(n)
+            squares += (place.reshape([-1 if k == axis else 1 for k in range(3)]) - points[:, axis][point]) ** 2
+        return np.asarray(np.sqrt(squares))
+
+    def from_cells(self, cells: Mask) -> Array:
+        """Distance of every cell's centre from that of the nearest of some cells; infinite if there are none."""
+        if not cells.any():
+            return np.full(self.shape, np.inf)
+        distance: Array = self.step * ndimage.distance_transform_edt(~cells)
+        return distance
+
+    def at(self, values: Array, points: Array) -> Array:
+        """The values (n,) of the cells of points (n, 3); -inf for those outside the grid."""
+        cells, known = self.cells_of(points)
+        found = np.full(len(points), -np.inf)
+        found[known] = values[tuple(cells.T)]
+        return found

@@ -1,0 +1,86 @@
+"""Outer and inner bodies of bodies without fine features, against the Cassini oval turned about its axis."""
+
+import functools
+
+import numpy as np
+import pytest
+from rings import cassini, recording_of
+
+from scan3d.bounds import reach as module
+from scan3d.bounds.reach import reach
+from scan3d.errors import InputError
+from scan3d.geometry.distance import Search
+from scan3d.reconstruction.contacts import contacts
+
+TOP = np.sqrt(18.0**2 + 19.08**2)
+# one slice beyond either end, which is empty
+HEIGHTS = np.linspace(-27.3, 27.3, 30)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    monkeypatch.setattr(module, "_CELLS", 250_000)
+
+
+@functools.cache
+def peanut(first=0, last=30):
+    recording = recording_of(cassini, HEIGHTS[first:last], samples=24)
+    return recording, contacts(recording)
+
+
+def distances(points, mesh):
+    return Search(np.asarray(mesh.triangles)).nearest(points)[0]
+
+
+def oval():
+    z = TOP * np.cos(np.linspace(0, np.pi, 100))
+    points = np.column_stack([cassini(z), z])
+    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    return np.concatenate([np.column_stack([points[:, :1] * [np.cos(t), np.sin(t)], z]) for t in turn])
+
+
+def test_the_body_lies_between_the_two_and_within_the_bound():
+    found = reach(*peanut(), 5.0)
+    assert found.refuted is None
+    assert found.unbounded is None
+    surface = oval()
+    for mesh, inside in ((found.outer, False), (found.inner, True)):
+        assert mesh.is_watertight
+        assert distances(surface, mesh).max() <= found.bound
+        radius, z = np.hypot(*mesh.vertices[:, :2].T), mesh.vertices[:, 2]
+        # the oval is where (r² + z² + a²)² - 4 a² z² = b⁴
+        excess = (radius**2 + z**2 + 18.0**2) ** 2 - 4 * 18.0**2 * z**2 - 19.08**4
+        assert ((excess < 0) == inside).all()
+    assert found.bound < 7.0  # of which the grid of 0.8 mm takes more than half
+
+
+def test_a_reach_that_the_waist_does_not_have_is_refuted():
+    found = reach(*peanut(), 12.0)
+    assert "contacts lie outside the outer body" in found.refuted
+    assert found.bound == np.inf
+    assert found.unbounded is None
+
+
+def test_without_slices_beyond_its_ends_nothing_bounds_the_body():
+    found = reach(*peanut(1, len(HEIGHTS) - 1), 5.0)
+    assert found.refuted is None
+    assert "nothing bounds the body" in found.unbounded
+    assert found.bound == np.inf
+
+
+def test_a_reach_finer_than_the_slices_are_apart_bounds_nothing(monkeypatch):
+    monkeypatch.setattr(module, "_COARSEST", 0.5)
+    found = reach(*peanut(), 0.6)
+    assert found.refuted is None
+    assert found.bound == np.inf
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan])
+def test_a_reach_is_positive(wrong):
+    with pytest.raises(InputError, match="positive number"):
+        reach(*peanut(), wrong)
+
+
+def test_a_reach_too_fine_for_the_grid_is_refused():
+    with pytest.raises(InputError, match="at least"):
+        reach(*peanut(), 0.5)
