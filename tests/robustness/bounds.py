@@ -186,7 +186,7 @@ def failures(draw, changed=lambda recording: recording):
         what is done to the recording.
     """
     # averages over the surfaces, which are not asked for here, take most of a comparison's time
-    with warnings.catch_warnings(record=True) as caught, mock.patch.object(comparison, "SAMPLES", 200):
+    with warnings.catch_warnings(record=True) as caught, mock.patch.object(comparison, "SOME", 200):
         warnings.simplefilter("always")
         try:
             exact = scan3d.simulate(draw.mesh, draw.plan)

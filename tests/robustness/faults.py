@@ -141,7 +141,7 @@ def outcome(seed, slices, noise, name):
         exact(seed, slices, fault.rod, fault.tared), noise, np.random.default_rng([seed, slices]), fault.gains
     )
     diagonal = float(np.linalg.norm(mesh.extents))
-    with mock.patch.object(comparison, "SAMPLES", 200):
+    with mock.patch.object(comparison, "SOME", 200):
         try:
             analysis = analyse(recording, mesh, "hull")
         except InputError:
