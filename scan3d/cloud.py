@@ -142,8 +142,8 @@ class Cloud(Shown, Exported):
     centre_points: Array | None = None
     """(n, 3) points of the rod's centre line at the contacts (spatial model): they lie on the surface of the body fattened by
     the rod's radius, and `points` are ``centre_points - rod_radius * normals``."""
-    centre_sd: Array | None = None
-    """(n,) standard deviation of each centre point in its least certain direction; None for exact data."""
+    centre_covariance: Array | None = None
+    """(n, 3, 3) covariance of each centre point, in the recording's unit squared; None for exact data."""
     tangents: Array | None = None
     """(n, 3) unit tangents of the rod at the contacts, towards its tip (spatial model).  In tangential contact the whole line
     through the centre point along the tangent is free of the interior of the fattened body."""
@@ -244,7 +244,7 @@ _PER_CONTACT = (
     "place_sd",
     "normal_sd",
     "centre_points",
-    "centre_sd",
+    "centre_covariance",
     "tangents",
     "tangent_sd",
     "bending_angle",

@@ -36,7 +36,7 @@ def test_a_table_closes_the_side_below():
 
 def test_noise_is_named_where_contacts_face_all_sides():
     cloud = spatial_cloud(BALL, 600, 1)
-    sd = np.full(len(cloud), 0.02)
+    sd = np.full(len(cloud), 0.05)
     noisy = replace(cloud, place_sd=sd, tangent_sd=sd, covariance=sd[:, None, None] ** 2 * np.eye(3))
     assert np.isinf(enclosure(noisy).bound)
     assert "less noise would bound it" in missing(noisy)

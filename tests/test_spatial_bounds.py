@@ -227,8 +227,7 @@ def test_noisy_contacts_are_bounded_with_confidence():
     )
     bounds = enclosure(noisy)
     assert bounds.confidence == 0.95
-    assert largest_difference(bounds.inner, body) <= bounds.bound < 0.3
-    assert bounds.bound > enclosure(cloud).bound
+    assert largest_difference(bounds.inner, body) <= bounds.bound < 0.06
 
 
 @pytest.mark.slow
@@ -253,9 +252,10 @@ def test_under_noise_the_bound_follows_from_the_errors_of_centre_points_and_tang
     """The place on the surface may be much less certain than the centre point, by the rod's radius; the bound needs neither."""
     cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.7, 0.5])), 2000, 3, 0.02)
     sd = np.full(len(cloud), 1e-5)
-    noisy = dataclasses.replace(cloud, noise=1e-3, place_sd=100 * sd, centre_sd=sd, tangent_sd=sd)
-    stated, exact = enclosure(noisy), enclosure(cloud)
+    covariance = np.tile(1e-10 * np.eye(3), (len(cloud), 1, 1))
+    noisy = dataclasses.replace(cloud, noise=1e-3, place_sd=100 * sd, centre_covariance=covariance, tangent_sd=sd)
+    stated = enclosure(noisy)
     assert stated.confidence == 0.95
-    assert stated.bound == pytest.approx(exact.bound, rel=0.2)
-    assert enclosure(dataclasses.replace(noisy, tangent_sd=10 * sd)).bound > stated.bound
-    assert enclosure(dataclasses.replace(noisy, centre_sd=None, tangent_sd=None)).bound > 3 * stated.bound
+    assert stated.bound < enclosure(cloud).bound
+    assert enclosure(dataclasses.replace(noisy, tangent_sd=100 * sd)).bound > stated.bound
+    assert enclosure(dataclasses.replace(noisy, centre_covariance=None, tangent_sd=None)).bound > 1.5 * stated.bound

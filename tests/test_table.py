@@ -157,7 +157,7 @@ def test_noise_below_the_table_is_no_contradiction():
     heights = cloud.centre_points[:, 2] + cloud.rod_radius
     lowest = int(heights.argmin())
     for sigmas, codes in ((3.0, []), (20.0, ["below-table"])):
-        table = (heights[lowest] + sigmas * cloud.centre_sd[lowest]) / 1000
+        table = (heights[lowest] + sigmas * np.sqrt(cloud.centre_covariance[lowest, 2, 2])) / 1000
         on_table = dataclasses.replace(recording, table_m=float(table))
         assert [found.code for found in checked(on_table, scan3d.reconstruct(on_table)).contradictions] == codes
 

@@ -19,7 +19,7 @@ import planar
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, across, unit
 from scan3d.cloud import Cloud
 from scan3d.geometry import hulls
-from scan3d.geometry.arcs import Arcs, arcs_at
+from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
 from scan3d.geometry.support import inertia
 from scan3d.geometry.triangles import dot
@@ -37,8 +37,6 @@ EXACT = 2e-9
 _APART = 4.0
 STRAIGHT = 0.03
 """Slopes behind a slab are equal if they differ by less than this fraction of their difference to the slab's."""
-# Radius of the ball within which tangents' errors are allowed for, in sizes of the contacts beyond the contacts themselves.
-_BALL = 1.0
 
 
 def exact_error(cloud: Cloud) -> float:
@@ -107,8 +105,6 @@ class Tangents(NamedTuple):
     """(3,) origin of the frame."""
     shape: Array
     """(3, 3) symmetric map from the frame to the world."""
-    ball: float
-    """Radius in the frame of the ball within which the planes hold, infinite for exact tangents."""
 
     def to_world(self, points: Array) -> Array:
         """Points (n, 3) of the frame in the world."""
@@ -129,39 +125,48 @@ class Tangents(NamedTuple):
         return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
 
 
-def tangent_planes(cloud: Cloud, errors: Array, turns: Array) -> Tangents:
-    """The supporting planes of a cloud with errors (n,) of its places, and of its tangents in radians.
+def tangent_planes(cloud: Cloud, errors: Array) -> Tangents:
+    """The supporting planes of a cloud with exact tangents and errors (n,) of its places.
 
     Raises InputError for contacts that span no body.
     """
     assert cloud.centre_points is not None
     assert cloud.tangents is not None
-    try:
-        centre, shape = inertia(cloud.centre_points)
-    except QhullError:
-        hulls.hull(cloud.centre_points)  # raises InputError, which says why
-        raise
+    centre, shape = frame_of(cloud.centre_points)
     to_frame = np.linalg.inv(shape)
     points, tangents = (cloud.centre_points - centre) @ to_frame, unit(cloud.tangents @ to_frame)
-    rows = np.flatnonzero(np.isfinite(tangents).all(axis=1) & (cloud.phase == planar.Phase.TANGENTIAL))
-    # the map stretches errors by no more than its largest factor, and angles by no more than its condition
-    stretched = errors * float(np.linalg.norm(to_frame, 2))
-    turns = turns[rows] * float(np.linalg.cond(shape))
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        hull = ConvexHull(points, qhull_options="QJ")  # moved by rounding where very many lie in one plane
-    vertices, edges = edges_of(hull)
-    arcs = arcs_at(points[rows], tangents[rows], stretched[rows], turns, points[vertices], stretched[vertices], edges)
-    move, ball = stretched[rows], np.inf
-    if turns.any():
-        size = float(np.linalg.norm(points, axis=1).max())
-        ball = (1 + _BALL) * size
-        move = move + turns * (ball + size)
-    arcs = arcs.moved(move)
+    rows = tangential(cloud)
+    # the map stretches errors by no more than its largest factor
+    places = Places(points, errors * float(np.linalg.norm(to_frame, 2)))
+    arcs = arcs_of_contacts(places, tangents, rows, np.zeros(len(rows))).moved(places.errors[rows])
     if cloud.table is not None:
         arcs = arcs.joined(_table_plane(cloud.table - cloud.rod_radius, centre, shape))
-    return Tangents(arcs, rows, centre, shape, ball)
+    return Tangents(arcs, rows, centre, shape)
+
+
+def tangential(cloud: Cloud) -> Index:
+    """The contacts of a cloud whose tangents lie in supporting planes."""
+    known = np.isfinite(cloud.tangents).all(axis=1)  # type: ignore[arg-type]
+    return np.flatnonzero(known & (cloud.phase == planar.Phase.TANGENTIAL))
+
+
+def frame_of(points: Array) -> tuple[Array, Array]:
+    """`inertia` of contacts (n, 3).  Raises InputError for those that span no body."""
+    try:
+        return inertia(points)
+    except QhullError:
+        hulls.hull(points)  # raises InputError, which says why
+        raise
+
+
+def arcs_of_contacts(places: Places, tangents: Array, rows: Index, turns: Array) -> Arcs:
+    """The arcs (k,) of some of the contacts, with errors (k,) of their tangents (n, 3), by all of them."""
+    try:
+        hull = ConvexHull(places.points)
+    except QhullError:
+        hull = ConvexHull(places.points, qhull_options="QJ")  # moved by rounding where very many lie in one plane
+    vertices, edges = edges_of(hull)
+    return arcs_at(places.select(rows), tangents[rows], turns, places.select(vertices), edges)
 
 
 def _table_plane(height: float, centre: Array, shape: Array) -> Arcs:
@@ -274,7 +279,7 @@ def by_arcs(cloud: Cloud, by_axis: Sequence[SliceStack]) -> tuple[list[list[list
     error = exact_error(cloud)
     tangents = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
     anywhere = replace(cloud, centre_points=cloud.points, tangents=tangents, rod_radius=0.0, table=None)
-    tangent = tangent_planes(anywhere, np.full(len(cloud), error), np.zeros(len(cloud)))
+    tangent = tangent_planes(anywhere, np.full(len(cloud), error))
     ends = np.full((len(cloud), 2, 3), np.nan)
     ends[tangent.rows] = unit(tangent.arcs.ends() @ np.linalg.inv(tangent.shape))
     off = error + max(

@@ -20,10 +20,9 @@ convex bodies is the largest difference of their support functions, and ``h_K = 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
 its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.  Where contacts
-have errors of at most e, the arcs are widened, the planes are moved outwards by e, and H may stick out of K by e.  The rod's
-tangent then has an error as well, and its plane is moved by what that makes of it within a ball around the contacts; if all
-apexes lie inside the ball, so does K, since K is connected.  A table below the body, if it is known, is one more supporting
-plane of K, moved outwards by the rod's radius.
+have errors, each of them leaves out a wedge instead (`scan3d.bounds.wedges`), whose errors are those across the rod, and H may
+stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it is
+known, is one more supporting plane of K, moved outwards by the rod's radius.
 
 A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
 the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
@@ -41,15 +40,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
-from scan3d.arrays import ROUNDING, Array, Index, Mask, highest
+from scan3d.arrays import ROUNDING, Array, Index, Mask, dot, highest, unit
 from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
+from scan3d.bounds.wedges import outer_body
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
+from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
@@ -68,8 +69,11 @@ _TIGHTER = 0.95
 # Error of a tangent, in radians, of a contact whose place is off by one rod length, where the tangent's own error is not known.
 # A rod that is off by d at its tip, where bending sets in at half its length, has turned by no more than 6 d per length.
 _TURN = 6.0
-# Quantiles of the contacts' errors; contacts anywhere with a larger one are left out, and the best bound is taken.
-_QUANTILES = (1.0, 0.7, 0.4)
+# Quantiles of the contacts' errors; contacts anywhere with a larger one are left out of the inner body, and the best bound is
+# taken.
+_QUANTILES = (1.0, 0.85, 0.7, 0.5)
+# Distance, in sizes of the contacts, of what stands for the body where nothing bounds it.
+_FAR = 1e3
 # Largest angles, in radians, of the normals from the middles of their arcs, of the contacts in each inner body by arcs.
 _WIDEST = (1e-4, 1e-3, 1e-2)
 # A hull of centre points that is thinner than the rod is made this much smaller.
@@ -305,14 +309,14 @@ def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     """The enclosure with that by the tangents of all contacts, if it is tighter."""
     along = np.cross(cloud.in_plane_normals, cloud.slice_axis[cloud.slice])
     anywhere = replace(cloud, centre_points=cloud.points, tangents=along, rod_radius=0.0)
-    errors, turns = np.full(len(cloud), exact_error(cloud)), np.zeros(len(cloud))
-    tangent = tangent_planes(anywhere, errors, turns)
+    errors = np.full(len(cloud), exact_error(cloud))
+    tangent = tangent_planes(anywhere, errors)
     known = bounds if bounds.tighter is None else bounds.tighter
     worst = known.corners[[known.gap.argmax()]]
     # where no tangent excludes the farthest corner, no choice of them bounds the body more tightly
     if np.isfinite(worst).all() and not tangent.exclude(worst).any():
         return bounds
-    found = _by_contacts(anywhere, tangent, errors, turns, bounds.confidence)
+    found = _by_apexes(anywhere, errors, bounds.confidence)
     if found.bound >= bounds.bound:
         return bounds
     volume = max(bounds.volume[0], found.volume[0]), min(bounds.volume[1], found.volume[1])
@@ -493,42 +497,88 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
         raise InputError("0 contacts span no body: a surface needs contacts all around it")
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
     if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
-        turns = np.zeros(len(cloud)) if cloud.place_sd is None else _TURN * errors / cloud.rod_length
-        return _by_contacts(cloud, tangent_planes(cloud, errors, turns), errors, turns, 1.0)
+        if cloud.place_sd is None:
+            return _by_apexes(cloud, errors, 1.0)
+        return _by_wedges(cloud, _certain(cloud, errors), _TURN * errors / cloud.rod_length, 1.0)
     allow = allowed(cloud, confidence)
-    turns = np.zeros(len(cloud))
+    places, turns = _certain(cloud, errors + allow.place), np.zeros(len(cloud))
     if cloud.place_sd is not None:
         assert allow.kappa is not None
-        errors += allow.kappa * (cloud.place_sd if cloud.centre_sd is None else cloud.centre_sd)
-        turns = _TURN * errors / cloud.rod_length
+        if cloud.centre_covariance is None:
+            places = places._replace(errors=places.errors + allow.kappa * cloud.place_sd)
+        else:
+            places = places._replace(spread=allow.kappa**2 * cloud.centre_covariance)
+        turns = _TURN * places.largest() / cloud.rod_length
         if cloud.tangent_sd is not None:
             turns = EXACT + allow.kappa * cloud.tangent_sd
-    errors, turns = errors + allow.place, turns + allow.turn
-    candidates = []
-    for quantile in _QUANTILES:
-        kept = (errors <= np.quantile(errors, quantile)) & (turns <= np.quantile(turns, quantile))
-        if kept.any():
-            part = cloud.select(kept), errors[kept], turns[kept]
-            candidates.append(_by_contacts(part[0], tangent_planes(*part), *part[1:], allow.confidence))
-    return min(candidates, key=lambda candidate: candidate.bound)
+    return _by_wedges(cloud, places, turns + allow.turn, allow.confidence)
 
 
-def _by_contacts(cloud: Cloud, tangent: Tangents, errors: Array, turns: Array, confidence: float) -> Enclosure:
-    """The enclosure by all contacts of a cloud, with errors (n,) of their places, and of their tangents in radians."""
+def _certain(cloud: Cloud, errors: Array) -> Places:
+    """The centre points with errors (n,) that are alike in all directions."""
     assert cloud.centre_points is not None
+    return Places(cloud.centre_points, errors)
+
+
+def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
+    """The enclosure by all contacts of a cloud with exact tangents and errors (n,) of their places."""
+    assert cloud.centre_points is not None
+    tangent = tangent_planes(cloud, errors)
     centre_hull = hull(cloud.centre_points)
-    margin, radius = float(errors.max()), cloud.rod_radius
-    inner = _inner_body(cloud, centre_hull)
     apexes = _apexes_around(tangent, centre_hull)
     if apexes is None:
         corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
     else:
         corners = np.unique(tangent.to_world(apexes.cover.apexes[~apexes.open].reshape(-1, 3)), axis=0)
         directions = Directions(tangent.to_world(apexes.cover.nominal), apexes.open)
-    bodies = ((centre_hull, radius + margin), *_bodies_by_arcs(cloud, tangent, errors, turns))
-    gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
+    margin, normals = float(errors.max()), tangent.normals()
+    bodies = ((centre_hull, cloud.rod_radius + margin), *_bodies_by_arcs(cloud, tangent.rows, normals, margin))
+    inner = _inner_body(cloud, centre_hull)
+    gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
+    return _anywhere(cloud, (inner, bodies, margin), (corners, gap, directions), confidence)
+
+
+def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
+    """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
+    candidates = []
+    largest = places.largest()
+    for quantile in _QUANTILES:
+        kept = largest <= np.quantile(largest, quantile)
+        with suppress(InputError):
+            some = cloud.select(kept)
+            centre_hull = hull(places.points[kept])
+            margin, inner = _error_of_hull(centre_hull, places), _inner_body(some, centre_hull)
+            candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
+    if not candidates:
+        hull(places.points)  # raises InputError, which says why
+    found = outer_body(cloud, places, turns, candidates[0][0])
+    is_open = np.isinf(found.gap)
+    corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
+    far = _FAR * float(np.linalg.norm(np.ptp(places.points, axis=0)))
+    apexes = np.where(
+        is_open[:, None],
+        found.centre + far * unit(found.directions),
+        np.where(is_open[:, None, None], 0.0, found.corners).mean(axis=1),
+    )
+    bounds = []
+    for inner, bodies, margin in candidates:
+        gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
+        part = (inner, bodies, margin), (corners, gap, Directions(apexes, is_open))
+        bounds.append(_anywhere(cloud, *part, confidence))
+    return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
+
+
+def _anywhere(
+    cloud: Cloud,
+    within: tuple[Any, tuple[tuple[Any, float], ...], float],
+    outside: tuple[Array, Array, Directions],
+    confidence: float,
+) -> Enclosure:
+    """The enclosure by an inner body, the bodies that it may stick out of by so much, and the largest error of theirs, and by
+    the corners of an outer body, their distances from the inner one, and the directions in which there are none."""
+    (inner, bodies, margin), (corners, gap, directions) = within, outside
+    radius, unbounded = cloud.rod_radius, bool(directions.open.any())
     excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), margin)
-    unbounded = bool(directions.open.any())
     return Enclosure(
         inner=inner,
         corners=corners,
@@ -542,6 +592,25 @@ def _by_contacts(cloud: Cloud, tangent: Tangents, errors: Array, turns: Array, c
         inner_bodies=bodies,
         directions=directions,
     )
+
+
+def _error_of_hull(body: Any, places: Places) -> float:
+    """How far a hull of some places may stick out of a convex body that contains the true ones.
+
+    The hull's support function is that of a vertex in the directions between the normals of the vertex' facets, in which the
+    errors of its place, which are a norm, are at most the largest along these normals, over the cosine of their spread.
+    """
+    faces, normals = body.faces.ravel(), np.repeat(body.face_normals, 3, axis=0)
+    apart, rows = cKDTree(places.points).query(body.vertices)
+    own = places.select(rows)
+    middle = np.zeros((len(rows), 3))
+    np.add.at(middle, faces, normals)
+    cosine, along = np.ones(len(rows)), np.zeros(len(rows))
+    np.minimum.at(cosine, faces, dot(normals, unit(middle)[faces]))
+    np.maximum.at(along, faces, own.select(faces).along(normals[:, None])[:, 0])
+    with np.errstate(divide="ignore"):
+        by_normals = np.where(cosine > 0, along / cosine, np.inf)
+    return float((np.minimum(by_normals, own.largest()) + apart).max())
 
 
 def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
@@ -569,24 +638,24 @@ def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unboun
 def _apexes_around(tangent: Tangents, centre_hull: Any) -> Apexes | None:
     """The best apexes of the planes; None if nothing is bounded."""
     signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
-    apexes = best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
-    if apexes is not None and np.isfinite(tangent.ball):
-        reach = np.linalg.norm(apexes.cover.apexes, axis=2).max()
-        return apexes if reach < tangent.ball else None
-    return apexes
+    return best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
 
 
-def _bodies_by_arcs(cloud: Cloud, tangent: Tangents, errors: Array, turns: Array) -> Iterator[tuple[Any, float]]:
-    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out."""
-    radius = cloud.rod_radius
+def _bodies_by_arcs(
+    cloud: Cloud, rows: Index, normals: tuple[Array, Array], margin: float
+) -> Iterator[tuple[Any, float]]:
+    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out.
+
+    normals
+        the middles (k, 3) of the arcs of the contacts `rows`, and the largest angles (k,) from them.
+    """
+    radius, (middle, angle) = cloud.rod_radius, normals
     if not radius:
         return
     assert cloud.centre_points is not None
-    normals, angle = tangent.normals()
-    turn, margin = float(turns.max()), float(errors.max())
-    points = cloud.centre_points[tangent.rows] - radius * normals
+    points = cloud.centre_points[rows] - radius * middle
     for widest in _WIDEST:
         narrow = angle <= widest
         with suppress(InputError):
             if narrow.sum() > 3:
-                yield hull(points[narrow]), radius * (widest + turn) + margin
+                yield hull(points[narrow]), radius * widest + margin

@@ -8,7 +8,9 @@ point q leaves a half turn of directions to n, and all of them together leave an
 
 Neither a measured normal nor a law of friction enters.  Any points of the body may be chosen for q, since fewer points make
 wider arcs only.  Where places have errors of at most e and t one of at most ε, the normal that is turned until it is
-perpendicular to the measured t satisfies ``<n, q - p> <= e_p + e_q + ε |q - p|``.
+perpendicular to the measured t satisfies ``<n, q - p> <= e_p + e_q + ε |q - p|``.  Errors that differ between directions, of
+at most ``√(nᵀSn)``, are a norm: for a normal that is turned by ψ from u towards v they are at most the sum of ``√(uᵀSu) cos ψ``
+and ``√(vᵀSv) sin ψ``.
 """
 
 from __future__ import annotations
@@ -27,6 +29,31 @@ from scan3d.geometry.triangles import dot
 _NEIGHBOURS, _THINNED, _DEGREE, _MOVES = 12, 6, 12, 40
 # Points that are searched at once, which limits the memory.
 _BLOCK = 8192
+
+
+class Places(NamedTuple):
+    """Points (n,) and how far the true ones may be from them, in a direction u by ``errors + √(uᵀ spread u)``."""
+
+    points: Array
+    """(n, 3)"""
+    errors: Array
+    """(n,)"""
+    spread: Array | None = None
+    """(n, 3, 3) covariances, times the square of the number of standard deviations; None: errors are alike everywhere."""
+
+    def select(self, rows: Mask | Index) -> Places:
+        return Places(self.points[rows], self.errors[rows], None if self.spread is None else self.spread[rows])
+
+    def largest(self) -> Array:
+        """(n,) the largest errors in any direction."""
+        return self.errors if self.spread is None else self.errors + np.sqrt(np.linalg.eigvalsh(self.spread)[:, -1])
+
+    def along(self, directions: Array) -> Array:
+        """(n, k) the largest errors along unit vectors (n, k, 3)."""
+        found = np.repeat(self.errors[:, None], directions.shape[1], axis=1)
+        if self.spread is not None:
+            found += np.sqrt(np.maximum(np.einsum("nki,nij,nkj->nk", directions, self.spread, directions), 0.0))
+        return found
 
 
 class Arcs(NamedTuple):
@@ -66,27 +93,25 @@ class Arcs(NamedTuple):
         return Arcs(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
-def arcs_at(
-    points: Array, tangents: Array, errors: Array, turns: Array, body: Array, body_errors: Array, edges: Index
-) -> Arcs:
-    """The arcs of the normals at points (n, 3) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
+def arcs_at(places: Places, tangents: Array, turns: Array, body: Places, edges: Index) -> Arcs:
+    """The arcs of the normals at places (n,) of a body's surface, with unit vectors (n, 3) of lines that touch it there.
 
-    errors, body_errors
-        (n,) and (h,) largest errors of the points' places and of those of `body`.
     turns
         (n,) largest errors of the tangents, in radians.
     body
-        (h, 3) points of the body, the vertices of a convex polyhedron.
+        (h,) points of the body, the vertices of a convex polyhedron.
     edges
         (m, 2) the polyhedron's edges, by numbers of its vertices.
     """
-    adjacent, levels, centre = _adjacency(edges, len(body)), _levels(body), body.mean(axis=0)
+    adjacent, levels = _adjacency(edges, len(body.points)), _levels(body.points)
+    centre = body.points.mean(axis=0)
     parts = [Arcs(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))]
-    for first in range(0, len(points), _BLOCK):
-        rows = slice(first, first + _BLOCK)
-        sight = _Sight(points[rows], tangents[rows], errors[rows], turns[rows], centre, body, body_errors)
+    for first in range(0, len(places.points), _BLOCK):
+        rows = np.arange(first, min(first + _BLOCK, len(places.points)))
+        block = places.select(rows)
+        sight = _Sight(block, tangents[rows], turns[rows], centre, body)
         near = [
-            numbers[tree.query(points[rows], k=np.arange(1, min(_NEIGHBOURS, tree.n) + 1))[1]]
+            numbers[tree.query(block.points, k=np.arange(1, min(_NEIGHBOURS, tree.n) + 1))[1]]
             for tree, numbers in levels
         ]
         starts = np.concatenate(near, axis=1)
@@ -99,19 +124,10 @@ def arcs_at(
 class _Sight:
     """What is seen of a body along lines (b,) through points of its surface."""
 
-    def __init__(
-        self,
-        points: Array,
-        tangents: Array,
-        errors: Array,
-        turns: Array,
-        centre: Array,
-        body: Array,
-        body_errors: Array,
-    ) -> None:
-        self._points, self._errors, self._turns = points, errors, turns
-        self._body, self._body_errors = body, body_errors
-        outward = points - centre
+    def __init__(self, places: Places, tangents: Array, turns: Array, centre: Array, body: Places) -> None:
+        self._places, self._turns, self._body = places, turns, body
+        self._farthest = places.largest()[:, None], body.largest()
+        outward = places.points - centre
         self._outward = outward - dot(outward, tangents)[:, None] * tangents
         with np.errstate(divide="ignore", invalid="ignore"):
             self._outward /= np.linalg.norm(self._outward, axis=1)[:, None]
@@ -122,16 +138,40 @@ class _Sight:
 
         The normal's angle from the outward direction differs by no more than a right angle and that error from each of them.
         """
-        offset = self._body[numbers] - self._points[:, None]
+        offset = self._body.points[numbers] - self._places.points[:, None]
         x, y = -dot(offset, self._outward[:, None]), -dot(offset, self._across[:, None])
         distance = np.hypot(x, y)
-        error = self._errors[:, None] + self._body_errors[numbers]
+        error = self._places.errors[:, None] + self._body.errors[numbers]
         if self._turns.any():
-            error += self._turns[:, None] * np.linalg.norm(offset, axis=2)
+            error += self._turns[:, None] * (
+                np.linalg.norm(offset, axis=2) + self._farthest[0] + self._farthest[1][numbers]
+            )
+        turned: Array | float = 0.0
+        if self._body.spread is not None:
+            across, along = self._spread(numbers, x, y, distance)
+            turned, distance = np.arctan2(across, distance - along), np.hypot(across, np.maximum(distance - along, 0.0))
+            turned = np.where(turned < np.pi / 2, turned, np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(error < distance, error / distance, 1.0)
         # a point that is no farther away than the errors says nothing
-        return np.arctan2(y, x), np.where(ratio < 1, np.arcsin(ratio), np.inf)
+        return np.arctan2(y, x), np.where(ratio < 1, np.arcsin(ratio), np.inf) + turned
+
+    def _spread(self, numbers: Index, x: Array, y: Array, distance: Array) -> tuple[Array, Array]:
+        """Errors (b, k) by the ellipsoids of both points, across the way between them, as it is seen, and along it."""
+        assert self._places.spread is not None
+        assert self._body.spread is not None
+        spread, frame = self._body.spread[numbers], (self._outward, self._across)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cos, sin = x / distance, y / distance
+        found = []
+        for a, b in ((-sin, cos), (cos, sin)):
+            u = a[..., None] * frame[0][:, None] + b[..., None] * frame[1][:, None]
+            squares = (
+                np.einsum("bki,bij,bkj->bk", u, self._places.spread, u),
+                np.einsum("bki,bkij,bkj->bk", u, spread, u),
+            )
+            found.append(sum(np.sqrt(np.maximum(square, 0.0)) for square in squares))
+        return found[0], found[1]
 
     def lowest(self, numbers: Index) -> Array:
         angle, error = self._angles(numbers)
@@ -150,7 +190,7 @@ class _Sight:
         half[~((half >= 0) & (half < np.pi / 2))] = np.nan
         cos, sin = np.cos(middle)[:, None], np.sin(middle)[:, None]
         normal, across = cos * self._outward + sin * self._across, cos * self._across - sin * self._outward
-        return Arcs(self._points, normal, across, half)
+        return Arcs(self._places.points, normal, across, half)
 
 
 def _climb(value: Callable[[Index], Array], starts: Index, adjacent: Index) -> Array:

@@ -301,10 +301,11 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
     if (rig := cloud.calibration) is not None:
         allowed += rig.factor(FALSE_ALARM) * rig.place_sd
     if cloud.centre_points is not None:  # of a rod that touches the body from below the table
-        heights, sd = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_sd
+        heights, covariance = cloud.centre_points[:, 2] + cloud.rod_radius, cloud.centre_covariance
     else:
         heights = cloud.points[:, 2] if cloud.fattened is None else cloud.fattened.points[:, 2] + cloud.rod_radius
-        sd = None if cloud.covariance is None else np.sqrt(np.maximum(cloud.covariance[:, 2, 2], 0.0))
+        covariance = cloud.covariance
+    sd = None if covariance is None else np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
     depth = cloud.table - heights - allowed - (0.0 if sd is None else _kappa(len(cloud)) * sd)
     worst = int(depth.argmax())
     if depth[worst] <= 0:

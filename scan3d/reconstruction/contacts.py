@@ -400,7 +400,7 @@ def without_normals(recording: Recording, known: Readings) -> Cloud:
         rod_radius=rod.diameter_m / 2 / scale,
         tapered=rod.tapered,
         centre_points=points,
-        centre_sd=place_sd,
+        centre_covariance=covariance,
         tangent_sd=tangent_sd,
         tangents=np.einsum("ni,nij->nj", found.tangent[rows], axes),
         bending_angle=found.bending_angle[rows],

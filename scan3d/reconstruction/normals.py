@@ -26,7 +26,7 @@ from scipy.spatial import ConvexHull, cKDTree
 import planar
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.geometry.arcs import arcs_at
+from scan3d.geometry.arcs import Places, arcs_at
 from scan3d.geometry.hulls import edges_of, hull_about_mean
 from scan3d.geometry.support import MAX_CONTACTS, SupportFit, fit_support
 from scan3d.reconstruction.slices import SliceStack, SupportFunctions, stacks
@@ -217,9 +217,8 @@ def hull_normals(points: Array, tangents: Array, tangential: Mask) -> HullNormal
         return HullNormals(normal, half_width)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     vertices, edges = edges_of(hull)
-    rounding = np.full(len(points), ROUNDING * size)
-    rows, errors = np.flatnonzero(tangential), rounding[vertices]
-    arcs = arcs_at(points[rows], tangents[rows], rounding[rows], np.zeros(len(rows)), points[vertices], errors, edges)
+    places, rows = Places(points, np.full(len(points), ROUNDING * size)), np.flatnonzero(tangential)
+    arcs = arcs_at(places.select(rows), tangents[rows], np.zeros(len(rows)), places.select(vertices), edges)
     known = np.isfinite(arcs.half_width)
     normal[rows[known]], half_width[rows[known]] = arcs.middle[known], arcs.half_width[known]
     # tip contacts, and contacts inside faces and edges of the hull
