@@ -39,20 +39,29 @@ def noisy_cloud(seed, count=1500, across=1e-3, along=6e-3, turn=2e-3):
 
 
 def entered(body, cloud, kappa):
-    """How many wedges the fattened body reaches into: it does, if its points beyond one plane are beyond the others as well."""
+    """How many wedges the fattened body reaches into, and of how many."""
     places = Places(cloud.centre_points, np.zeros(len(cloud)), kappa**2 * cloud.centre_covariance)
     centre = cloud.centre_points.mean(axis=0)
     normals, values = wedges._wedges(cloud, places, kappa * cloud.tangent_sd, centre)
-    count = 0
-    for n, v in zip(normals[1:], values[1:], strict=True):
-        # a convex body misses the wedge if one mean of the planes supports it below its value
-        share = np.random.default_rng(0).dirichlet(np.ones(4), size=60)
-        share = np.concatenate([share, np.eye(4), np.full((1, 4), 0.25), [[0.5, 0, 0.5, 0], [0, 0.5, 0, 0.5]]])
-        mean = share @ n
+    found = [
+        not misses(body, cloud.rod_radius, n, v + n @ centre) for n, v in zip(normals[1:], values[1:], strict=True)
+    ]
+    return sum(found), len(found)
+
+
+def misses(body, radius, normals, values):
+    """Whether a convex body misses a wedge: it does if, and only if, a mean of the wedge's planes does not cut it."""
+    rng = np.random.default_rng(0)
+    share, width = np.concatenate([rng.dirichlet(np.ones(4), size=60), np.eye(4)]), 0.3
+    while width > 1e-6:
+        mean = share @ normals
         size = np.linalg.norm(mean, axis=1)
-        support = size * (body.support(mean / size[:, None]) + cloud.rod_radius) - mean @ centre
-        count += bool((support > share @ v + 1e-9).all())
-    return count, len(normals) - 1
+        beyond = size * (body.support(mean / size[:, None]) + radius) - share @ values
+        if beyond.min() <= 1e-9:
+            return True
+        share = np.abs(share[beyond.argmin()] + width * rng.normal(size=(60, 4)))
+        share, width = share / share.sum(axis=1, keepdims=True), 0.7 * width
+    return False
 
 
 def test_the_body_reaches_into_no_wedge():

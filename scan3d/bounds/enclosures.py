@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
-from scan3d.arrays import ROUNDING, Array, Index, Mask, dot, highest, unit
+from scan3d.arrays import ROUNDING, Array, Index, Mask, highest, unit
 from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
 from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
@@ -53,6 +53,7 @@ from scan3d.errors import InputError
 from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
+from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
 from scan3d.shown import Described, Rows
 
