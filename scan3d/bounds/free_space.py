@@ -71,12 +71,14 @@ class Sheets:
 
     @cached_property
     def depth(self) -> NDArray[np.float32]:
-        """(s, ny, nx) distance from the border of what may be of the body, positive outside; at most that of the slices."""
-        apart = float(np.median(np.diff(self.height))) if len(self.height) > 1 else self.cell * max(self.free.shape[1:])
-        return np.clip(_depth(~self.solid, self.cell), -apart, apart)
+        """(s, ny, nx) distance from the border of what may be of the body, positive outside, in the plane."""
+        return _depth(~self.solid, self.cell)
 
-    def at(self, points: Array) -> Array:
-        """`depth` (n,) at points (n, 3), linear between cells and between planes."""
+    def at(self, points: Array) -> tuple[Array, Array]:
+        """Depths (n,) at points (n, 3), linear between cells and between planes, and how far (n,) the border is in the planes.
+
+        Depths are at most as the planes are apart: from there on one plane says nothing of what lies before the next one.
+        """
         place = points @ self.frame.T
         index = np.stack(
             [
@@ -85,8 +87,12 @@ class Sheets:
                 (place[:, 0] - self.origin[0]) / self.cell,
             ]
         )
-        found: Array = ndimage.map_coordinates(self.depth, index, order=1, mode="nearest")
-        return found
+        apart = float(np.median(np.diff(self.height))) if len(self.height) > 1 else np.inf
+        found, distance = (
+            ndimage.map_coordinates(depth, index, order=1, mode="nearest")
+            for depth in (np.clip(self.depth, -apart, apart), np.abs(self.depth))
+        )
+        return found, distance
 
     def away(self, points: Array) -> Array:
         """(n,) distance of points (n, 3) from the nearest of the planes."""

@@ -111,9 +111,9 @@ def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Arra
 
 def _depth(points: Array, sheets: list[Sheets]) -> Array:
     """Estimated distance (n,) from the border of the body, positive in free space, by the slices along all axes."""
-    depth = np.stack([sheet.at(points) for sheet in sheets])
+    depth, border = (np.stack(columns) for columns in zip(*(sheet.at(points) for sheet in sheets), strict=True))
     away = np.stack([sheet.away(points) for sheet in sheets])
-    nearest = np.argmin(np.abs(depth) + away, axis=0)
+    nearest = np.argmin(border + away, axis=0)
     wide = np.where(depth > away, depth, -np.inf).max(axis=0)
     found: Array = np.where(np.isfinite(wide), wide, np.take_along_axis(depth, nearest[None], axis=0)[0])
     return found
