@@ -23,7 +23,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ellipe, ellipeinc, ellipj, ellipk, elliprd, elliprf
+from scipy.special import ellipe, ellipj, ellipk, elliprd, elliprf
 
 from planar.arrays import Array
 
@@ -179,6 +179,22 @@ def carlson_integrals(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
     return rf, rd
 
 
+def integrals(amplitude: Array, m: Array) -> tuple[Array, Array]:
+    """Legendre's F and E by Carlson's forms: scipy's ellipkinc and ellipeinc jump where ``tan² = 1/√(1 - m)`` up to rounding."""
+    periods = np.round(amplitude / np.pi)
+    reduced = amplitude - np.pi * periods
+    sine, cosine = np.sin(reduced), np.cos(reduced)
+    rf, rd = carlson_integrals(cosine**2, 1 - m * sine**2, np.ones_like(sine))
+    first = sine * rf
+    second = first - m * sine**3 / 3 * rd
+    turned = periods != 0
+    if turned.any():
+        modulus = np.broadcast_to(m, periods.shape)[turned]
+        first[turned] += 2 * periods[turned] * ellipk(modulus)
+        second[turned] += 2 * periods[turned] * ellipe(modulus)
+    return first, second
+
+
 def partial_shape(alpha: Array, q: Array, remaining: Array) -> tuple[Array, Array]:
     """The part of a bent rod between a point and its contact: its extents in x and y, times √f.
 
@@ -186,7 +202,7 @@ def partial_shape(alpha: Array, q: Array, remaining: Array) -> tuple[Array, Arra
     """
     m = np.sin(alpha / 2) ** 2 + q * q
     sn, cn, dn, amplitude = ellipj(remaining, m)
-    along = 2 * (ellipeinc(amplitude, m) - m * sn * cn / dn) - remaining
+    along = 2 * (integrals(amplitude, m)[1] - m * sn * cn / dn) - remaining
     across = 2 * np.sqrt(m * (1 - m)) * sn / dn
     return across * np.cos(alpha) - along * np.sin(alpha), across * np.sin(alpha) + along * np.cos(alpha)
 

@@ -20,8 +20,7 @@ import numpy as np
 
 from planar import march
 from planar.arrays import Array, Mask
-from planar.elastica import bend, bend_by_half_angle, partial_shape, tangential_q
-from planar.pieces import integrals
+from planar.elastica import bend, bend_by_half_angle, integrals, partial_shape, tangential_q
 from planar.rods import Rod
 
 METHODS = ("closed-form", "scholz-rahn", "will")

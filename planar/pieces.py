@@ -14,9 +14,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ellipe, ellipj, ellipk, elliprd, elliprf
+from scipy.special import ellipj
 
 from planar.arrays import Array
+from planar.elastica import integrals
 
 # Force, and inverse modulus, below which (C5) and (C4) lose more digits to cancellation than Gauss's rule has errors.
 _WEAK, _FAST = 1e-3, 0.02
@@ -83,21 +84,6 @@ def _swing(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) 
     sn, cn, dn, amplitude = ellipj(first + root * s, m)
     along = 2 * (integrals(amplitude, m)[1] - second) / root - s
     return along, 2 * np.arctan2(k * sn, dn), 2 * k * root * cn
-
-
-def integrals(amplitude: Array, m: Array) -> tuple[Array, Array]:
-    """F and E by Carlson's forms: scipy's ellipkinc and ellipeinc jump where ``tan² = 1/√(1 - m)`` up to rounding."""
-    periods = np.round(amplitude / np.pi)
-    reduced = amplitude - np.pi * periods
-    sine, cosine = np.sin(reduced), np.cos(reduced)
-    x, y, one = cosine**2, 1 - m * sine**2, np.ones_like(m)
-    first = sine * elliprf(x, y, one)
-    second = first - m * sine**3 / 3 * elliprd(x, y, one)
-    turned = periods != 0
-    if turned.any():
-        first[turned] += 2 * periods[turned] * ellipk(m[turned])
-        second[turned] += 2 * periods[turned] * ellipe(m[turned])
-    return first, second
 
 
 def _turn(force: Array, energy: Array, theta0: Array, kappa0: Array, s: Array) -> tuple[Array, Array, Array]:

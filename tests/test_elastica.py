@@ -4,6 +4,7 @@ Where the series is not accurate, scipy's functions replace it, so that an error
 """
 
 import numpy as np
+import scipy
 import pytest
 from scipy.special import elliprd, elliprf
 
@@ -48,3 +49,23 @@ def test_the_series_suffices_where_the_arguments_are_less_than_a_hundred_times_a
     rf, rd = elastica.carlson_integrals(x, y, z)
     np.testing.assert_allclose(rf, elliprf(x, y, z), rtol=5e-15)
     np.testing.assert_allclose(rd, elliprd(x, y, z), rtol=1e-14)
+
+
+def test_elliptic_integrals_have_no_jumps():
+    """scipy's functions jump at rare amplitudes, as around this one (3.488 for 3.400): the integrals of an arc add up."""
+    m = np.full(2001, 0.37767431706)
+    amplitude = np.linspace(3.7344, 3.7345, 2001)
+    first, second = elastica.integrals(amplitude, m)
+    root = np.sqrt(1 - m * np.sin(amplitude) ** 2)
+    step = amplitude[1] - amplitude[0]
+    for values, rate in ((first, 1 / root), (second, root)):
+        np.testing.assert_allclose(np.diff(values), step * (rate[1:] + rate[:-1]) / 2, atol=3e-15)
+
+
+def test_points_of_a_continued_rod_do_not_jump():
+    """`partial_shape` continues past the contact; its points follow each other as evenly as their parameter."""
+    force, curvature = 3.1058634152465237, 2.1661069147803635
+    q = curvature / (2 * np.sqrt(force))
+    remaining = 2 * scipy.special.ellipk(q**2) + np.sqrt(force) * np.linspace(0, 1, 129)
+    x, y = elastica.partial_shape(np.zeros(129), np.full(129, q), remaining)
+    np.testing.assert_allclose(np.hypot(np.diff(x), np.diff(y)), np.sqrt(force) / 128, rtol=1e-4)
