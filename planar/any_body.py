@@ -99,6 +99,18 @@ def follow(outlines: Outlines, bases: list[Array], friction_angles: list[Array])
     ]
 
 
+def last_contacts(outlines: Outlines, bases: list[Array], friction_angles: list[Array]) -> list[float]:
+    """The last of the base positions of each sweep at which the rod touches; where the tables have one, theirs."""
+    touches = Singles(outlines, bases, friction_angles).touching()
+    if not all(rows.any() for rows in touches):
+        followed = follow(outlines, bases, friction_angles)
+        touches = [
+            rows if rows.any() else found.status != SweepStatus.FREE
+            for rows, found in zip(touches, followed, strict=True)
+        ]
+    return [float(base[np.flatnonzero(rows)[-1]]) for base, rows in zip(bases, touches, strict=True)]
+
+
 def _dense(start: float, base: Array) -> tuple[Array, Index]:
     """Base positions from the start on with steps of at most _STEP, and the rows of the given ones (n,)."""
     if not len(base):
@@ -128,6 +140,7 @@ class _Sweeps:
         self.outlines, self.bases, self.friction = outlines, bases, friction_angles
         m = len(bases)
         self.rods = free_rods(np.array([base[0] if len(base) else np.inf for base in bases]))
+        self.earlier = free_rods(self.rods.x0)  # one step before
         self.sample, self.stride = np.zeros(m, dtype=np.intp), np.full(m, _STEP)
         self.chain: list[Array | None] = [None] * m  # the last known shape of rods that are not resolved
         self.sampled = [free_rods(base) for base in bases]
@@ -210,6 +223,7 @@ class _Sweeps:
         trial = before.rows(np.arange(len(rows)))
         trial.x0 = np.maximum(before.x0 - self.stride[rows], aim)
         zeta = np.array([self.friction[i][self.sample[i]] for i in rows])
+        self._extrapolate(trial, rows)
         slips = ~trial.sticks
         trial.zeta = np.where(slips, np.copysign(zeta[:, None], trial.zeta), trial.zeta)
         lost = np.array([self.chain[i] is not None for i in rows])
@@ -228,6 +242,7 @@ class _Sweeps:
             good[folds], part, reached[folds] = self._around_corners(rows[folds], aim[folds], zeta[folds])
             trial.put(folds, part)
             self.stride[rows[folds]] = np.where(good[folds], _STEP / 4, self.stride[rows[folds]])
+        self.earlier.put(rows[good], self.rods.rows(rows[good]))
         self.rods.put(rows[good], trial.rows(good))
         self.shape[rows[good]] = reached[good]
         for k in np.flatnonzero(good & (trial.x0 <= aim)):
@@ -263,6 +278,19 @@ class _Sweeps:
         rods.put(tried, part)
         moved = np.hypot(*(points - self.shape[rows]).transpose(2, 0, 1)).max(axis=1)
         return good & (moved < _JUMP), rods, points
+
+    def _extrapolate(self, trial: Rods, rows: Index) -> None:
+        """Start values on the line through the last two states, where the contacts are the same."""
+        before, now = self.earlier.rows(rows), self.rods.rows(rows)
+        travel = before.x0 - now.x0
+        same = (travel > 0) & (before.count == now.count) & (now.count > 0)
+        same &= ((before.piece == now.piece) & (before.tip == now.tip) & ~before.sticks & ~now.sticks).all(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(same, np.minimum((now.x0 - trial.x0) / travel, 2.0), 0.0)
+        trial.kappa = now.kappa + share * (now.kappa - before.kappa)
+        for name in ("force", "s", "u"):
+            old, new = getattr(before, name), getattr(now, name)
+            setattr(trial, name, new + share[:, None] * (new - old))
 
     def _record(self, sweep: int, rod: Rods) -> None:
         sample = self.sample[sweep]

@@ -180,7 +180,7 @@ def carlson_integrals(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 
 
 def integrals(amplitude: Array, m: Array) -> tuple[Array, Array]:
-    """Legendre's F and E by Carlson's forms: scipy's ellipkinc and ellipeinc jump where ``tan² = 1/√(1 - m)`` up to rounding."""
+    """Legendre's F and E by Carlson's forms: scipy's functions jump where ``tan² = 1/√(1 - m)`` up to rounding."""
     periods = np.round(amplitude / np.pi)
     reduced = amplitude - np.pi * periods
     sine, cosine = np.sin(reduced), np.cos(reduced)

@@ -27,6 +27,8 @@ MOST = 3
 # Residual, in rod lengths and radians, at which the equations are solved, and the one that rounding may leave.
 _SOLVED, _ROUNDED = 1e-13, 1e-11
 _ITERATIONS = 16
+# Iterations after which one that does not halve the residual is the last.
+_PATIENT = 5
 # Step of the differences for Newton's derivatives: a root of rounding.
 _STEP = 1e-7
 # Largest changes in one iteration: of a place, in rod lengths, of a slope, of the curvature.
@@ -172,7 +174,7 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
     z = np.concatenate([rods.kappa[:, None], rods.force, rods.s, np.where(rods.sticks, rods.zeta, rods.u)], axis=1)
     found, best = np.zeros(m, dtype=bool), np.full(m, np.inf)
     rows = np.arange(m)
-    for _ in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
         part, here = rods.rows(rows), z[rows]
         step = _STEP * np.maximum(1.0, np.abs(here))
         varied = np.repeat(here[:, None], d + 1, axis=1)
@@ -185,7 +187,7 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         done = (size < _SOLVED) | ((size < _ROUNDED) & stalls)
         found[rows[done]] = True
         best[rows] = np.fmin(size, best[rows])
-        going = ~done & np.isfinite(values).all(axis=(1, 2))
+        going = ~done & ~(stalls & (iteration > _PATIENT)) & np.isfinite(values).all(axis=(1, 2))
         rows, value, slopes, part = rows[going], value[going], slopes[going], part.rows(going)
         if not len(rows):
             break

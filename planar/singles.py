@@ -135,6 +135,37 @@ class Singles:
     def ahead(self, starts: list[Start]) -> list[Ahead]:
         """What the samples of sweeps are from their starts on."""
         size = [len(self.bases[start.sweep]) - start.sample for start in starts]
+        found, rods, lines = self._drawn(starts, size)
+        answers, begin = [], 0
+        for start, count in zip(starts, size, strict=True):
+            rows = np.arange(begin, begin + count)
+            begin += count
+            holds = self._hold(start, lines.rows(rows), found.piece[rows])
+            if holds and start.rod is not None and not self._same(rods.rows(rows[:1]), start.rod):
+                holds = 0
+            answers.append(Ahead(rods.rows(rows), holds))
+        return answers
+
+    def touching(self) -> list[Mask]:
+        """Whether there is a rod in contact, and clear elsewhere, at the samples (n,) of each sweep, whatever came before."""
+        sweeps = np.flatnonzero(self.known)
+        touches = [np.zeros(len(base), dtype=bool) for base in self.bases]
+        if len(sweeps):
+            size = [len(self.bases[i]) for i in sweeps]
+            found, _, lines = self._drawn([Start(int(i), 0) for i in sweeps], size)
+            on = np.split(found.piece >= 0, np.cumsum(size)[:-1])
+            for i, rows, begin in zip(sweeps, on, np.cumsum(size) - size, strict=True):
+                touches[i] = rows
+                touches[i][rows] = ~clearance.crosses(*self._polygon(int(i)), lines.rows(begin + np.flatnonzero(rows)))
+        return touches
+
+    def _polygon(self, sweep: int) -> tuple[Array, Index]:
+        """Corners (v, 2) of a body, at the beginnings of its edges, and the ones that follow them."""
+        edges = self._edges[sweep]
+        return self.outlines.cubics[self.outlines.first[edges], 0], self._corner[self._next[edges]]
+
+    def _drawn(self, starts: list[Start], size: list[int]) -> tuple[_Places, Rods, clearance.Lines]:
+        """Candidates of the samples from the starts on, and their rods."""
         base = np.concatenate([self.bases[start.sweep][start.sample :] for start in starts])
         angle = np.concatenate([self.angles[start.sweep][start.sample :] for start in starts])
         found = self._candidates(starts, size, base, angle)
@@ -147,15 +178,7 @@ class Singles:
             lines[:, part] = clearance.lines(
                 base[part], rods.kappa[part], force * np.sin(alpha), -force * np.cos(alpha), s1
             )
-        answers, begin = [], 0
-        for start, count in zip(starts, size, strict=True):
-            rows = np.arange(begin, begin + count)
-            begin += count
-            holds = self._hold(start, clearance.Lines(*lines[:, rows]), found.piece[rows])
-            if holds and start.rod is not None and not self._same(rods.rows(rows[:1]), start.rod):
-                holds = 0
-            answers.append(Ahead(rods.rows(rows), holds))
-        return answers
+        return found, rods, clearance.Lines(*lines)
 
     def _same(self, one: Rods, other: Rods) -> bool:
         if one.count[0] != other.count[0]:
@@ -171,8 +194,7 @@ class Singles:
         if not n:
             return 0
         edges = self._edges[start.sweep]
-        corners = self.outlines.at(edges, np.zeros(len(edges))).point
-        following = self._corner[self._next[edges]]
+        corners, following = self._polygon(start.sweep)
         bad, touching = np.zeros(n, dtype=bool), piece[:n] >= 0
         if touching.any():
             bad[touching] = clearance.crosses(corners, following, rods.rows(np.flatnonzero(touching)))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planar import plots, rod_sweeps, segments
-from planar.any_body import Followed, SweepStatus, follow
+from planar.any_body import Followed, SweepStatus, follow, last_contacts
 from planar.arrays import BLOCK, Array, Index, Mask
 from planar.contours import Contour, Polygon, check_contour, mirrored
 from planar.loops import Outlines
@@ -416,9 +416,8 @@ def _sweep_any(
         # the rod can't reach farther than its length
         tries = [np.arange(start, part.low[k, 0] - 1.0, -_LOOK) for k, start in enumerate(starts)]
         least = [np.arctan(frictions[i].min(initial=np.inf if frictions[i].size else 0.0)) for i in unknown]
-        looked = follow(part, tries, [np.full(len(a), zeta) for a, zeta in zip(tries, least, strict=True)])
-        for i, start, base, found in zip(unknown, starts, tries, looked, strict=True):
-            end = base[np.flatnonzero(found.status != SweepStatus.FREE)[-1]]
+        ends = last_contacts(part, tries, [np.full(len(a), zeta) for a, zeta in zip(tries, least, strict=True)])
+        for i, start, end in zip(unknown, starts, ends, strict=True):
             x0[i] = start + spread * (end - start)
     base_positions = [base for base in x0 if base is not None]
     _check_sizes(frictions, base_positions)

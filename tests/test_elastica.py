@@ -4,8 +4,8 @@ Where the series is not accurate, scipy's functions replace it, so that an error
 """
 
 import numpy as np
-import scipy
 import pytest
+import scipy
 from scipy.special import elliprd, elliprf
 
 from planar import elastica
