@@ -38,7 +38,7 @@ _TESTED, _ZOOM, _ZOOMS = 129, 8, 6
 # Depth in the body, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
 _INSIDE, _ROUNDING = 1e-9, 1e-10
 # Changes of the contacts at one base position.
-_CHANGES = 14
+_CHANGES = 8
 # Movement of the rod, in rod lengths, beyond three times that of the base, that is a jump.
 _JUMP = 0.03
 # Distance between the chain that came to rest and the rod, in rod lengths, at which they are the same equilibrium.
