@@ -22,7 +22,7 @@ from scan3d import comparison
 from scan3d.calibration import report
 from scan3d.calibration.report import Calibration
 from scan3d.choices import Method, Model, Tare, one_of
-from scan3d.cloud import Cloud
+from scan3d.cloud import Cloud, NormalSource
 from scan3d.comparison import Comparison
 from scan3d.errors import InputError, import_open3d
 from scan3d.files.binary_tables import ENDING as PARQUET
@@ -246,12 +246,13 @@ def _with_quality(shape: Shape, truth: trimesh.Trimesh | _Path) -> Shape:
 def to_pandas(what: _Thing, truth: trimesh.Trimesh | _Path | None = None) -> pandas.DataFrame:
     """A table with a row for each contact, or each vertex of a surface, and those columns of `save` that are not empty.
 
-    Phases are words.  Raises InputError without pandas.
+    Phases and the sources of normals are words.  Raises InputError without pandas.
     """
     shape = to_shape(what, truth)
     columns: dict[str, Any] = {name: shape.rows[name] for name in shape.rows.dtype.names or ()}
-    if "phase" in columns:
-        columns["phase"] = words(columns["phase"], planar.Phase)
+    for name, kind in (("phase", planar.Phase), ("normal_source", NormalSource)):
+        if name in columns:
+            columns[name] = words(columns[name], kind)
     try:
         return to_frame(columns)
     except ImportError as error:
