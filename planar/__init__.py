@@ -25,7 +25,16 @@ in a clamp that gives.
 from planar.any_body import SweepStatus
 from planar.channels import Completed, complete
 from planar.contours import Circle, ClosedCurve, Contour, Contours, Curve, Ellipse, Polygon
-from planar.hidden import Recovered, constant_friction_angle, recover_at_tip, refuse_second_contacts, second_contacts
+from planar.hidden import (
+    Recovered,
+    constant_friction_angle,
+    corners,
+    first_contacts,
+    recover,
+    recover_at_tip,
+    refuse_second_contacts,
+    second_contacts,
+)
 from planar.landmarks import EventKind, Events, events
 from planar.lines import ElasticLines, elastic_lines
 from planar.march import free_reactions
@@ -60,13 +69,16 @@ __all__ = [
     "SweepStatus",
     "complete",
     "constant_friction_angle",
+    "corners",
     "elastic_lines",
     "errors",
     "events",
+    "first_contacts",
     "free_reactions",
     "free_space",
     "jacobian",
     "reconstruct",
+    "recover",
     "recover_at_tip",
     "refuse_second_contacts",
     "second_contacts",

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shapes import polar
 from test_several_contacts import REFERENCES
 
 import planar
@@ -9,7 +10,10 @@ from planar import (
     Phase,
     Status,
     constant_friction_angle,
+    corners,
+    first_contacts,
     free_space,
+    recover,
     recover_at_tip,
     refuse_second_contacts,
     second_contacts,
@@ -126,3 +130,35 @@ def test_what_rods_passed_is_free():
         low = border[border[:, 1] < 0.95 - 0.7 * np.abs(border[:, 1] - 0.95).max()]
         outward = low + 0.01 * (low - [0.0, 0.95]) / np.linalg.norm(low - np.array([0.0, 0.95]), axis=1)[:, None]
         assert (free.depth(outward) > 0).mean() > 0.5
+
+
+def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():
+    """A rod that passes a corner known from other sweeps touches it; what its tip touches is the body, or is not told."""
+    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    outline = np.stack(polar(0.3 * (1 + 0.25 * np.cos(5 * angle)), angle, 0.0, (0.0, 0.0)), axis=1)
+    turns = [np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) for t in (0.3, 1.2, 2.4)]
+    shifts = [np.array([0, 0.5 - (outline @ turn.T)[:, 1].min()]) for turn in turns]
+    contours = [planar.Polygon(outline @ turn.T + shift) for turn, shift in zip(turns, shifts, strict=True)]
+    swept = planar.sweep_all(contours, [0.3] * 3, samples=60)
+    columns = [(one.x0, one.f0x, one.f0y, one.m0z) for one in swept]
+    contacts = [planar.reconstruct(*reactions) for reactions in columns]
+    friction = np.tan(constant_friction_angle(contacts[0]))
+    assert friction == pytest.approx(0.3, abs=1e-9)
+    second = [second_contacts(one.x0, found, friction=friction) for one, found in zip(swept, contacts, strict=True)]
+    places = [
+        (found.point[(found.phase == Phase.TANGENTIAL) & ~rows] - shift) @ turn
+        for found, rows, turn, shift in zip(contacts, second, turns, shifts, strict=True)
+    ]
+    known = corners(np.concatenate(places))
+    assert (np.linalg.norm(known[:, None] - outline, axis=2).min(axis=1) < 1e-12).all()
+    recovered = 0
+    for one, reactions, found, rows, turn, shift in zip(swept, columns, contacts, second, turns, shifts, strict=True):
+        first = first_contacts(*reactions, found.s1, known @ turn.T + shift)
+        asked = rows | ((found.phase == Phase.NONE) & np.isfinite(one.f0x))
+        tips = recover(*reactions, first=np.where(asked, first, np.nan), friction=friction)
+        rows = np.isfinite(tips.force)
+        assert (one.status[rows] == planar.SweepStatus.SEVERAL_CONTACTS).all()
+        np.testing.assert_allclose(tips.point[rows], one.contacts["point"][rows, 1], atol=1e-10)
+        np.testing.assert_allclose(tips.first[rows], one.contacts["point"][rows, 0], atol=1e-10)
+        recovered += rows.sum()
+    assert recovered >= 3
