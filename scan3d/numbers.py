@@ -71,7 +71,8 @@ def moment(*newton_metres: float, digits: int = _DIGITS, up: bool = False) -> st
 
 def reaction_unit(largest: float, units: dict[str, Decimal]) -> tuple[str, Decimal]:
     """The one of the units of forces or moments in which those up to one in N or N m are written, and its size."""
-    return next((pair for pair in units.items() if largest >= pair[1]), next(iter(units.items())))
+    sizes = list(units.items())
+    return next((pair for pair in sizes if largest >= pair[1]), sizes[-1 if largest else 0])
 
 
 def _reaction(values: tuple[float, ...], units: dict[str, Decimal], digits: int, up: bool) -> str:

@@ -9,7 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import scan3d
-from scan3d.numbers import force, length, lengths, moment, number, plus_minus, point, share, unit_for, volume
+from scan3d.numbers import (
+    FORCES,
+    force,
+    length,
+    lengths,
+    moment,
+    number,
+    plus_minus,
+    point,
+    reaction_unit,
+    share,
+    unit_for,
+    volume,
+)
 from scan3d.units import UNITS_M
 
 SIZES = {"nm": 1e-9, "µm": 1e-6, "mm": 1e-3, "m": 1.0, "in": 0.0254}
@@ -55,6 +68,7 @@ def test_lengths_that_belong_together_have_one_unit_and_the_decimals_of_the_larg
 )  # fmt: skip
 def test_forces_moments_and_places(text, expected):
     assert text == expected
+    assert [reaction_unit(largest, FORCES)[0] for largest in (0.0, 2e-12, 3e-3, 40.0)] == ["N", "nN", "mN", "N"]
 
 
 def test_no_sentence_of_the_program_has_another_rule():
