@@ -122,7 +122,8 @@ def free_space(
     drawn = np.maximum(np.abs(moment[1:]), np.abs(moment[:-1])) / (8 * (_POINTS - 1) ** 2)
     known = np.asarray(single)[1:] & np.asarray(single)[:-1]
     known &= np.isfinite(rods[1:]).all(axis=(1, 2)) & np.isfinite(rods[:-1]).all(axis=(1, 2))
-    known &= np.hypot(*travel.T) <= _SNAPPED * np.abs(np.diff(base))
+    # beside a rod that is not known the sagitta is not either
+    known &= (np.hypot(*travel.T) <= _SNAPPED * np.abs(np.diff(base))) & np.isfinite(sagitta)
     loops = np.concatenate([rods[:-1], rods[1:, ::-1]], axis=1)
     return FreeSpace(loops[known], (sagitta + drawn)[known])
 

@@ -42,9 +42,11 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     refused = rows.refused()
     # at first rods with a second contact that only the others show are among those that pass
     passed = rows.passed(refused, rows.passed(refused, np.zeros_like(refused)))
-    if passed.sum() > _SECOND * len(cloud):
+    kept = (rows.touching & ~(refused | passed))[cloud.row]
+    # most of the rows that feel a force must be those of single contacts, for else nothing speaks for a rig that is right
+    if passed.sum() > _SECOND * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
         return cloud
-    single = cloud.select(~(refused | passed)[cloud.row])
+    single = cloud.select(kept)
     normals = _estimated_normals(single)
     known = np.isfinite(normals[:, 0])
     source = np.where(known, NormalSource.SLICES, NormalSource.UNKNOWN).astype(np.int8)
@@ -69,7 +71,8 @@ class _Rows:
         self.errors = planar.errors(force[:, 0], force[:, 1], moment, noise=noise)
         self.pressed = felt(force, noise)
         self.touching = np.zeros(len(moment), dtype=bool)
-        self.touching[cloud.row] = True
+        # the cloud allows for noise: some of its rows have no rod as they are
+        self.touching[cloud.row] = np.isfinite(self.found.point[cloud.row]).all(axis=1)
         order = np.argsort(recording.sweep, kind="stable")
         self.sweeps = np.split(order, np.flatnonzero(np.diff(recording.sweep[order])) + 1)
         first = np.array([rows[0] for rows in self.sweeps])
