@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from scan3d.bounds import certificate, enclosure, unbounded, withdrawn
+from scan3d.bounds.reach import reach as within_reach
 from scan3d.choices import NOT_CONVEX
 from scan3d.cloud import Cloud
 from scan3d.comparison import compare, compare_all
@@ -102,7 +103,7 @@ def scan(
     settings = dataclasses.asdict(chosen)
     if out is None:
         clock = Clock(step=step)
-        analysis = analyse(*record(clock), chosen.method, clock=clock)
+        analysis = analyse(*record(clock), chosen.method, reach=chosen.reach, clock=clock)
         return analysis, report(analysis, settings=settings, friction_set=chosen.friction, timings_s=clock.seconds)
     with replacing(out, inputs=read, overwrite=overwrite) as result:
         performed = _performed(record, result, settings, chosen.method, None, notify, step)
@@ -158,7 +159,7 @@ def _performed(
         def draw(cloud: Cloud, mesh: Any) -> None:
             drawing.begin(of_cloud(cloud, surface=mesh, truth=truth), _JOBS)
 
-        analysis = analyse(recording, truth, method, model, clock=clock, made=draw)
+        analysis = analyse(recording, truth, method, model, reach=settings.get("reach", 0.0), clock=clock, made=draw)
         bodies = ("surface", "true body")
         if truth is not None and (remark := unit_remark(analysis.surface.extents, truth.extents, bodies)):
             notify(remark)
@@ -179,6 +180,7 @@ def analyse(
     method: str = "auto",
     model: str | None = None,
     *,
+    reach: float = 0.0,
     clock: Clock | None = None,
     made: Callable[[Cloud, Any], None] = lambda _, __: None,
 ) -> Analysis:
@@ -190,6 +192,8 @@ def analyse(
         the method of the surface, as in `scan3d.surface`.
     model
         the model of contact, as in `scan3d.reconstruct`: spatial for six-axis recordings unless it is given.
+    reach
+        radius of the finest feature of a body that is not convex, as in `bounds.reach`; 0: not known.
     made
         is called with the contacts and the surface, as soon as both are known.
 
@@ -206,7 +210,7 @@ def analyse(
         warnings, diagnosis = checked(recording, cloud)
     with clock("bounds"):
         bounds = enclosure(cloud) if cloud.convex else unbounded(cloud)
-    found = None
+    found = reached = None
     with clock("surface"):
         if not cloud.convex:
             found = carved(recording, cloud)
@@ -220,12 +224,23 @@ def analyse(
     with clock("certificate"):
         if warnings or found is not None:
             bounds, certified = withdrawn(bounds, mesh)
+            if found is not None and reach:
+                reached = within_reach(recording, cloud, reach, mesh)
+                certified = certified._replace(bound=np.inf if warnings else reached.bound)
         else:
             certified = certificate(bounds, mesh, convex=mesh.metadata["method"] not in NOT_CONVEX)
     if cloud.convex:
         mesh.vertex_attributes["bound"] = certified.at_vertices
     analysis = Analysis(
-        recording, cloud, bounds, mesh, certified, carved=found, warnings=tuple(warnings), diagnosis=diagnosis
+        recording,
+        cloud,
+        bounds,
+        mesh,
+        certified,
+        carved=found,
+        reach=reached,
+        warnings=tuple(warnings),
+        diagnosis=diagnosis,
     )
     if truth is not None:
         with clock("compare"):
@@ -298,6 +313,9 @@ def _put_tables(analysis: Analysis, result: Replacement) -> None:
     result.put("cloud.ply", ply(cloud_table(cloud, analysis.contact_error), comments=comments))
     vertices = surface_table(mesh, mesh.vertex_attributes.get("bound"))
     result.put("surface.ply", ply(vertices, mesh.faces, comments=comments))
+    for name, body in (("outer", analysis.reach.outer), ("inner", analysis.reach.inner)) if analysis.reach else ():
+        if len(body.faces):
+            result.put(f"{name}.ply", ply(surface_table(body, None), body.faces, comments=comments))
 
 
 _JOBS = [(".png", {"view": name}) for name in PICTURES]

@@ -17,7 +17,8 @@ from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array
-from scan3d.bounds import Allowed, Certificate, Enclosure, allowed, certificate, missing, premises
+from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
+from scan3d.bounds.reach import Reach
 from scan3d.cloud import Cloud
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
@@ -70,6 +71,8 @@ class Analysis:
     """Time spent on each step."""
     carved: Carved | None = None
     """What is known of a body that is not convex, and where; None for a convex one."""
+    reach: Reach | None = None
+    """What a stated finest feature bounds; None without one, and for convex bodies."""
     warnings: tuple[Contradiction, ...] = ()
     """Contradictions between the recording and the model; with any of them nothing is certified."""
     diagnosis: Diagnosis | None = None
@@ -230,6 +233,12 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
     bound, bounds, cloud = analysis.certificate.bound, analysis.bounds, analysis.cloud
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     assumed = premises(analysis.recording, cloud, {warning.code for warning in analysis.warnings})
+    if (reached := analysis.reach) is not None:
+        outcome = reached.refuted or reached.unbounded or "contacts and free space do not contradict it"
+        what = (
+            "a body, and surroundings, without features finer than the reach, without cavities and touched in each part"
+        )
+        assumed += (Premise(what, True, outcome),)
     return {
         "bound": bound,
         "relative": bound / diagonal,

@@ -67,11 +67,18 @@ class Settings:
     method: Method = _setting(
         "auto", "surface from the contacts; bracket estimates it between the certified bounds, auto chooses"
     )
+    reach: float = _setting(
+        0.0,
+        "radius, in the mesh's unit, of the finest feature of a body that is not convex, its gaps, edges and grooves included, "
+        "which bounds it from both sides; 0: not known",
+    )
     hull: bool = _setting(False, "scan the convex hull of a body that is not convex")
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise InputError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
+        if not 0 <= self.reach < float("inf"):
+            raise InputError(f"reach must be a radius >= 0, got {self.reach}")
 
     def plan(self) -> Plan:
         """The plan that the settings describe.  Raises InputError that names the invalid setting."""
@@ -112,6 +119,7 @@ class Given(TypedDict, total=False):
     seed: int
     unit: Unit
     method: Method
+    reach: float
     hull: bool
 
 

@@ -10,7 +10,9 @@ from scan3d.bounds import reach as module
 from scan3d.bounds.reach import reach
 from scan3d.errors import InputError
 from scan3d.geometry.distance import Search
+from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
+from scan3d.report import report
 
 TOP = np.sqrt(18.0**2 + 19.08**2)
 # one slice beyond either end, which is empty
@@ -52,6 +54,17 @@ def test_the_body_lies_between_the_two_and_within_the_bound():
         excess = (radius**2 + z**2 + 18.0**2) ** 2 - 4 * 18.0**2 * z**2 - 19.08**4
         assert ((excess < 0) == inside).all()
     assert found.bound < 7.0  # of which the grid of 0.8 mm takes more than half
+
+
+def test_the_report_of_a_thick_rods_scan_has_the_bound_and_its_premise():
+    recording, _ = peanut()
+    analysis = analyse(recording, reach=5.0)
+    assert recording.rod.diameter_m > 0
+    assert not analysis.warnings
+    assert analysis.surface.metadata["method"] == "carved"
+    certificate = report(analysis, settings={})["certificate"]
+    assert 0 < certificate["bound"] == analysis.reach.bound < 7.0
+    assert "without features finer than the reach" in certificate["premise"]
 
 
 def test_a_reach_that_the_waist_does_not_have_is_refuted():

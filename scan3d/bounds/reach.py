@@ -51,15 +51,18 @@ class Reach:
     inner: Any
     """A `trimesh.Trimesh` in the body; empty where there is none."""
     bound: float
-    """Largest distance between a closed surface between the two and that of the body; infinite where nothing bounds it."""
+    """Upper bound of the Hausdorff distance between the surface and that of the body; infinite where nothing bounds it."""
     refuted: str | None
     """What contradicts the premise, in a sentence; None if nothing does."""
     unbounded: str | None
     """Why there is no bound although nothing refutes the premise, in a sentence; None if there is one."""
 
 
-def reach(recording: Recording, cloud: Cloud, R: float) -> Reach:
+def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> Reach:
     """The outer and the inner body of a body without features finer than R, in the cloud's unit, by all slices together.
+
+    surface
+        a closed `trimesh.Trimesh` that the bound is for; None: any between the two bodies.
 
     Raises InputError for an R that is no positive number or too fine for the grid, and as `surfaces.carved`.
     """
@@ -124,7 +127,15 @@ def reach(recording: Recording, cloud: Cloud, R: float) -> Reach:
     else:
         between = (to_body <= level) & (to_air <= level)
         to_outer, to_inner = grid.from_cells(to_body > level), grid.from_cells(to_air > level)
-        bound = float(np.maximum(to_outer, to_inner)[between].max(initial=0.0) + half)
+        wide = np.maximum(to_outer, to_inner)
+        bound = float(wide[between].max(initial=0.0) + half)
+        if surface is not None:
+            # from each face to the body's surface, which lies between the two, and back from all between the two
+            corners = np.asarray(surface.triangles)
+            middle = corners.mean(axis=1)
+            there = grid.at(wide, middle) + np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+            back = cKDTree(np.concatenate([middle, surface.vertices])).query(grid.centres(between))[0]
+            bound = float(max(there.max(), back.max(initial=0.0)) + half)
     return Reach(outer, inner, bound, refuted, unbounded)
 
 

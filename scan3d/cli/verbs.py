@@ -161,6 +161,7 @@ def reconstruct(
     truth: Mesh | None = None,
     hull: Flag = False,
     method: Method = "auto",
+    reach: float = 0.0,
     model: Model | None = None,
     rig: Rig = None,
     table: float | None = None,
@@ -191,6 +192,8 @@ def reconstruct(
         take the convex hull of the true body
     method
         surface from the contacts; bracket estimates it between the certified bounds, auto chooses
+    reach
+        radius, in the recording's unit, of the finest feature of a body that is not convex, which bounds it; 0: not known
     model
         model of contact (default: spatial for a recording with six axes, else planar)
     rig
@@ -214,6 +217,7 @@ def reconstruct(
         "truth": truth is not None,
         "hull": hull,
         "method": method != "auto",
+        "reach": reach != 0,
         "model": model is not None,
         "rig": rig is not None,
         "table": table is not None,
@@ -231,7 +235,7 @@ def reconstruct(
         f"one sweep in one plane, which {recording.name} is not",
     )
     # the remaining settings concern the simulation
-    used = {"method": method, "hull": hull}
+    used = {"method": method, "hull": hull, **({"reach": reach} if reach else {})}
     settings(used)
 
     def read() -> tuple[Any, Any]:

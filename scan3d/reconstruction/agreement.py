@@ -9,6 +9,7 @@ What is compared are the misfits of `misfits`; further tests look at the poses, 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +83,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
     else:
         touched = cloud.fattened or cloud  # by the rod's centre line
         alone = _off_line(recording) + _out_of_plane(recording, touched) + alone
-        found = _in_slices(recording, touched)
+        found = _in_slices(recording, replace(touched, convex=cloud.convex, second=cloud.second))
     if alone:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
