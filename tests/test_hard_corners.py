@@ -71,14 +71,12 @@ def test_all_hard_corners(friction):
     assert (status != SweepStatus.UNRESOLVED).mean() > 0.97
 
 
-@pytest.mark.trust
-def test_teeth_finer_than_the_chain_are_not_called_free():
-    """A rod that lies on a row of teeth may be lost, which is said, until it is known to have left them."""
+def test_teeth_finer_than_the_chain_are_touched_one_after_the_other():
     saw = block(*teeth(0.01, 40))
     outlines = Outlines([saw.loops()])
     base = np.linspace(outlines.touch_down(0) - 1e-3, -0.15, 30)
     found = follow(outlines, [base], [np.full(30, np.arctan(0.3))])[0]
-    assert (found.status != SweepStatus.FREE).all()
+    assert ((found.status == SweepStatus.ONE_CONTACT) | (found.status == SweepStatus.SEVERAL_CONTACTS)).all()
 
 
 @pytest.mark.trust

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from shapes import letter_l_outline, star
+from test_hard_corners import CORNERS
 
 import planar
 from planar import any_body, clearance, singles
@@ -76,17 +77,20 @@ def test_clearance_agrees_with_signed_distances(polygon):
     np.testing.assert_array_equal(crossing, gap.min(axis=1) < 0)
 
 
+class Without(singles.Singles):
+    """Tables that know nothing, so that every rod is followed."""
+
+    def __init__(self, *columns):
+        super().__init__(*columns)
+        self.known[:] = False
+
+
 @pytest.mark.parametrize("friction", [0.3, (0.1, 0.4)], ids=["constant", "per sample"])
 def test_sweeps_led_by_tables_are_those_that_follow_the_rod(friction, monkeypatch):
     """Every sample, those with two contacts and behind snaps as well, but for one at which a snap may come a sample apart."""
     polygon, base = planar.Polygon(letter_l_outline(4.5)), np.linspace(0.25, -1.15, 29)
     mu = friction if np.ndim(friction) == 0 else np.random.default_rng(8).uniform(*friction, len(base))
     led = planar.sweep(polygon, mu, base=base)
-
-    class Without(singles.Singles):
-        def __init__(self, *columns):
-            super().__init__(*columns)
-            self.known[:] = False
 
     monkeypatch.setattr(any_body, "Singles", Without)
     followed = planar.sweep(polygon, mu, base=base)
@@ -95,3 +99,16 @@ def test_sweeps_led_by_tables_are_those_that_follow_the_rod(friction, monkeypatc
     assert (~same).sum() <= 1
     assert (led.status == planar.SweepStatus.SEVERAL_CONTACTS).any()
     assert (led.status == planar.SweepStatus.FREE).any()
+
+
+@pytest.mark.trust
+def test_hard_corners_led_by_tables_are_those_that_follow_the_rod(monkeypatch):
+    names = ["a slot narrower than the bent rod", "a wedge of 20 degrees", "a hook", "a hook the other way"]
+    outlines = Outlines([CORNERS[name].loops() for name in names])
+    bases = [np.linspace(outlines.touch_down(i) - 1e-3, outlines.low[i, 0] - 0.9, 40) for i in range(len(names))]
+    angles = [np.full(40, np.arctan(0.3))] * len(names)
+    led = any_body.follow(outlines, bases, angles)
+    monkeypatch.setattr(any_body, "Singles", Without)
+    for one, other in zip(led, any_body.follow(outlines, bases, angles), strict=True):
+        np.testing.assert_array_equal(one.status, other.status)
+        np.testing.assert_allclose(one.reactions, other.reactions, atol=1e-8)
