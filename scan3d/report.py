@@ -252,7 +252,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
         "grown": _grown(analysis.recording),
-        "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _calibration_off(cloud, bounds),
+        "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _systematic_off(cloud, bounds),
         "volume": list(bounds.volume),
     }
 
@@ -273,7 +273,7 @@ def _noise(analysis: Analysis) -> dict[str, float]:
 def _budget(analysis: Analysis) -> dict[str, Any]:
     """The error of each step: its certified upper bound, and its actual value where the truth is known."""
     bounds, contact_error, comparison = analysis.bounds, analysis.contact_error, analysis.comparison
-    parts, calibration = bounds.parts(), _calibration_off(analysis.cloud, bounds)
+    parts, systematic = bounds.parts(), _systematic_off(analysis.cloud, bounds)
     causes = [_CAUSES[name] for name in parts]
 
     def step(guaranteed: float, actual: float | None) -> dict[str, float | None]:
@@ -282,10 +282,10 @@ def _budget(analysis: Analysis) -> dict[str, Any]:
     return {
         "unit": analysis.cloud.unit,
         "contacts_off": step(
-            _noise_off(analysis.cloud, bounds) + sum(calibration.values()),
+            _noise_off(analysis.cloud, bounds) + sum(systematic.values()),
             None if contact_error is None else float(contact_error.max()),
         ),
-        **{name: step(size, None) for name, size in calibration.items()},
+        **{name: step(size, None) for name, size in systematic.items()},
         **{_CAUSES[name]: step(gap, None) for name, gap in parts.items()},
         "hull": step(bounds.bound, analysis.hull_error),
         "surface": step(analysis.certificate.bound, None if comparison is None else comparison.hausdorff),
@@ -391,15 +391,15 @@ def _noise_off(cloud: Cloud, bounds: Enclosure) -> float:
     return bounds.margin + allow.kappa * float(cloud.place_sd.max())
 
 
-def _calibration_off(cloud: Cloud, bounds: Enclosure) -> dict[str, float]:
-    """The largest error of a contact by the rig's calibration that the bounds allow for, as ``{"calibration": size}``.
+def _systematic_off(cloud: Cloud, bounds: Enclosure) -> dict[str, float]:
+    """The largest error of a contact that is the same in all rows, as ``{"systematic": size}``, as the bounds allow for it.
 
-    Without a calibration the dictionary is empty.
+    It is that of the rig's calibration and of the wrench; without either the dictionary is empty.
     """
     if cloud.calibration is None:
         return {}
     allow = _allowed(cloud, bounds)
-    return {"calibration": 0.0 if allow is None else allow.largest}
+    return {"systematic": 0.0 if allow is None else allow.largest}
 
 
 def _calibration(recording: Recording, cloud: Cloud) -> dict[str, Any]:
@@ -638,7 +638,7 @@ def _calibration_rows(data: Mapping[str, Any]) -> Rows:
     rig = data.get("calibration")
     if not rig:
         return []
-    size, unit = data["certificate"]["parts"]["calibration"], data["certificate"]["unit"]
+    size, unit = data["certificate"]["parts"]["systematic"], data["certificate"]["unit"]
     exact = rig["taken_as_exact"]
     unknown = f"; not determined by it, and taken as exact: {', '.join(exact)}" if exact else ""
     return [("calibration", f"allowed for with up to {length(size, unit, up=True)} at a contact{unknown}")]

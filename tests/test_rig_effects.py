@@ -218,9 +218,9 @@ def test_the_report_names_its_size(flat):
     rig = dataclasses.replace(typical(six=False), exact=("length_m",))
     analysis = analyse(dataclasses.replace(flat, rig=rig), method="hull")
     data = scan3d.report.report(analysis, settings={})
-    off = data["certificate"]["parts"]["calibration"]
+    off = data["certificate"]["parts"]["systematic"]
     assert off == pytest.approx(allowed(analysis.cloud).factor * analysis.cloud.calibration.place_sd.max())
-    assert data["error_budget"]["calibration"]["at_most"] == off
+    assert data["error_budget"]["systematic"]["at_most"] == off
     assert data["error_budget"]["contacts_off"]["at_most"] >= off
     assert data["calibration"]["taken_as_exact"] == ["length_m"]
     assert data["calibration"]["independent_errors"] == 9
@@ -231,5 +231,5 @@ def test_the_report_names_its_size(flat):
     assert rows["calibration"].endswith("not determined by it, and taken as exact: length_m")
     plain = scan3d.report.report(analyse(flat, method="hull"), settings={})
     assert "calibration" not in plain
-    assert "calibration" not in plain["certificate"]["parts"]
+    assert "systematic" not in plain["certificate"]["parts"]
     assert "calibration" not in dict(summary(plain).rows)

@@ -26,7 +26,7 @@ from scan3d.geometry.sections import slice_frame, slice_polygons
 STEPS = 6
 """Steps of the integration; the last correction of all."""
 # Places of the path along a contour, and the slopes between which it is followed.
-_PLACES, _FIRST, _LAST = 160, np.radians(88.0), np.radians(-65.0)
+_PLACES, _FIRST, _LAST = 96, np.radians(88.0), np.radians(-65.0)
 # Nodes and weights on [0, 1] for the integrals of the uniform rod, which the corrections start from.
 _NODES, _WEIGHTS = (np.polynomial.legendre.leggauss(16) + np.array([[1.0], [0.0]])) / 2
 # Residuals of a rod that is solved, and the shortest arc length to a contact.
@@ -156,7 +156,7 @@ def equilibria(rod, height, slope, zeta, down, homotopy=1, steps=STEPS):
             given = dict(is_tip=is_tip, height=height, slope=slope, direction=direction, down=down)
             for part in range(homotopy):
                 u, *_ = _corrected(partial(_ended, rod=rod.part((part + 1) / homotopy), steps=3, **given), u, 3)
-            u, missed, end = _corrected(partial(_ended, rod=rod, steps=steps, **given), u, 3)
+            u, missed, end = _corrected(partial(_ended, rod=rod, steps=steps, **given), u, 2)
             good = (np.abs(missed).max(axis=0) < _SOLVED) & (u[0] > 0)
             good &= (u[1] >= slope) if is_tip else (u[1] <= 1) & (u[1] > _SHORTEST)
             reaction = -(u[0] ** 2 * direction + rod.weight * down)
