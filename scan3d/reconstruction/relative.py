@@ -4,13 +4,14 @@ Where sweeps touch the same place, their contacts and supporting lines agree, wh
 one and the sensor right.  Where contacts of one sweep lie beyond the lines of another one by more than noise explains, the
 excess is put down to a relative error of the wrench, by two estimates, of which the larger one counts:
 
-- by all pairs of a contact and the nearest line of another sweep, with the method of moments: a contact of a convex body lies
-  on the inner side of the line, so that the squares of the positive distances, over their variances by the noise, are 1 in the
-  mean at most.  What they are more, over the same of a relative error of 1, is the square of the error (as R. DerSimonian and
-  N. Laird, *Meta-analysis in clinical trials*, 1986, estimate a variance that is common to several studies);
-- by the one pair of which most is left that noise does not explain.
+- by means over a few successive contacts of a sweep, each with the nearest line of another sweep, by the method of moments:
+  contacts of a convex body lie on the inner sides of the lines, so that the squares of the positive means, over their variances
+  by the noise, are 1 in the mean at most.  What they are more, over the same of a relative error of 1, is the square of the
+  error (as R. DerSimonian and N. Laird, *Meta-analysis in clinical trials*, 1986, estimate a variance that is common to several
+  studies).  An error of the wrench is nearly the same in successive contacts, and noise is not, which means tell apart;
+- by the one pair of a contact and a line of which most is left that noise does not explain.
 
-An error of the wrench shows in many pairs: a few that contradict each other, as disturbed rows and dents do, are none.  Both
+An error of the wrench shows in many means: a few that contradict the rest, as disturbed rows and dents do, are none.  Both
 estimates see differences only.  What is the same in all sweeps shows nowhere, and the bounds allow for it with the factor of
 all errors of the given size at once (`scan3d.rigs.RigErrors.factor`).
 """
@@ -26,7 +27,7 @@ from scipy.special import chdtri
 
 from scan3d.arrays import Array, Index
 from scan3d.cloud import Cloud
-from scan3d.reconstruction.agreement import FALSE_ALARM, Compared, compared_in_slices
+from scan3d.reconstruction.agreement import Compared, compared_in_slices
 from scan3d.reconstruction.contacts import by_model, contacts
 from scan3d.reconstruction.errors import with_rig_errors
 from scan3d.reconstruction.hollow import without_second_contacts
@@ -37,8 +38,10 @@ from scan3d.rigs import with_relative
 LARGEST = 0.005
 """Largest relative error that is allowed for; errors of the second order, of the size of its square times the square of the
 factor, are not.  A recording with a larger one contradicts the model."""
-# The most that one pair counts as evidence: that of three standard deviations.
-_ONE_PAIR = 9.0
+# Probability that noise alone shows an error, so that bounds are wider than they need be.
+_DOUBT = 0.05
+# Successive contacts over which a mean is taken, and the most that one mean counts: that of three standard deviations.
+_RUN, _ONE_MEAN = 4, 9.0
 # Estimates with contacts that earlier ones have changed; an estimate that is not smaller than this part of the one before it is
 # the last one, and none counts as smaller than the other part of it, because an error that is too large leaves few lines.
 _PASSES, _SETTLED, _SMALLER = 6, 0.8, 0.25
@@ -93,39 +96,63 @@ def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Rec
     return found
 
 
-class _Pairs(NamedTuple):
-    """Contacts that lie beyond the nearest line of another sweep, and by how much."""
+class _Means(NamedTuple):
+    """Weighted means of how far successive contacts of a sweep lie beyond the nearest lines of another one, of t pairs."""
 
     line: Index
-    """(p,) rows of the matrices of `Compared`."""
+    """(t,) rows of the matrices of `Compared`."""
     contact: Index
-    """(p,) columns of them."""
-    square: Array
-    """(p,) squares of the distances beyond the lines, over their variances by the noise."""
+    """(t,) columns of them."""
+    mean: Index
+    """(t,) number of the mean that the pair is in."""
+    weight: Array
+    """(t,) of sum 1 in each mean."""
+    value: Array
+    """(p,) the means, as far as noise has to explain them."""
     variance: Array
-    """(p,)"""
+    """(p,) by the noise."""
+
+    @property
+    def square(self) -> Array:
+        """(q,) squares of the positive means over their variances."""
+        return (self.value**2 / self.variance)[self.value > 0]
+
+    def over_noise(self, deviation: Array) -> Array:
+        """(q,) squares of the positive means over their variances, of distances (k, m) that are errors of one sign."""
+        found = np.bincount(self.mean, self.weight * deviation[self.line, self.contact], len(self.value))
+        return (found**2 / self.variance)[self.value > 0]
 
 
-def _pairs(compared: Compared, cloud: Cloud) -> _Pairs:
-    """The pairs of a slice."""
+def _means(compared: Compared, cloud: Cloud) -> _Means:
+    """Those of a slice."""
     sweep, each = cloud.sweep[compared.rows], np.arange(len(compared.some))
     apart = cdist(compared.points[compared.lines], compared.points[compared.some])
     apart[sweep[compared.lines][:, None] == sweep[compared.some]] = np.inf
     nearest = apart.argmin(axis=0)
+    contact = np.flatnonzero(np.isfinite(apart[nearest, each]))
+    line = nearest[contact]
     # errors by digits alone are not independent
     explained = compared.systematic if cloud.independent else compared.misfit.explained
-    beyond = (compared.misfit.found - explained)[nearest, each]
-    # of the contacts that have a line in common the nearest one counts: the others have the same error of that line
-    order = np.lexsort((apart[nearest, each], nearest))
-    first = order[np.append(True, np.diff(nearest[order]) > 0)]
-    kept = np.zeros(len(each), dtype=bool)
-    kept[first] = ((beyond > 0) & np.isfinite(apart[nearest, each]))[first]
-    variance = np.full(len(each), (ROUNDING * cloud.rod_length) ** 2)
+    beyond = (compared.misfit.found - explained)[line, contact]
+    own = of_line = turned = np.zeros(len(line))
     if cloud.covariance is not None and cloud.normal_sd is not None:
-        by_noise = compared.variance(compared.errors(1.0, cloud.covariance, cloud.normal_sd))
-        variance += by_noise[nearest, each]
-    square = beyond**2 / variance
-    return _Pairs(nearest[kept], each[kept], square[kept], variance[kept])
+        error = compared.errors(1.0, cloud.covariance, cloud.normal_sd)
+        own, of_line, turned = (
+            np.broadcast_to(part, compared.misfit.found.shape)[line, contact] for part in compared.deviations(error)
+        )
+    rounding = (ROUNDING * cloud.rod_length) ** 2
+    sweeps = np.stack([sweep[compared.some[contact]], sweep[compared.lines[line]]])
+    begins = (np.diff(sweeps, axis=1, prepend=-1) != 0).any(axis=0)
+    stretch = np.cumsum(begins) - 1
+    within = np.arange(len(line)) - np.flatnonzero(begins)[stretch]
+    mean = np.cumsum(within % _RUN == 0) - 1
+    weight = 1 / (own**2 + of_line**2 + turned**2 + rounding)
+    weight /= np.bincount(mean, weight)[mean]
+    # contacts that have a line in common have the same error of that line
+    both, pair = np.unique(np.stack([mean, line]), axis=1, return_inverse=True)
+    shared = sum(np.bincount(pair.reshape(-1), weight * part) ** 2 for part in (of_line, turned))
+    variance = np.bincount(mean, weight**2 * own**2) + np.bincount(both[0], shared) + rounding
+    return _Means(line, contact, mean, weight, np.bincount(mean, weight * beyond), variance)
 
 
 def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
@@ -135,9 +162,9 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
     """
     total, count = 0.0, 0
     for compared in compared_in_slices(cloud):
-        square = _pairs(compared, cloud).square
-        total, count = total + float(np.minimum(square, _ONE_PAIR).sum()), count + len(square)
-    if not count or total <= chdtri(count, FALSE_ALARM):
+        square = _means(compared, cloud).square
+        total, count = total + float(np.minimum(square, _ONE_MEAN).sum()), count + len(square)
+    if not count or total <= chdtri(count, _DOUBT):
         return 0.0, 0.0
     of_unit = with_rig_errors(replace(cloud, calibration=None), replace(recording, rig=with_relative(None, LARGEST)))
     unit, cloud = of_unit.calibration, cloud.select(np.isin(cloud.row, of_unit.row))
@@ -145,9 +172,9 @@ def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:
     by_all, expected, worst, hidden = 0.0, 0.0, 0.0, 0.0
     for compared in compared_in_slices(cloud):
         error = compared.errors(1.0, unit.covariance, unit.tilt_sd)
-        pairs, sum_of = _pairs(compared, cloud), sum(compared.deviations(error))
+        means, sum_of = _means(compared, cloud), sum(compared.deviations(error))
         worst = max(worst, float(((compared.misfit.found - compared.misfit.explained) / sum_of).max()))
         hidden = max(hidden, float(((compared.misfit.found - compared.systematic) / sum_of).max()))
-        by_all += float((pairs.square - 1).sum())
-        expected += float((compared.variance(error)[pairs.line, pairs.contact] / pairs.variance).sum())
-    return LARGEST * max(float(np.sqrt(by_all / expected)), worst), LARGEST * hidden
+        by_all += float((means.square - 1).sum())
+        expected += float(means.over_noise(np.sqrt(compared.variance(error))).sum())
+    return LARGEST * max(float(np.sqrt(max(by_all, 0.0) / expected)), worst), LARGEST * hidden
