@@ -76,7 +76,7 @@ class Analysis:
     warnings: tuple[Contradiction, ...] = ()
     """Contradictions between the recording and the model; with any of them nothing is certified."""
     diagnosis: Diagnosis | None = None
-    """The likeliest fault of a recording that contradicts the model; None without warnings."""
+    """The likeliest fault of a recording that contradicts the model, or whose sweeps differ by what the bounds allow for."""
 
     def __repr__(self) -> str:
         return f"Analysis of {len(self.recording)} samples: {len(self.cloud)} contacts, {len(self.surface.faces)} faces"

@@ -89,11 +89,11 @@ def heavy(weight, tared, noise=0.0, seed=0, heights=4, directions=6):
         distance, down = 0.62 + np.hypot(*(sizes * axes[1, :2])) / 2, -axes[:2, 1]
         bent = planar.Rod(weight=weight, gravity=down)
         swept = planar.sweep(planar.Ellipse(sizes, (0.0, distance), -turn), friction=0.3, samples=30, rod=bent)
-        reactions = np.stack([swept.f0x, swept.f0y, swept.m0z], axis=1)
-        if tared:
-            reactions -= planar.march.free_reactions(bent)
-        reactions = reactions[touching := np.isfinite(swept.m0z)]
-        place = np.outer(swept.x0[touching], axes[0]) - distance * axes[1] + [0, 0, 0.35 * height]
+        touching, air = np.isfinite(swept.m0z), np.array(planar.march.free_reactions(bent))
+        reactions = np.stack([swept.f0x, swept.f0y, swept.m0z], axis=1)[touching]
+        reactions = np.vstack([air, air, reactions]) - air * tared
+        base = np.concatenate([swept.x0[touching][0] + [0.1, 0.05], swept.x0[touching]])  # each sweep begins in the air
+        place = np.outer(base, axes[0]) - distance * axes[1] + [0, 0, 0.35 * height]
         turns = np.tile(Rotation.from_matrix(axes.T).as_quat(scalar_first=True), (len(place), 1))
         columns.append((np.full(len(place), number), place, turns, reactions))
     sweep, place, turns, reactions = (np.concatenate(column) for column in zip(*columns, strict=True))
@@ -238,15 +238,22 @@ FRAMES = [((0, 30, 0), (0, -20, 0)), ((-20, 0, 40), (3, 25, -30)), ((0, 0, 90), 
     ],
 )
 def test_a_sensor_that_is_turned_and_beside_the_clamp_is_named(recording, angles, place):
-    """Neither of the two faults alone explains it; under noise the turn about the rod is good to some degrees only."""
+    """Neither of the two faults alone explains it; under noise the angle has an interval, since the misfit is nearly flat."""
     found = diagnosed(changed(recording(), sensor(angles, place)))
     assert found.fault == "turned-and-moved", found
     turn = Rotation.from_euler("xyz", angles, degrees=True)
-    noisy = recording().noise_force_N > 0
-    assert found.value == pytest.approx(np.degrees(turn.magnitude()), abs=8 if noisy else 3)
+    true = np.degrees(turn.magnitude())
     assert "noise hides some degrees of a turn about the rod" in found.message
+    if recording().noise_force_N:
+        low, high = found.interval
+        assert low <= true <= high
+        assert high - low < 60
+        assert f"sizes from {low:.3g} to {high:.3g} deg explain it alike" in found.message
+        return
+    assert found.interval is None
+    assert found.value == pytest.approx(true, abs=3)
     euler, position = (json.loads(part) for part in re.findall(r"= (\[.*?\])", found.message)[:2])
-    assert euler == pytest.approx(angles, abs=8 if noisy else 6)
+    assert euler == pytest.approx(angles, abs=6)
     assert position == pytest.approx(place, abs=4)
 
 
@@ -303,13 +310,13 @@ def test_a_rod_that_is_not_the_stated_one_is_named_or_among_what_is_alike(kind, 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("weight", "tared", "noise"),
-    [trusted(weight, tared, noise) for weight in (0.01, 0.1) for tared in (True, False) for noise in (0.0, 1e-3)],
+    [trusted(weight, tared, noise) for weight in (0.01, 0.04, 0.1) for tared in (True, False) for noise in (0.0, 1e-3)],
 )
 def test_the_weight_of_a_rod_is_named(weight, tared, noise):
     recording = heavy(weight, tared, noise)
     found = checked(recording, scan3d.reconstruct(recording)).diagnosis
     if noise and (found is None or found.fault == "several"):
-        assert found is None or "weight of" in found.message
+        assert found is None or "weight" in found.alike
         return
     assert found.fault == "weight", found
     assert found.value == pytest.approx(weight * recording.rod.force_unit_N, rel=0.2 if noise else 1e-3)

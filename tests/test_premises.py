@@ -15,6 +15,7 @@ from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.diagnosis import Diagnosis
 from scan3d.reconstruction.relative import LARGEST
 from scan3d.report import report, summary
+from tests.robustness import faults
 
 BODY = trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0]))
 ROD = replace(scan3d.Rod.of_length(0.028), diameter_m=0.0)
@@ -114,6 +115,17 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
     rows = dict(summary(data).rows)
     assert "of the wrench, which the bounds allow for" in rows["tested"]
     assert data["certificate"]["relative_error"] == analysis.cloud.calibration.relative
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["none", "weight of steel 0.3x50"])
+def test_nothing_is_false_for_a_rod_that_was_integrated_on_its_own(fault):
+    """A short version of `tests.robustness.faults`: a polytope, which few places show to be touched by another rod."""
+    found = faults.outcome(1, 8, 1e-3, fault)
+    assert found.false == []
+    assert found.cause != "FALSE"
+    assert (found.relative > 0) == (fault != "none")
+    assert np.isfinite(found.bound)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])

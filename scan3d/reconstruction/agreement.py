@@ -72,7 +72,7 @@ class Checked(NamedTuple):
     contradictions: list[Contradiction]
     """Empty if it agrees."""
     diagnosis: Diagnosis | None
-    """The likeliest fault; None if it agrees."""
+    """The likeliest fault; None if it agrees, or if its sweeps differ by what the bounds allow for and no fault explains it."""
 
 
 def checked(recording: Recording, cloud: Cloud) -> Checked:
@@ -88,9 +88,12 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
         diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
-    if found and (diagnosis is None or cloud.model == "spatial"):
+    differs = cloud.calibration is not None and cloud.calibration.relative > 0
+    if (found or differs) and (diagnosis is None or cloud.model == "spatial"):
         diagnosis = diagnose(recording, cloud.model)
-        found = [each._replace(message=f"{each.message}; {diagnosis.message}") for each in found]
+        if not found and diagnosis.fault == "unknown":
+            diagnosis = None
+        found = [each._replace(message=f"{each.message}; {diagnosis.message}") for each in found if diagnosis]
     return Checked(alone + found if cloud.model == "planar" else found + alone, diagnosis)
 
 

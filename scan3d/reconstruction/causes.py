@@ -66,7 +66,7 @@ _DISTANCES = np.geomspace(0.03, 0.5, 4)
 # Of rods: the logarithm of tip over clamp diameter, curvature in 1/L, and logarithms of weight in EI/L² and of compliance in
 # radians per EI/L, over a tenth; and the way, in rod lengths, by which poses and wrenches are apart.
 _TIPS, _CURVATURES = np.log([[0.5], [0.95]]), np.array([0.02, 0.3])
-_TENTH, _SMALL = 0.1, np.log([[0.1], [1.0]])
+_TENTH, _SMALL, _LEAST_WEIGHT = 0.1, np.log([[0.1], [1.0]]), 1e-4
 _LARGEST_LOG, _WAYS, _DOWN = 9.0, np.array([0.003, 0.03]), np.array([0.0, 0.0, -1.0])
 _ABOUT_ROD, _ALONG_ROD = np.radians(np.arange(-180, 180, 30)), np.linspace(-0.5, 0.5, 5)
 
@@ -85,6 +85,8 @@ class Diagnosis(NamedTuple):
     """What it is and what to do, as the end of a sentence."""
     alike: tuple[str, ...] = ()
     """Codes of the faults that ``several`` stands for."""
+    interval: tuple[float, float] | None = None
+    """Smallest and largest size that explains the recording as well under its noise; None without noise or size."""
 
 
 class Undone(NamedTuple):
@@ -100,6 +102,8 @@ class Undone(NamedTuple):
     length: float = 1.0
     rod: Rod | None = None
     late: float = 0.0
+    air: Array | None = None
+    """(n, 6) the wrenches of the rod in the air, in which it touches nothing; None where they vanish."""
 
     def of(self, wrench: Array, rows: Index) -> Array:
         """(k, 6) the wrenches of some rows without the fault, of those (n, 6) that are recorded."""
@@ -152,7 +156,7 @@ def causes(recording: Recording, model: str, wrench: Array, felt: Array, stuck: 
     found.append(known(Undone(turned), _named("wrench-in-world", None, "", text)))
     found += _zeros(recording, spatial, wrench)
     found.append(_late(recording))
-    found += _rods(recording, spatial) if rod.is_simple else []
+    found += _rods(recording, spatial, wrench) if rod.is_simple else []
     for code, (scaled, text) in _GAINS.items():
         if spatial or len(scaled) > 1 or scaled[0] in (0, 1):  # in a plane mz is the only moment
             found.append(_gain(code, np.isin(np.arange(6), scaled), text))
@@ -253,7 +257,7 @@ def _late(recording: Recording) -> Cause:
     return Cause(starts, lambda n: Undone(late=float(n[0])), named, 1)
 
 
-def _rods(recording: Recording, spatial: bool) -> list[Cause]:
+def _rods(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
     """Rods that are not straight, uniform and weightless in a rigid clamp, as the stated one is."""
     rod, count = recording.rod, 2 if spatial else 1
     thick = rod if rod.diameter_m else replace(rod, diameter_m=rod.length_m / 100)  # any diameter at the clamp will do
@@ -278,8 +282,8 @@ def _rods(recording: Recording, spatial: bool) -> list[Cause]:
 
     def heavy(n: Array, tared: bool) -> Undone:
         found = replace(rod, weight_N=weight(n))
-        in_air = np.concatenate(free_reactions(found.in_space(), directions.T)).T[which.reshape(-1)]
-        return Undone(zero=-in_air * tared, rod=found)
+        free = np.concatenate(free_reactions(found.in_space(), directions.T)).T[which.reshape(-1)]
+        return Undone(zero=-free * tared, rod=found, air=free)
 
     def of_curvature(n: Array) -> Diagnosis:
         value = np.array(curvature(n)[:count])
@@ -316,10 +320,13 @@ def _rods(recording: Recording, spatial: bool) -> list[Cause]:
         Cause(arcs, lambda n: Undone(rod=curved(n)), of_curvature, count, _LARGEST_SCALE, "rod"),
         Cause(_SMALL[:1], yielding, of_clamp, 1, _LARGEST_LOG, "rod"),
     ]
+    # what a sensor shows in the air that was not tared is the weight
+    in_air = float(np.median(np.linalg.norm(wrench[np.unique(recording.sweep, return_index=True)[1], :3], axis=1)))
     if spatial or np.abs(down[:, :2]).max() > np.abs(down[:, 2]).max():  # else it hardly bends the rod in its slices
         for tared in (True, False):
             undone, named = partial(heavy, tared=tared), partial(of_weight, tared=tared)
-            found.append(Cause(_SMALL, undone, named, 1, _LARGEST_LOG, "rod"))
+            starts = _SMALL if tared else np.vstack([_SMALL, np.log(max(in_air, _LEAST_WEIGHT) / _TENTH)])
+            found.append(Cause(starts, undone, named, 1, _LARGEST_LOG, "rod"))
     return found
 
 

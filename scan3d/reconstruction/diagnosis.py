@@ -6,6 +6,7 @@ it.  The fault that leaves least is named, if it leaves little; those that leave
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -49,6 +50,8 @@ _NO_FORCE = 1e-5
 _SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
 # Faults that are refined, starts of each, and evaluations of a refinement, fewer of rods, which are slow and nearly linear.
 _REFINED, _STARTS, _EVALUATIONS, _MARCHED = 4, 2, 12, 6
+# Step of the derivatives by numbers, and steps in which the ends of an interval are sought.
+_STEP, _STEPS = 1e-3, 8
 # Runs of rows that repeat others of which each is tried.
 _RUNS = 60
 _UNKNOWN = Diagnosis(
@@ -97,7 +100,12 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
             alike.setdefault(trial.named.fault, trial.named.message)
     explains = first.explains(before)
     if len(alike) == 1:
-        return first.named._replace(explains=explains, message=f"most likely {first.named.message}")
+        found = first.named._replace(explains=explains, message=f"most likely {first.named.message}")
+        if not max(noise) or not len(first.numbers) or found.value is None:
+            return found
+        low, high = _interval(first, sample)
+        text = f"{found.message}; sizes from {low:.3g} to {high:.3g} {found.unit} explain it alike"
+        return found._replace(message=text, interval=(low, high))
     text = (
         f"{len(alike)} faults explain it alike, and what each asks for tells them apart: {'; or '.join(alike.values())}"
     )
@@ -185,6 +193,10 @@ class _Trial(NamedTuple):
         if self.left is None or self.level > before:  # errors that hide any misfit explain none
             return False
         allowed = (_SURELY / _SIGMAS - 1) * self.left.explained + _OF_NUMBERS * np.sqrt(before)
+        worst = self.left.excess.max(axis=0)
+        least = worst[worst <= np.quantile(worst, 1 - _DISTURBED)]
+        if _mean_square(least) > self.left.level + (_OF_NUMBERS**2) * before:
+            return False
         return float((self.left.excess > allowed).any(axis=0).mean()) <= _DISTURBED
 
     @property
@@ -232,15 +244,39 @@ def _settled(trial: _Trial, sample: _Sample) -> _Trial:
     cause, left = trial.cause, trial.left
     if not len(trial.numbers) or left is None:
         return trial
-    sd = np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
-
-    def deviations(numbers: Array) -> Array:
-        return np.asarray(np.minimum(sample.left(cause.undone(numbers)).found / sd, _SURELY).ravel())
-
-    bounds = -cause.limit, cause.limit
+    deviations, bounds = _deviations(trial, left, sample), (-cause.limit, cause.limit)
     numbers = least_squares(deviations, trial.numbers, bounds=bounds, diff_step=1e-4, max_nfev=_MARCHED).x
     settled = trial._replace(numbers=numbers, left=sample.left(cause.undone(numbers)))
     return settled if settled.misfit <= trial.misfit + trial.level else trial
+
+
+def _deviations(trial: _Trial, left: _Left, sample: _Sample) -> Callable[[Array], Array]:
+    """What is left with other numbers, over the standard deviations that it has with those of the trial."""
+    sd = np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
+    return lambda n: np.asarray(np.minimum(sample.left(trial.cause.undone(n)).found / sd, _SURELY).ravel())
+
+
+def _interval(trial: _Trial, sample: _Sample) -> tuple[float, float]:
+    """The smallest and the largest size by which numbers along the principal axes of a fault's misfit explain it alike."""
+    cause, numbers, named = trial.cause, trial.numbers, trial.named
+    assert trial.left is not None
+    assert named.value is not None
+    limit, sizes = _ALIKE * (trial.misfit + trial.level), [named.value]
+    deviations, each = _deviations(trial, trial.left, sample), _STEP * np.eye(len(numbers))
+    slopes = [(deviations(numbers + step) - deviations(numbers - step)) / (2 * _STEP) for step in each]
+    _, stretch, axes = np.linalg.svd(np.stack(slopes, axis=1), full_matrices=False)
+    for axis in np.concatenate([axes, -axes]) / np.tile(np.maximum(stretch, 1.0), 2)[:, None]:
+        way, step = 0.0, 1.0
+        for _ in range(_STEPS):  # ever farther, and back by halves
+            tried = numbers + (way + step) * axis
+            alike = np.abs(tried).max() <= cause.limit and (
+                _mean_square(sample.left(cause.undone(tried)).excess) + trial.level <= limit
+            )
+            way, step = (way + step, 2 * step) if alike else (way, step / 4)
+        size = cause.named(numbers + way * axis)
+        if size.value is not None and size.unit == named.unit:
+            sizes.append(size.value)
+    return min(sizes), max(sizes)
 
 
 def _sample(
@@ -304,9 +340,9 @@ class _Sample:
         force, moment = np.hsplit(undone.of(self.wrench, self.rows), 2)
         gains = undone.gains()
         noise = self.noise[0] * gains[0], self.noise[1] * gains[1]
-        pressed = _felt(force, noise)
+        pressed = _felt(force if undone.air is None else force - undone.air[self.rows, :3], noise)
         # without a zero that is taken off, reactions of rows in contact cannot have become too small to be felt
-        expected = pressed | (not undone.zero.any())
+        expected = pressed | (not undone.zero.any() and undone.air is None)
         with np.errstate(all="ignore"):  # a wrong correction may lead to any numbers
             evaluated = self._in_plane if self.frames else self._in_space
             known, misfits = evaluated(force, moment, noise, pressed, undone)

@@ -152,7 +152,8 @@ def _means(compared: Compared, cloud: Cloud) -> _Means:
     both, pair = np.unique(np.stack([mean, line]), axis=1, return_inverse=True)
     shared = sum(np.bincount(pair.reshape(-1), weight * part) ** 2 for part in (of_line, turned))
     variance = np.bincount(mean, weight**2 * own**2) + np.bincount(both[0], shared) + rounding
-    return _Means(line, contact, mean, weight, np.bincount(mean, weight * beyond), variance)
+    value = np.bincount(mean, weight * beyond)
+    return _Means(line, contact, mean, weight, np.asarray(value, dtype=float), np.asarray(variance, dtype=float))
 
 
 def _relative_error(recording: Recording, cloud: Cloud) -> tuple[float, float]:

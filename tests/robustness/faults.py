@@ -14,7 +14,10 @@ import argparse
 import functools
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
@@ -30,7 +33,9 @@ from scan3d.reconstruction import diagnose
 from scan3d.report import measurands
 from tests.robustness.bounds import false_statements
 from tests.robustness.shot_rods import Bent, noisy, swept
+from tests.wrong_recordings import offset, scaled, turned
 
+MESHES = Path(__file__).parents[2] / "meshes"
 SLICES, NOISE = (13, 40), (1e-3, 1e-4)
 
 
@@ -38,7 +43,7 @@ class Fault(NamedTuple):
     """What is wrong, and the codes by which a diagnosis names it."""
 
     rod: Bent = Bent()
-    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    change: Callable[[scan3d.Recording], scan3d.Recording] = lambda recording: recording
     named: tuple[str, ...] = ()
     small: bool = False
     """Whether it costs less than 0.5 % of the rod's length, so that a certificate should remain."""
@@ -53,7 +58,7 @@ def steel(diameter_mm, length_mm):
 
 def _gain(channel, factor):
     names = (("fx-scale", "force-scale"), ("fy-scale", "force-scale"), ("moment-scale",))[channel]
-    return Fault(gains=tuple(np.where(np.arange(3) == channel, factor, 1.0)), named=names, small=factor < 1.005)
+    return Fault(change=scaled(*np.where(np.arange(3) == channel, factor, 1.0)), named=names, small=factor < 1.005)
 
 
 FAULTS = {
@@ -80,11 +85,66 @@ FAULTS = {
     },
 }
 STRONG = {
+    "weight 0.05, not tared": Fault(Bent(weight=0.05), named=("weight",), tared=False),
     "taper to 0.4": Fault(Bent(tip=0.4), named=("taper",)),
     "curvature -0.3": Fault(Bent(curvature=-0.3), named=("curvature",)),
     "weight 0.1": Fault(Bent(weight=0.1), named=("weight",)),
     "weight 0.1, not tared": Fault(Bent(weight=0.1), named=("weight",), tared=False),
 }
+
+
+def moved(x, y):
+    """A sensor that shows the moment about a place beside the clamp, in rod lengths."""
+
+    def change(r):
+        arm = r.rod.length_m * (x * r.force_N[:, 1] - y * r.force_N[:, 0])
+        return replace(r, moment_Nm=r.moment_Nm - arm)
+
+    return change
+
+
+def late(way):
+    """A wrench that is that of a pose which lay back by a way, in rod lengths."""
+    return lambda r: replace(r, position_m=r.position_m - way * r.rod.length_m * r.axes()[:, 0])
+
+
+def in_world(r):
+    force = (r.force_N[:, :, None] * r.axes()[:, :2]).sum(axis=1)
+    return replace(r, force_N=force[:, :2], moment_Nm=r.moment_Nm * r.axes()[:, 2, 2])
+
+
+def jittered(sd):
+    """Poses with errors that the recording does not state, in rod lengths."""
+
+    def change(r):
+        draw = np.random.default_rng(len(r))
+        return replace(r, position_m=r.position_m + sd * r.rod.length_m * draw.standard_normal(r.position_m.shape))
+
+    return change
+
+
+RIG = {
+    **{f"sensor turned by {a:g} deg": Fault(change=turned(a), named=("turned-z",)) for a in (2, 10, -30)},
+    **{
+        f"moment of a point beside by {d:g} L": Fault(change=moved(0.3 * d, -d), named=("moment-not-moved",))
+        for d in (0.02, 0.2)
+    },
+    **{
+        f"gain of {name} {100 * factor - 100:+.0f} %": _gain(channel, factor)
+        for factor in (1.1, 0.95)
+        for channel, name in enumerate(("fx", "fy", "mz"))
+    },
+    **{
+        f"wrench {100 * factor - 100:+.0f} %": Fault(change=scaled(*[factor] * 3), named=("stiffness",))
+        for factor in (1.05, 2)
+    },
+    **{f"delay by {way:g} L": Fault(change=late(way), named=("delay",)) for way in (0.01, 0.06)},
+    "wrench in the world": Fault(change=in_world, named=("wrench-in-world",)),
+    "zero off by 1 %": Fault(change=offset(0.01, 0.01, 0.01), named=("not-tared", "drift")),
+    "poses off by 0.2 % L": Fault(change=jittered(0.002)),
+    "poses off by 2 % L": Fault(change=jittered(0.02), named=("poses",)),
+}
+GROUPS = {"small": FAULTS, "strong": STRONG, "rig": RIG}
 
 
 def body(seed):
@@ -106,19 +166,26 @@ def body(seed):
     return hull(20.0 * points @ turn.T)
 
 
+def egg_or_pebble(seed):
+    mesh = scan3d.load_mesh(MESHES / ("egg.stl", "pebble.obj")[seed % 2])
+    mesh.apply_transform(
+        trimesh.transformations.rotation_matrix(np.random.default_rng([seed, 44]).uniform(0, 6), [0, 0, 1])
+    )
+    return mesh
+
+
 @functools.cache
-def template(seed, slices):
-    """The sweeps of a scan of the body; gravity lies in their planes, along -y."""
-    mesh = body(seed)
-    plan = scan3d.Plan(slices=slices, samples=8, sweeps=8, friction=0.3)
+def template(seed, slices, group="small"):
+    """The sweeps of a scan of the body; gravity, along -z, lies in their planes, but for faults of the rig."""
+    mesh = egg_or_pebble(seed) if group == "strong" else body(seed)
+    plan = scan3d.Plan(slices=slices, samples=8, sweeps=8, friction=0.3, axis="z" if group == "rig" else "x")
     return mesh, scan3d.simulate(mesh, plan)
 
 
 @functools.lru_cache(2)
-def exact(seed, slices, rod, tared):
-    mesh, recording = template(seed, slices)
-    strong = 4 if rod.tip < 0.8 or abs(rod.curvature) > 0.1 or rod.weight > 0.08 else 1
-    return swept(recording, mesh, rod, tared=tared, homotopy=strong)
+def exact(seed, slices, rod, tared, group="small"):
+    mesh, recording = template(seed, slices, group)
+    return swept(recording, mesh, rod, tared=tared, homotopy=4 if group == "strong" else 1)
 
 
 class Outcome(NamedTuple):
@@ -135,11 +202,11 @@ class Outcome(NamedTuple):
 
 def outcome(seed, slices, noise, name):
     """What an analysis of the recording with a fault says, and what of that is false."""
-    fault = (FAULTS | STRONG)[name]
-    mesh, _ = template(seed, slices)
-    recording = noisy(
-        exact(seed, slices, fault.rod, fault.tared), noise, np.random.default_rng([seed, slices]), fault.gains
-    )
+    fault = (FAULTS | STRONG | RIG)[name]
+    group = next(group for group, faults in GROUPS.items() if name in faults)
+    mesh, _ = template(seed, slices, group)
+    found = exact(seed, slices, fault.rod, fault.tared, group)
+    recording = noisy(fault.change(found), noise, np.random.default_rng([seed, slices]))
     diagonal = float(np.linalg.norm(mesh.extents))
     with mock.patch.object(comparison, "SOME", 200):
         try:
@@ -187,11 +254,16 @@ def main() -> int:
     parser.add_argument("--slices", type=int, nargs="+", default=SLICES)
     parser.add_argument("--noise", type=float, nargs="+", default=NOISE)
     parser.add_argument("--faults", nargs="+", default=[""], help="beginnings of their names")
-    parser.add_argument("--strong", action="store_true", help="rods that are far from the stated one instead")
+    parser.add_argument(
+        "--group",
+        choices=GROUPS,
+        default="small",
+        help="strong: rods that are far from the stated one, of egg and pebble",
+    )
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--verbose", action="store_true", help="print each outcome")
     given = parser.parse_args()
-    names = [name for name in (STRONG if given.strong else FAULTS) if name.startswith(tuple(given.faults))]
+    names = [name for name in GROUPS[given.group] if name.startswith(tuple(given.faults))]
     tasks = [
         (seed, n, given.noise, names) for seed in range(given.first, given.first + given.seeds) for n in given.slices
     ]

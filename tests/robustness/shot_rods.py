@@ -199,21 +199,23 @@ def path(outline, count=_PLACES):
     return places, slopes
 
 
-def swept(template, mesh, rod, friction=0.3, samples=24, tared=True, gravity=(0.0, -1.0, 0.0), homotopy=1, metres=1e-3):
+def swept(template, mesh, rod, friction=0.3, samples=24, tared=True, gravity=(0.0, 0.0, -1.0), homotopy=1, metres=1e-3):
     """A recording with the sweeps of another one, whose rod is that of its file, by a rod that bends as `rod` does.
 
-    The slices lie across z.  Each sweep has two rows in the air, and rows in contact with the slice of the mesh, as many as
-    `samples`.  Sweeps that never touch stay as they are.
+    The slices lie across one axis.  Each sweep has two rows in the air, and as many rows in contact with the slice of the mesh
+    as `samples`.  Sweeps that never touch stay as they are.
     """
-    length, frame = template.rod.length_m, slice_frame(np.array([0.0, 0.0, 1.0]))
+    length = template.rod.length_m
     zeta = np.arctan(friction)
     numbers, first = np.unique(template.sweep, return_index=True)
     axes, start = template.axes()[first], template.position_m[first]
-    polygons = slice_polygons(mesh, frame, start[:, 2] / metres)
+    frame = slice_frame(axes[0, 2])
+    heights = start @ frame[2] / metres
+    polygons = slice_polygons(mesh, frame, heights)
     touched = [k for k, polygon in enumerate(polygons) if len(polygon)]
     where, slopes = [], []
     for k in touched:
-        corners = polygons[k] @ frame[:2] + start[k, 2] / metres * frame[2]
+        corners = polygons[k] @ frame[:2] + heights[k] * frame[2]
         places, slope = path((corners * metres - start[k]) @ axes[k, :2].T / length)
         where.append(places)
         slopes.append(slope)
@@ -263,13 +265,13 @@ def _as_it_was(template, number):
     )
 
 
-def noisy(recording, noise, draw, gains=(1.0, 1.0, 1.0)):
-    """The recording with gains of its channels and white noise in EI/L² and EI/L, as it states."""
+def noisy(recording, noise, draw):
+    """The recording with white noise in EI/L² and EI/L, as it states."""
     force, moment = noise * recording.rod.force_unit_N, noise * recording.rod.moment_unit_Nm
     return replace(
         recording,
-        force_N=recording.force_N * gains[:2] + force * draw.standard_normal(recording.force_N.shape),
-        moment_Nm=recording.moment_Nm * gains[2] + moment * draw.standard_normal(len(recording)),
+        force_N=recording.force_N + force * draw.standard_normal(recording.force_N.shape),
+        moment_Nm=recording.moment_Nm + moment * draw.standard_normal(len(recording)),
         noise_force_N=force,
         noise_moment_Nm=moment,
     )
