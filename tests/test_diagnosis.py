@@ -363,7 +363,7 @@ def test_right_recordings_have_no_diagnosis(noise):
 def test_the_report_and_the_page_name_the_fault():
     analysis = analyse(FAULTS["sensor turned by 5 degrees"](in_plane()), method="hull")
     data = report(analysis, settings={})
-    assert set(data["diagnosis"]) == {"fault", "value", "unit", "explains", "message"}
+    assert set(data["diagnosis"]) == {"fault", "value", "unit", "explains", "message", "alike", "interval"}
     assert data["diagnosis"]["fault"] == "turned-z"
     json.dumps(data["diagnosis"])
     assert data["diagnosis"]["message"] in dict(key_figures(data))["diagnosis"]
