@@ -17,8 +17,8 @@ from planar.pieces import piece
 
 # Points of a rod up to its contact; its polynomials of fifth order between them are exact to some 1e-11.
 POINTS = 33
-# Depth in the body, in rod lengths, that is more than rounding.
-_INSIDE = 1e-9
+# Depth in the body, in rod lengths, that is more than the rounding of mesh files in single precision.
+_INSIDE = 1e-7
 _SHARES = np.linspace(0, 1, POINTS)
 
 

@@ -24,6 +24,11 @@ _DAMPING, _TURN = 0.35, 0.03
 _STEPS, _PATIENCE = 600, 150
 # Step, in radians, at which the chain is at rest, closely enough for Newton's method.
 _AT_REST = 3e-7
+# Compliance of a contact over that of the chain: neighbouring points that are pressed alike would have no single answer.
+_SOFT = 1e-8
+# Pivots of whole blocks without fewer wrong signs, and of all: with friction there need not
+# be an answer.
+_TRIES, _PIVOTS = 3, 100
 # Gap, in rod lengths, from which on a point does not take part in a step.
 _CLEAR = 0.05
 
@@ -110,25 +115,35 @@ def _concave_corners(outlines: Outlines, body: int) -> list[tuple[Array, Array]]
 
 
 def _complementary(matrix: Array, constant: Array, row: Index, start: Index) -> tuple[Array, Index]:
-    """``0 <= λ ⟂ M λ + b >= 0`` by principal pivoting, from the rows of the chain that were active before; the active rows."""
+    """``0 <= λ ⟂ M λ + b >= 0``, from the rows of the chain that were active before; the active rows.
+
+    By block principal pivoting (J. Júdice and F. Pires, 1994).
+    """
     n = len(constant)
     force = np.zeros(n)
     if not n:
         return force, row
-    matrix = matrix + np.diag(np.full(n, 1e-10 * np.abs(matrix.diagonal()).max() + 1e-15))
+    matrix = matrix + np.diag(np.full(n, _SOFT * np.abs(matrix.diagonal()).max() + 1e-15))
     active = np.isin(row, start)
-    for trial in range(6 * n + 20):
+    fewest, tries = n + 1, _TRIES
+    for _ in range(_PIVOTS):
         force = np.zeros(n)
         rows = np.flatnonzero(active)
         if len(rows):
             force[rows] = np.linalg.solve(matrix[np.ix_(rows, rows)], -constant[rows])
         rest = matrix @ force + constant
         wrong = np.where(active, np.maximum(-force, 0) * matrix.diagonal(), np.maximum(-rest, 0))
-        if not (wrong > 1e-12).any():
+        change = wrong > 1e-12
+        if not change.any():
             break
-        # the worst first; should that go round in circles, the first
-        worst = int(np.argmax(wrong)) if trial < 3 * n else int(np.argmax(wrong > 1e-12))
-        active[worst] = ~active[worst]
+        # all at once; should that go round in circles, the last one alone
+        if change.sum() < fewest:
+            fewest, tries = int(change.sum()), _TRIES
+        elif tries:
+            tries -= 1
+        else:
+            change[: np.flatnonzero(change)[-1]] = False
+        active = active != change
     return np.maximum(force, 0.0), row[active]
 
 

@@ -418,6 +418,14 @@ def runs_both_ways(faces: Index) -> bool:
     return bool(np.array_equal(np.sort(start * size + end), np.sort(end * size + start)))
 
 
+def check_convex(mesh: Any, what: str) -> None:
+    """Raises InputError, which names what is for convex bodies only, for a closed body that is not convex."""
+    if not is_convex(mesh):
+        raise InputError(
+            f"{what} is for convex bodies, and this one is not convex; scan it by the planar model, or its hull with --hull"
+        )
+
+
 def turned_alike(faces: Index) -> Index:
     """Faces (m, 3) turned so that neighbours run through their common edge in opposite directions, if they do not yet."""
     if runs_both_ways(faces):

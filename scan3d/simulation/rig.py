@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.errors import InputError
 from scan3d.frames import check_positions
-from scan3d.geometry.convexity import check_body
+from scan3d.geometry.convexity import check_body, check_convex
 from scan3d.geometry.distance import segments_meet
 from scan3d.poses import Move, PoseList
 from scan3d.processes import check_memory
@@ -143,6 +143,7 @@ def simulate_rig(
     before a sweep begins.
     """
     check_body(mesh)
+    check_convex(mesh, "a simulated rig")
     nominal, model = rod or poses.rod, model or poses.model
     if nominal is None:
         raise InputError("the poses don't say for which rod they were planned; give one, such as --rod steel:0.3x50")

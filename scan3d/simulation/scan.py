@@ -14,7 +14,7 @@ import planar
 from scan3d.arrays import Array
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
-from scan3d.geometry.convexity import check_body, is_convex
+from scan3d.geometry.convexity import check_body, check_convex, is_convex
 from scan3d.geometry.sections import extent_along, slice_frame
 from scan3d.numbers import length
 from scan3d.planning.heights import BEYOND, SlabMemory, first_heights, next_heights, open_contours
@@ -87,6 +87,7 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
     """`simulate` for a body that `load_mesh` or `judge_mesh` has just returned, which is not judged again."""
     _check_size(mesh, plan, _most_slices(plan), plan.sweeps or FIRST_SWEEPS)
     if plan.model == "spatial":
+        check_convex(mesh, "the spatial model of a simulated scan")
         return simulate_spatial(mesh, plan, progress)
     frames = [slice_frame(axis) for axis in plan.axes()]
     metres = UNITS_M[plan.unit]

@@ -1,0 +1,145 @@
+"""Bodies that are not convex, from their sections to the report.
+
+The authority for sections and contacts is the mesh itself, by its distance, and known areas of unions.
+"""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from shapes import box, letter_l
+
+import scan3d
+from scan3d.files.meshes import judge_mesh, load_mesh
+from scan3d.geometry.convexity import is_convex, runs_both_ways
+from scan3d.geometry.distance import nearest
+from scan3d.geometry.sections import slice_frame, slice_outlines
+from scan3d.pictures import rendering
+
+FLAT = np.eye(3)
+
+
+def area(polygon):
+    following = np.roll(polygon, -1, axis=0)
+    return ((polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]).sum()) / 2
+
+
+def at(*place):
+    mesh = box()
+    mesh.apply_translation(place)
+    return mesh
+
+
+@pytest.mark.parametrize(
+    ("places", "areas"),
+    [
+        ([(0, 0, 0), (0.5, 0.5, 0)], [1.75]),  # shells that overlap
+        ([(0, 0, 0), (1, 0, 0)], [2]),  # that share a face
+        ([(0, 0, 0), (1, 1, 0)], [1, 1]),  # that share an edge
+        ([(0, 0, 0), (3, 0, 0)], [1, 1]),
+        ([(x, y, 0) for x in range(3) for y in range(3) if (x, y) != (1, 1)], [9]),  # around a hole
+        ([(0, 0, 0), (0, 0, 0.25)], [1]),  # of which faces coincide
+    ],
+)
+@pytest.mark.parametrize("height", [0.3, 0.4999])
+def test_sections_of_shells_are_those_of_their_union(places, areas, height):
+    mesh = trimesh.util.concatenate([at(*place) for place in places])
+    (outlines,) = slice_outlines(mesh, FLAT, np.array([height]))
+    assert sorted(map(area, outlines)) == pytest.approx(areas, rel=1e-12)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0.3, -0.5, 0.8)])
+def test_outlines_lie_on_the_surface(axis):
+    mesh, frame = (
+        trimesh.creation.torus(2.0, 0.7, major_sections=40, minor_sections=20),
+        slice_frame(np.array(axis, float)),
+    )
+    heights = np.linspace(-2.6, 2.6, 9)
+    count = 0
+    for height, outlines in zip(heights, slice_outlines(mesh, frame, heights), strict=True):
+        for outline in outlines:
+            places = np.concatenate([outline, (outline + np.roll(outline, -1, axis=0)) / 2])
+            world = np.column_stack([places, np.full(len(places), height)]) @ frame
+            assert np.abs(nearest(world, mesh)[0]).max() < 1e-13
+            assert area(outline) > 0
+            count += 1
+    assert count >= 3
+
+
+def test_a_plane_of_faces_is_cut_just_below():
+    assert slice_outlines(letter_l(), FLAT, np.array([letter_l().bounds[0, 2]])) == [[]]
+    (top,) = slice_outlines(letter_l(), FLAT, np.array([letter_l().bounds[1, 2]]))
+    assert len(top) == 1
+
+
+def test_faces_are_turned_alike():
+    mesh = trimesh.creation.torus(2.0, 0.7, major_sections=12, minor_sections=8)
+    faces = mesh.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    assert not runs_both_ways(faces)
+    body = judge_mesh(trimesh.Trimesh(mesh.vertices, faces, process=False))
+    assert runs_both_ways(np.asarray(body.faces))
+    assert body.volume == pytest.approx(mesh.volume)
+    assert not is_convex(body)
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    """A scan of an L, and its folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendering, "can_render", lambda: False)
+        folder = tmp_path_factory.mktemp("scans") / "out"
+        return scan3d.scan(letter_l(), folder, slices=3, samples=24, friction="0.0:0.4"), folder
+
+
+def test_contacts_lie_on_a_body_that_is_not_convex(scanned):
+    result, _ = scanned
+    wrong = result.analysis.contact_error > 1e-9 * result.cloud.rod_length
+    assert wrong.mean() <= 0.005
+    counts = result.report["counts"]
+    assert counts["hidden_second_contacts"] <= wrong.sum()
+    assert counts["unresolved"] == 0
+    assert not result.cloud.convex
+
+
+def test_the_report_of_a_body_that_is_not_convex(scanned):
+    result, folder = scanned
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["body"] == {"convex": False, "parts": 1}
+    assert report["certificate"]["bound"] is None
+    assert report["certificate"]["contours"]["bound"] > 0
+    assert "second" in report["certificate"]["premise"]
+    shares = report["coverage"]
+    unknown = sum(patch["area"] for patch in shares["unknown"]) / result.surface.area
+    assert shares["known"] + shares["estimated"] + unknown == pytest.approx(1, abs=1e-6)
+    assert set(np.unique(scan3d.open(folder).surface.vertex_attributes["known"])) <= {0, 1, 2}
+    rows = dict(result.summary())
+    assert "known" in rows["surface known"]
+    assert "not convex" in rows["certified"]
+
+
+def test_what_is_for_convex_bodies_is_refused_for_others(scanned):
+    result, _ = scanned
+    with pytest.raises(scan3d.InputError, match="method bracket is for convex bodies"):
+        scan3d.surface(result.cloud, "bracket")
+    with pytest.raises(scan3d.InputError, match="give their recording as well"):
+        scan3d.surface(result.cloud)
+    for plan in (
+        scan3d.Plan(model="spatial"),
+        scan3d.Plan(rod=scan3d.Rod(2.0, 1e-4, tip_diameter_m=1e-4, diameter_m=2e-4)),
+    ):
+        with pytest.raises(scan3d.InputError, match="not convex"):
+            scan3d.simulate(letter_l(), plan)
+
+
+@pytest.mark.slow
+def test_the_meshes_that_come_along_are_closed_and_not_convex():
+    for path in sorted((scan3d_root() / "meshes" / "hollow").iterdir()):
+        assert not is_convex(load_mesh(path))
+
+
+def scan3d_root():
+    from pathlib import Path
+
+    return Path(__file__).parents[1]
