@@ -1,9 +1,9 @@
 """Contacts of bodies that are not convex: which ones are none, because the rod touched at a second place as well.
 
-Whether a body is convex is a finding: of a convex one no contact lies beyond the tangent at another one, nor inside the hull of
-the others.  Where some do, either the body is hollow there or the rig is wrong.  What tells them apart are the other sweeps:
-no contact lies inside what they have passed, whatever the body's shape (C14), unless the rod, the sensor or the poses are not
-as stated; then much of what one sweep touches another one has passed.
+Whether a body is convex is a finding, unless the recording states that it is not: of a convex one no contact lies beyond the
+tangent at another one, nor inside the hull of the others.  Where some do, either the body is hollow there or the rig is wrong.
+What tells them apart are the other sweeps: no contact lies inside what they have passed, whatever the body's shape (C14),
+unless the rod, the sensor or the poses are not as stated; then much of what one sweep touches another one has passed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     The cloud is returned as it is where its contacts are those of a convex body, and where they contradict each other whatever
     the body's shape.
     """
-    if not shape_contradictions(recording, cloud):
+    # slices around a ring are convex: what is stated counts more than that nothing contradicts it
+    if recording.source.get("convex") is not False and not shape_contradictions(recording, cloud):
         return cloud
     rows = _Rows(cloud, recording)
     refused = rows.refused()

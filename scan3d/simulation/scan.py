@@ -460,5 +460,5 @@ def recording_of(scans: list[AxisScan], rod: Rod, first: int = 0) -> Recording:
         np.concatenate(places)[known],
         np.concatenate(wrenches)[known],
     )
-    source = {} if scans[0].convex else {"unresolved": int((~known).sum())}
+    source = {} if scans[0].convex else {"convex": False, "unresolved": int((~known).sum())}
     return recorded(plan, rod, axes[of_sweep[begins]], number, place, wrench, source, first)
