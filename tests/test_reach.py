@@ -1,6 +1,7 @@
 """Outer and inner bodies of bodies without fine features, against the Cassini oval turned about its axis."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,10 +57,13 @@ def test_the_body_lies_between_the_two_and_within_the_bound():
     assert found.bound < 7.0  # of which the grid of 0.8 mm takes more than half
 
 
-def test_the_report_of_a_thick_rods_scan_has_the_bound_and_its_premise():
+def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     recording, _ = peanut()
-    analysis = analyse(recording, reach=5.0)
     assert recording.rod.diameter_m > 0
+    analysis = analyse(recording, reach=5.0)
+    assert "grown by the rod's radius" in analysis.reach.unbounded
+    assert analysis.certificate.bound == np.inf
+    analysis = analyse(replace(recording, rod=recording.rod.without_thickness()), reach=5.0)
     assert not analysis.warnings
     assert analysis.surface.metadata["method"] == "carved"
     certificate = report(analysis, settings={})["certificate"]

@@ -122,6 +122,10 @@ def reach(recording: Recording, cloud: Cloud, R: float, surface: Any = None) -> 
             f"nothing bounds the body towards ({', '.join(f'{x:.3g}' for x in place)}) {cloud.unit}: slices farther apart than "
             "twice the reach, or none beyond the body's end; scan along further axes"
         )
+    elif cloud.fattened is not None:
+        unbounded = (
+            "the two bodies are those of the body grown by the rod's radius; no bound of the body itself follows"
+        )
     elif not (to_air > level).any():
         unbounded = "contacts are too far apart to enclose anything for this reach; take more slices and samples"
     else:
