@@ -67,11 +67,9 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     cloud = by_model(recording, method, model)
     if cloud.model == "spatial":
         return cloud
-    hollow = without_second_contacts(cloud, recording)
-    if not hollow.convex:
-        return hollow
     known = _with_relative_error(recording, cloud, method)
-    return cloud if known is recording else by_model(known, method, model)
+    # what a small error of the wrench explains is no dent
+    return without_second_contacts(cloud, recording) if known is recording else by_model(known, method, model)
 
 
 def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Recording:
