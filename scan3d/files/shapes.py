@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from scan3d.arrays import Array
 from scan3d.choices import SCALAR_NAMES
@@ -212,12 +213,22 @@ def surface_table(surface: Any, bound: Array | None) -> NDArray[np.void]:
     """Vertices, their normals, the certified local bound (v,), unless it is None, and how well they are known, if the surface
     says so, as a structured array for `ply`."""
     columns: dict[str, NDArray[Any]] = dict(zip(POINT, np.asarray(surface.vertices, dtype=np.float64).T, strict=True))
-    columns |= dict(zip(NORMAL, np.asarray(surface.vertex_normals).astype(np.float32).T, strict=True))
+    columns |= dict(zip(NORMAL, _vertex_normals(surface).astype(np.float32).T, strict=True))
     if bound is not None:
         columns["bound"] = np.asarray(bound).astype(np.float32)
     if "known" in surface.vertex_attributes:
         columns["known"] = np.asarray(surface.vertex_attributes["known"]).astype(np.uint8)
     return table(columns)
+
+
+def _vertex_normals(surface: Any) -> Array:
+    """(v, 3) normals at the vertices of a surface; where all faces of a vertex are slivers without one, that of the nearest."""
+    normals = np.array(surface.vertex_normals)
+    known = np.linalg.norm(normals, axis=1) > 0.5  # not of NaN either
+    if known.any() and not known.all():
+        vertices = np.asarray(surface.vertices)
+        normals[~known] = normals[known][cKDTree(vertices[known]).query(vertices[~known])[1]]
+    return normals
 
 
 def read_shape(path: str | Path) -> Shape:
