@@ -94,8 +94,11 @@ class Canvas:
         shape = pyvista.wrap(mesh)
         light = dict(ambient=ambient, diffuse=1 - ambient, specular=0.0, opacity=opacity)
         actor = self._add(shape, color, **light)
+        sharp = mesh if edges is None else edges
+        if "known" in getattr(sharp, "vertex_attributes", ()):  # between contacts and free space facets are rough
+            return actor
         # those of polyhedra, not the facets of smooth bodies
-        sharp = pyvista.wrap(mesh if edges is None else edges).extract_feature_edges(
+        sharp = pyvista.wrap(sharp).extract_feature_edges(
             30.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
         )
         if sharp.n_cells and opacity == 1:

@@ -98,6 +98,10 @@ def shown_lengths(values: Array, unit: str) -> tuple[Array, str]:
     return values * (UNITS_M[unit] / float(size)), symbol
 
 
+# Where what is estimated between slices stands on a scale from known to unknown: it looks like what is known.
+_ESTIMATED = 0.2
+
+
 def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     """The surface, and the colours of its vertices by how well they are known, the deviation from the truth and the bound: by
     those that are said.
@@ -107,8 +111,9 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     """
     mesh, deviation, bound, known = shown_surface(scene)
     shades = []
-    if known is not None:  # patches that no rod has reached are dark
-        shades.append(shade(np.asarray(known, dtype=float), "2 known, 1 estimated, 0 unknown", 0.0, 2.0, map="Reds_r"))
+    if known is not None:  # patches that no rod has reached are seen at once
+        values = np.interp(np.asarray(known, dtype=float), (0, 1, 2), (1.0, _ESTIMATED, 0.0))
+        shades.append(shade(values, f"known (0), estimated ({_ESTIMATED}), unknown (1)", 0.0, 1.0, map="Reds"))
     if deviation is not None:
         values, unit = shown_lengths(deviation, scene.unit)
         # a body that was found exactly, to a nanometre, is not shown in the colours of a large deviation
