@@ -65,13 +65,18 @@ class FreeSpace:
         tree = scipy.spatial.cKDTree(points)
         # parts of a size together, so that few pairs are looked at
         for part in np.array_split(np.argsort(half.max(axis=1)), _SIZES):
-            around = tree.query_ball_point(middle[part], float(half[part].max(initial=0.0)), p=np.inf)
-            owner = np.repeat(part, [len(rows) for rows in around])
-            row = np.fromiter(chain.from_iterable(around), np.intp, len(owner))
-            inside = (np.abs(points[row] - middle[owner]) <= half[owner]).all(axis=1)
-            row, owner = row[inside], owner[inside]
-            inside = _winds(corners[:, owner] - points[row])
-            pairs.append(row[inside] * len(self.loops) + owner[inside] // (count - 1))
+            reach = float(half[part].max(initial=0.0))
+            total = np.cumsum(tree.query_ball_point(middle[part], reach, p=np.inf, return_length=True))
+            for some in np.split(part, np.searchsorted(total, np.arange(_PAIRS, total[-1:].sum(), _PAIRS))):
+                if not len(some):
+                    continue
+                around = tree.query_ball_point(middle[some], reach, p=np.inf)
+                owner = np.repeat(some, [len(rows) for rows in around])
+                row = np.fromiter(chain.from_iterable(around), np.intp, len(owner))
+                inside = (np.abs(points[row] - middle[owner]) <= half[owner]).all(axis=1)
+                row, owner = row[inside], owner[inside]
+                inside = _winds(corners[:, owner] - points[row])
+                pairs.append(row[inside] * len(self.loops) + owner[inside] // (count - 1))
         both: Index = np.unique(np.concatenate(pairs))
         return both // len(self.loops), both % len(self.loops)
 
