@@ -144,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         log, cloud = scanned(Path(folder))
     bounds = enclosure(cloud)
     surface = scan3d.surface(cloud, bounds=bounds)
-    bound, at_vertices = certificate(bounds, surface)
+    bound, at_vertices, _ = certificate(bounds, surface)
     print(
         f"{len(log)} rows, {len(cloud)} contacts, friction {np.nanmin(cloud.friction):.3f}...{np.nanmax(cloud.friction):.3f}"
     )

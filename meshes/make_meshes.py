@@ -213,6 +213,11 @@ def distance(name: str, points: Floats) -> Floats:
     return outside
 
 
+def normal(name: str, points: Floats) -> Floats:
+    """Return the outward unit normals (n, 3) of a body in `SMOOTH` at points (n, 3) on it, in mm."""
+    return unit(SMOOTH[name](points)[1])
+
+
 def make(name: str, subdivisions: int = SUBDIVISIONS) -> trimesh.Trimesh:
     """Return the body as a convex mesh in mm; curved bodies have about 8 subdivisions² triangles.
 

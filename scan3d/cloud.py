@@ -115,7 +115,7 @@ class Cloud(Shown, Exported):
     light: int = 0
     """Number of contacts left out because the rod touched too lightly for the noise."""
     convex: bool = True
-    """Whether the body counts as convex: contacts that are not those of a convex body, and in accord with each other, tell."""
+    """Whether the body counts as convex: unless its recording states that it is not, and its contacts accord with that."""
     second: int = 0
     """Number of rows with a force of which no contact is known, because the rod touched at a second place as well."""
     pose_error: float = 0.0

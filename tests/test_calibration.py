@@ -422,7 +422,7 @@ def test_long_recordings_are_begun_with_some_rows_and_end_with_all(on_sphere, mo
         (dict(reference="plain"), "got 'plain'; the other reference is 'plane'"),
         (dict(), "needs a diameter above 0, got None"),
         (dict(reference="plane", sphere=0.03), "give either a reference or the diameter"),
-        (dict(sphere=1e297), r"a diameter of 1e\+297 m, and the rod a length of 0.06 m; check the unit"),
+        (dict(sphere=1e297), r"a diameter of 1e\+297 m, and the rod a length of 60 mm; check the unit"),
         (dict(sphere=0.03, tare="cubic"), "tare must be one of auto, constant, linear, sweep"),
         (dict(sphere=0.03, pose_noise_m=-1.0), "noise of the poses"),
         (dict(sphere=0.02), "do not fit a sphere of 20 mm"),

@@ -126,7 +126,7 @@ def test_six_axis_recordings_and_their_clouds_show_themselves(no_pictures):
     rows = dict(Reader(recording._repr_html_()).rows)
     assert rows["samples"] == f"{len(recording)}, {np.any(force != 0, axis=1).sum()} with a force"
     largest = (np.linalg.norm(reaction, axis=1).max() for reaction in (force, moment))
-    assert rows["largest reactions"] == "{} mN, {} mN mm".format(*map(number, np.multiply([1e3, 1e6], [*largest])))
+    assert rows["largest reactions"] == "{} mN, {} N mm".format(*map(number, np.multiply([1e3, 1e3], [*largest])))
     assert "normals of the slices" not in rows
     assert rows["z axes of the clamp"].startswith("(0, -0.343, 0.939)")
     panels = charts.reactions(recording).axes[:6]

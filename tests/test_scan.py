@@ -571,7 +571,7 @@ def test_poses_that_are_rounded_or_shake_keep_their_slices(spread):
 
 
 def test_a_body_that_no_slice_meets(monkeypatch):
-    monkeypatch.setattr(axis_scans, "slice_polygons", lambda mesh, frame, levels: [np.empty((0, 2))] * len(levels))
+    monkeypatch.setattr(axis_scans, "sections", lambda mesh, frame, levels, *_: [[] for _ in levels])
     with pytest.raises(
         scan3d.InputError, match="the body is too thin to be sliced along this axis; choose another one"
     ):

@@ -127,7 +127,7 @@ def test_the_hull_is_taken_where_it_is_proven():
     bounds = dataclasses.replace(enclosure(cloud), bound=1e-6)
     mesh = surface(cloud, bounds=bounds)
     assert mesh.metadata["method"] == "hull"
-    assert mesh.metadata["reason"].startswith("convex hull of the contacts: proven to lie within 1e-06 mm")
+    assert mesh.metadata["reason"].startswith("convex hull of the contacts: proven to lie within under 1 nm")
 
 
 def test_support_without_a_fit_is_refused():

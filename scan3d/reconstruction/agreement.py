@@ -131,8 +131,8 @@ def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradicti
     if beyond > allowed:
         text = (
             f"contacts lie up to {length(beyond, cloud.unit)} beyond the tangent at a contact of the same slice, where "
-            "noise and "
-            f"rounding allow {length(allowed, cloud.unit, digits=2)}: the contacts are not those of a convex body"
+            f"noise and rounding allow {length(allowed, cloud.unit, digits=2)}: the contacts are not those of a convex body; "
+            "of one that is not convex state convex = false under [source] of the recording"
         )
         return [Contradiction("beyond-tangent", text, beyond)]
     place = np.zeros(len(cloud)) if cloud.place_sd is None else _kappa(len(cloud)) * cloud.place_sd

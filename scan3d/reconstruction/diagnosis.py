@@ -104,7 +104,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
         if not max(noise) or not len(first.numbers) or found.value is None:
             return found
         low, high = _interval(first, sample)
-        text = f"{found.message}; sizes from {low:.3g} to {high:.3g} {found.unit} explain it alike"
+        text = f"{found.message}; sizes from {number(low)} to {number(high)} {found.unit} explain it alike"
         return found._replace(message=text, interval=(low, high))
     text = (
         f"{len(alike)} faults explain it alike, and what each asks for tells them apart: {'; or '.join(alike.values())}"

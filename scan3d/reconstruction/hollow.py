@@ -1,9 +1,9 @@
 """Contacts of bodies that are not convex: which ones are none, because the rod touched at a second place as well.
 
-Whether a body is convex is a finding, unless the recording states that it is not: of a convex one no contact lies beyond the
-tangent at another one, nor inside the hull of the others.  Where some do, either the body is hollow there or the rig is wrong.
-What tells them apart are the other sweeps: no contact lies inside what they have passed, whatever the body's shape (C14),
-unless the rod, the sensor or the poses are not as stated; then much of what one sweep touches another one has passed.
+A recording states that its body is not convex.  Without the statement a contact beyond the tangent at another one, or inside
+the hull of the others, contradicts the model: a rod that is a tenth too long, or a sensor that is turned, gives contacts as a
+hollow body does.  No contact lies inside what the other sweeps have passed, whatever the body's shape (C14), unless the rod,
+the sensor or the poses are not as stated; then much of what one sweep touches another one has passed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import Cloud, NormalSource
-from scan3d.reconstruction.agreement import shape_contradictions
 from scan3d.reconstruction.errors import felt
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -31,13 +30,12 @@ _AROUND = 12
 
 
 def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
-    """The contacts of a recording in slices, less those that can't be single ones if the body proves not to be convex.
+    """The contacts of a recording in slices, less those that can't be single ones if its body is stated not to be convex.
 
-    The cloud is returned as it is where its contacts are those of a convex body, and where they contradict each other whatever
-    the body's shape.
+    The cloud is returned as it is where that is not stated, and where its contacts contradict each other whatever the body's
+    shape.
     """
-    # slices around a ring are convex: what is stated counts more than that nothing contradicts it
-    if recording.source.get("convex") is not False and not shape_contradictions(recording, cloud):
+    if recording.source.get("convex") is not False:
         return cloud
     rows = _Rows(cloud, recording)
     refused = rows.refused()
