@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 import planar
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
-from scan3d.numbers import share
+from scan3d.numbers import number, share
 from scan3d.reconstruction.causes import Cause, Diagnosis, Undone, causes, known, stuck_rows
 from scan3d.reconstruction.errors import contact_tolerance, felt, tip_sigmas, too_light
 from scan3d.reconstruction.misfits import Errors, Misfit, against_single_force, beyond_tangents, depths_in_hull
