@@ -47,4 +47,4 @@ def recording_of(radius, heights, directions=6, samples=32, friction=0.3, base=0
                 column.append(value)
     position, quaternion, force, moment = (np.concatenate(column) for column in columns)
     sweep = np.repeat(np.arange(len(columns[0])), samples)
-    return Recording(sweep, position, quaternion, force, moment, rod, unit="mm")
+    return Recording(sweep, position, quaternion, force, moment, rod, unit="mm", source={"convex": False})
