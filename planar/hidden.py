@@ -115,13 +115,16 @@ def second_contacts(
     return np.asarray(found)
 
 
+def _steps(point: Array, slope: Array) -> tuple[Array, Array, Array]:
+    """Of the steps (n - 1,) between places (n, 2) with slopes (n,): length, turn, and angle from the mean slope."""
+    chord = np.diff(point, axis=0)
+    angle = np.arctan2(chord[:, 1], chord[:, 0]) - (slope[1:] + slope[:-1]) / 2
+    return np.hypot(*chord.T), np.diff(slope), np.abs(np.remainder(angle + np.pi / 2, np.pi) - np.pi / 2)
+
+
 def _off_path(x0: Array, contacts: Contacts, tangential: Mask, place: Array, slope_error: Array) -> Mask:
     """Both ends of steps in which a tangential contact left the line of the rod."""
-    chord = np.diff(contacts.point, axis=0)
-    length = np.hypot(*chord.T)
-    turn = np.diff(contacts.slope)
-    direction = np.arctan2(chord[:, 1], chord[:, 0]) - (contacts.slope[1:] + contacts.slope[:-1]) / 2
-    angle = np.abs(np.remainder(direction + np.pi / 2, np.pi) - np.pi / 2)
+    length, turn, angle = _steps(contacts.point, contacts.slope)
     noise = (place[1:] + place[:-1]) / np.maximum(length, np.finfo(float).tiny) + slope_error[1:] + slope_error[:-1]
     both = tangential[1:] & tangential[:-1]
     moved = (length > _SAME_PLACE) & (length < _SNAPPED * np.abs(np.diff(x0)))
@@ -234,10 +237,7 @@ def recover(
     found = Recovered(*(np.full(asked.shape + values.shape[1:], np.nan) for values in part))
     for column, values in zip(found, part, strict=True):
         column[asked] = values
-    chord = np.diff(found.point, axis=0)
-    length, turn = np.hypot(*chord.T), np.diff(found.slope)
-    off = np.arctan2(chord[:, 1], chord[:, 0]) - (found.slope[1:] + found.slope[:-1]) / 2
-    off = np.abs(np.remainder(off + np.pi / 2, np.pi) - np.pi / 2)
+    length, turn, off = _steps(found.point, found.slope)
     with np.errstate(invalid="ignore"):
         step = np.abs(np.diff(np.asarray(x0, dtype=float)))
         moves = (length > _SAME_PLACE) & (off <= _CHORD * np.abs(turn) + _AGREES)

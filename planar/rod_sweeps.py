@@ -277,12 +277,6 @@ def _led_on(rod: Rod, table: Table) -> Table:
     return table
 
 
-def _first_known(table: Table) -> Index:
-    """The first row of each owner that has an equilibrium; owners without one are left out."""
-    rows = np.flatnonzero(np.isfinite(table.states.force))
-    return rows[np.unique(table.owner[rows], return_index=True)[1]]
-
-
 def _from_touch_down(rod: Rod, table: Table) -> Table:
     """With the place of touch-down of each owner, where the force vanishes, and places that approach it."""
     states = table.states

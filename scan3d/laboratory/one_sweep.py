@@ -53,7 +53,7 @@ class OneSweep:
 
     They are in m, N and N·m if the rod is given, else in rod lengths, EI/L² and EI/L.  They are kept as they were recorded,
     because their digits tell how they were rounded.  One of the reactions may be None, if something is `known` in its place.
-    Raises InputError for a table without rows, and for one whose direction neither the base nor the reactions tell.
+    Raises InputError for a table without rows, and for a base that moves and ends where it began.
     """
 
     x0: Array
