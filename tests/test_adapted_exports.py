@@ -5,7 +5,6 @@ import struct
 import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -16,11 +15,8 @@ import trimesh
 import scan3d
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.files.formats import POINT_ENDINGS, SURFACE_ENDINGS, export
-from scan3d.files.shapes import ply, read_ply, read_shape, surface_table
-
-ROOT = Path(__file__).parents[1]
-MESHES = sorted(path for path in (ROOT / "meshes").iterdir() if path.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
+from scan3d.files.formats import export
+from scan3d.files.shapes import ply, read_ply, read_shape
 
 
 @pytest.fixture
@@ -149,20 +145,6 @@ def test_a_cloud_in_glb_counts_the_points_that_it_leaves_out(folder, tmp_path, c
     assert tree["materials"][0]["name"] == "scan3d cloud"
     assert main(["export", str(folder), "--to", str(tmp_path / "b.glb"), "--what", "cloud"]) == 0
     assert "158 contacts (4 without a normal are left out) in m, written to" in capsys.readouterr().out
-
-
-def test_a_cloud_without_any_normal_keeps_all_its_points(folder, tmp_path):
-    cloud = read_shape(folder / "cloud.ply")
-    rows = cloud.rows.copy()
-    for name in ("nx", "ny", "nz"):
-        rows[name] = np.nan
-    (tmp_path / "bare.ply").write_bytes(ply(rows, None, ("unit mm",)))
-    result = export(tmp_path / "bare.ply", tmp_path / "a.glb")
-    assert (result["points"], result["left_out"]) == (len(rows), 0)
-    _, _, arrays = tree_of(tmp_path / "a.glb")
-    assert len(arrays["POSITION"]) == len(rows)
-    assert "NORMAL" not in arrays
-    assert "_FRICTION" not in arrays  # glTF has no NaN
 
 
 def test_a_surface_in_glb_has_y_up_a_material_and_comes_back(folder, tmp_path):
@@ -294,21 +276,6 @@ def test_mistakes(folder, tmp_path, to, options, sentence):
     assert not (tmp_path / to).exists()
 
 
-def test_scalars_without_values_or_names(folder, tmp_path):
-    cloud = read_shape(folder / "cloud.ply")
-    rows = cloud.rows.copy()
-    rows["quality"] = np.nan
-    (tmp_path / "unknown.ply").write_bytes(ply(rows, None, ("unit mm",)))
-    with pytest.raises(InputError, match=r"no value of quality is known, by which the cloud is to be coloured"):
-        export(tmp_path / "unknown.ply", tmp_path / "a.ply", color="quality")
-    bare = np.ascontiguousarray(rows[["x", "y", "z", "nx", "ny", "nz", "sweep"]])
-    (tmp_path / "bare.ply").write_bytes(
-        ply(bare.astype([(n, bare.dtype[n]) for n in bare.dtype.names]), None, ("unit mm",))
-    )
-    with pytest.raises(InputError, match=r"there is no 'force' for MeshLab to show; name one of sweep with --color"):
-        export(tmp_path / "bare.ply", tmp_path / "a.ply", scalar_names="meshlab")
-
-
 def test_the_command_passes_its_options_on(folder, tmp_path, capsys):
     call = ["export", str(folder), "--to", str(tmp_path / "a.ply"), "--unit", "m", "--color", "bound"]
     assert main([*call, "--scalar-names", "meshlab", "--json"]) == 0
@@ -319,131 +286,3 @@ def test_the_command_passes_its_options_on(folder, tmp_path, capsys):
 
 
 # --- every mesh, read with the defaults of every program ---
-
-
-def odd_bodies():
-    """Bodies on which readers and writers stumble."""
-    random = np.random.default_rng(3)
-    box, ball = trimesh.creation.box, trimesh.creation.icosphere
-    hull = trimesh.convex.convex_hull
-    flattened = ball(subdivisions=3)
-    flattened.apply_scale([1, 1, 1e-3])
-    grains = random.normal(size=(300, 3))
-    return {
-        "tetrahedron": hull(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])),
-        "far": box((1, 2, 3), trimesh.transformations.translation_matrix([1000, -2000, 500])),
-        "tiny": ball(subdivisions=3, radius=0.5),
-        "huge": ball(subdivisions=3, radius=1e6),
-        "plate": box((100, 100, 0.01)),
-        "needle": box((0.01, 0.01, 100)),
-        "lens": flattened,
-        "pebble": hull(grains / np.linalg.norm(grains, axis=1, keepdims=True) * [30, 20, 10]),
-        "cylinder": trimesh.creation.cylinder(radius=10, height=20, sections=200),
-        "cone": trimesh.creation.cone(radius=5, height=40, sections=64),
-    }
-
-
-BODIES = {path.stem: path for path in MESHES} | odd_bodies()
-READER = """
-import sys, json
-import numpy as np
-program, *files = sys.argv[1:]
-found = {}
-for file in files:
-    if program == "open3d":
-        import open3d
-        mesh = open3d.io.read_triangle_mesh(file)
-        if file.endswith(".stl"):
-            mesh.remove_duplicated_vertices()  # its reader keeps three corners for every triangle
-        points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-        colors, closed = 255 * np.asarray(mesh.vertex_colors), mesh.is_edge_manifold(False)
-    if program == "trimesh":
-        import trimesh
-        mesh = trimesh.load(file)
-        if isinstance(mesh, trimesh.Scene):
-            (mesh,) = mesh.geometry.values()
-        points, normals, closed = mesh.vertices, mesh.vertex_normals, mesh.is_watertight
-        attributes = getattr(mesh.visual, "vertex_attributes", {})
-        colors = attributes["color"] if "color" in attributes else getattr(mesh.visual, "vertex_colors", [])
-    if program == "pyvista":
-        import pyvista
-        mesh = pyvista.read(file)
-        while isinstance(mesh, pyvista.MultiBlock):
-            (mesh,) = mesh
-        data, points, closed = mesh.point_data, mesh.points, mesh.n_open_edges == 0
-        normals = next((data[name] for name in ("Normals", "NORMAL") if name in data), [])
-        colors = next((data[name] for name in ("RGB", "RGBA", "COLOR_0") if name in data), [])
-    if program == "pymeshlab":
-        import pymeshlab
-        meshes = pymeshlab.MeshSet()
-        meshes.load_new_mesh(file)
-        mesh = meshes.current_mesh()
-        points, normals = mesh.vertex_matrix(), mesh.vertex_normal_matrix()
-        colors = 255 * mesh.vertex_color_matrix() if mesh.has_vertex_color() else []
-        closed = meshes.get_topological_measures()["boundary_edges"] == 0
-    colors = np.asarray(colors, dtype=float)
-    if len(colors) and 0 < colors.max() <= 1:
-        colors = 255 * colors
-    found[file] = {
-        "closed": bool(closed), "points": len(points), "low": np.min(points, axis=0).tolist(),
-        "high": np.max(points, axis=0).tolist(), "normals": len(normals),
-        "colors": np.round(colors[:, :3].mean(axis=0), 1).tolist() if len(colors) else None,
-    }
-json.dump(found, sys.stdout)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.open3d
-@pytest.mark.parametrize(
-    "names",
-    [("cube", "far", "needle", "lens"), pytest.param(tuple(BODIES), marks=pytest.mark.trust)],
-    ids=["some", "all"],
-)
-def test_every_program_reads_every_body_closed_coloured_and_in_its_unit(tmp_path, names):
-    """Where the format has normals and colours they are read too; STL has neither at its vertices."""
-    expected = {}
-    for name in names:
-        body = BODIES[name]
-        mesh = scan3d.load_mesh(body) if isinstance(body, Path) else body
-        bound = np.linspace(0, 1, len(mesh.vertices))
-        source = tmp_path / f"{name}.ply"
-        source.write_bytes(ply(surface_table(mesh, bound), np.asarray(mesh.faces), ("unit mm",)))
-        for ending in (".stl", ".ply", ".obj", ".glb", ".vtp"):
-            file = tmp_path / "exported" / f"{name}{ending}"
-            unit = None if ending == ".glb" else "m"
-            export(source, file, color=None if ending == ".stl" else "bound", unit=unit)
-            expected[str(file)] = 1e-3 * np.asarray(mesh.bounds)
-    tools = {"open3d": 4, "trimesh": 4, "pyvista": 5, "pymeshlab": 4}
-    for program, count in tools.items():
-        if not find_spec(program):
-            continue
-        files = [file for file in expected if program == "pyvista" or not file.endswith(".vtp")]
-        call = [sys.executable, "-W", "ignore", "-c", READER, program, *files]
-        done = subprocess.run(call, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        found = json.loads(done.stdout[done.stdout.index("{") :])
-        assert len(found) == count * len(names)
-        means = {}
-        for file, read in found.items():
-            what = f"{program} {Path(file).name}"
-            assert read["closed"], what
-            low, high = expected[file]
-            if file.endswith(".glb"):  # y up
-                low, high = low[[0, 2, 1]] * [1, 1, -1], high[[0, 2, 1]] * [1, 1, -1]
-                low, high = np.minimum(low, high), np.maximum(low, high)
-            size = np.abs([low, high]).max()
-            assert np.abs(np.array([read["low"], read["high"]]) - [low, high]).max() < 1e-5 * size, what
-            if not file.endswith(".stl"):
-                assert read["normals"] == read["points"], what
-                assert read["colors"] is not None, what
-                means.setdefault(Path(file).stem, []).append(read["colors"])
-        # the colours are the same in all formats
-        for name, colors in means.items():
-            assert np.ptp(colors, axis=0).max() <= 2, (program, name, colors)
-
-
-def test_the_command_names_every_format(capsys):
-    assert main(["export", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(ending in text for ending in (*POINT_ENDINGS, *SURFACE_ENDINGS))

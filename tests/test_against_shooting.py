@@ -89,17 +89,3 @@ def test_collocation():
         previous = shooting.solve_by_collocation(shooting.along(CIRCLE), 0.3, swept.x0[i], state.phase, start, tol=1e-8)
         assert previous.values.shape == (4, len(previous.mesh))
         assert_agree(previous.state, swept, i, tolerance=1e-7)
-
-
-def test_failed_shooting_is_reported():
-    place = shooting.along(CIRCLE)
-    out_of_reach = shooting.shoot(place, 0.0, 3.0, planar.Phase.TIP, [1.0, -1.0, 1.0, 1.0])
-    assert not out_of_reach.success
-    assert out_of_reach.residual > 0.1
-    undefined = shooting.shoot(place, 0.0, 0.5, planar.Phase.TIP, [np.nan, -1.0, 1.0, 1.0])
-    assert not undefined.success
-
-
-def test_shooting_needs_a_kind_of_contact():
-    with pytest.raises(ValueError, match=r"Phase.TIP or Phase.TANGENTIAL"):
-        shooting.shoot(shooting.along(CIRCLE), 0.0, 0.5, planar.Phase.NONE, [1.0, -1.0, 1.0, 1.0])

@@ -163,18 +163,3 @@ def test_planes_that_turn_over_or_pass_through_the_middle_are_left_out():
     points = planes.points.copy()
     points[0] = 0
     assert 0 in cover(planes._replace(points=points), np.arange(50)).removed
-
-
-def test_a_cut_counts_by_the_end_at_which_it_is_least():
-    planes = Arcs(np.eye(3)[:1], np.eye(3)[:1], np.eye(3)[1:2], np.array([0.1]))
-    depth = planes.depths(np.array([[2.0, 0, 0], [1.0, 0.5, 0]]))
-    assert depth[:, 0] == pytest.approx([np.cos(0.1), -0.5 * np.sin(0.1)])
-
-
-def test_thinned_planes_are_apart():
-    planes = planes_of_ball(1500, 0.02)
-    chosen = thinned(planes, 3.0, 0.2)
-    cosines = planes.middle[chosen] @ planes.middle[chosen].T - 2 * np.eye(len(chosen))
-    assert cosines.max() < np.cos(0.2) + 1e-12
-    assert (planes.middle @ planes.middle[chosen].T).max(axis=1).min() >= np.cos(0.2) - 1e-12
-    assert len(thinned(planes._replace(half_width=np.full(1500, np.nan)), 3.0, 0.2)) == 0

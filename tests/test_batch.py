@@ -125,18 +125,6 @@ def test_meshes_are_files_folders_patterns_and_lists(tmp_path, monkeypatch):
     assert mesh_files(["@odd.stl", "[1].stl"]) == [Path("@odd.stl"), Path("[1].stl")]
 
 
-def test_patterns_enter_each_folder_once(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("a/b[1]").mkdir(parents=True)
-    Path("elsewhere").mkdir()
-    for name in ("a/b[1]/one.stl", "elsewhere/two.stl"):
-        Path(name).touch()
-    for name, aim in {"a/up": "..", "a/b[1]/top": "../..", "a/b[1]/again": "../../a", "a/far": "../elsewhere"}.items():
-        Path(name).symlink_to(aim, target_is_directory=True)
-    assert mesh_files(["a/**/*.stl"]) == [Path("a/b[1]/one.stl"), Path("a/far/two.stl")]
-    assert mesh_files(["**/b*/*.stl"]) == [Path("a/b[1]/one.stl")]
-
-
 def test_formulas_in_the_summary_are_text():
     texts = {"run": "=1+1", "mesh": "@x.stl", "error": "-2 is no friction", "friction": "-2", "noise": -1e-3}
     (row,) = csv.DictReader(io.StringIO(_csv([texts]).decode()))
@@ -446,23 +434,6 @@ def test_a_worker_that_writes_elsewhere_is_a_failure(tmp_path, monkeypatch):
     assert "workers on other machines need a folder that all of them share" in row["error"]
 
 
-@pytest.mark.slow
-def test_interruptions_leave_what_is_done(again):
-    """Ctrl-C ends the batch; what was finished is there, and the summary is the earlier one."""
-    out, meshes = again
-    before = (out / "summary.csv").read_bytes()
-
-    def interrupt(progress):
-        if progress.done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        scan3d.batch(meshes[:3], out, progress=interrupt, **SETTINGS | {"seed": 1})
-    assert (out / "summary.csv").read_bytes() == before
-    assert not list(out.rglob(".scan3d-*"))
-    assert scan3d.batch(meshes[:3], out, **SETTINGS | {"seed": 1}).computed == 1
-
-
 # --- the command ---
 
 
@@ -481,32 +452,6 @@ def test_the_command_prints_a_table(call, again):
     data = json.loads(stdout)
     assert (code, data["computed"], data["counts"]["failed"]) == (0, 0, 0)
     assert [row["run"] for row in data["runs"]] == ["egg", "cube", "gem"]
-
-
-def test_many_failures_are_counted(call, tmp_path):
-    for number in range(22):
-        (tmp_path / f"{number}.stl").touch()
-    code, stdout, _ = call(tmp_path, "--out", tmp_path / "out")
-    assert code == 1
-    assert stdout.count("failed   ") == 21
-    assert "and 2 more, which summary.csv names" in stdout
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--jobs", "0"], r"--jobs must be a whole number of at least 1, got 0; see 'scan3d batch --help'"),
-        (["--slices", "0"], r"slices must be a whole number of at least 1"),
-        (["--grid", "grid.toml", "--print-config"], r"--print-config prints one setting; leave out --grid"),
-    ],
-)
-def test_wrong_usage(call, tmp_path, monkeypatch, options, sentence):
-    monkeypatch.chdir(tmp_path)
-    Path("grid.toml").write_text("slices = [4]\n")
-    code, stdout, stderr = call(EGG, "--out", "out", *options)
-    assert (code, stdout) == (2, "")
-    assert re.search(sentence, stderr)
-    assert not Path("out").exists()
 
 
 def test_progress_counts_all_runs(again):
@@ -640,15 +585,3 @@ def test_without_dask_the_message_says_how_to_install_it(call, tmp_path, monkeyp
     assert (code, stdout) == (1, "")
     assert stderr == "scan3d: a scheduler needs dask.distributed: pip install 'scan3d[cluster]'\n"
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_does_not_answer(call, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    address = "tcp://127.0.0.1:9"
-    monkeypatch.setattr(batches, "_PATIENCE_S", 1)
-    code, stdout, stderr = call(EGG, "--out", tmp_path / "out", "--scheduler", address)
-    assert (code, stdout) == (1, "")
-    assert re.fullmatch(
-        rf"scan3d: no Dask scheduler answers at {address} \(.*; start one with 'dask scheduler', .*\n", stderr
-    )

@@ -10,7 +10,7 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.slices import Slice, SliceStack
 from scan3d.surfaces import enclosure
-from scan3d.surfaces.between import _contour, _local, between, contours_between, room
+from scan3d.surfaces.between import _local, between, contours_between, room
 
 
 def stack_of(heights, support):
@@ -65,16 +65,6 @@ def test_two_cones_with_a_common_base_reach_the_corner():
     assert fraction_at(lambda z: 10 - abs(z), [-3, -2, -1, 1, 2, 3], 0.0) == pytest.approx(1.0)
 
 
-def test_an_arc_at_a_straight_part_comes_close_to_the_corner():
-    """A cylinder that goes over into a paraboloid: the later in the slab, the nearer it comes to the corner."""
-    early, late = (
-        fraction_at(lambda z, start=start: 10 - max(0.0, z - start) ** 2, range(-2, 4), 0.5) for start in (0.0, 0.7)
-    )
-    # its tangents' apex lies at 3/4 of the secants'; a parabola reaches half of it
-    assert early == pytest.approx(0.375)
-    assert 0.7 < late < 1.0
-
-
 @pytest.mark.parametrize(
     ("profile", "heights"),
     [
@@ -97,26 +87,6 @@ def test_the_contours_between_slices_are_the_bodys(profile, heights):
         assert radius[member == k].max() < profile(z) / np.cos(np.pi / 36)
 
 
-def test_an_arc_that_begins_in_the_straight_part_is_followed_back():
-    """It begins a fifth of a step before the slice, which the slope of the slab there hardly shows."""
-
-    def profile(z):
-        return 10 - max(0.0, z + 0.2) ** 2
-
-    points = contours_between(round_stack(profile, np.arange(-3.0, 4.0)))
-    for z in (1 / 3, 2 / 3):
-        contour = points[np.abs(points[:, 2] - z) < 1e-9]
-        assert np.hypot(contour[:, 0], contour[:, 1]).min() == pytest.approx(profile(z), rel=1e-12)
-
-
-def test_support_lines_that_enclose_nothing_give_no_contour():
-    angle = np.arange(4) * np.pi / 2
-    assert _contour(angle, np.ones(4), np.zeros(2)).shape == (4, 2)
-    # the point is outside; and what Qhull can't process
-    assert _contour(angle, -np.ones(4), np.zeros(2)).shape == (0, 2)
-    assert _contour(np.zeros(4), np.ones(4), np.zeros(2)).shape == (0, 2)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
 def test_the_estimate_lies_between_the_bounds(fraction):
@@ -133,14 +103,3 @@ def test_the_estimate_lies_between_the_bounds(fraction):
     corner = int(np.where(found.past, np.linalg.norm(found.away, axis=1), 0.0).argmax())
     tip = found.foot[corner] + found.away[corner] / 2
     assert abs(signed_distances(tip[None], estimate)[0]) < 0.2 * bounds.bound
-
-
-@pytest.mark.slow
-def test_the_gap_at_a_slice_is_the_larger_one_beside_it():
-    cloud = scanned(hull(20 * np.random.default_rng(0).normal(size=(30, 3))), slices=12, samples=32)
-    found = room(cloud)
-    (axis,) = found.axes
-    at_slices = found.gap_at(axis.heights[:, None] * axis.axis)
-    assert np.array_equal(at_slices, np.maximum(axis.gap[:-1], axis.gap[1:]))
-    middles = (axis.heights[1:] + axis.heights[:-1]) / 2
-    assert np.array_equal(found.gap_at(middles[:, None] * axis.axis), axis.gap[1:-1])

@@ -12,7 +12,7 @@ import scan3d
 from scan3d import InputError
 from scan3d.calibration import estimate
 from scan3d.calibration.model import Kind, equations
-from scan3d.calibration.references import Plane, Sphere, neighbours
+from scan3d.calibration.references import Plane, Sphere
 from scan3d.spatial.inverse import reconstruct
 from tests import references, rigs
 
@@ -119,32 +119,6 @@ def test_with_noise_the_errors_are_those_that_are_stated(noisy):
     assert max(uncertain[f"clamp_{axis}_mm"] for axis in "xyz") < 0.06
 
 
-@pytest.mark.trust
-@pytest.mark.parametrize("kind", ["sphere", "plane"])
-def test_the_stated_intervals_hold(kind):
-    """A short version of `tests.robustness.calibrations`, over the quantities of the rig."""
-    holds = []
-    for seed in range(100, 112):
-        recording, touched = recorded(kind, seed=seed)
-        found = scan3d.calibrate(recording, touched)
-        holds.append((np.abs(errors(found, recording, kind)) < 1.96 * found.standard_deviations)[of_rig(found)])
-    assert 0.88 <= np.mean(holds) <= 0.99
-
-
-def test_rows_are_chosen_by_their_neighbours_alone():
-    rng = np.random.default_rng(0)
-    sweep = np.repeat([0, 1, 2], [20, 30, 1])
-    contact = np.ones(51, dtype=bool)
-    contact[8] = False
-    line = np.arange(51.0)[:, None] * np.arange(1, 7)
-    # a straight line is what the neighbours predict, whatever the row's own value; a row alone has no neighbours
-    for row in (0, 7, 25, 49):
-        wrench = line.copy()
-        wrench[row] += rng.normal(size=6)
-        assert np.allclose(neighbours(wrench, sweep, contact)[row], line[row])
-    assert (neighbours(line, sweep, contact)[50] == line[50]).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.0, 0.5])
 def test_noise_that_is_not_stated_or_understated_is_found_in_the_air(on_sphere, stated):
@@ -236,19 +210,6 @@ def test_few_light_touches_determine_poorly():
     recording = rigs.recorded()
     found = scan3d.calibrate(part(recording, recording.sweep < 8), rigs.DIAMETER)
     assert any("the sensor's turn poorly" in sentence and "more friction" in sentence for sentence in found.sentences)
-
-
-@pytest.mark.slow
-def test_strokes_over_a_plane_in_one_direction_say_what_they_lack():
-    raster = dict(directions=1, rolls=1, **SHORT)
-    truth = dataclasses.replace(rigs.EXACT, clamp=(0.0, 0.0, 0.0), clamp_turn=(0.0, 0.0, 0.0))
-    recording, touched = recorded("plane", truth, **raster)
-    found = scan3d.calibrate(recording, touched)
-    assert any("the clamp turned about the rod's axis by 90 degrees" in sentence for sentence in found.sentences)
-    error = scaled(found, errors(found, recording, "plane", truth, **raster))
-    known = dict(zip(found.names, np.isfinite(found.standard_deviations), strict=True))
-    assert known["bending_stiffness_Nm2"]
-    assert max(error[name] for name in error if known[name] and not name.startswith("plane")) < 1e-4
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """The outer body between slices along several axes: it contains the body, and no contact and tangent allows less."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,17 +8,14 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import scan3d
-from scan3d.bounds import cells, enclosure
-from scan3d.bounds.cells import cells_of_cloud, tighter_cells
+from scan3d.bounds import enclosure
+from scan3d.bounds.cells import cells_of_cloud
 from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces.between import between, has_cells, room
-from scan3d.surfaces.choice import hold_out
-from tests.sample_bodies import outside
 
 
 def body(seed):
@@ -54,67 +50,6 @@ def test_every_cell_is_bounded_by_its_planes():
     assert (height >= found.low[found.cell] - 1e-8 * size).all()
     assert (height <= found.high[found.cell] + 1e-8 * size).all()
     assert len(np.unique(found.number, axis=0)) == len(found.number)
-
-
-@pytest.mark.slow
-def test_estimates_lie_between_the_hull_and_the_corners():
-    mesh, cloud = scanned(1)
-    found, inner = found_in(cloud), hull(cloud.points)
-    size = np.linalg.norm(mesh.extents)
-    by_cells = room(cloud, by_cells=True)
-    estimates = {fraction: between(by_cells, fraction) for fraction in (0.0, 0.5, 1.0)}
-    assert scan3d.compare(estimates[0.0], inner).hausdorff < 1e-6 * size
-    assert outside(found.corners, estimates[1.0]).max() < 1e-6 * size
-    assert outside(inner.vertices, estimates[0.5]).max() < 1e-6 * size
-    assert outside(estimates[0.5].vertices, estimates[1.0]).max() < 1e-6 * size
-    assert estimates[0.0].volume < estimates[0.5].volume < estimates[1.0].volume
-
-
-@pytest.mark.slow
-def test_no_estimates_by_cells_of_one_axis_or_of_noisy_contacts():
-    mesh = body(0)
-    plan = scan3d.Plan(slices=6, spacing="cosine", samples=24)
-    assert not has_cells(contacts(scan3d.simulate(mesh, plan)))
-    noisy = replace(plan, axis="xyz", noise=1e-3)
-    assert not has_cells(scan3d.reconstruct(scan3d.simulate(mesh, noisy)))
-
-
-def test_no_estimates_by_cells_where_only_half_of_the_slices_are_few_enough(monkeypatch):
-    """Cross-validation must not choose an estimate that all slices together do not have."""
-    _, cloud = scanned(1)
-    bounds = enclosure(cloud)
-    assert bounds.tighter is not None
-    crossings = cells.crossings(len(stack.slices) for stack in stacks(cloud))
-    monkeypatch.setattr(cells, "MOST_CROSSINGS", crossings - 1)
-    assert not has_cells(cloud)
-    assert has_cells(hold_out(cloud)[0])
-    surface = scan3d.surface(cloud, "bracket", bounds=bounds)
-    assert surface.is_watertight
-    monkeypatch.undo()
-    by_cells = between(room(cloud, by_cells=True), 1.0)
-    assert not np.array_equal(surface.vertices, by_cells.vertices)
-
-
-@pytest.mark.slow
-def test_cells_that_bound_the_body_no_more_tightly_are_given_up_by_one_of_them():
-    _, cloud = scanned(1)
-    by_axis, inner, found = stacks(cloud), hull(cloud.points), found_in(cloud)
-    for place in (found.gap.argmax(), 0, len(found.gap) // 2):
-        cell = found.corners[found.cell == found.cell[place]].mean(axis=0)
-        reach = found.gap[found.cell == found.cell[place]].max()
-        assert tighter_cells(cloud, by_axis, inner, cell, reach * (1 - 1e-9)) is None
-        further = tighter_cells(cloud, by_axis, inner, cell, reach * (1 + 1e-9))
-        np.testing.assert_array_equal(further.gap, found.gap)
-
-
-@pytest.mark.slow
-def test_cells_of_slices_that_lie_along_one_axis_but_for_few_are_left_out():
-    """They would take most of the time of the analysis, and bound the body no more tightly than the slabs of the one axis."""
-    _, cloud = scanned(2, 9, "xyz", "adaptive")
-    by_axis = [len(stack.slices) for stack in stacks(cloud)]
-    assert max(by_axis) > 3 * sorted(by_axis)[1]
-    assert enclosure(cloud).tighter is None
-    assert found_in(cloud).gap.max() > 0.9 * enclosure(cloud).bound
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import certificate, choice, enclosure, surface
-from scan3d.surfaces.choice import HeldOutError, error_of_fit, error_of_surface, hold_out
+from scan3d.surfaces.choice import HeldOutError, error_of_surface, hold_out
 
 
 @pytest.fixture(scope="module")
@@ -166,19 +166,6 @@ def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     assert certificate(bounds, made).bound < 2e-3 * np.linalg.norm(mesh.extents)
 
 
-@pytest.mark.slow
-def test_where_no_planes_can_be_fitted_the_other_estimates_are_compared(monkeypatch):
-    def fitted(_):
-        raise scan3d.InputError("the 0 contacts span no body")
-
-    cloud = scanned(trimesh.creation.box((20, 30, 40)), slices=12, noise=1e-3)
-    assert surface(cloud).metadata["method"] == "regression"
-    monkeypatch.setattr(choice, "regression", fitted)
-    made = surface(cloud)
-    assert made.metadata["method"] in ("bracket", "support")
-    assert made.is_watertight
-
-
 def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
     cloud = contacts(scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=1, samples=16)))
     with pytest.raises(scan3d.InputError, match="method must be one of"):
@@ -210,34 +197,6 @@ def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box):
 
 
 # --- what is held out, and the errors there ---
-
-
-def test_with_few_slices_the_estimate_is_made_without_cross_validation():
-    cloud = scanned(trimesh.creation.icosphere(3, 20.0), slices=4, samples=16)
-    assert hold_out(cloud) is None
-    assert "too few slices" in surface(cloud).metadata["reason"]
-
-
-@pytest.mark.slow
-def test_every_second_slice_is_held_out_except_the_end_slices(ball):
-    _, ball = ball
-    kept, held_out = hold_out(ball)
-    heights = np.sort(np.unique(ball.slice_height[ball.slice]))
-    kept_heights = np.sort(np.unique(kept.slice_height[kept.slice]))
-    assert kept_heights.tolist() == heights[::2].tolist() + ([] if len(heights) % 2 else [heights[-1]])
-    assert len(kept) + len(held_out) == len(ball)
-    assert np.isin(held_out.points[:, 2].round(9), heights[1:-1:2].round(9)).all()
-    assert np.allclose(kept.slice_height[kept.slice], kept.points[:, 2])
-    # the empty slices stay: they bound the body
-    assert len(kept.slice_height) == len(kept_heights) + 2
-    assert kept.fit is None
-
-
-def test_the_error_of_a_surface_is_the_distance_of_the_held_out_contacts():
-    box = hull(trimesh.creation.box((2, 2, 2)).vertices)
-    error = error_of_surface(box, contacts_at([[0.0, 0.0, 1.5], [0.0, 0.9, 0.0]]))
-    assert error.largest == pytest.approx(0.5)
-    assert error.rms == pytest.approx(np.sqrt((0.5**2 + 0.1**2) / 2))
 
 
 def contacts_at(points, normals=None, sd=None):
@@ -278,11 +237,3 @@ def test_a_contact_displaced_around_an_edge_is_judged_by_its_error_across_the_ot
     assert around.largest == pytest.approx(across.largest)
     assert around.rms < 0.01
     assert across.rms > 0.09
-
-
-def test_the_error_of_a_fit_contains_no_facets(ball):
-    _, ball = ball
-    directions = ball.points[:100] / np.linalg.norm(ball.points[:100], axis=1, keepdims=True)
-    error = error_of_fit(ball.fit, ball, contacts_at(20.5 * directions))
-    assert error.largest == pytest.approx(0.5, abs=2e-3)
-    assert error.rms == pytest.approx(0.5, abs=2e-3)

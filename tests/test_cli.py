@@ -477,18 +477,6 @@ def test_compare_prints_the_distance(call, tmp_path):
     assert "5 mm" in call("compare", tmp_path / "moved.ply", CUBE, "--unit", "cm")[1]
 
 
-@pytest.mark.slow
-def test_hull_scans_a_body_that_is_not_convex_and_quiet_prints_nothing(call, bad, tmp_path, no_pictures):
-    asked = ["scan", bad / "bowl.stl", "--out", tmp_path, "--hull", *FEW, "--slices", "6", "--quiet"]
-    assert call(*asked) == (0, "", f"scan3d: {rendering.NO_RENDERER}\n")
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["mesh"]["hull"] is True
-    assert report["mesh"]["dent"] > 1
-    # radius 4 and height 2: the hull's volume, which lacks the caps beyond the last slices
-    hull = trimesh.load_mesh(bad / "bowl.stl").convex_hull
-    assert 0.7 * hull.volume < report["surface"]["volume"] < 1.01 * hull.volume
-
-
 # --- settings ---
 
 

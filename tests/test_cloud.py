@@ -39,20 +39,6 @@ def test_each_contact_has_the_force_and_the_sweep_of_its_row(recording, cloud):
     assert len(np.unique(recording.force_N[cloud.row], axis=0)) == len(cloud)
 
 
-def test_each_contact_lies_in_the_plane_of_its_row_within_the_rods_reach(recording, cloud):
-    offset = cloud.points * 1e-3 - recording.position_m[cloud.row]
-    axes = recording.axes()[cloud.row]
-    in_clamp = np.einsum("nij,nj->ni", axes, offset)
-    assert np.abs(in_clamp[:, 2]).max() < 1e-12
-    assert np.linalg.norm(in_clamp, axis=1).max() < recording.rod.length_m
-
-
-def test_rows_without_contact_belong_to_no_contact(recording, cloud):
-    without = np.setdiff1d(np.arange(len(recording)), cloud.row)
-    unit = recording.rod.force_unit_N
-    assert np.hypot(*recording.force_N[without].T).max() < 0.05 * unit
-
-
 @pytest.mark.parametrize("kind", ["mask", "indices"])
 def test_selected_contacts_keep_their_rows_and_the_cloud_its_slices(cloud, kind):
     mask = cloud.phase == planar.Phase.TANGENTIAL
@@ -65,19 +51,6 @@ def test_selected_contacts_keep_their_rows_and_the_cloud_its_slices(cloud, kind)
             assert np.array_equal(after, before[mask], equal_nan=True)
         elif field.compare:
             assert after is before, field.name
-
-
-def test_contacts_are_selected_in_the_order_of_the_indices(cloud):
-    order = np.array([5, 2, 9])
-    assert np.array_equal(cloud.select(order).row, cloud.row[order])
-    assert np.array_equal(cloud.select(order).points, cloud.points[order])
-
-
-def test_no_contacts_may_be_selected(cloud):
-    empty = cloud.select(np.zeros(len(cloud), dtype=bool))
-    assert len(empty) == 0
-    assert empty.points.shape == (0, 3)
-    assert len(empty.slice_height) == len(cloud.slice_height)
 
 
 @pytest.mark.parametrize("noise", [0.3, 0.6])

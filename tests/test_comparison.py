@@ -46,12 +46,6 @@ def test_units_do_not_matter(pair, scale):
             assert after == pytest.approx(scale * before, rel=1e-6)
 
 
-@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
-def test_the_hausdorff_distance_alone_is_that_of_the_comparison(pair):
-    surface, mesh = pair
-    assert compare_all(surface, surface, np.zeros((1, 3)), mesh)[1] == compare(surface, mesh).hausdorff
-
-
 def test_a_comparison_of_a_surface_an_inner_body_and_points_is_that_of_each_alone():
     mesh, surface, inner = ball(3), moved(ball(2), (0.1, 0.2, 0.3)), cube(1.0)
     points = np.random.default_rng(0).normal(size=(500, 3))
@@ -76,13 +70,6 @@ def test_place_and_attitude_do_not_matter():
         plain, turned = compare(*pair), compare(*(moved(mesh, (30.0, -20.0, 10.0), rotation=turn) for mesh in pair))
         assert turned.hausdorff == pytest.approx(plain.hausdorff, rel=1e-11)
         assert turned.mean == pytest.approx(plain.mean, rel=1e-2)
-
-
-def test_the_same_meshes_give_the_same_numbers():
-    pair = PAIRS["crossing"]
-    first, second = (dataclasses.asdict(compare(*pair)) for _ in range(2))
-    assert np.array_equal(first.pop("worst_point"), second.pop("worst_point"))
-    assert first == second
 
 
 @pytest.mark.parametrize("mesh", [cube(), ball(0), angle_bracket(), quad(0), trimesh.creation.torus(1.0, 0.4)])

@@ -10,7 +10,7 @@ import trimesh
 
 import scan3d
 from scan3d.bounds.constraints import allowed, sigmas
-from scan3d.bounds.noise import AVERAGED, averages_of, beyond, confident, polygon_of_lines
+from scan3d.bounds.noise import averages_of, confident
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
@@ -20,7 +20,6 @@ from scan3d.reconstruction.slices import stacks
 from scan3d.surfaces import certificate, enclosure, surface
 
 MESHES = Path(__file__).parents[1] / "meshes"
-BODIES = ["cube.stl", "egg.stl", "pebble.obj", "needle.ply"]
 
 
 @functools.cache
@@ -63,24 +62,6 @@ def test_a_slice_that_proves_no_point_is_left_out():
     assert np.isinf(certificate(enclosure(uncertain), surface(cloud, "hull")).bound)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BODIES)
-def test_a_slice_whose_contacts_prove_little_leaves_the_bound_to_the_slices_beside_it(name):
-    """More touches do not widen a bound: of the uppermost slice, or of one in the middle, no support line is certain."""
-    _, _, cloud = scanned(name, 1e-4)
-    (stack,) = stacks(cloud)
-    for number in (len(stack.slices) - 1, len(stack.slices) // 2):
-        rows = stack.slices[number].rows
-        normal_sd = cloud.normal_sd.copy()
-        normal_sd[rows] = 1.0
-        without = np.delete(np.arange(len(cloud)), rows)
-        found = enclosure(dataclasses.replace(cloud, normal_sd=normal_sd)).bound
-        # beside the empty slice above it, the slice that is left out is empty as well
-        if number < len(stack.slices) - 1:
-            assert found <= 1.01 * enclosure(cloud.select(without)).bound
-        assert np.isfinite(found)
-
-
 def test_support_lines_that_do_not_close_prove_nothing():
     """Sweeps from one side only: the lines of the far side are those of the rectangle, which is not known to hold the body."""
     _, _, cloud = scanned("egg.stl", 1e-4, sweeps=1)
@@ -95,27 +76,6 @@ def test_more_contacts_and_more_confidence_need_more_standard_deviations():
 
 
 # --- averages ---
-
-
-def test_averages_are_those_of_runs_and_of_the_runs_beside_them():
-    rng = np.random.default_rng(0)
-    points = np.column_stack([np.tile(np.arange(40.0), 2), np.repeat([0.0, 0.01], 40)])
-    sweep = np.repeat([3, 8], 40).astype(np.int32)
-    averages = averages_of(points, sweep, np.ones(80), 5.0)
-    ones = np.ones(80)
-    np.testing.assert_allclose(averages.mean(ones), 1.0)
-    members = np.bincount(averages.group)
-    np.testing.assert_allclose(averages.variance(ones), 1 / members)
-    # the first averages are those of pairs of rows, then each with the pair of the other sweep
-    np.testing.assert_allclose(averages.mean(points)[:20], points.reshape(-1, 2, 2).mean(axis=1)[:20])
-    assert set(members) >= {AVERAGED[0], 2 * AVERAGED[0]}
-    assert (averages.kappa[members == AVERAGED[0]] >= 5.0 - 1e-12).all()
-    assert (averages.kappa[40:80] > 5.0).all()
-    # unequal variances: the mean of least variance
-    variance = rng.uniform(0.5, 2.0, 80)
-    weighted = averages_of(points, sweep, variance, 5.0)
-    least = 1 / np.bincount(weighted.group, 1 / variance[weighted.row])
-    np.testing.assert_allclose(weighted.variance(variance), least)
 
 
 @pytest.mark.slow
@@ -153,31 +113,6 @@ def test_means_of_rounded_numbers_are_no_more_accurate():
 
 
 # --- polygons ---
-
-
-def test_the_polygon_of_lines_has_their_intersections():
-    normals = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1], [np.sqrt(0.5), np.sqrt(0.5)]])
-    corners, sides = polygon_of_lines(normals, np.array([2.0, 1, 2, 1, 9]), np.array([0.5, 0.0]))
-    assert sorted(map(tuple, np.round(corners, 12))) == [(-2, -1), (-2, 1), (2, -1), (2, 1)]
-    assert set(sides) == {0, 1, 2, 3}
-    assert polygon_of_lines(normals[:2], np.ones(2), np.zeros(2)) is None
-    assert polygon_of_lines(normals[:3], np.ones(3), np.zeros(2)) is None
-    assert polygon_of_lines(normals, np.array([2.0, 1, 2, 1, 9]), np.array([3.0, 0])) is None
-
-
-def test_the_part_of_a_polygon_beyond_a_line():
-    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    normals, tangents = np.array([[1.0, 0], [1, 0], [1, 0]]), np.array([[0.0, 1], [0, 1], [0, 1]])
-    points, offset = np.array([[0.5, 0.25], [1.0, 0], [2.0, 0]]), np.array([0.5, 1.0, 2.0])
-    extent, height = beyond(square, points, normals, tangents, offset)
-    np.testing.assert_allclose(extent, [1.25, 1.0, 0.0])
-    np.testing.assert_allclose(height, [0.5, 0.0, 0.0])
-    diagonal = np.array([[np.sqrt(0.5), np.sqrt(0.5)]])
-    extent, height = beyond(
-        square, np.array([[0.5, 0.5]]), diagonal, diagonal[:, ::-1] * [-1, 1], np.array([np.sqrt(0.5)])
-    )
-    np.testing.assert_allclose(extent, np.sqrt(0.5))
-    np.testing.assert_allclose(height, np.sqrt(0.5))
 
 
 # --- enclosures and certificates ---

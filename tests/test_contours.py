@@ -7,7 +7,6 @@ import pytest
 
 import planar
 from planar.contours import Mirrored
-from planar.paths import polygon_paths
 
 SLOPES = np.linspace(-np.pi / 2, np.pi / 2, 181)
 SQUARE = np.array([[0.0, 0.5], [0.4, 0.5], [0.4, 0.9], [0.0, 0.9]])
@@ -126,14 +125,6 @@ def test_polygons_run_counter_clockwise_for_either_order_of_the_vertices():
         assert sorted(map(tuple, tidied)) == sorted(map(tuple, SQUARE))
 
 
-def test_order_and_start_do_not_matter():
-    base = np.linspace(0.5, -0.2, 30)
-    first = planar.sweep(planar.Polygon(SQUARE), 0.3, base=base)
-    for vertices in (SQUARE[::-1], np.roll(SQUARE, 1, axis=0)):
-        again = planar.sweep(planar.Polygon(vertices), 0.3, base=base)
-        np.testing.assert_array_equal(again.m0z, first.m0z)
-
-
 def test_duplicate_and_collinear_vertices_are_dropped():
     tilted = SQUARE @ [[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]
     for square in (SQUARE, tilted):
@@ -156,15 +147,6 @@ def test_nearly_parallel_edges_are_kept_above_rounding():
     assert len(planar.Polygon(straight).vertices) == 3
 
 
-def test_polygons_can_not_be_changed_through_their_vertices():
-    given = SQUARE.copy()
-    polygon = planar.Polygon(given)
-    given[0] = 7
-    assert (polygon.vertices < 1).all()
-    with pytest.raises(ValueError, match="read-only"):
-        polygon.vertices[0] = 7
-
-
 def test_distance_to_a_polygon():
     square = planar.Polygon(SQUARE)
     points = np.array([[0.2, 0.4], [0.5, 0.7], [0.2, 0.7], [0.5, 0.4], [0.4, 0.9], [0.1, 0.5]])
@@ -179,32 +161,12 @@ def circle_of(count):
     return np.array([0.0, 1.0]) + 0.5 * np.stack([np.cos(around), np.sin(around)], axis=1)
 
 
-def test_a_path_alternates_between_vertices_and_edges():
-    path = planar.Polygon(SQUARE).path()
-    ends = path.point + path.move
-    np.testing.assert_allclose(ends[:-1], path.point[1:], atol=1e-15)
-    np.testing.assert_allclose((path.slope + path.turn)[:-1], path.slope[1:], atol=1e-15)
-    assert ((path.turn == 0) | (np.abs(path.move).max(axis=1) == 0)).all()
-    # from the lower right vertex, where the slope turns from vertical, along the bottom to the lower left vertex
-    assert path.slope[0] == np.pi / 2
-    np.testing.assert_allclose(path.point[0], [0.4, 0.5])
-    np.testing.assert_allclose(ends[-1], [0.0, 0.5])
-    assert path.slope[-1] + path.turn[-1] == pytest.approx(-np.pi / 2)
-
-
 def test_a_path_leaves_out_what_the_tip_can_not_reach():
     triangle = planar.Polygon(np.array([[0.0, 0.5], [1.0, 1.5], [-1.0, 1.5]]))
     path = triangle.path()
     np.testing.assert_allclose(path.point[0], [0.5, 1.0], atol=1e-15)
     assert path.point[0, 1] == 1.0
     np.testing.assert_allclose((path.point + path.move)[-1], [-0.5, 1.0], atol=1e-15)
-
-
-def test_paths_of_many_polygons_are_one():
-    square, triangle = planar.Polygon(SQUARE), planar.Polygon(SQUARE[:3])
-    together = polygon_paths([square.vertices, triangle.vertices])
-    assert together.offsets.tolist() == [0, len(square.path().slope), len(together.slope)]
-    np.testing.assert_array_equal(together.slope[together.offsets[1] :], triangle.path().slope)
 
 
 @pytest.mark.parametrize("count", [3, 4, 7, 1000, 100_000])
@@ -329,8 +291,3 @@ def test_a_differenced_radius_of_curvature_is_exact_to_a_billionth():
     circle = planar.Curve(lambda slope: np.stack([radius * np.sin(slope), 1.0 - radius * np.cos(slope)], axis=-1))
     slope = np.linspace(-np.pi / 2, np.pi / 2, 101)
     np.testing.assert_allclose(circle.radius_of_curvature(slope), radius, rtol=5e-10)
-
-
-def test_the_distance_from_a_polygon_takes_lists_of_points():
-    square = planar.Polygon(np.array([[0.0, 0.2], [1.0, 0.2], [1.0, 1.2], [0.0, 1.2]]))
-    np.testing.assert_allclose(square.distance([[2.0, 0.7], [0.5, 0.3]]), [1.0, 0.1], atol=1e-15)

@@ -28,11 +28,9 @@ from shapes import (
 
 from scan3d.errors import InputError
 from scan3d.files.meshes import load_mesh, read_mesh
-from scan3d.geometry import convexity
 from scan3d.geometry.convexity import (
     CONVEX_DEPTH,
     DENT_TOLERANCE,
-    NEAR_CONVEX_DEPTH,
     against_hull,
     distance_to_hull,
     is_convex,
@@ -124,37 +122,6 @@ def test_random_small_dents_are_bounded_from_above():
     assert proven > 20
 
 
-def twice_around():
-    """A closed surface with convex edges only that winds twice around its axis: a double cone over a pentagram."""
-    angle = 4 * np.pi * np.arange(5) / 5
-    around = [(x, y, 0.0) for x, y in zip(np.cos(angle), np.sin(angle), strict=True)]
-    faces = [(k, (k + 1) % 5, 5) for k in range(5)] + [((k + 1) % 5, k, 6) for k in range(5)]
-    return as_mesh(np.array([*around, (0, 0, 1.0), (0, 0, -1.0)]), np.array(faces))
-
-
-NOT_CONVEX = {
-    "hole": without(cube(), 1),
-    "wound twice": twice_around(),
-    "two bodies": trimesh.util.concatenate([cube(), moved(cube(), (5.0, 0.0, 0.0))]),
-    "one inside the other": trimesh.util.concatenate([cube(), moved(cube(), scale=0.5)]),
-    "letter L": letter_l(),
-    "faces wound against each other": trimesh.Trimesh(
-        cube().vertices, [face[::-1] if k == 3 else face for k, face in enumerate(cube().faces.tolist())], process=False
-    ),
-    "face without area": as_mesh(
-        np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.5, 0.5, 0.0)]),
-        np.array([(0, 2, 4), (0, 4, 1), (1, 4, 2), (0, 1, 3), (1, 2, 3), (2, 0, 3)]),
-    ),
-}
-
-
-@pytest.mark.parametrize("mesh", NOT_CONVEX.values(), ids=NOT_CONVEX)
-def test_what_the_edges_do_not_prove_has_no_bound(mesh):
-    planes, bound = by_edges(mesh)
-    assert bound == np.inf
-    assert planes.shape == (0, 4)
-
-
 def rows(faces):
     """Triangles as a set, whichever corner comes first."""
     return {tuple(np.roll(face, -face.argmin()).tolist()) for face in np.asarray(faces)}
@@ -168,11 +135,6 @@ def test_the_faces_of_a_strictly_convex_body_are_the_facets_of_its_hull_turned_o
     hull = ConvexHull(points)
     assert rows(np.sort(outward, axis=1)) == rows(np.sort(hull.simplices, axis=1))
     assert trimesh.Trimesh(points, outward, process=False).volume == pytest.approx(hull.volume, rel=1e-12)
-
-
-@pytest.mark.parametrize("mesh", [cube(), denting(1e-14), denting(0.1), letter_l(), without(ball(7, 300), 5)])
-def test_faces_that_may_not_be_the_facets_of_the_hull_are_left_to_qhull(mesh):
-    assert outward_faces(facets_of(mesh).vertices, facets_of(mesh).faces) is None
 
 
 # --- the distance to the hull ---
@@ -202,15 +164,6 @@ def test_a_shallow_dent_is_bounded_from_above_and_not_by_much(depth):
     bound = distance_to_hull(body)
     # the dent's own depth; the argument allows for three times that of a face's middle, which lies at a third, and R / r
     assert depth * (1 - 1e-3) <= bound <= 2 * np.sqrt(3) * depth * (1 + 1e-3)
-
-
-def test_a_surface_too_large_to_be_examined_counts_as_not_convex_from_a_depth_on(monkeypatch):
-    # as if the time allowed for one face only
-    monkeypatch.setattr(convexity, "_MAX_DISTANCES", 1)
-    diagonal = 2 * np.sqrt(3)
-    # the middle of a dented face lies at a third of the dent's depth
-    assert np.isfinite(distance_to_hull(dented(2.9 * NEAR_CONVEX_DEPTH * diagonal)))
-    assert distance_to_hull(dented(3.1 * NEAR_CONVEX_DEPTH * diagonal)) == np.inf
 
 
 def test_bodies_far_from_convex():
@@ -247,15 +200,6 @@ def test_faces_wound_against_the_others_do_not_open_a_surface():
     faces = body.faces.copy()
     faces[::3] = faces[::3, ::-1]
     assert distance_to_hull(as_mesh(body.vertices, faces)) <= CONVEX_DEPTH * body.scale
-
-
-def test_only_the_faces_that_are_too_many_to_be_examined_must_be_shallow(monkeypatch):
-    """With a limit of twelve faces: the dent has fewer, and the other faces lie in those of the hull."""
-    body = dented(0.3)
-    unlimited = distance_to_hull(body)
-    planes = 6
-    monkeypatch.setattr(convexity, "_MAX_DISTANCES", 12 * planes)
-    assert distance_to_hull(body) == unlimited < np.inf
 
 
 # --- the deepest dent ---

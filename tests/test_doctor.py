@@ -65,12 +65,6 @@ def test_nothing_missing(well, capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_json(well, capsys):
-    assert main(["doctor", "--json"]) == 0
-    state = json.loads(capsys.readouterr().out)
-    assert (state["ok"], state["missing"]) == (True, [])
-
-
 def without(monkeypatch, *names):
     monkeypatch.setattr(doctor, "_version", lambda name: None if name in names else installed(name))
 
@@ -123,14 +117,6 @@ def test_missing_system_libraries(monkeypatch, platform, known):
     assert f"open3d             doesn't work ({found})" in stdout
     assert "pictures           don't work (nothing can render off screen)" in stdout
     assert ("apt-get" in stdout) == known
-
-
-def test_the_error_of_a_child_process():
-    assert doctor._error_of("") is None
-    assert doctor._error_of("raise OSError('no luck')") == "OSError: no luck"
-    assert doctor._error_of("import sys; sys.exit(3)") == "exit code 3"
-    if sys.platform != "win32":
-        assert doctor._error_of("import os; os.kill(os.getpid(), 9)") == "killed by signal 9"
 
 
 def test_it_runs_where_nothing_can_be_imported():

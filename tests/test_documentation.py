@@ -20,7 +20,7 @@ import scan3d
 from scan3d import workers
 from scan3d.choices import METHODS
 from scan3d.cli import main, verbs
-from scan3d.cli.commands import COMMANDS, app
+from scan3d.cli.commands import COMMANDS
 from scan3d.files.recordings import COLUMNS
 from scan3d.pictures import rendering
 from tests.robustness.runner import Threads
@@ -67,15 +67,6 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
     return tmp_path
-
-
-def test_the_reading_of_pages_finds_what_it_should() -> None:
-    # on a page written for this test, so that the tests below can fail
-    page = "[a](x.md#y) ![b](p.png) `[no](no.md)` [web](https://example.org)\n```python\n[no](n.md)\nx = 1\n```\n"
-    assert blocks(page, "python") == ["[no](n.md)\nx = 1\n"]
-    assert targets(page) == ["x.md", "p.png"]
-    assert targets("```{literalinclude} ../a.py\n```\n") == ["../a.py"]
-    assert {"README.md", "docs/index.md", "docs/files.md", "docs/api/planar.md"} <= set(map(name_of, PAGES))
 
 
 def fewer(text: str) -> str:
@@ -283,34 +274,3 @@ def script(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def test_broken_links_in_built_pages_are_found(tmp_path: Path) -> None:
-    check = script(ROOT / "docs" / "check_links.py")
-    (tmp_path / "a.html").write_text('<h1 id="top">A</h1><a href="#top">up</a><a href="b.html#here">B</a>')
-    (tmp_path / "b.html").write_text('<p id="here"></p><a href="https://example.org/nowhere">out</a>')
-    assert list(check.broken(tmp_path)) == []
-    (tmp_path / "c.html").write_text(
-        '<a href="b.html#there">B</a><img src="gone%20away.png"><a href="#bottom">down</a>'
-    )
-    assert list(check.broken(tmp_path)) == [
-        "c.html: b.html#there has no such anchor",
-        "c.html: gone%20away.png does not exist",
-        "c.html: #bottom has no such anchor",
-    ]
-
-
-def test_every_picture_of_the_manual_is_made_by_one_command(capsys: pytest.CaptureFixture[str]) -> None:
-    module = script(ROOT / "docs" / "make_pictures.py")
-    made = {*module.scripts(), *module.VIEWS, *module.MOVIES}
-    assert {picture.stem for picture in (ROOT / "docs" / "pictures").iterdir()} == made
-    assert "docs/make_pictures.py $(FIGURES)" in (ROOT / "Makefile").read_text(encoding="utf-8")
-    # the views are drawn with options that the program has
-    for _, *options in module.VIEWS.values():
-        app().parse_args(["show", "out", "--screenshot", "a.png", *options], exit_on_error=False, print_error=False)
-    for _, *options in module.MOVIES.values():
-        app().parse_args(["show", "out", "--movie", "a.gif", *options], exit_on_error=False, print_error=False)
-    assert (ROOT / "docs" / "pictures" / "growth.gif").stat().st_size <= 2e6
-    with pytest.raises(SystemExit):
-        module.main(["nonsense"])
-    assert "there is no picture nonsense: expected" in capsys.readouterr().err

@@ -1,12 +1,9 @@
 """The child process that draws: what it draws is the same, and its end costs the pictures only."""
 
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
-from dataclasses import replace
 
 import pytest
 from small_scans import CUBE, FEW, scanned
@@ -29,13 +26,6 @@ def test_a_child_draws_the_same_picture_as_this_process_whatever_its_matplotlibr
     monkeypatch.setenv("MATPLOTLIBRC", str(tmp_path / "matplotlibrc"))
     views.picture(scanned(CUBE), tmp_path / "a.png", "cloud")
     assert drawing.draw(scanned(CUBE), JOBS) == [(tmp_path / "a.png").read_bytes()]
-
-
-@pytest.mark.slow
-@pytest.mark.rendering
-def test_a_scene_that_lacks_what_is_to_be_shown():
-    with pytest.raises(scan3d.InputError, match="the bound of cube is not known"):
-        drawing.draw(replace(scanned(CUBE), bound=None, truth=None), [(".png", {"view": "bound"})])
 
 
 @pytest.mark.rendering
@@ -94,41 +84,11 @@ def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path):
     assert not (tmp_path / "a.png").exists()
 
 
-def test_where_nothing_can_be_rendered(monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
-    with pytest.raises(rendering.NoRendererError, match="nothing here can render off screen"):
-        drawing.draw(scanned(CUBE), JOBS)
-
-
 def wait_for(condition):
     end = time.monotonic() + 20
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
-
-
-@pytest.mark.parametrize("asked", [False, True])
-@pytest.mark.usefixtures("renderer")
-def test_a_child_that_is_not_needed_any_more_is_ended(monkeypatch, asked):
-    """Also one that is asked for pictures, but reads nothing."""
-    monkeypatch.setattr(drawing, "_CODE", "import time; time.sleep(60)")
-    before = threading.active_count()
-    with drawing.Drawing() as child:
-        wait_for(lambda: child._child is not None)
-        if asked:
-            child.begin(scanned(CUBE), JOBS)
-    wait_for(lambda: child._child.poll() == -signal.SIGKILL)
-    wait_for(lambda: threading.active_count() == before)
-
-
-def test_a_child_that_is_not_needed_is_not_started(monkeypatch):
-    may_go_on = threading.Event()
-    monkeypatch.setattr(rendering, "can_render", lambda: may_go_on.wait(10))
-    monkeypatch.setattr(drawing.subprocess, "Popen", None)  # it must not be called
-    with drawing.Drawing() as child:
-        pass
-    may_go_on.set()
-    assert child.finish() == []
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import math
 import re
 from pathlib import Path
 
@@ -26,13 +25,11 @@ from scan3d.planning.heights import (
     first_heights,
     heights,
     least_parts,
-    open_contours,
 )
 from scan3d.planning.plan import base_fractions, first_directions
 from scan3d.planning.several_axes import FIRST_SLICES as FIRST_TOGETHER
-from scan3d.planning.several_axes import first_heights_together, next_slices
+from scan3d.planning.several_axes import next_slices
 from scan3d.reconstruction.contacts import contacts
-from scan3d.simulation import scan as simulated
 from scan3d.simulation.scan import AxisScan
 from scan3d.surfaces import Gap, enclosure
 
@@ -47,15 +44,6 @@ def test_cosine_heights_are_chebyshevs_nodes():
 
 def test_uniform_heights_are_the_middles_of_equal_slabs():
     assert heights(10.0, 20.0, Plan(slices=5, spacing="uniform")) == pytest.approx([11, 13, 15, 17, 19], rel=1e-15)
-
-
-@pytest.mark.parametrize("spacing", ["cosine", "uniform"])
-@pytest.mark.parametrize("slices", [1, 2, 64])
-def test_heights_lie_inside_the_body_and_symmetric(spacing, slices):
-    levels = heights(-3.0, 7.0, Plan(slices=slices, spacing=spacing))
-    assert len(levels) == slices
-    assert np.all((levels > -3) & (levels < 7))
-    assert levels + levels[::-1] == pytest.approx(np.full(slices, 4.0), abs=1e-12)
 
 
 @pytest.mark.parametrize("spacing", ["cosine", "uniform", "adaptive"])
@@ -87,21 +75,6 @@ def test_slabs_are_cut_at_their_worst_corners_the_widest_first():
     assert cut([1], [0.1], [1.0], True) == pytest.approx([0.3], abs=0.1)
     assert cut([3], [1.1], [1.0], True) == pytest.approx([1.0])
     assert cut([0], [-0.1], [1.0], False) == pytest.approx([0.0])
-
-
-def test_bent_slabs_are_divided_so_that_the_largest_gap_becomes_least():
-    angles = np.arccos(1 - 2 * KNOWN[1:-1])
-    within = lambda part: (1 - np.cos(angles[0] + (angles[1] - angles[0]) * part)) / 2  # noqa: E731
-    gap = [1.0, 0.999]
-    # with three slices left, one slab gets three parts and the other two; the density of slices is nearly the same in both
-    thirds, half = within(np.array([1, 2]) / 3), 1 - within(0.5)
-    assert cut([1, 2], [0.3, 0.7], gap, False, left=3) == pytest.approx([*thirds, half], rel=1e-3)
-    # a round gets whole slabs, but no more heights than are left, and one that needs many parts is cut into two
-    assert cut([1, 2], [0.3, 0.7], gap, False, count=1, left=3) == pytest.approx(thirds, rel=1e-3)
-    assert len(cut([1, 2], [0.3, 0.7], gap, False, count=1, left=1)) == 1
-    assert cut([1, 2], [0.3, 0.7], gap, False, count=1, left=19) == pytest.approx([within(5 / 11)], rel=1e-3)
-    # without a number of slices left they are halved
-    assert len(cut([1, 2], [0.3, 0.7], gap, False)) == 2
 
 
 def test_parts_are_shared_so_that_the_largest_gap_is_least():
@@ -136,34 +109,11 @@ def test_even_gaps_of_a_parabola_are_those_of_its_curvature(thickness):
     assert evened(1e-30 * gaps_between(thickness)) == pytest.approx(1e-30 * thickness**2, rel=1e-3)
 
 
-def test_even_gaps_of_slabs_without_gaps_are_none():
-    assert evened(np.zeros(3)) == pytest.approx(np.zeros(3), abs=1e-150)
-    # a slab without a gap bounds its neighbours as tangents do
-    assert evened(np.array([0.0, 1.0, 0.0]))[1] == pytest.approx(2.0)
-    assert len(evened(np.empty(0))) == 0
-
-
 def test_even_gaps_along_a_sphere_are_cut_as_by_cosine_spacing():
     levels = heights(-3.0, 7.0, Plan(slices=9, spacing="cosine"))
     known = np.concatenate([[-3.0 - (levels[0] + 3.0)], levels[[0, 4, 8]], [7.0 + (7.0 - levels[-1])]])
     cuts = cuts_at(known, np.array([1, 2]), np.ones(2), np.array([[0.25], [0.5], [0.75]]))
     assert cuts.T.ravel() == pytest.approx(levels[[1, 2, 3, 5, 6, 7]])
-
-
-def test_a_bent_slab_is_cut_by_the_density_of_slices():
-    """The density over the angle is 10 and 20/3 in the middles of two slabs, and linear between them."""
-    angles = np.linspace(0.5, 1.1, 3)
-    known = 5 - 5 * np.cos(np.concatenate([[-angles[0]], [angles[0]], angles[1:], [np.pi]]))
-    # so that the ends of the body are at the angles 0 and pi
-    known[0], known[-1] = -known[1], 20 - known[3]
-    cuts = cuts_at(known, np.array([1, 2]), np.array([3.0, 2.0]), np.array([[0.25], [0.5]]))
-    for column, low, ends in zip(cuts.T, angles, ((10, 25 / 3), (25 / 3, 20 / 3)), strict=False):
-        for cut, below in zip(column, (0.25, 0.5), strict=True):
-            u = (math.acos(1 - cut / 5) - low) / 0.3
-            assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(below * sum(ends) / 2)
-    # where the neighbour's density is not known, the density is constant
-    alone = cuts_at(known, np.array([1, 2]), np.array([3.0, np.nan]), np.array([[0.5]]))[0, 0]
-    assert math.acos(1 - alone / 5) == pytest.approx(0.65)
 
 
 # --- by the contacts along one axis ---
@@ -393,26 +343,6 @@ def test_a_smooth_body_is_bounded_nearly_as_well_as_along_one_axis():
     assert relative_bound("ellipsoid", 21, "xyz") < 1.3 * relative_bound("ellipsoid", 63, "z")
 
 
-@pytest.mark.trust
-def test_a_body_of_very_many_vertices_is_sliced_along_one_axis():
-    """More vertices than slices: all slices beside the first ones and few others go along one axis, as with smooth bodies."""
-    cloud = cloud_of("frustum", 21, "xyz")
-    most = max(slices_along(cloud, axis) for axis in np.eye(3))
-    assert most >= 50
-    assert relative_bound("frustum", 21, "xyz") < 1.5 * relative_bound("frustum", 64, "z")
-    # all slices of the plan are swept, none more
-    assert len(cloud.slice_height) == 3 * (21 + BEYOND)
-
-
-@pytest.mark.slow
-def test_the_axis_of_all_further_slices_is_told():
-    """With more open cells than slices left, early in the scan."""
-    cloud = cloud_of("ellipsoid", 5, "xyz", sweeps=6)
-    further = next_slices(cloud, Plan(slices=11, axis="xyz"), 18)
-    assert further.slices == []
-    assert np.abs(np.eye(3) - further.alone).max(axis=1).min() < 1e-12
-
-
 @pytest.mark.slow
 def test_a_tolerance_ends_the_scan():
     plan = Plan(slices=20, axis="xyz", samples=32, sweeps=6, tolerance=2e-2)
@@ -420,16 +350,6 @@ def test_a_tolerance_ends_the_scan():
     size = np.linalg.norm(np.ptp(cloud.points, axis=0))
     assert len(cloud.slice_height) < 3 * 20
     assert enclosure(cloud).bound <= plan.tolerance * size
-
-
-def test_the_plan_is_deterministic():
-    cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
-    plan = Plan(slices=10, axis="xyz")
-    first, second = next_slices(cloud, plan, 9).slices, next_slices(cloud, plan, 9).slices
-    assert len(first) == len(second) > 0
-    for (axis, levels), (again, same) in zip(first, second, strict=True):
-        assert (axis == again).all()
-        assert (levels == same).all()
 
 
 @pytest.mark.slow
@@ -454,18 +374,6 @@ def test_contacts_that_span_no_body_are_refused():
     cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
     with pytest.raises(InputError):
         next_slices(cloud.select(np.arange(3)), Plan(slices=5, axis="xyz"), 5)
-
-
-@pytest.mark.parametrize("slices", [1, 3, 21])
-def test_the_first_heights_are_some_of_those_of_one_axis(slices):
-    plan = Plan(slices=slices, axis="xyz")
-    first = first_heights_together(-2.0, 4.0, plan)
-    few = min(slices, FIRST_TOGETHER)
-    assert len(first) == few + BEYOND
-    nodes = 1 - 3 * np.cos(np.pi * (np.arange(3 * slices - 2 * few) + 0.5) / (3 * slices - 2 * few))
-    assert np.abs(first[:few, None] - nodes).min(axis=1).max() < 1e-12
-    assert first[-2] < -2.0
-    assert first[-1] > 4.0
 
 
 @pytest.mark.slow
@@ -501,34 +409,6 @@ def test_contours_are_swept_again_until_they_are_known_within_the_tolerance():
     without = scanned("gem.glb")
     assert set(np.bincount(without.sweep)) == {10}
     assert relative_gaps(without)[0] > 4e-3
-
-
-@pytest.mark.slow
-def test_the_slices_with_wide_gaps_are_named():
-    cloud = scan3d.reconstruct(scanned("gem.glb"))
-    diagonal = np.linalg.norm(np.ptp(cloud.points, axis=0))
-    every, largest = open_contours(cloud, 0.0)
-    some, again = open_contours(cloud, 0.5 * largest / diagonal)
-    none, _ = open_contours(cloud, 1.01 * largest / diagonal)
-    assert largest == again
-    assert len(none) == 0 < len(some) < len(every)
-    assert set(some) <= set(every) <= set(cloud.slice_height)
-
-
-@pytest.mark.slow
-def test_gaps_that_more_samples_do_not_close_are_left(monkeypatch):
-    asked = []
-
-    def noisy(cloud, tolerance):
-        heights, _ = open_contours(cloud, tolerance)
-        asked.append(len(heights))
-        return heights, 1.0
-
-    monkeypatch.setattr(simulated, "open_contours", noisy)
-    recording = scanned.__wrapped__("gem.glb", tolerance=4e-3)  # not the one that is kept
-    # the samples are doubled once, and then directions are sought as long as there are any
-    assert max(np.bincount(recording.sweep)) == 20
-    assert len(asked) < 12
 
 
 # Corners of a wing's section.

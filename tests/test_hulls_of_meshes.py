@@ -17,14 +17,12 @@ from scan3d.cli import main
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.geometry.convexity import is_convex
 from scan3d.numbers import length
-from scan3d.pictures import page, parts, rendering
-from scan3d.pipeline import to_scene
+from scan3d.pictures import rendering
 from scan3d.report import _filled, key_figures
 
 SETTINGS = dict(slices=6, sweeps=4, samples=16, method="hull")
 HULL = "convex hull of the mesh"
 DEPTH = 0.01
-DIAGONAL = np.sqrt(3)
 
 
 def cube_with_a_dent():
@@ -132,33 +130,6 @@ def test_what_is_printed_says_what_it_refers_to(scanned):
     assert {one["of"] for one in scanned.report["measurands"]} == {HULL}
 
 
-def test_pictures_say_what_they_show(scanned):
-    scene = to_scene(scanned.analysis)
-    assert scene.truth_name == HULL
-    _, shaded = parts.shade_surface(scene)
-    assert shaded.title == f"signed deviation from the {HULL} in µm"
-    assert parts.shade_surface(scene, "bound")[1].title == f"certified bound of the {HULL} in µm"
-    assert f'"name":"{HULL}"' in page.page(scene).decode()
-    assert parts.shade_contacts(scene, "error").title == f"distance from the {HULL} in nm"
-
-
-@pytest.mark.rendering
-@pytest.mark.slow
-def test_such_a_body_is_drawn_without_a_warning(scanned):
-    # warnings are errors in tests; pyvista warns of metadata that it can't take over
-    assert scanned.plot(view="compare").width == 1400
-
-
-def test_of_a_convex_mesh_nothing_of_the_kind_is_said():
-    result = scan3d.scan(box(), hull=True, **SETTINGS)
-    assert result.report["mesh"]["scanned"] == result.report["hausdorff"]["to"] == "mesh"
-    assert result.report["hausdorff"]["mesh_itself"] is result.report["mesh"]["filled"] is None
-    assert HULL not in repr(result)
-    scene = to_scene(result.analysis)
-    assert scene.truth_name == "truth"
-    assert parts.shade_surface(scene)[1].title == "signed deviation in µm"
-
-
 @pytest.mark.slow
 def test_commands_say_what_was_filled(dimpled, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(rendering, "can_render", lambda: False)
@@ -179,18 +150,3 @@ def test_commands_say_what_was_filled(dimpled, tmp_path, capsys, monkeypatch):
     page = tmp_path / "page.html"
     assert main(["show", str(tmp_path / "out"), "--html", str(page)]) == 0
     assert HULL in page.read_text(encoding="utf-8")
-
-
-@pytest.mark.trust
-def test_batches_keep_both_distances(dimpled, tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
-    few = dict(sweeps=4, samples=8, method="hull")
-    batch = scan3d.batch(dimpled, tmp_path / "study", grid={"slices": [4, 5, 6]}, hull=True, **few)
-    row = batch.rows[0]
-    report = batch.open(row["run"]).report
-    assert row["hausdorff_mesh"] == report["hausdorff"]["mesh_itself"]["two_sided"]
-    assert row["scanned"] == HULL
-    assert row["hausdorff"] == report["hausdorff"]["two_sided"]
-    index = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
-    assert f"or to the {HULL} where that was scanned" in index
-    assert "to the mesh itself" in index

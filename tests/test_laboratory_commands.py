@@ -252,21 +252,6 @@ def test_titles_and_units_are_found_by_the_guess(tmp_path):
     assert data["table"] == {"decimal": ",", "delimiter": "\t", "units_row": True, "header": 3}
 
 
-@pytest.mark.trust
-def test_a_million_rows_are_read(tmp_path, recording):
-    """As many rows as the table has, and the same forces as of its short form, however many decimals are written."""
-    columns = table(track(recording), RIG)
-    times = -(-1_000_000 // len(columns["t"]))
-    long = {name: np.tile(column, times) for name, column in columns.items()}
-    long["t"] = np.arange(len(long["t"])) / 1000
-    rows = np.column_stack(list(long.values()))
-    np.savetxt(tmp_path / "raw.csv", rows, fmt="%.9g", delimiter=",", header=",".join(long), comments="")
-    imported = scan3d.import_table(tmp_path / "raw.csv", map_of(recording.rod, RIG))
-    assert len(rows) >= 1_000_000
-    assert 0 < len(imported) <= len(rows)
-    assert np.isfinite(imported.force_N).all()
-
-
 # --- Parquet ---
 
 

@@ -471,12 +471,6 @@ def test_a_wrench_that_is_stamped_late_is_put_beside_its_pose(tmp_path, planar):
         imported(tmp_path / "raw.csv", columns, data)
 
 
-def test_the_frame_and_the_delay_of_a_bags_wrench_stand_under_ros(planar):
-    rod = map_of(planar.rod, EXACT)["rod"]
-    found = read_map({"ros": {"wrench_in": "world", "wrench_delay_s": 0.15}, "rod": rod})
-    assert (found.wrench_in, found.wrench_delay_s) == ("world", 0.15)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("jitter_m", "step_m"), [(2e-5, 0.0), (0.0, 1e-5), pytest.param(2e-6, 5e-6, marks=pytest.mark.trust)]

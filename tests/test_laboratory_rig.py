@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import scan3d
-from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.reading import rod_section
 from scan3d.files.text import to_toml
@@ -141,13 +140,6 @@ def test_the_command_writes_a_recording_that_is_corrected_once(table, calibratio
     for again in (["reconstruct", out, "--rig", rig], ["calibrate", out, "--sphere", "30"]):
         assert main([*map(str, again), "--out", str(tmp_path / "again.toml")]) == 1
         assert "was corrected by a calibrated rig already" in capsys.readouterr().err
-
-
-def test_frames_of_a_rig_that_are_no_frames_are_named(table, calibration, tmp_path):
-    path = tmp_path / "rig.toml"
-    scan3d.write_rig(dataclasses.replace(calibration, map_frames={"sensor": {"position_mm": [1, 2]}}), path)
-    with pytest.raises(InputError, match=r"the rig: \[map.sensor\] position_mm"):
-        scan3d.import_table(table, a_map(), rig=path)
 
 
 def test_the_recording_states_what_the_calibration_leaves_uncertain(table, calibration):

@@ -10,7 +10,7 @@ import scan3d
 from scan3d.files.formats import export
 from scan3d.files.shapes import ply, surface_table
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.triangles import collapsed, distance_of_readers, kept_apart, representatives
+from scan3d.geometry.triangles import collapsed, kept_apart
 from tests.shapes import box, polytope
 
 
@@ -91,22 +91,6 @@ def test_surfaces_are_read_back_closed(body, method, plan, tmp_path):
     check_readers(surface, tmp_path)
 
 
-def test_the_distance_of_readers_follows_size_and_place():
-    cube = np.asarray(box(1, 1, 1).vertices)
-    assert distance_of_readers(cube) == pytest.approx(np.sqrt(3) * 0.5 * np.finfo(np.float32).eps)
-    assert distance_of_readers(cube * 0.01) == pytest.approx(np.sqrt(3) * 1e-8)
-    # too small to be told apart by eight decimals, without losing what the scan has found
-    assert distance_of_readers(cube * 1e-6) == 0
-    assert distance_of_readers(cube + 1e5) == pytest.approx(np.sqrt(3) * 1e-8)
-
-
-def test_of_vertices_close_together_the_outermost_stays():
-    points = np.array([[0, 0, 0], [1, 0, 0], [1 - 1e-9, 0, 0], [1 - 2e-9, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    assert representatives(points, 1.5e-9).tolist() == [0, 1, 1, 3, 4, 5]
-    assert representatives(points, 5e-9).tolist() == [0, 1, 1, 1, 4, 5]
-    assert representatives(points, 1e-10).tolist() == [0, 1, 2, 3, 4, 5]
-
-
 def test_points_that_coincide_are_merged_and_corners_stay():
     random = np.random.default_rng(1)
     corners = np.asarray(box(2, 3, 4).vertices)
@@ -123,17 +107,6 @@ def test_points_that_coincide_are_merged_and_corners_stay():
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_no_two_points_that_stay_are_close_and_none_is_far_from_them(seed):
-    random = np.random.default_rng(seed)
-    points = random.uniform(-1, 1, (400, 3))
-    kept = kept_apart(points, 0.2)
-    distance = np.linalg.norm(points[:, None] - points[kept], axis=2)
-    assert (distance + 9 * (distance == 0)).min(axis=1)[kept].min() > 0.2
-    assert distance.min(axis=1).max() <= 0.6
-    assert len(kept) < 300
-
-
-@pytest.mark.parametrize("seed", range(2))
 def test_a_closed_surface_stays_closed_when_edges_collapse(seed):
     mesh = polytope(seed, 40).subdivide()
     for k in range(0, len(mesh.edges_unique), 7):
@@ -142,14 +115,6 @@ def test_a_closed_surface_stays_closed_when_edges_collapse(seed):
         left = collapsed(np.asarray(mesh.faces), chosen)
         assert len(left) <= len(mesh.faces) - 2
         assert trimesh.Trimesh(mesh.vertices, left, process=False).is_watertight
-
-
-def test_triangles_that_come_to_lie_on_one_another_go_in_pairs():
-    # a tetrahedron with one corner moved onto another, and a cube beside it
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    assert len(collapsed(faces, np.array([0, 1, 2, 0]))) == 0
-    twice = np.array([[0, 1, 2], [1, 2, 0], [2, 1, 0]])
-    assert collapsed(twice, np.arange(3)).tolist() == [[0, 1, 2]]
 
 
 def test_vertices_that_float32_can_not_tell_apart_are_merged_in_exports(tmp_path):

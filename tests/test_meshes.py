@@ -91,8 +91,3 @@ def test_vertices_lie_on_the_smooth_body(name):
     assert 5_000 <= len(mesh.faces) <= 20_000
     # To first order; 1 % covers the needle's ends, where the radius of curvature is 0.1 mm.
     assert np.max(np.abs(make_meshes.distance(name, mesh.vertices))) <= 1.01 * ROUNDING
-
-
-def test_an_unknown_name_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"'banana'.*pebble"):
-        make_meshes.make("banana")

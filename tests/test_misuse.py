@@ -14,10 +14,9 @@ import trimesh
 
 import planar
 import scan3d
-from scan3d import InputError, comparison, processes
+from scan3d import InputError, processes
 from scan3d.cli import main
 from scan3d.files.reading import check_file
-from scan3d.reconstruction import reconstruct
 from scan3d.simulation import scan
 from tests.shapes import box, dimpled_box, without
 
@@ -52,38 +51,12 @@ def test_what_is_no_body_is_not_scanned(mesh, sentence):
         scan3d.simulate(mesh, PLAN)
 
 
-def test_bodies_of_files_are_scanned_as_before():
-    for name in ("cube.stl", "egg.stl", "lens.off"):
-        mesh = scan3d.load_mesh(Path(__file__).parents[1] / "meshes" / name)
-        mesh.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.5, 0.9])))
-        assert len(scan3d.simulate(mesh, scan3d.Plan(slices=2, sweeps=2, samples=4)))
-
-
 @pytest.mark.parametrize("mesh", [None, trimesh.Scene(box()), "part.stl"])
 def test_what_is_no_mesh_is_not_compared(mesh):
     sentence = r"there is no mesh file part\.stl" if mesh == "part.stl" else r"must be a trimesh\.Trimesh"
     for pair in ((mesh, box()), (box(), mesh)):
         with pytest.raises(InputError, match=sentence):
             scan3d.compare(*pair)
-
-
-def test_functions_below_the_public_ones_read_no_files():
-    for call in (simulation_of, comparison_with_a_box):
-        for path in ("part.stl", Path("part.stl")):
-            with pytest.raises(
-                InputError, match=r"must be a trimesh\.Trimesh, got \w+; read a file with scan3d\.load_mesh"
-            ):
-                call(path)
-    with pytest.raises(InputError, match=r"from a scan3d\.Recording, got str"):
-        reconstruct("log.csv")
-
-
-def simulation_of(mesh):
-    return scan.simulate(mesh, PLAN)
-
-
-def comparison_with_a_box(mesh):
-    return comparison.compare(mesh, box())
 
 
 @pytest.mark.parametrize(
@@ -204,10 +177,6 @@ print(stated[0], 1024 * int(status["VmHWM"].split()[0]))
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     stated, taken = (float(word) for word in run.stdout.split())
     assert 3e8 < taken < stated
-
-
-def test_the_memory_is_that_of_the_machine():
-    assert 10**8 < processes.memory_bytes() < 10**15
 
 
 def test_special_files_are_not_read(tmp_path):

@@ -10,15 +10,13 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from image_checks import fraction_of_color
 from PIL import Image
 from small_scans import CUBE, EGG, scanned, scanned_in_space
-from without_renderer import MISSING, headless, hidden_renderer
 
 import planar
 import scan3d
 from scan3d.numbers import number
-from scan3d.pictures import charts, parts, rendering
+from scan3d.pictures import charts, rendering
 
 
 @pytest.fixture(scope="module")
@@ -232,103 +230,8 @@ def test_reactions_and_distances_need_no_renderer(recording, comparison, no_pict
     assert (np.abs(half - [27, 108, 168]).max(axis=1) < 10).sum() == pytest.approx(blue.sum() / 2, rel=0.02)
 
 
-def test_a_recording_of_one_sweep(recording):
-    rows = recording.sweep == recording.sweep[len(recording) // 2]
-    columns = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
-    single = replace(recording, **{name: getattr(recording, name)[rows] for name in columns})
-    assert len(charts.reactions(single).axes) == 3  # one colour needs no bar
-    assert len(charts.reactions(recording).axes) == 4
-
-
-@pytest.mark.rendering
-def test_clouds_of_a_few_contacts(cloud):
-    for count in (1, 2):
-        image = np.asarray(cloud.select(np.arange(count)).plot(color="phase", dpi=50))[:, :235]
-        seen = [fraction_of_color(image, color, 60) for color in (parts.TIP, parts.TANGENTIAL)]
-        assert 0 < max(seen) < 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.rendering
-def test_clouds_and_surfaces_in_pictures(recording, cloud, surface):
-    mesh = scanned(CUBE).truth
-    by_force, by_error = cloud.plot(dpi=100), scan3d.plot(cloud, mesh, color="error", dpi=100)
-    assert by_force.size == by_error.size
-    assert by_force.tobytes() != by_error.tobytes()
-    lid = "#053061"  # the hull's lid lies below the cube's
-    assert fraction_of_color(scan3d.plot(surface, dpi=100), lid) == 0
-    assert fraction_of_color(scan3d.plot(surface, truth=mesh, view="compare", dpi=100), lid) > 0.02
-    assert fraction_of_color(recording.plot(view="explain", truth=mesh, dpi=100), parts.ROD) > 3e-3
-
-
-@pytest.mark.slow
-def test_files_from_python_replace_nothing_of_others(recording, tmp_path):
-    file = tmp_path / "forces.svg"
-    for _ in range(2):
-        recording.plot(path=file, size="90mm")
-    file.write_text("mine")
-    with pytest.raises(
-        scan3d.InputError, match=r"forces\.svg can't be recognised as written by scan3d; give --overwrite"
-    ):
-        recording.plot(path=file)
-    assert file.read_text() == "mine"
-    assert recording.plot(path=file, size="90mm", overwrite=True).width == round(90 / 25.4 * 200)
-    assert file.read_text() != "mine"
-
-
-def test_what_can_not_be_plotted(recording, cloud, surface, comparison, monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
-    mesh = scanned(CUBE).truth
-    for what, options, sentence in (
-        ([1, 2], {}, r"only a recording, a cloud, a surface \(trimesh.Trimesh\) or a comparison .*, got a list"),
-        (surface, dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
-        (surface, dict(view="cloud"), "the surface has no contacts"),
-        (cloud, dict(color="error"), "the error of the contacts of the cloud is not known"),
-        (cloud, dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
-        (surface, dict(truth=CUBE), "truth must be a trimesh.Trimesh.*load_mesh.*got a \\w+Path"),
-        (surface, dict(against=str(EGG)), r"against must be a trimesh\.Trimesh"),
-        (surface, dict(against=mesh, view="bound"), "surfaces are compared in the views surface, compare or histogram"),
-        (recording, dict(path="a.jpg"), r"a picture is written as \.png, \.pdf or \.svg, got 'a\.jpg'"),
-        (recording, dict(camera="top"), "the view forces shows no body, so that it has no camera"),
-        (comparison, dict(camera="top"), "a comparison shows no body, so that it has no camera"),
-    ):
-        with pytest.raises(scan3d.InputError, match=sentence):
-            scan3d.plot(what, **options)
-
-
 # --- in child processes ---
 
 
 def child(code, environment):
     return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-
-
-def test_results_load_no_library_for_pictures_before_they_are_shown():
-    code = (
-        "import sys, scan3d.cloud, scan3d.comparison, scan3d.recording; "
-        "print({'matplotlib', 'PIL', 'pyvista', 'scan3d.pictures'} & {*sys.modules})"
-    )
-    done = child(code, headless())
-    assert (done.returncode, done.stdout, done.stderr) == (0, "set()\n", "")
-
-
-@pytest.mark.parametrize(
-    "missing", [pytest.param(MISSING[1], marks=pytest.mark.slow), pytest.param(MISSING[0], marks=pytest.mark.trust)]
-)
-def test_results_show_themselves_without_a_renderer(tmp_path, missing):
-    code = f"""
-import scan3d
-mesh = scan3d.load_mesh({str(CUBE)!r})
-recording = scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=8))
-cloud = scan3d.reconstruct(recording)
-comparison = scan3d.compare(scan3d.surface(cloud, "hull"), mesh)
-texts = [result._repr_html_() for result in (recording, cloud, comparison)]
-print([text.count("<img") for text in texts], [text.count("<table") for text in texts])
-try:
-    cloud.plot()
-except scan3d.InputError as error:
-    print(error)
-"""
-    done = child(code, hidden_renderer(missing, tmp_path / "lib"))
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == ["[1, 0, 0] [1, 1, 1]", rendering.NO_RENDERER]

@@ -188,20 +188,6 @@ def test_only_tip_contacts_have_no_friction(tmp_path, left, capsys):
     assert "not known, as no contact is tangential" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_files_are_replaced_only_if_they_are_ours(tmp_path, left, capsys):
-    table = write(tmp_path / "sweep.csv", columns(left))
-    for _ in range(2):
-        assert main(["reconstruct", str(table), "--quiet"]) == 0
-    (tmp_path / "contacts.csv").write_text("mine\n")
-    assert main(["reconstruct", str(table)]) == 1
-    assert "contacts.csv can't be recognised as written by scan3d; give --overwrite" in capsys.readouterr().err
-    assert main(["reconstruct", str(table), "--quiet", "--overwrite"]) == 0
-    other = write(tmp_path / "contacts.csv", columns(left))
-    assert main(["reconstruct", str(other), "--overwrite"]) == 1
-    assert "which is never overwritten" in capsys.readouterr().err
-
-
 def test_a_recording_is_told_from_one_sweep_by_its_header(tmp_path):
     for header, is_one in (
         ("x0,f0x,f0y,m0z", True),
@@ -286,17 +272,6 @@ def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, capsys, text, senten
 def test_wrong_settings_are_refused_in_one_sentence(tmp_path, capsys, left, options, sidecar, si, code, sentence):
     text = write(tmp_path / "table.csv", columns(left, si), SI_COLUMNS if si else COLUMNS).read_text()
     assert sentence in refused(tmp_path, capsys, text, *options, sidecar=sidecar, code=code)
-
-
-def test_options_of_one_sweep_are_refused_for_a_recording(tmp_path, capsys):
-    path = tmp_path / "log.csv"
-    path.write_text("sweep,x_m\n")
-    for options, sentence in (
-        (["--rod", ROD, "--out", "out"], "--rod can be used only with one sweep in one plane, which log.csv is not"),
-        ([], "--out is missing"),
-    ):
-        assert main(["reconstruct", str(path), *options]) == 2
-        assert sentence in capsys.readouterr().err
 
 
 def test_noise_alone_is_no_contact(left):

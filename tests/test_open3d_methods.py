@@ -1,8 +1,6 @@
 """Poisson reconstruction and ball pivoting, on clouds of known bodies: accuracy, invariances, and inputs that are refused."""
 
 import hashlib
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -48,10 +46,6 @@ def ellipsoid(semi_axes):
     mesh = trimesh.creation.icosphere(subdivisions=4)
     mesh.apply_scale(semi_axes)
     return mesh
-
-
-def open_edges(mesh):
-    return int((np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1] != 2).sum())
 
 
 def check_well_made(mesh):
@@ -111,43 +105,6 @@ def test_the_result_depends_neither_on_the_order_of_the_contacts_nor_on_their_un
 
 
 @pytest.mark.open3d
-def test_the_reason_of_ball_pivoting_counts_the_open_edges():
-    closed = ball_pivoting(*slices_of(np.array([1.0, 1.0, 1.0])))
-    assert closed.metadata["method"] == "ball-pivoting"
-    assert closed.metadata["reason"].endswith("contacts: closed")
-    # a ball does not rest where the normals are wrong
-    points, _ = slices_of(np.array([1.0, 1.0, 1.0]))
-    holed = ball_pivoting(points, points + np.random.default_rng(0).normal(scale=10.0, size=points.shape))
-    check_well_made(holed)
-    assert not holed.is_watertight
-    assert f"not closed, {open_edges(holed)} of" in holed.metadata["reason"]
-
-
-def test_faces_that_overlap_at_an_edge_are_dropped():
-    faces = np.array([[0, 1, 2], [0, 3, 1], [0, 1, 4]])
-    np.testing.assert_array_equal(open3d_methods._without_overlaps(faces), faces[:2])
-
-
-@pytest.mark.open3d
-@pytest.mark.slow
-def test_the_reason_of_poisson_mentions_a_bulge():
-    points, normals = slices_of(np.array([1.0, 1.0, 1.0]), slices=64)
-    assert "bulges" not in poisson(points, normals).metadata["reason"]
-    # a tube without contacts at its open ends
-    tube = points[:, 2:] * [0.0, 0.0, 3.0] + points * [1, 1, 0] / np.hypot(points[:, 0], points[:, 1])[:, None]
-    made = poisson(tube, tube * [1, 1, 0])
-    assert made.is_watertight
-    assert "bulges" in made.metadata["reason"]
-
-
-@pytest.mark.open3d
-@pytest.mark.parametrize("method", METHODS)
-def test_nothing_is_printed(method, capfd):
-    method(*SPHERE)
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.open3d
 def test_a_poisson_surface_that_does_not_close_is_refused():
     points, _ = slices_of(np.array([1.0, 1.0, 1.0]))
     with pytest.raises(InputError, match=r"does not close.*further axes.*auto or hull"):
@@ -180,35 +137,3 @@ def test_contacts_on_which_no_ball_rests_are_refused(monkeypatch):
 def test_unsuitable_contacts_are_refused(method, points, normals, message):
     with pytest.raises(InputError, match=message):
         method(points, normals)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("error", "command"),
-    [
-        (ModuleNotFoundError("No module named open3d"), "pip install 'scan3d[open3d]'"),
-        (ImportError("libX11.so.6: cannot open shared object file"), "apt-get install libgl1 libgomp1"),
-        (OSError("libGL.so.1: cannot open shared object file"), "apt-get install libgl1 libgomp1"),
-    ],
-)
-def test_without_open3d_a_sentence_says_what_to_install(monkeypatch, method, error, command):
-    """Where the import of open3d fails, as it does where the package or a system library is missing."""
-
-    class Missing:
-        def find_spec(self, name, path=None, target=None):
-            if name == "open3d":
-                raise error
-
-    monkeypatch.delitem(sys.modules, "open3d", raising=False)
-    monkeypatch.setattr(sys, "meta_path", [Missing(), *sys.meta_path])
-    with pytest.raises(InputError, match=str(error)) as refused:
-        method(*SPHERE)
-    assert command in str(refused.value)
-    assert "auto, bracket, hull or support" in str(refused.value)
-
-
-@pytest.mark.slow
-def test_open3d_is_imported_only_when_asked():
-    code = "import sys, scan3d.surfaces.open3d_methods; print('open3d' in sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == ["False"]

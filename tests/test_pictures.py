@@ -10,14 +10,12 @@ import matplotlib
 import numpy as np
 import pytest
 import trimesh
-from image_checks import fraction_of_color, of_color, pixels
+from image_checks import fraction_of_color, pixels
 from PIL import Image
 from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import scan3d
-from scan3d import processes
 from scan3d.choices import CAMERAS
-from scan3d.files.shapes import cloud_table
 from scan3d.pictures import figures, parts, rendering, views
 from scan3d.pictures.canvas import Canvas
 from scan3d.pictures.charts import histograms, reactions
@@ -54,14 +52,6 @@ def test_sizes():
         assert given.dpi == (dpi or 200)
 
 
-def test_letters_are_those_of_a_column_and_keep_to_what_journals_ask_for():
-    assert [sheet(size).font for size in (None, "85mm", "300mm")] == [12, 8, 12]
-    assert sheet("150mm").font == pytest.approx(12 * 150 / 25.4 / 7)
-    # points and lines are in proportion to letters, whatever the resolution
-    assert sheet("85mm", 600).scale == pytest.approx(3 * sheet("85mm", 200).scale)
-    assert Sheet().scale == 1
-
-
 SIZE = "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .*such as 85mm or 85x60mm, got '"
 DPI = "a whole number of dots per inch from 50 to 2400, such as 300, got"
 CAMERA = r"a camera is front, back, .* iso, or AZIMUTH,ELEVATION in degrees .*, got '"
@@ -83,14 +73,6 @@ def test_what_no_picture_can_have(option, values, sentence):
     for value in values:
         with pytest.raises(scan3d.InputError, match=sentence):
             sheet(**{option: value})
-
-
-def test_pictures_that_need_too_much_memory(monkeypatch):
-    monkeypatch.setattr(processes, "memory_bytes", lambda: 10**8)
-    with pytest.raises(
-        scan3d.InputError, match=r"a picture of 4200 x 3150 pixels needs about .* choose a smaller size"
-    ):
-        sheet(dpi=600)
 
 
 def test_cameras_have_names_or_angles():
@@ -144,16 +126,6 @@ def test_the_camera_sees_all_of_any_body():
         assert np.abs(seen[:, 0]).max() <= 500
         assert np.abs(seen[:, 1]).max() <= 350
         assert max(np.ptp(seen[:, 0]) / 1000, np.ptp(seen[:, 1]) / 700) > 0.9
-
-
-@pytest.mark.rendering
-def test_points_that_differ_by_rounding_are_seen_as_one():
-    point = (-20.0, -20.0, 19.3)
-    canvas = Canvas(np.array([point, np.multiply(point, 1 + 2e-16)]))
-    assert (canvas.size, len(canvas.corners)) == (1.0, 1)
-    canvas.add_points(canvas.corners, parts.TIP, 7)
-    assert 0 < fraction_of_color(canvas.image(64, 64)[0], parts.TIP, 60) < 0.5
-    canvas.plotter.close()
 
 
 # --- formats ---
@@ -299,26 +271,6 @@ def overlap(one, other):
     return across > 1 and along > 1
 
 
-@pytest.mark.slow
-@pytest.mark.rendering
-def test_the_axes_are_below_the_body_whatever_the_zoom(egg):
-    filled = []
-    for camera in ("300,25,4", "300,25,0.3"):
-        figure = views.figure(egg, "surface", sheet=sheet("85x60mm", 100, camera))
-        axes = next(axes for axes in figure.axes if axes.images)
-        strip = next(axes for axes in figure.axes if any(text.get_text() == "x" for text in axes.texts))
-        assert strip.get_position().y1 <= axes.get_position().y0 + 1 / figure.canvas.get_width_height()[1]
-        assert strip.get_position().x0 == pytest.approx(axes.get_position().x0)
-        filled.append((axes.images[0].get_array() < 250).any(axis=2).mean())
-    # what is zoomed in fills the image, what is zoomed out a small part of it
-    assert filled[0] > 0.9
-    assert filled[1] < 0.1
-    with pytest.raises(
-        scan3d.InputError, match="a picture of 50 x 35 mm has no room for the body beside its labels; choose"
-    ):
-        views.figure(egg, "explain", sheet=sheet("50x35mm"))
-
-
 # --- what is seen ---
 
 
@@ -415,17 +367,6 @@ def test_the_view_that_explains(make, tmp_path):
     assert (legend < 128).all(axis=2).mean() > 0.005
 
 
-@pytest.mark.rendering
-def test_a_long_body_is_cut_off_where_the_rods_do_not_reach(cube, tmp_path):
-    tall = trimesh.creation.cylinder(3, 120, sections=24)
-    recording = scan3d.simulate(tall, scan3d.Plan(slices=4, sweeps=4, samples=12))
-    contacts = cloud_table(scan3d.reconstruct(recording), None)
-    scene = replace(cube, truth=tall, surface=tall, contacts=contacts, recording=recording)
-    image = draw(scene, tmp_path / "a.png", "explain")
-    # its ends are seen: faces in the colour of the body, and white paper above
-    assert of_color(image, parts.BODY, 60).any()
-
-
 @pytest.mark.parametrize(
     ("missing", "view", "sentence"),
     [
@@ -466,25 +407,6 @@ def test_a_histogram_counts_area(egg):
         assert edges[-1] >= values.max() - 1e-9
     median = float(re.match(r"median (−?[\d.]+)", deviation.get_title())[1].replace("−", "-"))
     assert signed.min() < median / 1000 < signed.max()
-
-
-def test_histograms_of_unknown_values_of_small_ones_and_of_one(egg):
-    vertices = egg.surface.vertices
-    half = np.where(vertices[:, 2] > np.median(vertices[:, 2]), np.inf, egg.bound)
-    (axes,) = histograms(replace(egg, truth=None, bound=half), Sheet()).axes
-    unknown = float(re.search(r"unknown on (\d+) %", axes.get_title().replace("\n", " "))[1])
-    assert axes.patches[0].get_data()[0].sum() == pytest.approx(100 - unknown, abs=1)
-    assert 20 < unknown < 80
-    for factor, label in ((1.0, "in µm"), (1e-4, "in nm")):  # the unit follows their size
-        near = egg.surface.copy()
-        near.vertices = vertices * (1 + factor * 1e-2)
-        (axes,) = histograms(replace(egg, bound=None).against(near), Sheet()).axes
-        assert label in axes.get_xlabel()
-        assert "signed distance from the other surface" in axes.get_xlabel().replace("\n", " ")
-    (axes,) = histograms(replace(egg, truth=None, bound=np.zeros(len(vertices))), Sheet()).axes
-    shares, edges, _ = axes.patches[0].get_data()
-    assert (edges[0], edges[-1], shares[0]) == (0, 1, pytest.approx(100))
-    assert axes.get_title() == "median 0, 90 % from 0 to 0"
 
 
 @pytest.mark.slow

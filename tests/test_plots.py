@@ -23,12 +23,6 @@ def _off_screen():
     pyplot.close("all")
 
 
-def test_a_sweep_of_which_nothing_is_stated_has_samples():
-    assert len(SWEEP) == 200
-    np.testing.assert_allclose(SWEEP.x0[[0, -1]], EVENTS.x0[[0, -1]], atol=1e-12)
-    assert len(planar.sweep(CIRCLE, np.linspace(0, 0.4, 30))) == 30
-
-
 def test_curves_of_columns_have_circles_where_the_phase_changes():
     f0x, f0y, m0z = SWEEP.plot(label="a")
     np.testing.assert_array_equal(f0y.lines[0].get_ydata(), SWEEP.f0y)
@@ -62,15 +56,6 @@ def test_events_show_the_moment_before_and_after():
     assert repr(EVENTS).startswith("Events at x0: touch_down 0.848528, to_tangential 0.5791")
 
 
-def test_wrong_columns_and_axes_are_refused():
-    with pytest.raises(ValueError, match=r"a column must be one of x0, f0x, .*, got 'force'"):
-        SWEEP.plot("force")
-    with pytest.raises(ValueError, match="axes must be 3 for as many columns, got 1"):
-        SWEEP.plot(axes=Figure().subplots())
-    with pytest.raises(ValueError, match="over must be 200 numbers"):
-        CONTACTS.plot("s1", over=[0.0])
-
-
 def test_tables_have_words_and_no_empty_columns():
     table = CONTACTS.to_pandas()
     assert list(table["phase"]) == [planar.Phase(code).name.lower() for code in CONTACTS.phase]
@@ -79,9 +64,3 @@ def test_tables_have_words_and_no_empty_columns():
     assert {"friction", "slope", "nx"} & set(tips.columns) == set()
     assert "friction" in planar.sweep(CIRCLE, base=[]).to_pandas()
     assert list(EVENTS.to_pandas()["kind"]) == ["touch_down", "to_tangential", "to_tip", "snap_off"]
-
-
-def test_short_descriptions_and_public_names():
-    assert repr(SWEEP) == "Sweep: 200 samples, 0 none, 66 tip, 134 tangential"
-    assert repr(CONTACTS).startswith("Contacts: 200 samples")
-    assert dir(planar) == sorted(planar.__all__)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 import shutil
 
 import numpy as np
@@ -14,7 +13,6 @@ import scan3d
 from scan3d.cli import main
 from scan3d.files.text import to_json
 from scan3d.pictures import rendering
-from scan3d.settings import settings
 
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 """Those of `FEW`, as keywords."""
@@ -112,22 +110,6 @@ def test_scan_writes_nothing_unless_asked_to(tmp_path, monkeypatch, capfd):
     assert result.report["settings"]["friction"] == "0.1:0.3"
     assert result.report["friction"]["set"] == "0.1:0.3"
     assert set(result.report["timings_s"]) >= {"load", "simulate", "reconstruct", "compare"}
-
-
-def test_numbers_of_numpy_are_settings():
-    given = settings({"slices": np.int64(4), "friction": np.array([0.1, 0.25]), "axis": [0, 0, 1]})
-    assert (given.slices, given.friction, given.axis) == (4, "0.1:0.25", "0,0,1")
-
-
-def test_settings_that_can_not_be_used():
-    for wrong, sentence in (
-        ({"slises": 4}, r"scan3d\.scan: unknown setting slises; .*did you mean slices"),
-        ({"slices": "many"}, r"scan3d\.scan: slices must be a whole number, got 'many'"),
-        ({"rod": scan3d.Rod(0.05, 1e-4)}, r"scan3d\.scan: rod must be text"),
-        ({"method": "magic"}, r"method must be one of"),
-    ):
-        with pytest.raises(scan3d.InputError, match=sentence):
-            scan3d.scan(EGG, **wrong)
 
 
 # --- meshes of a program ---
@@ -242,23 +224,6 @@ def test_a_report_of_an_earlier_version_has_no_comparison_and_an_unknown_bound_i
 
 
 # --- pictures ---
-
-
-@pytest.mark.slow
-@pytest.mark.rendering
-def test_results_show_themselves(made, tmp_path, monkeypatch):
-    folder, result = made
-    monkeypatch.chdir(tmp_path)  # where the mesh is not found
-    stored = scan3d.open(folder)
-    assert result.plot(view="forces").size == stored.plot(view="forces").size
-    with pytest.raises(scan3d.InputError, match=r"the true body of egg is not known"):
-        stored.plot(view="compare")
-    assert stored.plot(scan3d.load_mesh(EGG), view="compare").size[0] > 100
-    assert re.search("Scan of egg.stl.*<img", result._repr_html_(), re.DOTALL)
-
-
-def test_the_table_without_a_renderer_says_why(made):
-    assert rendering.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
 
 
 def test_a_truth_in_the_folder_is_found(copy):

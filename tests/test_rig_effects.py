@@ -151,13 +151,6 @@ def test_the_bound_allows_for_the_calibration(flat, egg):
     assert too_small >= 1
 
 
-def test_a_rig_without_any_error_is_exact(flat):
-    nothing = RigUncertainty((), [], ("length_m",))
-    one, other = (enclosure(touched(dataclasses.replace(flat, rig=rig))) for rig in (nothing, None))
-    assert one.bound == other.bound
-    assert one.confidence == 1
-
-
 @pytest.mark.slow
 def test_noise_and_calibration_share_the_probability(flat):
     noisy = dataclasses.replace(flat, noise_force_N=1e-7, noise_moment_Nm=1e-9)

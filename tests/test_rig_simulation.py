@@ -144,11 +144,6 @@ def test_paths_that_are_not_planar_need_the_spatial_model(egg):
         simulate_rig(egg, replace(poses, position_m=position))
 
 
-def test_a_rig_needs_a_rod(egg):
-    with pytest.raises(InputError, match="don't say for which rod they were planned"):
-        simulate_rig(egg, replace(planned("planar"), rod=None))
-
-
 def test_logs_have_the_rate_and_the_poses_of_the_plan(egg):
     poses = planned("planar", slices=2)
     log = simulate_rig(egg, poses, faults=Faults(rate_hz=100.0, speed_mm_s=50.0))
@@ -386,11 +381,6 @@ def test_files_of_faults_with_errors_say_where(tmp_path, text, sentence):
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_of_faults_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match="can't read the faults"):
-        read_faults(tmp_path / "f.toml")
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with planned poses, faults, an exact log and one with faults."""
@@ -418,16 +408,6 @@ def test_an_exact_log_is_a_recording(folder, egg):
     placed = scan3d.load_mesh(folder / "placed.ply")
     np.testing.assert_allclose(placed.bounds, egg.bounds, atol=1e-12)
     assert distances(scan3d.reconstruct(recording).points, placed).max() < 1e-9 * 1000 * recording.rod.length_m
-
-
-def test_a_recording_with_another_move_says_where(folder, tmp_path):
-    for name in ("exact.csv", "exact.toml"):
-        (tmp_path / name).write_text((folder / name).read_text().replace(",approach", ",fly", 1))
-    with pytest.raises(
-        InputError,
-        match=r"exact\.csv: line 2 has 'fly' in column 'move', where one of approach, sweep, retract is expected",
-    ):
-        scan3d.read_recording(tmp_path / "exact.csv")
 
 
 def test_a_column_with_other_moves_is_none_of_a_rig(folder, tmp_path):
@@ -509,36 +489,6 @@ def test_poses_far_from_the_origin_are_refused(egg):
     far = dataclasses.replace(poses, position_m=poses.position_m + np.array([1e308, 0.0, 0.0]))
     with pytest.raises(InputError, match=r"poses: position_m holds 1e\+308 m, where numbers are .* apart, too coarse"):
         simulate_rig(egg, far)
-
-
-def test_options_of_a_rig_need_poses(tmp_path, capsys):
-    for option in (["--faults", "f.toml"], ["--placed", "p.ply"], ["--as-is"]):
-        assert main(["simulate", str(EGG), "--out", str(tmp_path / "raw.csv"), *option]) == 2
-        assert f"{option[0]} is for a rig: give --poses FILE as well" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_command_keeps_files_of_others(folder, tmp_path, capsys):
-    (tmp_path / "raw.csv").write_text("mine")
-    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
-    faults = ["--faults", str(folder / "faults.toml")]
-    for extra in ([], faults):
-        assert main([*run, *extra]) == 1
-        assert "give --overwrite" in capsys.readouterr().err
-        assert (tmp_path / "raw.csv").read_text() == "mine"
-    assert main([*run, *faults, "--overwrite"]) == 0
-    assert main([*run, *faults]) == 0
-    # the poses are never overwritten
-    assert main(["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(folder / "poses.csv")]) == 1
-    assert "that this run reads, which is never overwritten" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_model_of_a_file_of_settings_counts(folder, tmp_path):
-    (tmp_path / "settings.toml").write_text('model = "spatial"\n')
-    run = ["simulate", str(EGG), "--poses", str(folder / "poses.csv"), "--out", str(tmp_path / "raw.csv"), "--quiet"]
-    assert main([*run, "--config", str(tmp_path / "settings.toml"), "--friction", "0"]) == 0
-    assert scan3d.read_recording(tmp_path / "raw.csv").six_axis
 
 
 @pytest.mark.slow

@@ -76,11 +76,6 @@ def test_a_wrong_section_names_the_file(tmp_path, section, message):
         read_recording(write(tmp_path, meta=f"{TOML}[rig]\n{section}\n"))
 
 
-def test_a_recording_takes_nothing_else():
-    with pytest.raises(InputError, match=r"rig must be a scan3d.rigs.RigUncertainty, got dict"):
-        random_recording(rig={})
-
-
 def test_recordings_are_joined_with_one_calibration():
     """The errors of two calibrations are not the same in all rows."""
     one = random_recording(rig=typical())

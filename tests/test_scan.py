@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d.bounds import Gap, certificate, enclosure, sigmas
+from scan3d.bounds import certificate, enclosure, sigmas
 from scan3d.files.meshes import read_mesh
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
@@ -132,15 +132,6 @@ def test_every_contact_lies_on_its_slice_whatever_the_friction_of_its_sample(pat
     assert cloud.friction[tangential].min() < 0.01
     assert cloud.friction[tangential].max() > 0.39
     assert np.isnan(cloud.friction[~tangential]).all()
-
-
-@pytest.mark.parametrize("path", [CUBE, EGG], ids=lambda path: path.stem)
-@pytest.mark.slow
-def test_constant_friction_is_found_in_every_tangential_contact(path):
-    _, cloud = places(scan3d.load_mesh(path), slices=4, friction=0.3)
-    tangential = cloud.phase == TANGENTIAL
-    assert tangential.sum() > 100
-    assert cloud.friction[tangential] == pytest.approx(np.full(tangential.sum(), 0.3), abs=1e-9)
 
 
 def test_the_same_contacts_from_other_reactions():
@@ -331,13 +322,6 @@ def test_cloud_ply_holds_the_cloud(scanned, read_ply):
     assert np.array_equal(vertices["slice"], cloud.slice)
 
 
-def test_surface_ply_is_closed_and_outward(scanned):
-    mesh = trimesh.load_mesh(scanned / "surface.ply", process=False)
-    assert mesh.is_watertight
-    assert mesh.is_winding_consistent
-    assert mesh.volume > 0
-
-
 # --- invariances ---
 
 
@@ -351,34 +335,6 @@ def test_metres_and_millimetres_give_the_same_shape():
     assert np.abs(in_m.points * 1e3 - in_mm.points).max() <= 1e-12 * mesh.scale
     assert in_m.force_N == pytest.approx(in_mm.force_N, rel=1e-9)
     assert in_m.rod_length == pytest.approx(1e-3 * in_mm.rod_length, rel=1e-12)
-
-
-def write_off(path, vertices, faces):
-    """An OFF file with its numbers in full."""
-    lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
-    lines += [" ".join(map(repr, map(float, p))) for p in vertices]
-    lines += [f"3 {a} {b} {c}" for a, b, c in faces]
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-@pytest.mark.slow
-def test_a_body_of_a_millimetre_in_metres(tmp_path, no_pictures):
-    from scan3d.cli import main
-
-    vertices, faces = as_in_the_file(FOLDER / "sphere.ply")
-    vertices = vertices / 50 * 1e-3  # 1 mm across
-    path = write_off(tmp_path / "speck.off", vertices, faces)
-    out = tmp_path / "out"
-    assert main(["scan", str(path), "--out", str(out), "--unit", "m", *FEW, "--quiet"]) == 0
-    report = json.loads((out / "report.json").read_text())
-    assert report["mesh"]["unit"] == "m"
-    assert report["contact_error"]["max"] <= EXACT * report["rod"]["length"]
-    # 6 slices of a sphere leave caps; none of its points is lost
-    assert report["hausdorff"]["relative"] <= 0.05
-    assert report["counts"]["slices"] == 6
-    recording = scan3d.read_recording(out / "recording.csv")
-    assert contour_errors(scan3d.reconstruct(recording), recording, vertices, faces).max() <= EXACT
 
 
 @pytest.mark.parametrize("axis", ["x", (1, 1, 0), (0.3, -0.8, 0.5)], ids=str)
@@ -467,16 +423,6 @@ def test_a_fixed_number_of_sweeps_is_evenly_spaced():
     assert recording.axes()[:, 2] == pytest.approx(np.broadcast_to([0.0, 0, 1], (200, 3)), abs=1e-15)
 
 
-def test_a_rod_of_suitable_length():
-    rod = dataclasses.replace(parse_rod("steel:0.3x50"), diameter_m=0.0)
-    recording, cloud = places(scan3d.load_mesh(EGG), slices=6, rod=rod)
-    assert recording.rod == rod
-    assert cloud.rod_length == pytest.approx(50.0)
-    assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
-    # the forces on a 0.3 mm steel wire are tens of millinewtons, up to some units of EI/L²
-    assert 1 < cloud.force_N.max() / rod.force_unit_N < 20
-
-
 @pytest.mark.parametrize("rod", ["steel:0.06x10", "steel:0.003x0.5", "steel:6x1000"])
 @pytest.mark.parametrize("path", [EGG, CUBE], ids=lambda path: path.stem)
 def test_contacts_of_a_rod_far_too_short_or_long_lie_on_the_body(rod, path):
@@ -518,30 +464,6 @@ def test_adaptive_slices_go_where_the_body_has_edges():
         scan3d.compare(hull(cloud.points), body).relative
         < 0.1 * scan3d.compare(hull(cosine_cloud.points), body).relative
     )
-
-
-@pytest.mark.slow
-def test_adaptive_slices_stop_at_their_tolerance():
-    mesh = scan3d.load_mesh(FOLDER / "gem.glb")
-    every, few, wide = (
-        places(mesh, slices=slices, spacing="adaptive", samples=24, tolerance=tolerance)[1]
-        for slices, tolerance in ((32, 0.0), (14, 0.0), (32, 0.02))
-    )
-    assert 10 <= len(wide.slice_height) < 14 + 2 == len(few.slice_height)  # two beyond the ends
-    # without a tolerance as many as the plan has, or until the contacts in the planes of slices leave as much open
-    assert len(few.slice_height) < len(every.slice_height) <= 32 + 2
-    found = enclosure(every)
-    assert found.part(Gap.SLICES) < 1.02 * found.part(Gap.CONTACTS)
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_adaptive_scan():
-    mesh = scan3d.load_mesh(FOLDER / "gem.glb")
-    plan = dict(slices=10, spacing="adaptive", samples=16, friction=(0.0, 0.4), noise=1e-4)
-    (first, _), (second, _), (third, _) = (places(mesh, **plan, seed=seed) for seed in (1, 1, 2))
-    assert first.force_N.tobytes() == second.force_N.tobytes()
-    assert first.position_m.tobytes() == second.position_m.tobytes()
-    assert first.force_N.shape != third.force_N.shape or not np.array_equal(first.force_N, third.force_N)
 
 
 def test_slices_along_several_axes():

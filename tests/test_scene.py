@@ -119,16 +119,6 @@ def test_plys_and_meshes(folder, tmp_path):
         assert mesh.truth is not None
 
 
-def test_contacts_in_one_plane_are_still_shown(folder, tmp_path):
-    log = scan3d.read_recording(folder / "recording.csv")
-    rows = log.sweep == np.unique(log.sweep)[5]
-    columns = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm")
-    scan3d.write_recording(replace(log, **{name: getattr(log, name)[rows] for name in columns}), tmp_path / "one.csv")
-    scene = show.read_scene(tmp_path / "one.csv", None, False, "mm")
-    assert scene.surface is None
-    assert len(scene.points) > 3
-
-
 XYZ = [(name, "f8") for name in "xyz"]
 
 
@@ -235,23 +225,6 @@ def test_clamps_may_turn_during_a_sweep(ellipsoid):
     assert sweep.contact == pytest.approx(cloud.centre_points[rows], abs=1e-9 * ellipsoid.diagonal)
 
 
-@pytest.mark.slow
-def test_rods_of_noisy_recordings_stay_near_the_body():
-    noisy = scanned(CUBE, noise=1e-3)
-    sweep = shown_sweep(noisy)
-    assert len(sweep.base) == (noisy.column("sweep") == sweep.number).sum()
-    assert np.linalg.norm(np.ptp(sweep.curved.reshape(-1, 3), axis=0)) < 10 * noisy.diagonal
-    noisy = scanned_in_space(noise=(1e-3, 1e-3))
-    cloud, sweep = scan3d.reconstruct(noisy.recording), shown_sweep(noisy)
-    assert sweep.contact == pytest.approx(cloud.centre_points[cloud.sweep == sweep.number], abs=1e-9 * noisy.diagonal)
-
-
-def test_the_most_informative_sweep_lies_in_the_middle_and_has_distant_contacts(cube):
-    sweep = shown_sweep(cube)
-    assert abs(sweep.contact[0, 2]) < 10  # of ±20
-    assert np.linalg.norm(np.ptp(sweep.contact, axis=0)) > 35
-
-
 def test_contacts_that_do_not_come_from_the_recording(egg):
     message = "the contacts of egg do not belong to its recording, which rods are drawn from: reconstruct it again"
     log, columns = egg.recording, [name for name in egg.contacts.dtype.names if name != "row"]
@@ -264,16 +237,6 @@ def test_contacts_that_do_not_come_from_the_recording(egg):
     ):
         with pytest.raises(scan3d.InputError, match=message):
             shown_sweep(replace(egg, **changed))
-
-
-def test_sweeps_that_can_not_be_shown(egg, ellipsoid):
-    with pytest.raises(scan3d.InputError, match="sweep 4711 has no contact; choose one of the 48"):
-        shown_sweep(egg, 4711)
-    with pytest.raises(scan3d.InputError, match="egg has no recording, which rods are drawn from"):
-        shown_sweep(replace(egg, recording=None))
-    flat = replace(ellipsoid.recording, **dict.fromkeys(("force_z_N", "moment_x_Nm", "moment_y_Nm")))
-    with pytest.raises(scan3d.InputError, match="the contacts of ellipsoid do not belong to its recording"):
-        shown_sweep(replace(ellipsoid, recording=flat))
 
 
 # --- the surface ---
@@ -358,18 +321,6 @@ def test_the_bending_out_of_the_plane(ellipsoid):
     # it is small for rods that bend backward
     angles = np.deg2rad([0.0, 30.0, 90.0, 150.0, 180.0, -170.0, -90.0, -10.0])
     assert out_of_plane_deg(angles) == pytest.approx([0, 30, 90, 30, 0, -10, -90, -10], abs=1e-9)
-
-
-def test_colours_that_a_cloud_does_not_know(cube):
-    contacts = cube.contacts.copy()
-    contacts["quality"] = np.nan
-    for columns, color, sentence in (
-        (None, "error", "the error of the contacts of cube is not known; known are phase, force, friction"),
-        (["x", "y", "z"], "force", "the force of the contacts of cube is not known; its file has points only"),
-        (None, "taste", "contacts are coloured by phase, force, friction, error, bending, got 'taste'"),
-    ):
-        with pytest.raises(scan3d.InputError, match=sentence):
-            parts.shade_contacts(replace(cube, contacts=contacts[columns] if columns else contacts), color)
 
 
 # Linear red, green and blue as they are seen without one kind of cones (G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A

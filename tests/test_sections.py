@@ -166,22 +166,6 @@ def test_slices_come_in_the_order_of_the_heights():
     assert slice_polygons(cone, np.eye(3), []) == []
 
 
-def test_a_mirrored_frame_still_gives_counter_clockwise_polygons():
-    (polygon,) = slice_polygons(box(), np.diag([-1, 1, 1]), [0.2])
-    assert area(polygon) == 1
-
-
-@pytest.mark.parametrize("bad", [np.eye(2), 2 * np.eye(3), np.ones((3, 3)), np.full((3, 3), np.nan)])
-def test_frames_that_are_not_orthonormal_are_refused(bad):
-    with pytest.raises(ValueError, match="orthonormal"):
-        slice_polygons(box(), bad, [0])
-
-
-def test_heights_of_the_wrong_shape_are_refused():
-    with pytest.raises(ValueError, match="heights"):
-        slice_polygons(box(), np.eye(3), 0.0)
-
-
 def test_extent_along():
     body = as_mesh(box(2, 4, 6).vertices + np.array([1, 0, 0]), box().faces)
     assert extent_along(body, [1, 0, 0]) == (0, 2)

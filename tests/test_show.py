@@ -14,8 +14,7 @@ from small_scans import CUBE, EGG, FEW, scanned, scanned_in_space
 from without_renderer import MISSING, hidden_renderer
 
 import scan3d
-from scan3d.cli import show
-from scan3d.pictures import canvas, movie, parts, rendering
+from scan3d.pictures import canvas, parts, rendering
 from scan3d.pictures.scene import contact_sentence
 from scan3d.scenes import other_surface
 
@@ -77,28 +76,6 @@ def test_wrong_options_are_one_sentence(tmp_path, monkeypatch, shown, options, s
     code, out, err = shown(*options.split())
     assert (code, out) == (2, "")
     assert re.fullmatch(rf"scan3d: {sentence}.*; see 'scan3d show --help'\n", err)
-    assert not list(tmp_path.iterdir())
-
-
-def test_endings_are_checked_before_the_scene_is_read(tmp_path, monkeypatch, call):
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(show, "read_scene", None)  # calling it would fail in another way
-    for what, name, sentence in (
-        ("movie", "x.avi", r"a movie is written as \.gif or \.mp4, got 'x\.avi'"),
-        ("movie", "x.mp4", "an .mp4 needs the package imageio-ffmpeg"),
-        ("screenshot", "x.bmp", r"a picture is written as \.png, \.pdf or \.svg, got 'x\.bmp'"),
-    ):
-        code, _, err = call("show", "x", f"--{what}", tmp_path / name)
-        assert code == 1
-        assert re.search(sentence, err)
-
-
-def test_a_movie_that_fails_leaves_no_file(tmp_path, monkeypatch, call):
-    def fails(*_):
-        raise scan3d.InputError("no")
-
-    monkeypatch.setattr(movie, "movie", fails)
-    assert call("show", CUBE, "--movie", tmp_path / "x.gif") == (1, "", "scan3d: no\n")
     assert not list(tmp_path.iterdir())
 
 
@@ -165,24 +142,6 @@ def test_units_of_the_other_surface(folder, tmp_path):
     mesh.units = "m"
     assert other_surface(mesh, "mm").extents == pytest.approx([1000] * 3)
     assert other_surface(folder, "m").extents == pytest.approx(scan3d.open(folder).surface.extents / 1000)
-
-
-def test_what_has_no_surface_to_compare_with(folder, tmp_path, shown):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "notes.txt").write_text("none")
-    for path, sentence in (
-        (tmp_path / "missing", r"there is no .*missing to compare the surface with: expected a scan's folder"),
-        (tmp_path / "empty", r"empty holds no scan: expected cloud\.ply or surface\.ply in it"),
-        (tmp_path / "notes.txt", r"notes\.txt has no surface to compare with: expected a scan's folder, or a surf"),
-        (folder / "cloud.ply", r"cloud\.ply has no surface to compare with, but contacts only"),
-        (folder / "recording.csv", r"recording\.csv has no surface to compare with"),
-    ):
-        code, _, err = shown("--screenshot", tmp_path / "a.png", "--against", path)
-        assert code == 1
-        assert re.search(sentence, err)
-    for other, sentence in ((3, "there is no surface in a int: expected"), (trimesh.Trimesh(), "has no tri")):
-        with pytest.raises(scan3d.InputError, match=sentence):
-            scan3d.open(folder).plot(against=other)
 
 
 # --- the window ---

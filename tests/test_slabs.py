@@ -5,17 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import convex_hausdorff
 from slices_by_hand import rectangle, slice_of, stack_of_rectangles
 
 import scan3d
-from scan3d.bounds.cells import slab_keys, slabs
+from scan3d.bounds.cells import slabs
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import SliceStack, slices_of, stacks
-from scan3d.surfaces import Gap, enclosure
+from scan3d.surfaces import Gap
 
 
 @pytest.fixture(scope="module")
@@ -59,26 +57,6 @@ def test_sides_of_a_slice_that_were_touched_at_different_heights_leave_the_body_
     body = np.array([[*(sign * halves(height, 0.0)), height] for height in z for sign in ([1, 1], [1, -1], [-1, 1])])
     missing = np.min([signed_distances(body, part) for part in outer], axis=0)
     assert missing.max() < 1e-9
-
-
-def test_a_slice_near_another_does_not_make_the_outer_body_larger():
-    """The secant between slices that lie hardly more than twice the error of their heights apart is nearly infinite."""
-    halves = {z: np.sqrt(20**2 - z**2) for z in (-16.0, -8.0, 0.0, 8.0, 16.0, 16.41)}
-    volumes = []
-    for heights in (list(halves)[:-1], list(halves)):
-        stack = stack_of_rectangles(heights, [halves[z] for z in heights], floor=-20.0, ceiling=20.0)
-        volumes.append(sum(slab.volume for slab in slabs(dataclasses.replace(stack, height_error=0.2))))
-    assert volumes[1] < 1.01 * volumes[0]
-
-
-def test_heights_that_differ_within_a_slice_are_uncertain_by_their_spread(ball):
-    mesh, recording = ball
-    assert enclosure(scan3d.reconstruct(recording)).slabs.stack.height_error == 0
-    off = 1e-5 * np.random.default_rng(0).uniform(-1, 1, len(recording))
-    measured = dataclasses.replace(recording, position_m=recording.position_m + off[:, None] * [0.0, 0.0, 1.0])
-    bounds = enclosure(scan3d.reconstruct(measured))
-    assert 5e-3 < bounds.slabs.stack.height_error < 2e-2
-    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
 
 
 def test_slices_a_few_spreads_apart_stay_separate(ball):
@@ -134,50 +112,6 @@ def test_a_cap_that_reaches_the_apex_ends_there(thickness):
     assert cap.straight[cap.corners[:, 2] > 3.5].all()
 
 
-@pytest.mark.parametrize("bounded_by_others", [(False, False), (True, False), (False, True), (True, True)])
-def test_corners_at_an_end_are_straight_only_if_other_stacks_bound_it(bounded_by_others):
-    parts = slabs(pyramid(-1.0, 3.5, bounded_by_others))
-    for part, end, expected in ((parts[0], -1.0, bounded_by_others[0]), (parts[-1], 3.5, bounded_by_others[1])):
-        at_end = np.abs(part.corners[:, 2] - end) < 1e-9
-        assert at_end.sum() == 4
-        assert (part.straight[at_end] == expected).all()
-        # the corners in the plane of the end slice are not, because the slice's own contour bounds the body there
-        assert not part.straight[~at_end].any()
-
-
-def test_straight_walls_end_where_slopes_change():
-    """A wall of four slices under a pyramid of four: between the two, the slopes differ on either side."""
-    stack = stack_of_rectangles(range(8), [4.0, 4.0, 4.0, 4.0, 3.5, 2.5, 1.5, 0.5], -1.0, 8.0)
-    parts = slabs(stack)
-    between = parts[4]
-    # wall and roof meet at the height 3.5, half an edge above the last slice of the wall
-    ridge = np.abs(between.corners[:, 2] - 3.5) < 1e-6
-    assert ridge.sum() == 4
-    assert np.abs(between.corners[ridge, :2]) == pytest.approx(np.full((4, 2), 4.0))
-    assert (between.kind[ridge] == Gap.SLICES).all()
-    assert between.straight[ridge].all()
-
-
-@pytest.mark.parametrize("end", [False, True])
-def test_the_walls_of_a_pyramid_go_on_straight_where_three_slices_agree(end):
-    """Below and above each slab, at its corners in the lower and in the upper plane."""
-    parts = slabs(pyramid(-1.0, 3.5, (end, end)))
-    expected = [
-        ((end, end), (False, False)),
-        # in the planes of the first and the last slice the body is narrower than the slab
-        ((False, False), (False, True)),
-        # two slices below and two above
-        ((False, False), (False, False)),
-        ((True, False), (False, False)),
-        ((False, False), (end, end)),
-    ]
-    for part, (at_low, at_high) in zip(parts, expected, strict=True):
-        height = part.corners[:, 2]
-        above = height > height.mean()
-        assert (part.straight[~above] == at_low).all()
-        assert (part.straight[above] == at_high).all()
-
-
 @pytest.mark.parametrize("edges", [[0, 1, 2], [1, 2, 3], [0, 2], [1, 3]])
 def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
     """Squares of which one side, or two, are not touched: the half-spaces have room inside, and do not close."""
@@ -195,12 +129,6 @@ def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
         assert part.volume == np.inf
 
 
-def test_a_slice_without_outline_has_no_inner_point():
-    """Contacts on a line, in all slices: no half-space has a point behind it that is known to be inside."""
-    slices = tuple(slice_of(rectangle(2.0), z, edges=[1]) for z in range(4))
-    assert all(np.isinf(part.volume) for part in slabs(SliceStack(np.eye(3), slices, -1.0, 4.0)))
-
-
 @pytest.mark.parametrize(("floor", "ceiling"), [(-np.inf, 3.5), (-1.0, np.inf), (-np.inf, np.inf)])
 def test_a_cap_without_an_end_is_unbounded(floor, ceiling):
     parts = slabs(pyramid(floor, ceiling))
@@ -212,42 +140,6 @@ def test_a_cap_without_an_end_is_unbounded(floor, ceiling):
             assert part.kind.tolist() == [Gap.CAPS]
             assert part.straight.tolist() == [[False, False]]
     assert all(np.isfinite(part.volume) for part in parts[1:-1])
-
-
-def test_a_cap_without_height_has_no_corners():
-    """Another stack may show that the body ends at the end slice."""
-    parts = slabs(pyramid(0.0, 3.0))
-    for part in (parts[0], parts[-1]):
-        assert part.volume == 0.0
-        assert part.corners.shape == (0, 3)
-        assert part.straight.shape == (0, 2)
-        assert len(part.kind) == 0
-
-
-def test_slabs_that_are_known_are_not_computed_again():
-    stack = pyramid(-1.0, 3.5)
-    known = {}
-    parts = slabs(stack, known=known)
-    assert set(known) == set(slab_keys(stack))
-    again = slabs(stack, known=known)
-    assert all(one is other for one, other in zip(parts, again, strict=True))
-    # another ceiling changes the cap, and the two slabs below that depend on three slices or ends above
-    higher = slabs(pyramid(-1.0, 3.6), known=known)
-    assert [one is other for one, other in zip(parts, higher, strict=True)] == [True, True, False, False, False]
-    # as does another number of contacts in a slice
-    fewer = dataclasses.replace(stack.slices[3], rows=stack.slices[3].rows[:-1])
-    changed = slabs(dataclasses.replace(stack, slices=(*stack.slices[:3], fewer)), known=known)
-    assert [one is other for one, other in zip(parts, changed, strict=True)] == [True, False, False, False, False]
-
-
-def test_corners_are_given_in_the_world():
-    frame = slice_frame(np.array([1.0, 2.0, 3.0]))
-    upright = pyramid(-1.0, 3.5)
-    for part, turned in zip(slabs(upright), slabs(dataclasses.replace(upright, frame=frame)), strict=True):
-        inside = turned.corners @ frame.T
-        order, expected = (np.lexsort(np.round(corners, 6).T) for corners in (inside, part.corners))
-        assert inside[order] == pytest.approx(part.corners[expected], abs=1e-9)
-        assert turned.volume == pytest.approx(part.volume)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])

@@ -259,21 +259,6 @@ def test_normals_inferred_from_friction_belong_to_tip_contacts():
     assert number_of_tips > 4
 
 
-def test_slices_in_use_are_not_computed_again():
-    """Neither those of the same contacts in a cloud that has grown, whose contacts have other numbers."""
-    cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), scan3d.Plan(slices=6, samples=16)))
-    (stack,) = stacks(cloud)
-    (again,) = stacks(cloud)
-    assert all(first is second for first, second in zip(stack.slices, again.slices, strict=True))
-    later = cloud.select(np.roll(np.arange(len(cloud.points)), 40))
-    (moved,) = stacks(later)
-    for section, other in zip(stack.slices, moved.slices, strict=True):
-        if np.array_equal(cloud.points[section.rows], later.points[other.rows]):
-            assert other.outline is section.outline
-        assert np.array_equal(later.points[other.rows] @ stack.frame[:2].T, other.points)
-    assert any(not np.array_equal(a.rows, b.rows) for a, b in zip(stack.slices, moved.slices, strict=True))
-
-
 @pytest.mark.parametrize("name", ["points", "in_plane_normals", "phase"])
 def test_slices_of_other_contacts_are_computed(name):
     cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), scan3d.Plan(slices=6, samples=16)))

@@ -12,7 +12,6 @@ from scan3d.spatial.normals import (
     fitting,
     frictionless,
     interpolating,
-    windows,
 )
 
 FRICTION = 0.3
@@ -175,15 +174,3 @@ def test_fits_are_exact_for_polynomials_of_their_degree(width, degree):
     noisy = np.random.default_rng(1).normal(size=(len(x), width)) / np.sqrt(weight)
     _, misfit = fitting(x, own, degree, weight, (values + noisy)[:, :, None])
     assert misfit.mean() == pytest.approx(1, abs=0.4)
-
-
-def test_windows_stay_in_their_runs_and_are_shifted_at_the_ends():
-    starts = np.zeros(13, dtype=bool)
-    starts[[0, 7, 9]] = True
-    found = windows(starts, 3)
-    assert found.rows.tolist() == [0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 12]
-    assert found.members[0].tolist() == found.members[1].tolist() == [0, 1, 2]
-    assert found.members[6].tolist() == [4, 5, 6]
-    assert found.members[7].tolist() == [9, 10, 11]
-    np.testing.assert_array_equal(found.members[np.arange(11), found.own], found.rows)
-    assert len(windows(starts[:0], 3).rows) == 0

@@ -59,13 +59,6 @@ def test_the_directions_are_spread_evenly():
     assert np.abs(directions).min() > 0.02
 
 
-@pytest.mark.slow
-def test_fixed_sweeps_are_not_aimed(cube):
-    """Two from each of the twelve directions, wherever the bound is wide."""
-    recording = scan3d.simulate(cube, scan3d.Plan(sweeps=2, **TINY))
-    assert len(np.unique(recording.sweep)) <= 2 * len(aims.icosahedron())
-
-
 def test_rasters_cross_the_body(cube):
     points = np.asarray(cube.vertices) / 40
     lines = aims.rasters(points, 10, 0.3)
@@ -221,13 +214,6 @@ def test_a_rod_that_reaches_nothing(cube, monkeypatch):
 
 
 @pytest.mark.slow
-def test_progress_counts_rounds(tiny):
-    _, told = tiny
-    assert told[-1] == (1 + spatial._ROUNDS, 1 + spatial._ROUNDS)
-    assert sorted(told) == told
-
-
-@pytest.mark.slow
 def test_the_command_scans_in_space(tmp_path, capsys, monkeypatch):
     out = tmp_path / "out"
     few = ["--slices", "4", "--samples", "8", "--friction", "0.0:0.4", "--method", "hull"]
@@ -249,13 +235,3 @@ def test_the_command_scans_in_space(tmp_path, capsys, monkeypatch):
     found = json.loads((tmp_path / "again" / "report.json").read_text())
     assert found["certificate"] == report["certificate"]
     capsys.readouterr()
-
-
-def test_an_open_mesh_is_refused(cube):
-    holed = trimesh.Trimesh(cube.vertices, cube.faces[:-1], process=False)
-    with pytest.raises(InputError):
-        scan3d.simulate(holed, scan3d.Plan(**SMALL))
-    with pytest.raises(
-        InputError, match=r"this body can't be swept in space: the triangles of a polyhedron must be a closed"
-    ):
-        spatial.simulate_spatial(holed, scan3d.Plan(**SMALL))

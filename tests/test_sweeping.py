@@ -1,13 +1,11 @@
 """Step 1: states of a sweep, events, extreme contours; errors and their messages."""
 
-from dataclasses import FrozenInstanceError
-
 import numpy as np
 import pytest
 import shooting
 
 import planar
-from planar import EventKind, Phase, Status, equilibria, segments, sweeping
+from planar import EventKind, Phase, Status, equilibria
 
 CIRCLE = planar.Circle(radius=0.9, center=(0.0, 1.3))
 SQUARE = planar.Polygon(
@@ -121,11 +119,6 @@ def test_nothing_touches_before_touch_down_and_after_the_end():
     np.testing.assert_array_equal(swept.x0, base)
 
 
-def test_bases_on_either_side_of_the_sweep_have_no_contact():
-    for base in ([2.0, 1.0], [-2.0, -3.0]):
-        assert (planar.sweep(CIRCLE, 0.1, base=base).phase == Phase.NONE).all()
-
-
 def test_the_rod_does_not_touch_again_after_it_has_left():
     # a sweep with more friction ends later, but a rod that has left with less friction does not touch again
     ends = [planar.events(CIRCLE, mu).x0[-1] for mu in (0.0, 0.6)]
@@ -170,18 +163,6 @@ def test_shares_spread_the_samples():
     swept, even = planar.sweep_all([CIRCLE], [0.2], shares=shares)[0], planar.sweep(CIRCLE, 0.2, samples=11)
     np.testing.assert_allclose(swept.x0, even.x0[[0, 1, 5, 10]], atol=1e-15)
     assert swept.x0[-1] == even.x0[-1]
-
-
-def test_repeated_base_positions_give_repeated_states():
-    swept = planar.sweep(CIRCLE, 0.2, base=[0.3, 0.3, 0.3])
-    for name in STATE:
-        assert (getattr(swept, name) == getattr(swept, name)[0]).all()
-
-
-def test_sweeps_are_immutable():
-    swept = planar.sweep(CIRCLE, samples=3)
-    with pytest.raises(FrozenInstanceError):
-        swept.x0 = swept.m0z
 
 
 # Extreme contours
@@ -431,64 +412,6 @@ def test_many_sweeps_are_refused(options, message):
 def test_events_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         planar.events(CIRCLE, **options)
-
-
-ROUND_AND_POLYGONAL = {
-    "circle": planar.Circle(0.9, (0.2, 1.3)),
-    "ellipse": planar.Ellipse((0.6, 0.3), (0.2, 0.8), 0.35),
-    "square": planar.Polygon([(-0.4, 0.3), (0.4, 0.3), (0.4, 1.1), (-0.4, 1.1)]),
-    "heptagon": planar.Polygon([(np.cos(t) / 3, 0.6 + np.sin(t) / 3) for t in 0.2 + 2 * np.pi * np.arange(7) / 7]),
-}
-
-
-@pytest.mark.parametrize("contour", ROUND_AND_POLYGONAL.values(), ids=ROUND_AND_POLYGONAL)
-def test_samples_with_separate_friction_search_a_small_part_of_the_path(contour, monkeypatch):
-    """They find their state there; the samples that do not would search the whole path."""
-    pieces, missed = [], []
-    original = sweeping._search_each
-
-    def counted(path, samples, interval, swept):
-        pieces.append((interval[1] - interval[0]).sum())
-        missed.append(original(path, samples, interval, swept))
-        return missed[-1]
-
-    monkeypatch.setattr(sweeping, "_search_each", counted)
-    friction = np.random.default_rng(8).uniform(0.0, 0.6, 300)
-    swept = planar.sweep(contour, friction, samples=300)
-    assert (swept.phase != planar.Phase.NONE).all()
-    assert [len(part) for part in missed] == [0]
-    # of about 60 pieces
-    assert sum(pieces) <= 3.6 * 300, sum(pieces) / 300
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("contour", ROUND_AND_POLYGONAL.values(), ids=ROUND_AND_POLYGONAL)
-def test_newtons_method_finds_all_but_a_few_states_of_a_sweep(contour, friction, monkeypatch):
-    """Only states next to touch-down and to folds, where Newton's method converges slowly, are left to bracketing."""
-    left, steps = [], []
-
-    def counted(function, calls):
-        def run(path, piece, *others):
-            calls.append(len(piece))
-            return function(path, piece, *others)
-
-        return run
-
-    monkeypatch.setattr(segments, "_bracketed", counted(segments._bracketed, left))
-    monkeypatch.setattr(segments, "_newton_step", counted(segments._newton_step, steps))
-    planar.sweep(contour, friction, samples=400)
-    assert sum(left) <= 4, sum(left)
-    assert sum(steps) <= 2.8 * 400, sum(steps) / 400
-
-
-def test_a_sweeps_table_shows_numbers_and_a_dash_for_unknown_ones():
-    touching = planar.sweep(CIRCLE, 0.2, samples=5)
-    shown = touching._repr_html_()
-    assert f"<td>{touching.x0[1]:.6g}</td>" in shown
-    beside = planar.sweep(CIRCLE, 0.2, base=[touching.x0[0] + 1.0])
-    assert (beside.phase == Phase.NONE).all()
-    assert "<td>–</td>" in beside._repr_html_()
-    assert "nan" not in beside._repr_html_()
 
 
 def test_a_sweep_that_begins_before_touch_down_has_the_contacts_of_one_that_begins_there():

@@ -5,11 +5,8 @@ import pytest
 import trimesh
 from shapes import ball, cube, without
 
-from scan3d.geometry import triangles
 from scan3d.geometry.triangles import (
-    longest_first,
     mirrored_faces,
-    offset_from,
 )
 
 
@@ -37,16 +34,3 @@ def test_no_face_is_mirrored_on_a_surface_that_is_not_one_closed_one():
         one_sided,
     ):
         assert mirrored_faces(np.asarray(faces)) is None
-
-
-def test_offsets_do_not_depend_on_how_many_are_computed_at_once(monkeypatch):
-    corners = ball(3, 200).triangles.view(np.ndarray)
-    corners = np.take_along_axis(corners, longest_first(corners)[:, :, None], axis=1)
-    points = np.random.default_rng(5).standard_normal((70, 1, 3))
-    together = offset_from(points, corners)
-    assert together.shape == (70, len(corners), 3)
-    monkeypatch.setattr(triangles, "_AT_ONCE", 1000)
-    assert together[..., 0].size > 1000
-    assert np.array_equal(offset_from(points, corners), together)
-    one_by_one = [offset_from(point, corners) for point in points]
-    assert np.array_equal(one_by_one, together)

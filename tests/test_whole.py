@@ -1,6 +1,5 @@
 """Results are written whole or not at all, at whatever call of the file system a run ends."""
 
-import importlib.util
 import json
 import os
 import shutil
@@ -212,23 +211,6 @@ def test_everything_is_on_the_disk_before_the_next_step_begins(place, monkeypatc
     assert calls == ["work", ("moved", "a.stl"), out.name]
 
 
-@can_fork
-def test_a_file_that_is_larger_than_the_system_allows(place):
-    """The kernel refuses to write, as on a full disk."""
-    import resource
-
-    out = place()
-
-    def limited():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (400, 400))
-        with pytest.raises(InputError, match=r"can't write .*: File too large; choose another place with --out"):
-            write(out, {**NEW, "view.html": b"x" * 4000})
-
-    assert run(limited, "kill", 10_000)
-    assert seen(out) == OLD
-    assert names(out) == sorted([*OLD, *FOREIGN, "report.json"])
-
-
 def test_of_two_runs_at_once_the_one_that_ends_last_is_there(place):
     out = place()
     with replacing(out) as first:
@@ -290,17 +272,6 @@ def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
     ]
 
 
-@pytest.mark.trust
-@pytest.mark.skipif(os.name == "nt", reason="an open file can't be moved there while it is read")
-def test_a_killed_run_leaves_the_whole_earlier_or_the_whole_new_result(tmp_path):
-    path = Path(__file__).parent / "robustness" / "kills.py"
-    spec = importlib.util.spec_from_file_location("kills", path)
-    kills = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(kills)
-    counts = kills.kills(9, tmp_path, seed=1)
-    assert counts["earlier result"] + counts["new result"] == 9
-
-
 # --- single files and folders ---
 
 
@@ -338,19 +309,6 @@ def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path
         write_together(tmp_path / "missing" / "a", {"a": b"new", "b": b"new"})
     assert (tmp_path / "a").read_bytes() == b"old"
     assert names(tmp_path) == ["a", "b"]
-
-
-def test_a_path_that_cannot_be_written_is_named_with_the_option_to_change(tmp_path):
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(InputError, match=r"can't write .*file/a.txt: Not a directory; choose another place with --out"):
-        write_atomic(tmp_path / "file" / "a.txt", b"")
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(InputError, match=r"can't write .*folder: Is a directory"):
-        write_atomic(tmp_path / "folder", b"")
-    for path in ("/proc/nowhere/out", tmp_path / "file" / "out", tmp_path / "file"):
-        with pytest.raises(InputError, match=r"can't write into the folder .*; choose another one"), folder(path):
-            pass
-    assert names(tmp_path) == ["file", "folder"]
 
 
 def test_a_folder_created_in_vain_is_removed_and_an_existing_one_is_kept(tmp_path):

@@ -135,7 +135,10 @@ def reconstruct(size: int) -> Steps:
     swept = planar.sweep(circle, 0.2, samples=1000)
     columns = [np.resize(column, size) for column in (swept.x0, swept.f0x, swept.f0y, swept.m0z)]
     planar.reconstruct(*(column[:1000] for column in columns))
-    return {"`planar.reconstruct`": seconds(lambda: planar.reconstruct(*columns))}
+    return {
+        "`planar.sweep`": seconds(lambda: planar.sweep(circle, 0.2, samples=size)),
+        "`planar.reconstruct`": seconds(lambda: planar.reconstruct(*columns)),
+    }
 
 
 def beside(body: trimesh.Trimesh) -> Any:

@@ -1,4 +1,4 @@
-"""How fast and how exact: the closed form beside the methods that it replaces, and how time and memory grow.
+"""How fast and how exact: the closed form beside the methods that it replaces.
 
     python tests/benchmarks/run.py [--quick]
 
@@ -13,8 +13,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import resource
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -41,7 +39,6 @@ EVENTS = planar.events(CIRCLE, FRICTION)
 CONTACTS, QUICK_CONTACTS = 300_000, 30_000
 # What the slow methods do of them; their time per contact does not depend on the number.
 SLOW_CONTACTS, SLOWEST_CONTACTS = 120, 30
-SIZES = [1_000, 10_000, 100_000, 1_000_000, 10_000_000]
 REPEATS = 5
 BVP_TOLERANCE = 1e-8
 
@@ -257,37 +254,6 @@ def inverse_in_space(contacts: int) -> list[Line]:
     ]
 
 
-# Growth
-
-
-def grown(step: str, contacts: int) -> tuple[float, float]:
-    """Seconds and peak memory in GB of one run in a process of its own."""
-    run = subprocess.run(
-        [sys.executable, __file__, "--only", step, str(contacts)], check=True, capture_output=True, text=True
-    )
-    taken, memory = run.stdout.split()
-    return float(taken), float(memory)
-
-
-def measure(step: str, contacts: int) -> None:
-    """The run in that process: arrays of the wanted length in, results of that length out."""
-    start, kept = time.process_time(), 0
-    if step == "sweep":
-        base = evenly(contacts)
-        start = time.process_time()
-        kept = len(planar.sweep(CIRCLE, FRICTION, base=base))
-    elif step == "reconstruct":
-        swept = planar.sweep(CIRCLE, FRICTION, base=evenly(1000))
-        x0, f0x, f0y, m0z = (np.resize(v, contacts) for v in (swept.x0, swept.f0x, swept.f0y, swept.m0z))
-        start = time.process_time()
-        kept = len(planar.reconstruct(x0, f0x, f0y, m0z))
-    taken = time.process_time() - start
-    assert kept == contacts
-    # in KiB, but in bytes on macOS
-    unit = 1 if sys.platform == "darwin" else 1024
-    print(taken, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e9)
-
-
 # The tables
 
 
@@ -310,20 +276,10 @@ def print_lines(lines: list[Line], errors: tuple[str, ...]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Benchmarks of planar, one table.")
-    parser.add_argument("--quick", action="store_true", help="fewer contacts: stop at 100,000")
-    parser.add_argument("--only", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--quick", action="store_true", help="fewer contacts")
     options = parser.parse_args()
     one_core()
-    if options.only:
-        measure(options.only[0], int(options.only[1]))
-        return
-
-    sizes = [size for size in SIZES if size <= 100_000] if options.quick else SIZES
     contacts = QUICK_CONTACTS if options.quick else CONTACTS
-    # Before anything else: on Linux a child's peak memory is at least what its parent has needed so far.
-    empty = grown("nothing", 0)[1]
-    growth = [(size, grown("sweep", size), grown("reconstruct", size)) for size in sizes]
-
     print(f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}, one core")
     print(f"circle r = {CIRCLE.radius}, centre {CIRCLE.center}, μ = {FRICTION}, medians of {REPEATS} runs")
     print("\nStep 1, contour to reactions")
@@ -342,11 +298,6 @@ def main() -> None:
     inverse_ratio = lines[0].rate / lines[1].rate
     print_lines(inverse_in_space(contacts), ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
     print(f"closed form over Scholz & Rahn's integration: {rounded(inverse_ratio)} x the contacts")
-
-    print(f"\nGrowth, each in a separate process (peak memory; {empty:.2f} GB of it are Python's and its modules')")
-    print(f"{'contacts':>12}{'sweep, s':>12}{'GB':>8}{'reconstruct, s':>18}{'GB':>8}")
-    for size, (sweep_s, sweep_gb), (inverse_s, inverse_gb) in growth:
-        print(f"{size:>12,}{sweep_s:>12.3f}{sweep_gb:>8.2f}{inverse_s:>18.4f}{inverse_gb:>8.2f}")
 
 
 if __name__ == "__main__":
