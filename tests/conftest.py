@@ -7,8 +7,11 @@ tests marked `trust` of ``make test`` too: they are the long versions of others,
 
 import functools
 import importlib
+import os
 import shutil
 import signal
+import sys
+import tempfile
 
 import hypothesis
 import numpy as np
@@ -33,6 +36,12 @@ def pytest_configure(config):
     # a shell without job control ignores Ctrl-C in what it starts in the background, and so do all children of that
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # without bytecode every process that a test starts compiles the packages for half a second before it begins
+    if sys.dont_write_bytecode and not hasattr(config, "workerinput"):
+        bytecode = tempfile.TemporaryDirectory()
+        config.add_cleanup(bytecode.cleanup)
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        os.environ["PYTHONPYCACHEPREFIX"] = bytecode.name
     config.addinivalue_line("markers", "rendering: needs an off-screen renderer")
     config.addinivalue_line("markers", "browser: needs Chromium")
     config.addinivalue_line("markers", "open3d: needs open3d")

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtri
 
 import planar
-from scan3d.arrays import AT_ONCE, Array, Index, evenly
+from scan3d.arrays import Array, Index, evenly
 from scan3d.cloud import Cloud, Tilt
 from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
@@ -275,15 +275,11 @@ def _not_convex(cloud: Cloud, errors: tuple[Array, Array], lines: Index) -> list
     if (rig := cloud.calibration) is not None:
         factor = rig.factor(FALSE_ALARM)
         place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
-    of_hull, every = evenly(np.arange(len(points)), _COMPARED), np.arange(len(points))
-    parts = []
-    for some in np.array_split(every, 1 + len(points) * 2 * len(of_hull) // AT_ONCE):
-        chosen = np.intersect1d(some, lines)
-        misfit = depths_in_hull(points, of_hull, some, chosen, tangents, (place, turn), cloud.rod_length)
-        if misfit is None:
-            return []
-        parts.append((misfit.found, misfit.explained + 2 * cloud.pose_error, np.concatenate([some, chosen])))
-    depth, explained, rows = (np.concatenate(column) for column in zip(*parts, strict=True))
+    every = np.arange(len(points))
+    misfit = depths_in_hull(points, evenly(every, _COMPARED), every, lines, tangents, (place, turn), cloud.rod_length)
+    if misfit is None:
+        return []
+    depth, explained, rows = misfit.found, misfit.explained + 2 * cloud.pose_error, np.concatenate([every, lines])
     worst = int(np.argmax(depth / explained))
     inside, allowed, at = float(depth[worst]), float(explained[worst]), rows[worst]
     if inside <= allowed:

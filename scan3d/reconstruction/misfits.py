@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan3d.arrays import Array, Index
+from scan3d.arrays import AT_ONCE, Array, Index
 from scan3d.geometry.hulls import hull_about_mean
 from scan3d.spatial import inverse
 
@@ -124,16 +124,23 @@ def depths_in_hull(
     hull = hull_about_mean(points[of_hull])
     if hull is None:
         return None
-    outward, offset = hull.equations[:, :3], hull.equations[:, 3]
-    rows, arm = np.concatenate([some, lines]), np.zeros(len(some) + len(lines))
-    height, slope = -(points[rows] - points[of_hull].mean(axis=0)) @ outward.T - offset, tangents[rows] @ outward.T
-    arm[len(some) :] = _middle_of_lines(height[len(some) :], slope[len(some) :])
-    below = height - arm[:, None] * slope
-    facet = below.argmin(axis=1)
-    both = place[rows] + place[of_hull][hull.simplices].max(axis=1)[facet]
+    centred, reach = points - points[of_hull].mean(axis=0), place[of_hull][hull.simplices].max(axis=1)
+    parts = []
+    for rows, is_line in ((some, False), (lines, True)):
+        for part in np.array_split(rows, 1 + len(rows) * len(hull.equations) // AT_ONCE):
+            below = -centred[part] @ hull.equations[:, :3].T - hull.equations[:, 3]
+            arm = np.zeros(len(part))
+            if is_line:
+                slope = tangents[part] @ hull.equations[:, :3].T
+                arm = _middle_of_lines(below, slope)
+                below -= arm[:, None] * slope
+            facet = below.argmin(axis=1)
+            parts.append(
+                np.stack([below[np.arange(len(part)), facet], place[part] + reach[facet], turn[part] * np.abs(arm)])
+            )
+    found, both, turned = np.concatenate(parts, axis=1)
     # the last summand is of the second order
-    explained = ROUNDING * length + both + turn[rows] * np.abs(arm) + both**2 / length
-    return Misfit(below[np.arange(len(rows)), facet], explained)
+    return Misfit(found, ROUNDING * length + both + turned + both**2 / length)
 
 
 def _middle_of_lines(height: Array, slope: Array) -> Array:
