@@ -66,6 +66,17 @@ class Tilt(NamedTuple):
         return Tilt(self.slope, factor * self.spread, factor * self.centre)
 
 
+class LeftOut(NamedTuple):
+    """Rows of a recording that contradict the rest (`scan3d.reconstruction.wild`)."""
+
+    rows: Index
+    """(w,) their numbers, from 0."""
+    share: float
+    """Part of the rows with a force that they are."""
+    factor: float
+    """Standard deviations of the others' noise for each that the recording states."""
+
+
 @dataclass(frozen=True, repr=False)
 class Cloud(Shown, Exported):
     """Contacts (n,) in the world, in the recording's unit, and the slices (s,) they lie in."""
@@ -118,6 +129,8 @@ class Cloud(Shown, Exported):
     """Whether the body counts as convex: unless its recording states that it is not, and its contacts accord with that."""
     second: int = 0
     """Number of rows with a force of which no contact is known, because the rod touched at a second place as well."""
+    left_out: LeftOut | None = None
+    """Rows of the recording that contradict the rest, and were left out; None if there are none."""
     pose_error: float = 0.0
     """Largest error of a contact's place by the digits of the poses, in the recording's unit."""
     tilt: Tilt | None = None

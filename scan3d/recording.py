@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from numbers import Real
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan3d import numbers
-from scan3d.arrays import Array, evenly
+from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.errors import InputError
 from scan3d.frames import axes_of, check_orientations, check_positions
 from scan3d.rigs import RigUncertainty, one_rig
@@ -377,6 +377,13 @@ def _refined(distances: Array, step: float) -> float:
 def together(stated: float, rounding: float) -> float:
     """Standard deviation of the sum of noise and rounding."""
     return stated if rounding <= _NEGLIGIBLE * stated else float(np.hypot(stated, rounding))
+
+
+def of_rows(recording: Recording, rows: Mask | Index) -> Recording:
+    """The recording of some of the rows, by (n,) booleans or by numbers."""
+    names = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm", *(SIX_AXES if recording.six_axis else ()))
+    columns: dict[str, Any] = {name: getattr(recording, name)[rows] for name in names}
+    return replace(recording, **columns)
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

@@ -19,11 +19,11 @@ import planar
 from scan3d.arrays import Array
 from scan3d.bounds import Allowed, Certificate, Enclosure, Premise, allowed, certificate, missing, premises
 from scan3d.bounds.reach import Reach
-from scan3d.cloud import Cloud
+from scan3d.cloud import Cloud, LeftOut
 from scan3d.comparison import Comparison
 from scan3d.geometry.convexity import HULL_OF_MESH
 from scan3d.numbers import angle, length, lengths, number, share, volume
-from scan3d.reconstruction import Contradiction, Diagnosis, radius_errors
+from scan3d.reconstruction import LARGEST_SHARE, Contradiction, Diagnosis, radius_errors
 from scan3d.recording import LARGEST_OVER_SD, Recording
 from scan3d.shown import Rows
 from scan3d.spatial.bodies import sphere_directions
@@ -170,6 +170,7 @@ def _counts(analysis: Analysis) -> dict[str, int | None]:
         "tip": int((cloud.phase == planar.Phase.TIP).sum()),
         "light": cloud.light,
         **({} if cloud.convex else _second(analysis)),
+        "left_out": 0 if cloud.left_out is None else len(cloud.left_out.rows),
     }
 
 
@@ -248,6 +249,7 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "premise": "; ".join(premise.assumed for premise in assumed),
         "premises": [premise._asdict() for premise in assumed],
         "relative_error": 0.0 if cloud.calibration is None else cloud.calibration.relative,
+        "left_out": None if cloud.left_out is None else _left_out(cloud.left_out),
         "table": cloud.table,
         **({} if analysis.carved is None else {"contours": {"bound": analysis.carved.contours_bound}}),
         "missing": "" if np.isfinite(bounds.bound) or analysis.warnings or not cloud.convex else missing(cloud),
@@ -255,6 +257,11 @@ def _certificate(analysis: Analysis) -> dict[str, Any]:
         "parts": bounds.parts() | {"noise": _noise_off(cloud, bounds)} | _systematic_off(cloud, bounds),
         "volume": list(bounds.volume),
     }
+
+
+def _left_out(left: LeftOut) -> dict[str, float]:
+    """The rows that contradict the rest, and what the bounds allow for in the others."""
+    return {"rows": len(left.rows), "share": left.share, "largest_share": LARGEST_SHARE, "noise_factor": left.factor}
 
 
 def _noise(analysis: Analysis) -> dict[str, float]:
@@ -482,6 +489,7 @@ def summary(data: Mapping[str, Any]) -> Summary:
         )
     if counts["light"]:
         rows.append(("light touches", f"{counts['light']} contacts left out, whose place the noise hides"))
+    rows += _left_out_rows(data)
     radius = data.get("rod", {}).get("radius", {})
     if radius.get("moved"):
         unit = radius["unit"]
@@ -564,6 +572,15 @@ def _contours(certified: Mapping[str, Any]) -> str:
     if bound is None or not np.isfinite(bound):
         return "nothing in the planes of the slices"
     return f"outer contours within {length(bound, certified['unit'], up=True)} in the planes of the slices"
+
+
+def _left_out_rows(data: Mapping[str, Any]) -> Rows:
+    """The row on wild rows of the recording, if there are any that were left out."""
+    left = data["certificate"].get("left_out")
+    if not left or not left["rows"]:
+        return []
+    part = f"{left['rows']} rows that contradict their neighbours, {share(left['share'])} of those with a force"
+    return [("left out", f"{part}; the others count with {number(left['noise_factor'])} times the stated noise")]
 
 
 def _premise_rows(certified: Mapping[str, Any]) -> Rows:
@@ -661,6 +678,7 @@ def key_figures(data: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     if data["friction"]["estimated_median"] is not None:
         rows.append(("friction", f"{number(data['friction']['estimated_median'])} (median)"))
     rows.append(("surface", f"{data['surface']['method']}, {data['surface']['faces']} faces"))
+    rows += _left_out_rows(data)
     if data["warnings"]:
         rows.append(("not certified", ", ".join(warning["code"] for warning in data["warnings"])))
     if data.get("diagnosis"):

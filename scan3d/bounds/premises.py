@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.bounds.constraints import allowed
 from scan3d.cloud import Cloud
-from scan3d.numbers import angle, length, share
+from scan3d.numbers import angle, length, number, share
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
@@ -29,13 +29,19 @@ def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) 
     noise = recording.noise
     stated = max(noise.force_N, noise.moment_Nm, noise.pose_m) > 0
     hidden = "not tested: what neither friction nor path nor other sweeps contradict stays hidden"
+    left = cloud.left_out
+    size = (
+        "the stated size"
+        if left is None
+        else f"at most {number(left.factor)} times the stated size, but for single wild rows"
+    )
     return (
         Premise("a convex body", True, _of_body(contradicted))
         if cloud.convex
         else Premise("no contact is that of a rod with a second one that stayed hidden", False, hidden),
         _of_rod(recording.rod, cloud, contradicted),
         Premise(
-            "white noise of the stated size" if stated else "reactions without noise",
+            f"white noise of {size}" if stated else "reactions without noise",
             False,
             "not tested: of the noise the contacts tell nothing that the body could not",
         ),

@@ -39,15 +39,21 @@ class Air(NamedTuple):
 def tare(wrench: Array, clock: Array, stretches: Stretches) -> Air:
     """The zero of a wrench (n, c) at times (n,) by its stretches in the air, which follow one another.
 
-    Each gives one knot in its middle, or two at its ends where the zero drifts by more than the noise within it.
+    Each gives one knot in its middle, or two at its ends where the zero drifts by more than the noise within it.  Single
+    disturbed rows do not count.
     """
     rounding = NEGLIGIBLE * np.ptp(wrench, axis=0)
     knots, levels, residuals, rows = [], [], [], np.zeros(len(wrench), dtype=bool)
     for start, stop in stretches:
         time, values = clock[start:stop], wrench[start:stop]
-        middle, level, slope, spread = _line(time, values)
+        distance, _ = _from_line(time, values)
+        inside = (distance <= _SIGMAS * robust_sd(distance) + rounding).all(axis=1)
+        if inside.sum() < _FEWEST:
+            inside[:] = True
+        middle, level, slope, spread = _line(time[inside], values[inside])
         away = (time - middle)[:, None]
-        error = np.sqrt(((values - level - slope * away) ** 2).sum(axis=0) / max(len(time) - 2, 1) / spread)
+        off = (values - level - slope * away)[inside]
+        error = np.sqrt((off**2).sum(axis=0) / max(len(off) - 2, 1) / spread)
         drifts = (np.abs(slope) > _SIGMAS * error) & (np.abs(slope) * np.ptp(time) > rounding)
         slope = np.where(drifts & (len(time) >= _FEWEST), slope, 0.0)
         ends = [float(time[0]), float(time[-1])] if slope.any() else [middle]

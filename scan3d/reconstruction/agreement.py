@@ -20,7 +20,7 @@ from scan3d.arrays import Array, Index, evenly
 from scan3d.cloud import Cloud, Tilt
 from scan3d.numbers import angle, length, number, point, share
 from scan3d.reconstruction.causes import Diagnosis
-from scan3d.reconstruction.contacts import readings, without_normals
+from scan3d.reconstruction.contacts import readings, renumbered, rest, without_normals
 from scan3d.reconstruction.diagnosis import diagnose
 from scan3d.reconstruction.errors import NoContactError, felt, torsion_sd, with_rig_errors
 from scan3d.reconstruction.misfits import (
@@ -38,6 +38,8 @@ from scan3d.units import UNITS_M
 
 BELOW_TABLE = "below-table"
 """Code of the contradiction between contacts and the table."""
+LARGEST_SHARE = 0.1
+"""Largest part of the rows with a force that may be left out; where more contradict the rest, nothing is certified."""
 # Largest fraction of the rows with a force that may lack a contact or have residuals, as disturbed rows of a measurement.
 _DISTURBED = 0.02
 # A sweep is a line along the clamp's x axis if the clamp leaves that line by no more than this fraction of its travel, which a
@@ -77,6 +79,11 @@ class Checked(NamedTuple):
 
 def checked(recording: Recording, cloud: Cloud) -> Checked:
     """The contradictions between a recording, its contacts and the model, and the likeliest fault."""
+    if (left := cloud.left_out) is not None:
+        recording, kept = rest(recording, left)
+        number = np.full(kept[-1] + 1, -1)
+        number[kept] = np.arange(len(kept))
+        cloud = renumbered(cloud, number)
     alone, diagnosis = _below_table(cloud), None
     if cloud.model == "spatial":
         found = _in_space(recording, cloud)
@@ -88,6 +95,8 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
         diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
+    if left is not None and not len(left.rows):
+        found.append(_too_wild(left.share))
     differs = cloud.calibration is not None and cloud.calibration.relative > 0
     if (found or differs) and (diagnosis is None or cloud.model == "spatial"):
         diagnosis = diagnose(recording, cloud.model)
@@ -117,6 +126,15 @@ def _without_contact(fraction: float) -> list[Contradiction]:
         f"(at most {share(_DISTURBED)} are expected)"
     )
     return [Contradiction("force-without-contact", text, fraction)]
+
+
+def _too_wild(share: float) -> Contradiction:
+    """That rows contradict the rest, and can't be left out."""
+    text = (
+        f"{100 * share:.2g} % of the rows with a force contradict their neighbours by more than the stated noise: more than "
+        f"{100 * LARGEST_SHARE:.0f} %, or many that follow each other, are no wild rows that may be left out"
+    )
+    return Contradiction("wild-rows", text, share)
 
 
 def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.choices import MODELS
-from scan3d.cloud import Cloud, NormalSource
+from scan3d.cloud import Cloud, LeftOut, NormalSource
 from scan3d.errors import InputError
 from scan3d.geometry.support import fit_support
 from scan3d.reconstruction.errors import (
@@ -34,7 +34,7 @@ from scan3d.reconstruction.errors import (
 )
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
-from scan3d.recording import SIX_AXES, Noise, Recording, joined
+from scan3d.recording import SIX_AXES, Noise, Recording, joined, of_rows
 from scan3d.spatial import inverse
 from scan3d.spatial.normals import UNKNOWN, Normals, Source, Track, along_sweeps, angles, frictionless
 from scan3d.units import UNITS_M
@@ -53,11 +53,10 @@ _FRICTION_ANGLE = float(np.arctan(0.5))
 _SOURCES = {Source.SLIP: NormalSource.SLIP, Source.PATH: NormalSource.PATH}
 
 
-def by_model(recording: Recording, method: str = "closed-form", model: str | None = None) -> Cloud:
-    """Contacts of a recording as its rows and what it states of its errors give them; see `scan3d.reconstruct`.
+def model_of(recording: Recording, method: str = "closed-form", model: str | None = None) -> str:
+    """The model by which a recording is read, 'planar' or 'spatial'; see `scan3d.reconstruct`.
 
-    Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
-    model needs, and ValueError for an unknown method.
+    Raises InputError if the recording has numbers so large that their squares are none, or not the axes that the model needs.
     """
     if not isinstance(recording, Recording):
         raise InputError(f"contacts are reconstructed from a scan3d.Recording, got {type(recording).__name__}")
@@ -69,13 +68,12 @@ def by_model(recording: Recording, method: str = "closed-form", model: str | Non
         if largest > _LARGEST:
             raise InputError(f"recording: {name} holds {largest:.3g}; check its unit, which is that of SI")
     if model == "planar" or (model is None and not recording.six_axis):
-        cloud = with_smooth_fit(with_slice_normals(contacts(recording, method)))
-        return _on_surface(with_rig_errors(cloud, recording), recording)
+        return "planar"
     if method != "closed-form":
         raise InputError(
             f"the spatial model has the method closed-form only, got {method!r}; or choose the planar model"
         )
-    return with_rig_errors(spatial_contacts(recording), recording)
+    return "spatial"
 
 
 # --- the planar model ---
@@ -108,6 +106,20 @@ class InSlices(NamedTuple):
     """Slices without contact in which forces stand out from the noise."""
     felt: float
     """Deflection of a rod's tip, in rod lengths, from which it is felt."""
+
+
+def rest(recording: Recording, left: LeftOut) -> tuple[Recording, Index]:
+    """The recording of the rows that are not left out, with their noise, and their numbers (k,)."""
+    kept = np.setdiff1d(np.arange(len(recording)), left.rows)
+    part = of_rows(recording, kept)
+    force, moment = left.factor * part.noise_force_N, left.factor * part.noise_moment_Nm
+    return replace(part, noise_force_N=force, noise_moment_Nm=moment), kept
+
+
+def renumbered(cloud: Cloud, number: Index) -> Cloud:
+    """The cloud with other numbers (n,) for the rows of the recording."""
+    fattened = None if cloud.fattened is None else renumbered(cloud.fattened, number)
+    return replace(cloud, row=number[cloud.row].astype(np.int32), fattened=fattened)
 
 
 def in_slices(recording: Recording, known: Noise, method: str = "closed-form", *, tips: bool = True) -> InSlices:
@@ -190,8 +202,12 @@ def _steepest(cloud: Cloud) -> float:
     return float(np.arctan(cloud.friction[known].max())) if known.any() else _FRICTION_ANGLE
 
 
-def _on_surface(cloud: Cloud, recording: Recording) -> Cloud:
-    """The contacts on the surface of a body from those of a rod's centre line with the body fattened by its radius."""
+def on_surface(cloud: Cloud, recording: Recording) -> Cloud:
+    """The `contacts` of a recording with the normals of the surface, and what the rig's uncertainty and the rod's radius do.
+
+    Those of a rod's centre line with the body fattened by its radius lie on the body's surface then.
+    """
+    cloud = with_rig_errors(with_smooth_fit(with_slice_normals(cloud)), recording)
     rod, scale = recording.rod, UNITS_M[recording.unit]
     if not rod.diameter_m:
         return cloud
@@ -283,7 +299,7 @@ class GrowingContacts:
         self._left_out = np.concatenate([self._left_out, before + found.left_out])
         empty = ~np.isin(number, new.slice)
         if empty.any():
-            self._empty.append(_of_rows(recording, np.flatnonzero(empty)))
+            self._empty.append(of_rows(recording, np.flatnonzero(empty)))
             self._number.append(number[empty])
             self._proven = False
 
@@ -297,13 +313,6 @@ class GrowingContacts:
         found = with_unresolved_slices(self._cloud, joined(self._empty), number, self._left_out, 0.0)
         self._proven = found.unresolved is None
         return found
-
-
-def _of_rows(recording: Recording, rows: Index) -> Recording:
-    """Some rows of a recording of planar reactions."""
-    names = "sweep", "position_m", "quaternion", "force_N", "moment_Nm"
-    columns: dict[str, Any] = {name: getattr(recording, name)[rows] for name in names}
-    return replace(recording, **columns)
 
 
 # --- the spatial model ---

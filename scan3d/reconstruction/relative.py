@@ -26,12 +26,13 @@ from scipy.spatial.distance import cdist
 from scipy.special import chdtri
 
 from scan3d.arrays import Array, Index
-from scan3d.cloud import Cloud
+from scan3d.cloud import Cloud, LeftOut
 from scan3d.reconstruction.agreement import Compared, compared_in_slices
-from scan3d.reconstruction.contacts import by_model, contacts
+from scan3d.reconstruction.contacts import contacts, model_of, on_surface, renumbered, rest, spatial_contacts
 from scan3d.reconstruction.errors import with_rig_errors
 from scan3d.reconstruction.hollow import without_second_contacts
 from scan3d.reconstruction.misfits import ROUNDING
+from scan3d.reconstruction.wild import left_out
 from scan3d.recording import Recording
 from scan3d.rigs import with_relative
 
@@ -64,12 +65,35 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     Raises InputError if the recording has no contact, numbers so large that their squares are none, or not the axes that the
     model needs, and ValueError for an unknown method.
     """
-    cloud = by_model(recording, method, model)
-    if cloud.model == "spatial":
-        return cloud
-    known = _with_relative_error(recording, cloud, method)
-    # what a small error of the wrench explains is no dent
-    return without_second_contacts(cloud, recording) if known is recording else by_model(known, method, model)
+    if model_of(recording, method, model) == "spatial":
+        return with_rig_errors(spatial_contacts(recording), recording)
+    touched = contacts(recording, method)
+    by_rig = with_rig_errors(touched, recording)
+    # slices of a body that is stated not to be convex may contradict each other
+    left = None if recording.source.get("convex") is False else left_out(recording, by_rig)
+    if left is not None and len(left.rows):
+        part, kept = rest(recording, left)
+        touched = contacts(part, method)
+        known = _with_relative_error(part, with_rig_errors(touched, part), method)
+        return renumbered(_with_left_out(_whole(touched, part, known, method), left), kept)
+    known = _with_relative_error(recording, by_rig, method)
+    found = _whole(touched, recording, known, method)
+    if known is recording:  # what a small error of the wrench explains is no dent
+        found = without_second_contacts(found, recording)
+    if left is None or not found.convex:
+        return found
+    explained = known is not recording and left_out(recording, found.fattened or found) is None
+    return found if explained else _with_left_out(found, left)
+
+
+def _whole(touched: Cloud, recording: Recording, known: Recording, method: str) -> Cloud:
+    """The contacts, with normals, of the recording `known` with a relative error of the wrench; `touched` are those without."""
+    return on_surface(touched if known is recording else contacts(known, method), known)
+
+
+def _with_left_out(cloud: Cloud, left: LeftOut) -> Cloud:
+    fattened = None if cloud.fattened is None else replace(cloud.fattened, left_out=left)
+    return replace(cloud, left_out=left, fattened=fattened)
 
 
 def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Recording:
@@ -78,7 +102,7 @@ def _with_relative_error(recording: Recording, cloud: Cloud, method: str) -> Rec
     It is the recording itself if that agrees with itself, or if an error of `LARGEST` does not explain that it does not.  The
     error changes the contacts in turn, because it decides what is told from a contact of the tip.
     """
-    needed, hidden = _relative_error(recording, cloud.fattened or cloud)
+    needed, hidden = _relative_error(recording, cloud)
     found, least, relative = recording, np.inf, min(needed, LARGEST)
     for _ in range(_PASSES if needed else 0):
         tried = replace(recording, rig=with_relative(recording.rig, relative))

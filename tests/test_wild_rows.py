@@ -1,0 +1,167 @@
+"""Rows that contradict the rest are left out with a count, and what remains is certified; systematic errors are not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+
+import scan3d
+from scan3d.bounds import enclosure
+from scan3d.geometry.distance import nearest
+from scan3d.laboratory.air import tare
+from scan3d.pipeline import analyse
+from scan3d.reconstruction import agreement, checked
+from scan3d.reconstruction.diagnosis import Diagnosis
+from scan3d.report import key_figures, report, summary
+from tests.robustness import bounds
+
+BODIES = {
+    "ellipsoid": trimesh.creation.icosphere(subdivisions=3).apply_transform(np.diag([14, 8, 10, 1.0])),
+    "box": trimesh.creation.box((20, 14, 12)),
+}
+
+
+@cache
+def exact(body, **plan):
+    return scan3d.simulate(
+        BODIES[body], scan3d.Plan(**{**dict(slices=7, sweeps=6, samples=40, spacing="cosine"), **plan})
+    )
+
+
+def disturbed(recording, noise, kind="", seed=0):
+    """A recording with noise in units of the rod, and with wild values of it."""
+    draw, units = (
+        np.random.default_rng([seed, 5]),
+        np.array([*[recording.rod.force_unit_N] * 2, recording.rod.moment_unit_Nm]),
+    )
+    values = np.column_stack([recording.force_N, recording.moment_Nm]) / units
+    count, error = len(values), draw.standard_normal(values.shape)
+    some = {"1 % at 10": 0.01, "5 % at 10": 0.05, "30 % at 100": 0.3, "spikes": 0.005}.get(kind, 0.0)
+    rows = np.flatnonzero(draw.random(count) < some)
+    size = 100 if kind in ("spikes", "30 % at 100") else 10
+    error[rows, draw.integers(0, 3, len(rows))] += size * draw.choice([-1, 1], len(rows))
+    if kind == "heavy tails":
+        error = draw.standard_t(3, values.shape) / np.sqrt(3)
+    values = (values + noise * error) * ([1.0, 1.0, 1.003] if kind == "gain" else 1.0)
+    at = draw.integers(0, count - 12, 4)
+    if kind == "swapped":
+        values[at], values[at + 8] = values[at + 8], values[at]
+    if kind == "stuck":
+        values[at[:, None] + np.arange(5)] = values[at][:, None]
+    force, moment = noise * units[:2], noise * units[2]
+    return replace(
+        recording,
+        force_N=values[:, :2] * units[:2],
+        moment_Nm=values[:, 2] * units[2],
+        noise_force_N=force[0],
+        noise_moment_Nm=moment,
+    )
+
+
+def false_statements(body, analysis):
+    """What the bounds state of the body, and what of it is wrong."""
+    names = [name for name, _ in bounds.false_statements(BODIES[body], analysis)]
+    directions = np.vstack([np.eye(3), -np.eye(3)])
+    low, high = analysis.bounds.support(directions)
+    true = (np.asarray(BODIES[body].vertices) @ directions.T).max(axis=0)
+    return names if (low <= true + 1e-9).all() and (true <= high + 1e-9).all() else [*names, "extents"]
+
+
+@pytest.fixture
+def undiagnosed(monkeypatch):
+    monkeypatch.setattr(agreement, "diagnose", lambda *_: Diagnosis("unknown", None, "", 0.0, "unknown"))
+
+
+WILD = ["1 % at 10", "5 % at 10", "spikes", "heavy tails", "swapped", "stuck"]
+FEW = [("ellipsoid", "5 % at 10", 1e-3), ("box", "spikes", 1e-4), ("ellipsoid", "stuck", 1e-4)]
+MANY = [(body, kind, noise) for body in BODIES for kind in WILD for noise in (1e-3, 1e-4)]
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "noise", "seeds"),
+    [(*few, 1) for few in FEW] + [pytest.param(*each, 10, marks=pytest.mark.trust) for each in MANY],
+)
+def test_wild_rows_are_left_out_and_the_rest_is_certified(body, kind, noise, seeds):
+    """Without that, each of these kinds takes the certificate away."""
+    for seed in range(seeds):
+        analysis = analyse(disturbed(exact(body), noise, kind, seed), BODIES[body], "hull")
+        assert analysis.warnings == ()
+        assert len(analysis.cloud.left_out.rows) > 0
+        assert analysis.cloud.left_out.share < agreement.LARGEST_SHARE
+        assert np.isfinite(analysis.certificate.bound)
+        assert false_statements(body, analysis) == []
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+@pytest.mark.parametrize("body", BODIES)
+def test_no_row_of_a_right_recording_is_left_out(body, noise):
+    assert scan3d.reconstruct(disturbed(exact(body), noise)).left_out is None
+
+
+def test_rows_keep_their_numbers_and_the_report_counts_those_that_are_left_out():
+    recording = disturbed(exact("ellipsoid"), 1e-3, "5 % at 10")
+    cloud = scan3d.reconstruct(recording)
+    assert not np.isin(cloud.row, cloud.left_out.rows).any()
+    assert (recording.sweep[cloud.row] == cloud.sweep).all()
+    assert checked(recording, cloud).contradictions == []
+    analysis = analyse(recording, None, "hull")
+    assert len(analysis.recording) == len(recording)
+    data = report(analysis, settings={})
+    left = data["certificate"]["left_out"]
+    assert left["rows"] == data["counts"]["left_out"] == len(cloud.left_out.rows)
+    assert left["share"] < left["largest_share"]
+    assert "but for single wild rows" in data["certificate"]["premise"]
+    for rows in (dict(summary(data).rows), dict(key_figures(data))):
+        assert rows["left out"].startswith(f"{left['rows']} rows that contradict their neighbours")
+
+
+def test_rows_that_a_thick_rod_contradicts_itself_in_are_left_out():
+    rod = replace(scan3d.Rod.of_length(0.028), diameter_m=0.0006)
+    recording = disturbed(exact("ellipsoid", rod=rod, slices=5, samples=32), 1e-3, "spikes")
+    analysis = analyse(recording, BODIES["ellipsoid"], "hull")
+    assert len(analysis.cloud.fattened.left_out.rows)
+    assert np.isfinite(analysis.certificate.bound)
+    assert false_statements("ellipsoid", analysis) == []
+
+
+def test_more_wild_rows_than_are_allowed_take_the_certificate_away(undiagnosed):
+    analysis = analyse(disturbed(exact("box"), 1e-3, "30 % at 100"), None, "hull")
+    assert "wild-rows" in [warning.code for warning in analysis.warnings]
+    assert analysis.certificate.bound == np.inf
+    assert "left out" not in dict(summary(report(analysis, settings={})).rows)
+
+
+@pytest.mark.parametrize("noise", [1e-4, pytest.param(1e-3, marks=pytest.mark.trust)])
+def test_a_gain_is_a_relative_error_and_no_wild_rows(noise, undiagnosed):
+    analysis = analyse(disturbed(exact("ellipsoid"), noise, "gain"), BODIES["ellipsoid"], "hull")
+    left = analysis.cloud.left_out
+    assert left is None or not len(left.rows)
+    assert analysis.warnings or false_statements("ellipsoid", analysis) == []
+
+
+def test_bounds_hold_where_one_wild_contact_was_not_seen():
+    """Of two groups of contacts one has none of it; all contacts together claim that the body reaches out to it."""
+    cloud = scan3d.reconstruct(disturbed(exact("ellipsoid"), 1e-3, "1 % at 10"))
+    middle = np.flatnonzero(np.abs(cloud.points[:, 2]) < 2)
+    row = middle[cloud.points[middle, 0].argmax()]
+    points = cloud.points.copy()
+    points[row, 0] += 0.5
+    moved = replace(cloud, points=points)
+
+    def sticking_out(cloud):
+        return nearest(np.asarray(enclosure(cloud).inner.vertices), BODIES["ellipsoid"])[0].max()
+
+    assert sticking_out(replace(moved, left_out=None)) > 0.2
+    assert sticking_out(moved) <= 1e-9
+
+
+def test_spikes_in_the_air_do_not_move_the_zero_nor_raise_the_noise():
+    draw = np.random.default_rng(0)
+    clock, wrench = np.arange(400) / 100, draw.standard_normal((400, 3))
+    clean = tare(wrench, clock, [(0, 400)])
+    wrench[::40] += 100.0
+    spiked = tare(wrench, clock, [(0, 400)])
+    assert np.abs(spiked.zero - clean.zero).max() < 0.05
+    assert np.abs(spiked.noise / clean.noise - 1).max() < 0.1
