@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from planar import settling
 from planar.arrays import Array, Index, Mask
+from planar.clearance import INSIDE
 from planar.loops import Nearest, Outlines
 from planar.several import MOST, Rods, Shapes, free_rods, reactions, shapes, solve
 from planar.singles import Singles, Start
@@ -35,8 +36,8 @@ _STEP, _FOLD, _ACROSS = 0.02, 2e-5, 5e-4
 _SHRINKS = 16
 # Arc lengths at which a rod is tested, intervals into which the least gap is divided at a time, and how often.
 _TESTED, _ZOOM, _ZOOMS = 129, 8, 6
-# Depth in the body, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
-_INSIDE, _ROUNDING = 1e-9, 1e-10
+# Slip of a contact, in rod lengths, that is more than rounding; lengths and sines at which contacts change.
+_SLIPS, _ROUNDING = 1e-9, 1e-10
 # Changes of the contacts at one base position.
 _CHANGES = 8
 # Movement of the rod, in rod lengths, beyond three times that of the base, that is a jump.
@@ -330,7 +331,7 @@ class _Sweeps:
                 part = rods.rows(rest)
                 points[rest], shape = self._points(bodies[rest], part)
                 depth, s, near = self._deepest(bodies[rest], part, points[rest])
-                inside = depth < -_INSIDE
+                inside = depth < -INSIDE
                 added = [
                     self._touches(rods, int(k), s[j], near, j, zeta[k], before) for j, k in enumerate(rest) if inside[j]
                 ]
@@ -357,7 +358,7 @@ class _Sweeps:
         if (force < 0).any():
             rods.drop(k, int(np.argmin(force)))
             return True
-        moved, start = self.outlines.shifted(piece, u)
+        moved, start = self.outlines.shifted(piece, u, rods.tip[k, :count])
         if (moved != piece).any():
             rods.piece[k, :count], rods.u[k, :count] = moved, start
             return True
@@ -390,7 +391,7 @@ class _Sweeps:
         lowest &= ~(flat & (np.pad(flat, ((0, 0), (1, 0)))[:, :-1] | np.pad(flat, ((0, 0), (0, 1)))[:, 1:]))
         grid = np.arange(_TESTED) * spacing
         known = (np.abs(grid[:, None] - rods.s[:, None, :]) <= spacing).any(axis=2)
-        lowest &= ~(known & (gap > -_INSIDE) & (np.minimum(padded[:, :-2], padded[:, 2:]) > 0))
+        lowest &= ~(known & (gap > -INSIDE) & (np.minimum(padded[:, :-2], padded[:, 2:]) > 0))
         row, column = np.nonzero(lowest)
         best = np.array([np.argmin(values) for values in gap])
         flat = np.arange(m) * _TESTED + best
@@ -462,7 +463,7 @@ class _Sweeps:
         new, old = shapes(self.outlines, rods, at), shapes(self.outlines, before, at)
         tau = self.outlines.at(rods.piece.ravel(), rods.u.ravel()).tau.reshape(rods.s.shape)
         slip = (new.x - old.x) * np.cos(tau) + (new.y - old.y) * np.sin(tau)
-        wrong = ~rods.sticks & (slip * np.sign(rods.zeta) > _INSIDE)
+        wrong = ~rods.sticks & (slip * np.sign(rods.zeta) > _SLIPS)
         torn = rods.sticks & (np.abs(rods.zeta) > zeta[:, None] + _ROUNDING)
         return used & (zeta[:, None] > 0) & (before.count[:, None] > 0) & (wrong | torn)
 

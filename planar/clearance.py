@@ -18,7 +18,7 @@ from planar.pieces import piece
 # Points of a rod up to its contact; its polynomials of fifth order between them are exact to some 1e-11.
 POINTS = 33
 # Depth in the body, in rod lengths, that is more than the rounding of mesh files in single precision.
-_INSIDE = 1e-7
+INSIDE = 1e-7
 _SHARES = np.linspace(0, 1, POINTS)
 
 
@@ -119,7 +119,7 @@ def crosses(vertices: Array, following: Index, rods: Lines) -> Mask:
     within = (vx > start) & (vx < end)
     row, vertex = np.nonzero(within)
     side = np.zeros(within.shape, dtype=np.int8)
-    side[row, vertex] = np.where(_offsets(rods, row, vx[vertex], vy[vertex]) < -_INSIDE, -1, 1)
+    side[row, vertex] = np.where(_offsets(rods, row, vx[vertex], vy[vertex]) < -INSIDE, -1, 1)
     after = side[:, following]
     bad: Mask = np.asarray(((side * after) < 0).any(axis=1))
 
@@ -131,7 +131,7 @@ def crosses(vertices: Array, following: Index, rods: Lines) -> Mask:
         at = line[row, 0]
         height = vy[edge] + (ey[edge] - vy[edge]) * (at - vx[edge]) / (ex[edge] - vx[edge])
         limit, cosine = (rods.y[row, -1], np.cos(rods.phi[row, -1])) if tip else (0.0, 1.0)
-        above = np.where((height - limit) * cosine < -_INSIDE, -1, 1)
+        above = np.where((height - limit) * cosine < -INSIDE, -1, 1)
         inner = np.where(within[row, edge], edge, following[edge])
         known = within[row, inner]
         bad[row[known & (side[row, inner] * above < 0)]] = True
@@ -161,7 +161,7 @@ def crosses(vertices: Array, following: Index, rods: Lines) -> Mask:
     inside = (x > np.minimum(vx[edge], ex[edge])) & (x < np.maximum(vx[edge], ex[edge]))
     c, s = np.cos(slope), np.sin(slope)
     depth = c * (y - vy[edge]) - s * (x - vx[edge])
-    bad[row[inside & (depth > _INSIDE)]] = True
+    bad[row[inside & (depth > INSIDE)]] = True
     return bad
 
 
@@ -169,9 +169,9 @@ def straight_crosses(vertices: Array, following: Index, x0: Array) -> Mask:
     """The same of straight rods at base positions (n,)."""
     a, b = vertices, vertices[following]
     low, high = np.minimum(a[:, 0], b[:, 0]), np.maximum(a[:, 0], b[:, 0])
-    row, edge = np.nonzero((x0[:, None] > low + _INSIDE) & (x0[:, None] < high - _INSIDE))
+    row, edge = np.nonzero((x0[:, None] > low + INSIDE) & (x0[:, None] < high - INSIDE))
     share = (x0[row] - a[edge, 0]) / (b[edge, 0] - a[edge, 0])
     height = a[edge, 1] + share * (b[edge, 1] - a[edge, 1])
     bad = np.zeros(len(x0), dtype=bool)
-    bad[row[height < 1 - _INSIDE]] = True
+    bad[row[height < 1 - INSIDE]] = True
     return bad

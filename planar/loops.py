@@ -235,11 +235,19 @@ class Outlines:
         convex = corner & (self.turn[end] > 0)
         return Nearest(sign * far, np.where(convex, end, piece), np.where(convex, share, u), normal)
 
-    def shifted(self, piece: Index, u: Array) -> tuple[Index, Array]:
-        """Places whose u left [0, 1], at the beginning or the end of the piece that comes there."""
+    def shifted(self, piece: Index, u: Array, tip: Mask) -> tuple[Index, Array]:
+        """Places whose u left [0, 1], at the beginning or the end of the piece that comes there.
+
+        Only the tip of a rod comes into a concave vertex; other contacts pass it.
+        """
         closed = self.is_closed[piece]
         forward, backward = (u > 1) & ~closed, (u < 0) & ~closed
-        moved = np.where(forward, self.following[piece], np.where(backward, self.previous[piece], piece))
+        moved = piece
+        for _ in range(2):
+            enters = (moved == piece) | (~tip & self.is_vertex[moved] & (self.turn[moved] < 0))
+            moved = np.where(
+                enters & forward, self.following[moved], np.where(enters & backward, self.previous[moved], moved)
+            )
         start = np.where(forward, 0.0, np.where(backward, 1.0, u))
         return moved, start
 

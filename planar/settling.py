@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planar.arrays import Array, Index, Mask
-from planar.loops import Outlines
+from planar.loops import Nearest, Outlines, Place
 
 LINKS = 80
 # Points on each link that must stay outside, so that corners do not pass between them.
@@ -26,9 +26,8 @@ _STEPS, _PATIENCE = 600, 150
 _AT_REST = 3e-7
 # Compliance of a contact over that of the chain: neighbouring points that are pressed alike would have no single answer.
 _SOFT = 1e-8
-# Pivots of whole blocks without fewer wrong signs, and of all: with friction there need not
-# be an answer.
-_TRIES, _PIVOTS = 3, 100
+# Share of a corner's turn from either side's normal at which the other side holds the tip as well.
+_APART = 1e-6
 # Gap, in rod lengths, from which on a point does not take part in a step.
 _CLEAR = 0.05
 
@@ -72,7 +71,6 @@ def points(x0: float, angles: Array) -> Array:
 def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_angle: float) -> Settled:
     """The chain at a base position, let go from the angles (LINKS,) of its links."""
     mu, angles = np.tan(friction_angle), angles.copy()
-    corners = _concave_corners(outlines, body)
     d = np.zeros(LINKS)
     active = np.zeros(0, dtype=np.intp)
     for step in range(_STEPS):
@@ -83,11 +81,10 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
         close = np.flatnonzero(near.gap < _CLEAR)
         gap, normal, row = near.gap[close], near.normal[close], close
         # the tip in a corner: both sides hold it
-        for point, normals in corners:
-            offset = place[-1] - point
-            if np.hypot(*offset) < _CLEAR:
-                gap, normal = np.append(gap, normals @ offset), np.concatenate([normal, normals])
-                row = np.append(row, [len(_S) - 1] * len(normals))
+        corner, place_of = _concave_corners(outlines, near, place[-1])
+        normals = np.stack([np.sin(place_of.tau), -np.cos(place_of.tau)], axis=1)
+        gap = np.append(gap, ((place[-1] - place_of.point) * normals).sum(axis=1))
+        normal, row = np.concatenate([normal, normals]), np.append(row, np.full(len(corner), len(_S) - 1))
         along = np.stack([-np.sin(angles), np.cos(angles)])  # of each link, by its angle
         jacobian = (normal[:, :1] * along[0] + normal[:, 1:] * along[1]) * _WEIGHT[row]
         tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
@@ -101,53 +98,48 @@ def settle(outlines: Outlines, body: int, x0: float, angles: Array, friction_ang
             break
         angles += min(damping, _TURN / largest) * d
     pressed = force > 1e-9 * max(1.0, float(force.max(initial=0.0)))
-    return _clusters(
-        near_of=(near.piece, near.u), row=row[pressed], force=force[pressed], angles=angles, rest=largest < 1e-4
-    )
+    row, force, piece, u = row[pressed], force[pressed], near.piece, near.u
+    pushed = force[row == len(_S) - 1] @ normal[pressed][row == len(_S) - 1]
+    for k, tau in zip(corner[::2], place_of.tau[::2], strict=True):
+        turned = np.arctan2(pushed[0], -pushed[1]) - tau
+        share = (np.remainder(turned + np.pi, 2 * np.pi) - np.pi) / outlines.turn[k]
+        if pushed.any() and _APART < share < 1 - _APART:  # held by both sides, it is wedged
+            piece[-1], u[-1] = k, share
+    return _clusters(piece, u, row, force, angles, rest=largest < 1e-4)
 
 
-def _concave_corners(outlines: Outlines, body: int) -> list[tuple[Array, Array]]:
-    """Place (2,) and the two normals (2, 2) of each concave vertex."""
-    vertices = np.flatnonzero(outlines.is_vertex & (outlines.body == body) & (outlines.turn < 0))
-    ends = [outlines.at(vertices, np.full(len(vertices), u)) for u in (0.0, 1.0)]
-    normals = np.stack([np.stack([np.sin(end.tau), -np.cos(end.tau)], axis=1) for end in ends], axis=1)
-    return list(zip(ends[0].point, normals, strict=True))
+def _concave_corners(outlines: Outlines, near: Nearest, tip: Array) -> tuple[Index, Place]:
+    """The concave vertices at the ends of the edge next to the tip, each twice, and the outline on either side of it."""
+    ends = np.array([outlines.previous[near.piece[-1]], outlines.following[near.piece[-1]]])
+    ends = ends[outlines.is_vertex[ends] & (outlines.turn[ends] < 0) & (near.gap[-1] < _CLEAR)]
+    ends = ends[np.hypot(*(outlines.at(ends, np.zeros(len(ends))).point - tip).T) < _CLEAR]
+    twice = np.repeat(ends, 2)
+    return twice, outlines.at(twice, np.tile([0.0, 1.0], len(ends)))
 
 
 def _complementary(matrix: Array, constant: Array, row: Index, start: Index) -> tuple[Array, Index]:
-    """``0 <= λ ⟂ M λ + b >= 0``, from the rows of the chain that were active before; the active rows.
-
-    By block principal pivoting (J. Júdice and F. Pires, 1994).
-    """
+    """``0 <= λ ⟂ M λ + b >= 0`` by principal pivoting, from the rows of the chain that were active before; the active rows."""
     n = len(constant)
     force = np.zeros(n)
     if not n:
         return force, row
     matrix = matrix + np.diag(np.full(n, _SOFT * np.abs(matrix.diagonal()).max() + 1e-15))
     active = np.isin(row, start)
-    fewest, tries = n + 1, _TRIES
-    for _ in range(_PIVOTS):
+    # with friction there need not be an answer
+    for trial in range(2 * n):
         force = np.zeros(n)
         rows = np.flatnonzero(active)
-        if len(rows):
-            force[rows] = np.linalg.solve(matrix[np.ix_(rows, rows)], -constant[rows])
-        rest = matrix @ force + constant
-        wrong = np.where(active, np.maximum(-force, 0) * matrix.diagonal(), np.maximum(-rest, 0))
-        change = wrong > 1e-12
-        if not change.any():
+        force[rows] = np.linalg.solve(matrix[np.ix_(rows, rows)], -constant[rows])
+        wrong = np.where(active, np.maximum(-force, 0) * matrix.diagonal(), np.maximum(-(matrix @ force + constant), 0))
+        if not (wrong > 1e-12).any():
             break
-        # all at once; should that go round in circles, the last one alone
-        if change.sum() < fewest:
-            fewest, tries = int(change.sum()), _TRIES
-        elif tries:
-            tries -= 1
-        else:
-            change[: np.flatnonzero(change)[-1]] = False
-        active = active != change
+        # the worst first; should that go round in circles, the first
+        worst = int(np.argmax(wrong)) if trial < n else int(np.argmax(wrong > 1e-12))
+        active[worst] = ~active[worst]
     return np.maximum(force, 0.0), row[active]
 
 
-def _clusters(near_of: tuple[Index, Array], row: Index, force: Array, angles: Array, rest: bool) -> Settled:
+def _clusters(piece: Index, u: Array, row: Index, force: Array, angles: Array, rest: bool) -> Settled:
     """Neighbouring points that are pressed make one contact."""
     order = np.argsort(row, kind="stable")
     row, force = row[order], force[order]
@@ -159,4 +151,4 @@ def _clusters(near_of: tuple[Index, Array], row: Index, force: Array, angles: Ar
     tip = at_tip > 0.5 * whole
     s = np.where(tip, 1.0, s)
     nearest = np.clip(np.round(s * len(_S)).astype(np.intp) - 1, 0, len(_S) - 1)
-    return Settled(angles, rest, s, near_of[0][nearest], near_of[1][nearest], whole, tip)
+    return Settled(angles, rest, s, piece[nearest], u[nearest], whole, tip)

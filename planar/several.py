@@ -26,11 +26,14 @@ from planar.pieces import piece
 MOST = 3
 # Residual, in rod lengths and radians, at which the equations are solved, and the one that rounding may leave.
 _SOLVED, _ROUNDED = 1e-13, 1e-11
-_ITERATIONS = 16
+_ITERATIONS = 32
 # Iterations after which one that does not halve the residual is the last.
 _PATIENT = 5
 # Step of the differences for Newton's derivatives: a root of rounding.
 _STEP = 1e-7
+# Distance from a piece's middle, in lengths of it, from which on a contact is looked for on the next one, and the residual
+# from which on it is if it is beyond the end at all.
+_BEYOND, _NEAR = 1.5, 1e-4
 # Largest changes in one iteration: of a place, in rod lengths, of a slope, of the curvature.
 _FARTHEST, _STEEPEST, _TIGHTEST = 0.2, 0.5, 2.0
 
@@ -183,13 +186,22 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         values = values.reshape(len(rows), d + 1, d)
         value, slopes = values[:, 0], (values[:, 1:] - values[:, :1]).transpose(0, 2, 1) / step[:, None]
         size = np.abs(value).max(axis=1)
+        # places beyond the ends of their pieces, which at the solution are on the next ones
+        off = np.abs(here[:, 1 + 2 * k :] - 0.5) * (~part.sticks & ~outlines.is_closed[part.piece])
+        passes = (off > _BEYOND) | ((off > 0.5) & ((size < _NEAR) & (here[:, 1 : 1 + k] >= 0).all(axis=1))[:, None])
+        leaves = passes.any(axis=1)
+        if leaves.any():
+            moved, start = outlines.shifted(part.piece.ravel(), here[:, 1 + 2 * k :].ravel(), part.tip.ravel())
+            rods.piece[rows] = np.where(passes, moved.reshape(-1, k), part.piece)
+            z[rows, 1 + 2 * k :] = np.where(passes, start.reshape(-1, k), here[:, 1 + 2 * k :])
         stalls = size > 0.5 * best[rows]
-        done = (size < _SOLVED) | ((size < _ROUNDED) & stalls)
+        done = ~leaves & ((size < _SOLVED) | ((size < _ROUNDED) & stalls))
         found[rows[done]] = True
-        best[rows] = np.fmin(size, best[rows])
-        going = ~done & ~(stalls & (iteration > _PATIENT)) & np.isfinite(values).all(axis=(1, 2))
+        best[rows] = np.where(leaves, np.inf, np.fmin(size, best[rows]))
+        ends = done | (~leaves & stalls & (iteration > _PATIENT)) | ~np.isfinite(values).all(axis=(1, 2))
+        remaining, going = rows[~ends], ~ends & ~leaves
         rows, value, slopes, part = rows[going], value[going], slopes[going], part.rows(going)
-        if not len(rows):
+        if not len(remaining):
             break
         with np.errstate(all="ignore"):
             try:
@@ -203,6 +215,7 @@ def _newton(outlines: Outlines, rods: Rods) -> Mask:
         scale[:, 0], scale[:, 1 + k : 1 + 2 * k] = 1 / _TIGHTEST, 1 / _FARTHEST
         scale[:, 1 + 2 * k :] = np.where(part.sticks, 1 / _STEEPEST, speed.reshape(-1, k))
         z[rows] -= change / np.maximum(1.0, np.abs(change * scale).max(axis=1))[:, None]
+        rows = remaining
     rods.kappa[:], rods.force[:], s, last = z[:, 0], z[:, 1 : 1 + k], z[:, 1 + k : 1 + 2 * k], z[:, 1 + 2 * k :]
     if rods.sticks.any():
         speed = np.hypot(*outlines.at(rods.piece.ravel(), rods.u.ravel()).derivative.T).reshape(m, k)

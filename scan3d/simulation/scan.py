@@ -49,8 +49,8 @@ _ROUNDS = 2
 _WIDTH_HEIGHTS = 33
 # Distance by which a sweep without contact goes beyond the nearest contour on either side, in rod lengths.
 _BEYOND = 0.2
-# Slices that are swept in one call.
-_SLICES_AT_ONCE = 16
+# Slices that are swept in one call, of bodies that are convex and of others, whose rods are followed step by step together.
+_SLICES_AT_ONCE = 16, 64
 # Times the samples of the plan to which those of a sweep are doubled, so that contacts show its contour within the tolerance.
 _FINEST = 16
 # Part of the tolerance within which contours are to be known before further slices are chosen: the gaps between contacts make
@@ -116,8 +116,9 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
                 progress(before + min(done, plan.slices), count)
 
         first = first_heights(*scan.extent, plan)
-        for start in range(0, len(first), _SLICES_AT_ONCE):
-            scan.scan(first[start : start + _SLICES_AT_ONCE])
+        together = _SLICES_AT_ONCE[not convex]
+        for start in range(0, len(first), together):
+            scan.scan(first[start : start + together])
             _check_sweeps(scan, plan.samples)
             report(len(scan.heights))
         if plan.spacing == "adaptive":
