@@ -322,10 +322,11 @@ def _rods(recording: Recording, spatial: bool, wrench: Array) -> list[Cause]:
     ]
     # what a sensor shows in the air that was not tared is the weight
     in_air = float(np.median(np.linalg.norm(wrench[np.unique(recording.sweep, return_index=True)[1], :3], axis=1)))
+    shown = in_air > max(2 * recording.noise.of_reactions(rod)[0], _LEAST_WEIGHT)
     if spatial or np.abs(down[:, :2]).max() > np.abs(down[:, 2]).max():  # else it hardly bends the rod in its slices
-        for tared in (True, False):
+        for tared in (True, False) if shown else (True,):
             undone, named = partial(heavy, tared=tared), partial(of_weight, tared=tared)
-            starts = _SMALL if tared else np.vstack([_SMALL, np.log(max(in_air, _LEAST_WEIGHT) / _TENTH)])
+            starts = _SMALL if tared else np.vstack([_SMALL, np.log(in_air / _TENTH)])
             found.append(Cause(starts, undone, named, 1, _LARGEST_LOG, "rod"))
     return found
 

@@ -7,13 +7,14 @@ it.  The fault that leaves least is named, if it leaves little; those that leave
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 import planar
+from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask, evenly
 from scan3d.geometry.sections import slice_frame
 from scan3d.numbers import number, share
@@ -48,10 +49,11 @@ _SIGMAS = 3.0
 _NO_FORCE = 1e-5
 # Slices that are compared, rows of each, and rows of a recording in space; a first search takes half of them.
 _SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
-# Faults that are refined, starts of each, and evaluations of a refinement, fewer of rods, which are slow and nearly linear.
-_REFINED, _STARTS, _EVALUATIONS, _MARCHED = 4, 2, 12, 6
+# Faults that are refined, starts of each, and evaluations of a refinement, fewer in a first search and of rods, which are slow
+# and nearly linear.
+_REFINED, _STARTS, _EVALUATIONS, _FEW = 4, 2, 12, 4
 # Step of the derivatives by numbers, and steps in which the ends of an interval are sought.
-_STEP, _STEPS = 1e-3, 8
+_STEP, _STEPS = 1e-3, 10
 # Runs of rows that repeat others of which each is tried.
 _RUNS = 60
 _UNKNOWN = Diagnosis(
@@ -70,6 +72,7 @@ def diagnose(recording: Recording, model: str) -> Diagnosis:
     noise = recording.noise.of_reactions(recording.rod)
     stuck = _stuck_rows(recording, wrench, noise)
     sample, few = (_sample(recording, model, wrench, noise, stuck, parts) for parts in (1, 2))
+    few = replace(few, rough=True)
     if not len(sample.rows):
         return _UNKNOWN
     recorded = sample.left(Undone())
@@ -221,20 +224,21 @@ def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
         trials = [_Trial(cause, start, few.left(cause.undone(start))) for start in cause.starts]
         # the misfits of starts between which the right one lies differ little, those of estimates a lot
         best = sorted(trials, key=lambda trial: trial.misfit)[: 1 if cause.family == "rod" else _STARTS]
-        rough.append(min((_refined(trial, few) for trial in best), key=lambda trial: trial.misfit))
+        rough.append(min((_refined(trial, few, _FEW) for trial in best), key=lambda trial: trial.misfit))
     hopeful = [trial for trial in rough if trial.misfit <= least]
     return plain + sorted(hopeful, key=lambda trial: trial.score)[:_REFINED]
 
 
-def _refined(trial: _Trial, sample: _Sample) -> _Trial:
+def _refined(trial: _Trial, sample: _Sample, evaluations: int = _EVALUATIONS) -> _Trial:
     """The trial with the numbers by which the rows of a sample have the least misfit."""
     cause, numbers = trial.cause, trial.numbers
     if len(numbers):
+        near = sample.near(cause.undone(numbers))
 
         def residuals(numbers: Array) -> Array:
-            return sample.left(cause.undone(numbers)).excess.ravel() / _LARGEST
+            return near.left(cause.undone(numbers)).excess.ravel() / _LARGEST
 
-        bounds, most = (-cause.limit, cause.limit), _MARCHED if cause.family == "rod" else _EVALUATIONS
+        bounds, most = (-cause.limit, cause.limit), _FEW if cause.family == "rod" else evaluations
         numbers = least_squares(residuals, numbers, bounds=bounds, diff_step=1e-5, max_nfev=most).x
     return _Trial(cause, numbers, sample.left(cause.undone(numbers)))
 
@@ -244,38 +248,58 @@ def _settled(trial: _Trial, sample: _Sample) -> _Trial:
     cause, left = trial.cause, trial.left
     if not len(trial.numbers) or left is None:
         return trial
-    deviations, bounds = _deviations(trial, left, sample), (-cause.limit, cause.limit)
-    numbers = least_squares(deviations, trial.numbers, bounds=bounds, diff_step=1e-4, max_nfev=_MARCHED).x
+    numbers = _least(_deviations(trial, left, sample), trial.numbers, cause.limit, _EVALUATIONS)
     settled = trial._replace(numbers=numbers, left=sample.left(cause.undone(numbers)))
     return settled if settled.misfit <= trial.misfit + trial.level else trial
 
 
+def _least(deviations: Callable[[Array], Array], numbers: Array, limit: float, evaluations: int) -> Array:
+    """The numbers (k,) near some by which the sum of squares of deviations is least."""
+    one = np.ones(len(numbers))  # relative steps about 1 are absolute ones, which no kink of the hull hides
+    found = least_squares(
+        lambda x: deviations(numbers + x - one),
+        one,
+        bounds=(one - limit - numbers, one + limit - numbers),
+        diff_step=_STEP,
+        max_nfev=evaluations,
+    )
+    return np.asarray(numbers + found.x - one)
+
+
 def _deviations(trial: _Trial, left: _Left, sample: _Sample) -> Callable[[Array], Array]:
     """What is left with other numbers, over the standard deviations that it has with those of the trial."""
-    sd = np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST)
-    return lambda n: np.asarray(np.minimum(sample.left(trial.cause.undone(n)).found / sd, _SURELY).ravel())
+    sd, near = (
+        np.maximum(left.explained / _SIGMAS, _NO_FORCE * _LARGEST),
+        sample.near(trial.cause.undone(trial.numbers)),
+    )
+    return lambda n: np.asarray(np.minimum(near.left(trial.cause.undone(n)).found / sd, _SURELY).ravel())
 
 
 def _interval(trial: _Trial, sample: _Sample) -> tuple[float, float]:
-    """The smallest and the largest size by which numbers along the principal axes of a fault's misfit explain it alike."""
+    """The smallest and the largest size of a fault that explains it alike, with its other numbers fitted to each."""
     cause, numbers, named = trial.cause, trial.numbers, trial.named
     assert trial.left is not None
     assert named.value is not None
-    limit, sizes = _ALIKE * (trial.misfit + trial.level), [named.value]
-    deviations, each = _deviations(trial, trial.left, sample), _STEP * np.eye(len(numbers))
-    slopes = [(deviations(numbers + step) - deviations(numbers - step)) / (2 * _STEP) for step in each]
-    _, stretch, axes = np.linalg.svd(np.stack(slopes, axis=1), full_matrices=False)
-    for axis in np.concatenate([axes, -axes]) / np.tile(np.maximum(stretch, 1.0), 2)[:, None]:
-        way, step = 0.0, 1.0
+    deviations, sizes = _deviations(trial, trial.left, sample), [named.value]
+    limit = _ALIKE * max(_mean_square(deviations(numbers)), 1.0)
+    each = _STEP * np.eye(len(numbers))
+    rise = np.array([(cause.named(numbers + e).value or 0.0) - (cause.named(numbers - e).value or 0.0) for e in each])
+    axis, *others = np.linalg.svd(rise[None])[2]
+    across = np.array(others).reshape(-1, len(numbers))
+    for sign in (1.0, -1.0):
+        way, step, best = 0.0, _STEP, np.zeros(len(across))
         for _ in range(_STEPS):  # ever farther, and back by halves
-            tried = numbers + (way + step) * axis
-            alike = np.abs(tried).max() <= cause.limit and (
-                _mean_square(sample.left(cause.undone(tried)).excess) + trial.level <= limit
-            )
-            way, step = (way + step, 2 * step) if alike else (way, step / 4)
-        size = cause.named(numbers + way * axis)
-        if size.value is not None and size.unit == named.unit:
-            sizes.append(size.value)
+
+            def along(rest: Array, at: float = sign * (way + step)) -> Array:
+                return deviations(numbers + at * axis + rest @ across)
+
+            rest = _least(along, best, cause.limit, _FEW) if len(across) else best
+            tried = numbers + sign * (way + step) * axis + rest @ across
+            alike = np.abs(tried).max() <= cause.limit and _mean_square(along(rest)) <= limit
+            way, step, best = (way + step, 4 * step, rest) if alike else (way, step / 4, best)
+            size = cause.named(numbers + sign * way * axis + best @ across)
+            if alike and size.value is not None and size.unit == named.unit:
+                sizes.append(size.value)
     return min(sizes), max(sizes)
 
 
@@ -330,6 +354,31 @@ class _Sample:
     rod: Rod
     down: Array
     """(k, 3) gravity in the clamp's frame."""
+    rough: bool = False
+    """Whether the errors are those of a straight, uniform, weightless rod, whatever the stated one."""
+    held: planar.Errors | inverse.SpatialErrors | None = None
+    """Errors of the contacts of all corrections; None: each has its own."""
+
+    def near(self, undone: Undone) -> _Sample:
+        """The sample with the errors of one correction, for others of the same fault, whose errors differ little."""
+        return replace(self, held=None if self.rough else self._errors(*self._corrected(undone)))
+
+    def _corrected(self, undone: Undone) -> tuple[Array, Array, tuple[float, float]]:
+        """Force and moment (k, 3) without a fault, and their noise."""
+        force, moment = np.hsplit(undone.of(self.wrench, self.rows), 2)
+        gains = undone.gains()
+        return force, moment, (self.noise[0] * gains[0], self.noise[1] * gains[1])
+
+    def _errors(
+        self, force: Array, moment: Array, noise: tuple[float, float]
+    ) -> planar.Errors | inverse.SpatialErrors | None:
+        """Those of contacts of the stated rod; other rods have much the same.  None for exact reactions in space."""
+        if self.held is not None:
+            return self.held
+        rod = Rod(self.rod.length_m, self.rod.bending_stiffness_Nm2) if self.rough else self.rod
+        if self.frames:
+            return planar.errors(force[:, 0], force[:, 1], moment[:, 2], noise=noise, rod=rod.in_plane())
+        return inverse.errors(force, moment, noise, rod=rod.in_space(), gravity=self.down) if max(noise) else None
 
     def left(self, undone: Undone) -> _Left:
         """What is left (r, k) without a fault, as parts and in rod lengths, 0 where noise explains it.
@@ -337,9 +386,7 @@ class _Sample:
         In space the moment about the rod and that along the force; and in space and in the plane, how far contacts and
         tangents lie where they must not, or the largest misfit of rows that have no contact.
         """
-        force, moment = np.hsplit(undone.of(self.wrench, self.rows), 2)
-        gains = undone.gains()
-        noise = self.noise[0] * gains[0], self.noise[1] * gains[1]
+        force, moment, noise = self._corrected(undone)
         pressed = _felt(force if undone.air is None else force - undone.air[self.rows, :3], noise)
         # without a zero that is taken off, reactions of rows in contact cannot have become too small to be felt
         expected = pressed | (not undone.zero.any() and undone.air is None)
@@ -361,11 +408,13 @@ class _Sample:
     ) -> tuple[Mask, list[Misfit]]:
         """Which rows (k,) have a contact, and how far others lie beyond the tangent there."""
         reactions, length = (force[:, 0], force[:, 1], moment[:, 2]), undone.length
-        error = planar.errors(*reactions, noise=noise, rod=self.rod.in_plane())  # other rods differ little
+        error = self._errors(force, moment, noise)
+        assert isinstance(error, planar.Errors)
         tolerance, bent = np.maximum(contact_tolerance(error), _TIP), undone.rod or self.rod
         if bent.weight_N:
+            down = self.down * [1, 1, 0]
             heavy = inverse.reconstruct(
-                force, moment, tolerance=tolerance, rod=bent.in_space(), gravity=self.down * [1, 1, 0]
+                force, moment, tolerance=tolerance, rod=bent.in_space(), gravity=down, steps=STEPS
             )
             phase, places, normals = heavy.phase, heavy.point, heavy.tangent[:, [1, 0]] * [1, -1]
         else:
@@ -395,15 +444,14 @@ class _Sample:
         self, force: Array, moment: Array, noise: tuple[float, float], pressed: Mask, undone: Undone
     ) -> tuple[Mask, list[Misfit]]:
         """Which rows (k,) have a contact, what contradicts a single force, and how deep the contacts lie in their hull."""
-        n, noisy, length = len(force), max(noise) > 0, undone.length
-        bent = undone.rod or self.rod
-        rod = self.rod.in_space()  # other rods have much the same errors
-        error = inverse.errors(force, moment, noise, rod=rod, gravity=self.down) if noisy else None
+        n, length, bent = len(force), undone.length, undone.rod or self.rod
+        error = self._errors(force, moment, noise)
+        assert not isinstance(error, planar.Errors)
         s1, place, turn = (np.zeros(n),) * 3 if error is None else (error.s1, error.largest, _SIGMAS * error.tangent)
         tolerance = np.maximum(tip_sigmas(np.nan_to_num(s1, posinf=0.0)), _TIP)
-        weights = noise if noisy else None
+        weights = noise if max(noise) else None
         found = inverse.reconstruct(
-            force, moment, tolerance=tolerance, noise=weights, rod=bent.in_space(), gravity=self.down
+            force, moment, tolerance=tolerance, noise=weights, rod=bent.in_space(), gravity=self.down, steps=STEPS
         )
         known, depth, explained = found.status == inverse.Status.OK, np.zeros(n), np.zeros(n)
         usable = pressed & known

@@ -130,6 +130,7 @@ def reconstruct(
     noise: tuple[float, float] | None = None,
     rod: SpatialRod | None = None,
     gravity: ArrayLike | None = None,
+    steps: int | None = None,
 ) -> SpatialContacts:
     """Contacts from support reactions ``f0`` and clamping moments ``m0`` (n, 3) in the clamp's frame.
 
@@ -142,6 +143,8 @@ def reconstruct(
         another rod than the straight, uniform, weightless one, and for a rod with weight unit vectors (n, 3) of gravity in the
         clamp's frame; its reactions are the whole ones.  Then `bending` is the direction across the clamp's moment, and
         `noise` is not used.
+    steps
+        along such a rod; as many as make places right to 1e-10 by default.
 
     `status` says why a row has no contact.  Raises ValueError for arrays of other shapes and for a tolerance or noise out of
     range.
@@ -158,7 +161,7 @@ def reconstruct(
             raise ValueError(f"noise must be two standard deviations >= 0, got {noise}")
         noise = noise if max(noise) > 0 else None
     if rod is not None and not rod.is_straight_and_uniform:
-        return _marched(rod, f0, m0, zero, None if gravity is None else np.asarray(gravity, dtype=float))
+        return _marched(rod, f0, m0, zero, None if gravity is None else np.asarray(gravity, dtype=float), steps)
     contacts = _empty(len(f0))
     np.negative(f0, out=contacts.force)
     with np.errstate(all="ignore"):
@@ -168,9 +171,11 @@ def reconstruct(
     return contacts
 
 
-def _marched(rod: SpatialRod, f0: Array, m0: Array, zero: Array, gravity: Array | None) -> SpatialContacts:
+def _marched(
+    rod: SpatialRod, f0: Array, m0: Array, zero: Array, gravity: Array | None, steps: int | None
+) -> SpatialContacts:
     """`reconstruct` for rods that do not bend in a plane."""
-    found = march.contacts(rod, f0.T, m0.T, None if gravity is None else gravity.T)
+    found = march.contacts(rod, f0.T, m0.T, None if gravity is None else gravity.T, steps)
     with np.errstate(all="ignore"):
         ex, ez, m = _normalised(m0[:, 2], -m0[:, 0])
         f = np.linalg.norm(found.force, axis=0)
@@ -280,18 +285,14 @@ def _errors_by_differences(
     down = None if gravity is None else gravity.T
     size = np.repeat([np.linalg.norm(f0, axis=1), np.linalg.norm(m0, axis=1)], 3, axis=0)
     reactions = np.concatenate([f0.T, m0.T])
-    slopes = []
     with np.errstate(all="ignore"):
-        for k, sigma in enumerate(np.repeat(noise, 3)):
-            ends = []
-            for sign in (-1, 1):
-                moved = reactions.copy()
-                moved[k] += sign * _DIFFERENCE * size[k]
-                found = march.contacts(rod, moved[:3], moved[3:], down)
-                along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
-                ends.append(np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]))
-            slopes.append(sigma * (ends[1] - ends[0]) / (2 * _DIFFERENCE * size[k]))
-        slope = np.stack(slopes, axis=2)  # of place, tangent, s1 and β (8, n, 6)
+        step, n = _DIFFERENCE * np.eye(6)[:, :, None] * size, len(f0)
+        moved = np.stack([reactions - step, reactions + step]).transpose(2, 0, 1, 3).reshape(6, -1)
+        found = march.contacts(rod, moved[:3], moved[3:], None if down is None else np.tile(down, 12))
+        along = (found.force * found.tangent).sum(axis=0) / np.linalg.norm(found.force, axis=0)
+        ends = np.concatenate([found.point, found.tangent, found.s1[None], np.arcsin(along)[None]]).reshape(8, 2, 6, n)
+        rate = (ends[:, 1] - ends[:, 0]) / (2 * _DIFFERENCE * size) * np.repeat(noise, 3)[:, None]
+        slope = np.moveaxis(rate, 1, 2)  # of place, tangent, s1 and β (8, n, 6)
         point = np.einsum("ink,jnk->nij", slope[:3], slope[:3])
         tangent, s1, beta = (np.sqrt((part**2).sum(axis=(0, 2))) for part in (slope[3:6], slope[6:7], slope[7:]))
         across_f, across_m = (np.hypot(v[:, 0], v[:, 2]) for v in (f0, m0))

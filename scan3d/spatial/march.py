@@ -14,8 +14,9 @@ the first one, and the residuals ``e·t`` and ``e·F`` remain.  Friction does no
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -68,10 +69,13 @@ class Marched(NamedTuple):
     """(n,) residual ``e·F``."""
 
 
-def contacts(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None) -> Marched:
+def contacts(
+    rod: SpatialRod, force: Array, moment: Array, gravity: Array | None = None, steps: int | None = None
+) -> Marched:
     """Contacts of rods by support reactions ``f0`` and ``m0`` (3, n), and unit vectors (3, n) of gravity in the clamp's frame.
 
-    Reactions of rods with weight are the whole ones.  Raises ValueError for a weight without gravity.
+    Reactions of rods with weight are the whole ones.  `steps` along the rod are by default as many as places need to be
+    right to 1e-10.  Raises ValueError for a weight without gravity.
     """
     down = _checked_gravity(rod, gravity, force)
     contact_force = -force - rod.profile.weight * down
@@ -80,7 +84,7 @@ def contacts(rod: SpatialRod, force: Array, moment: Array, gravity: Array | None
     def places(rows: Index, steps: int) -> Array:
         return _contacts(rod, start[:, rows], contact_force[:, rows], steps).point
 
-    steps = enough_steps(places, np.abs(start[:6]).sum(axis=0))
+    steps = steps or enough_steps(places, np.abs(start[:6]).sum(axis=0))
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(force.shape[1], 1), _BLOCK)]
     parts = [_contacts(rod, start[:, rows], contact_force[:, rows], steps) for rows in blocks]
     return Marched(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
@@ -92,9 +96,10 @@ def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
     moment = np.zeros_like(down)
     for _ in range(40):  # a clamp that gives turns the rod by its weight
         state = _start(rod, np.zeros_like(down), moment, down)
-        free = _rotated(state[_Q], _hanging(rod, np.zeros(down.shape[1]), state))
+        base = np.zeros(down.shape[1])
+        free = _rotated(state[_Q], _hanging(rod, base, state, _approach(rod)(base, state)))
         moment, change = free, np.abs(free - moment).max()
-        if change < 1e-14:
+        if change < 1e-14 or rod.compliance == 0:
             break
     return -rod.profile.weight * down, -moment
 
@@ -145,32 +150,24 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
-    n = start.shape[1]
-    s, approach = grid(rod.profile, steps), _approach(rod)
+    found, approach = _nothing(start.shape[1], force), _approach(rod)
+    # past the tip the rod goes on with the stiffness there and without weight
+    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
+    rows, state, falling = np.arange(start.shape[1]), start, []
     with np.errstate(all="ignore"):
-        states = [start]
-        for at, length in zip(s[:-1], np.diff(s), strict=True):
-            states.append(_step(rod, states[-1], at, length))
-        turning = np.stack(
-            [_turning(state, approach(np.full(n, at), state)) for at, state in zip(s, states, strict=True)]
-        )
-        falls = (turning[:-1] > 0) & (turning[1:] <= 0)
-        found = _nothing(n, force)
-        rows = np.flatnonzero(falls.any(axis=0))
-        k = np.argmax(falls, axis=0)[rows]
-        before = np.stack(states)[k, :, rows].T
-        _refine(rod, found, rows, before, s[k], s[k + 1] - s[k], (turning[k, rows], turning[k + 1, rows]))
-        # the others go on past the tip, with its stiffness and without weight
-        rows, state = np.flatnonzero(~falls.any(axis=0) & np.isfinite(turning[-1])), states[-1]
-        state, low = state[:, rows], turning[-1][rows]
-        ends = np.linspace(1.0, _LONGEST, steps + 1)
-        for at, length in zip(ends[:-1], np.diff(ends), strict=True):
-            after = _step(rod, state, at, length)
-            high = _turning(after, np.zeros((3, len(rows))))
+        low = _turning(state, approach(np.zeros(len(rows)), state))
+        for at, end in pairwise(ends):
+            after = _step(rod, state, at, end - at)
+            high = _turning(after, approach(np.full(len(rows), end), after))
             here = (low > 0) & (high <= 0)
-            m = int(here.sum())
-            _refine(rod, found, rows[here], state[:, here], np.full(m, at), np.full(m, length), (low[here], high[here]))
-            rows, state, low = rows[~here], after[:, ~here], high[~here]
+            step = np.broadcast_to([[at], [end - at]], (2, int(here.sum())))
+            falling.append(np.concatenate([rows[None, here], state[:, here], step, [low[here], high[here]]]))
+            rest = ~here & np.isfinite(high)
+            rows, state, low = rows[rest], after[:, rest], high[rest]
+            if not len(rows):
+                break
+        number, *before, at, length, low, high = np.concatenate(falling, axis=1)
+        _refine(rod, found, number.astype(np.intp), np.stack(before), at, length, (low, high))
     return found
 
 
@@ -214,7 +211,7 @@ def _refine(
             change = _turning(state, hanging) / (across - bending)
             part = part + change
         if rod.profile.weight and correction < _CORRECTIONS - 1:
-            offset = offset + _hanging(rod, np.minimum(start + part, 1.0), state) - hanging
+            offset = offset + _hanging(rod, np.minimum(start + part, 1.0), state, hanging) - hanging
     # where the moment that is left turns the rod by more than the force does, no rod comes near these reactions
     part = np.where(np.abs(bending) < across, part, np.nan)
     excess = state[_M] - hanging
@@ -228,9 +225,8 @@ def _refine(
     found.torsion[rows], found.skew[rows] = excess[2], (excess * state[_N]).sum(axis=0)
 
 
-def _hanging(rod: SpatialRod, s: Array, state: Array) -> Array:
-    """Moments (3, n) in the material frame of the parts past s (n,) that hang free, by shooting from their first estimates."""
-    moment = _approach(rod)(s, state)
+def _hanging(rod: SpatialRod, s: Array, state: Array, moment: Array) -> Array:
+    """Moments (3, n) in the material frame of the parts past s (n,) that hang free, by shooting from estimates."""
     if rod.profile.weight == 0:
         return moment
     inverse = state[_Q] * _CONJUGATE
@@ -253,7 +249,7 @@ def _hanging(rod: SpatialRod, s: Array, state: Array) -> Array:
 def _shape(rod: SpatialRod) -> tuple[Array, Array]:
     """Arc lengths (k,), and ``∫ (weight past σ) t dσ`` (k, 3) over the parts of the free rod past them, in frames there."""
     s = np.linspace(0.0, 1.0, 129)
-    free = SpatialRod(Profile(rod.profile.knots, rod.profile.diameters), rod.curvature, rod.torsion)
+    free = replace(rod, profile=replace(rod.profile, weight=0.0))
     state = np.zeros((16, 1))
     state[9] = 1.0
     frames = [state]
@@ -273,10 +269,10 @@ def _approach(rod: SpatialRod) -> Callable[[Array, Array], Array]:
     """First estimates of the moments of parts that hang free: those of their shapes without weight."""
     if rod.profile.weight == 0:
         return lambda s, state: np.zeros((3, state.shape[1]))
-    grid_s, arms = _shape(rod)
+    grid_s, arms = _shape(replace(rod, profile=replace(rod.profile, weight=1.0), compliance=0.0))
 
     def moment(s: Array, state: Array) -> Array:
-        arm = np.stack([np.interp(s, grid_s, column) for column in arms.T])
+        arm = rod.profile.weight * np.stack([np.interp(s, grid_s, column) for column in arms.T])
         return _cross(arm, state[_G])
 
     return moment

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import itertools
 import sys
 import time
 from collections.abc import Callable
@@ -238,13 +239,12 @@ def judged(found, fault):
     return "right" if set(listed) & set(fault.named) else "FALSE", " or ".join(listed)
 
 
-def of_seed(seed, slices, noises, names):
+def of_fault(seed, slices, name, noises):
     found = []
-    for name in names:
-        for noise in noises:
-            start = time.process_time()
-            found.append((name, noise, outcome(seed, slices, noise, name), time.process_time() - start))
-    return seed, slices, found
+    for noise in noises:
+        start = time.process_time()
+        found.append((noise, outcome(seed, slices, noise, name), time.process_time() - start))
+    return seed, slices, name, found
 
 
 def main() -> int:
@@ -264,14 +264,15 @@ def main() -> int:
     parser.add_argument("--verbose", action="store_true", help="print each outcome")
     given = parser.parse_args()
     names = [name for name in GROUPS[given.group] if name.startswith(tuple(given.faults))]
-    tasks = [
-        (seed, n, given.noise, names) for seed in range(given.first, given.first + given.seeds) for n in given.slices
-    ]
+    seeds = range(given.first, given.first + given.seeds)
+    tasks = [(*task, given.noise) for task in itertools.product(seeds, given.slices, names)]
     rows: dict[tuple[str, int, float], list[Outcome]] = {}
     with ProcessPoolExecutor(given.jobs) as pool:
-        results = pool.map(of_seed, *zip(*tasks, strict=True)) if given.jobs > 1 else (of_seed(*task) for task in tasks)
-        for seed, slices, found in results:
-            for name, noise, out, seconds in found:
+        results = (
+            pool.map(of_fault, *zip(*tasks, strict=True)) if given.jobs > 1 else (of_fault(*task) for task in tasks)
+        )
+        for seed, slices, name, found in results:
+            for noise, out, seconds in found:
                 rows.setdefault((name, slices, noise), []).append(out)
                 wrong = out.false + ([("cause", out.named)] if out.cause == "FALSE" else [])
                 if wrong or given.verbose:
