@@ -16,12 +16,18 @@ def far(points, mesh, kind=np.longdouble):
     square = (normal**2).sum(axis=-1)
     inside, nearest = square > 0, np.inf
     for start, end in ((a, b), (b, c), (c, a)):
-        edge, away = end - start, points - start
-        inside = inside & ((np.cross(edge, away) * normal).sum(axis=-1) >= 0)
-        along = (away * edge).sum(axis=-1) / np.maximum((edge**2).sum(axis=-1), 1e-300)
-        nearest = np.minimum(nearest, np.sqrt(((away - np.clip(along, 0, 1)[..., None] * edge) ** 2).sum(axis=-1)))
+        inside = inside & ((np.cross(end - start, points - start) * normal).sum(axis=-1) >= 0)
+        nearest = np.minimum(nearest, from_segments(points[:, 0], start, end))
     height = np.abs(((points - a) * normal).sum(axis=-1)) / np.sqrt(np.maximum(square, 1e-300))
     return np.where(inside, np.minimum(height, nearest), nearest).min(axis=1).astype(float)
+
+
+def from_segments(points, start, end):
+    """Distances (n, ...) of points (n, 3) from segments (..., 3)."""
+    edge = end - start
+    away = points.reshape(-1, *[1] * (edge.ndim - 1), 3) - start
+    along = (away * edge).sum(axis=-1) / np.maximum((edge**2).sum(axis=-1), 1e-300)
+    return np.sqrt(((away - np.clip(along, 0, 1)[..., None] * edge) ** 2).sum(axis=-1))
 
 
 def farthest(source, target, steps):

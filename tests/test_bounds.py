@@ -183,7 +183,7 @@ def ball():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fraction", [-0.1, 1e-5])
+@pytest.mark.parametrize("fraction", [-0.1, -1e-5, 1e-5, 0.1])
 def test_a_hull_with_a_vertex_moved_is_certified_by_its_shape(ball, fraction):
     """Nothing but the shape decides: what is pushed in by 10 % of the diagonal is not certified as convex."""
     mesh, cloud, bounds = ball

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from brute_force import far, far_in_60_digits
+from brute_force import far, far_in_60_digits, from_segments
 from scipy.spatial import ConvexHull
 from shapes import PAIRS
 
@@ -11,11 +11,8 @@ from scan3d.geometry.distance import Search, distances, nearest, signed_distance
 from scan3d.geometry.triangles import areas, longest_first
 
 
-@pytest.mark.parametrize(
-    "height",
-    [1e-1, 1e-6, 1e-9, 1e-13, 0.0, *(pytest.param(h, marks=pytest.mark.trust) for h in (1e-3, 1e-8, 1e-11, 1e-15))],
-)
 @pytest.mark.slow
+@pytest.mark.parametrize("height", [1e-1, 1e-3, 1e-6, 1e-8, 1e-9, 1e-11, 1e-13, 1e-15, 0.0])
 def test_distances_to_slivers_against_60_digits(height):
     rng = np.random.default_rng(2)
     a, along = rng.random((200, 3)), 0.5 * rng.standard_normal((200, 3))
@@ -30,8 +27,7 @@ def test_distances_to_slivers_against_60_digits(height):
         [far_in_60_digits(p, *corners[f]) for p, f in zip(points, face, strict=True)], abs=1e-15
     )
     # No triangle is nearer: the few that might be, from their edges, are tried.
-    edges = [trimesh.Trimesh(corner, [(0, 1, 1), (1, 2, 2), (2, 0, 0)], process=False) for corner in corners]
-    from_edges = np.column_stack([far(points, edge) for edge in edges])
+    from_edges = from_segments(points, corners, np.roll(corners, -1, axis=1)).min(axis=2)
     width = 2 * areas(corners) / np.maximum(np.linalg.norm(np.diff(sorted_corners[:, :2], axis=1)[:, 0], axis=1), 1e-9)
     for i, j in np.argwhere(from_edges - width < distance[:, None]):
         assert far_in_60_digits(points[i], *corners[j]) >= distance[i] - 1e-15
@@ -45,8 +41,8 @@ def test_quick_estimates_and_their_lower_bounds_enclose_the_distance(name, tried
     mesh = {"fine": trimesh.creation.icosphere(4), "few faces": trimesh.creation.icosphere(0)}.get(
         name, PAIRS["crossing"][1]
     )
-    on = mesh.triangles.view(np.ndarray).mean(axis=1)[rng.integers(len(mesh.faces), size=200)]
-    points = on + rng.choice([0.0, 1e-9, 1e-3, 0.3], (200, 1)) * rng.standard_normal((200, 3))
+    on = mesh.triangles.view(np.ndarray).mean(axis=1)[rng.integers(len(mesh.faces), size=60)]
+    points = on + rng.choice([0.0, 1e-9, 1e-3, 0.3], (60, 1)) * rng.standard_normal((60, 3))
     corners = mesh.triangles.view(np.ndarray)
     corners = np.take_along_axis(corners, longest_first(corners)[:, :, None], axis=1)
     distance, face, lower = Search(corners).near(points, tried)
@@ -61,7 +57,7 @@ def test_quick_estimates_and_their_lower_bounds_enclose_the_distance(name, tried
     if name == "fine" and tried == 10:
         # close to a mesh of faces of about the same size the estimate is proven right
         close = true < 1e-2
-        assert close.sum() > 90
+        assert close.sum() > 30
         assert np.array_equal(lower[close], distance[close])
 
 
