@@ -253,20 +253,13 @@ def test_meshlab_shows_the_scalar(folder, tmp_path, what, color, shown):
     ("to", "options", "sentence"),
     [
         ("a.glb", {"unit": "mm"}, r"\.glb is in metres by its specification, and can't be in mm; leave the unit out"),
-        ("a.mcap", {"unit": "in"}, r"\.mcap is in metres by its specification, and can't be in in; leave the unit out"),
         ("a.ply", {"unit": "furlong"}, r"unit must be one of m, cm, mm, um, in, got 'furlong'"),
         ("a.stl", {"color": "bound"}, r"\.stl has no place for colours; choose \.ply, \.pcd"),
-        ("a.xyz", {"color": "force"}, r"\.xyz has no place for colours"),
         ("a.ply", {"color": "beauty"}, r"there is no 'beauty' to colour the surface by; it has bound"),
         (
             "a.vtp",
             {"scalar_names": "meshlab"},
             r"names of scalars are chosen for \.ply, which meshlab reads, and not for \.vtp",
-        ),
-        (
-            "a.ply",
-            {"scalar_names": "paraview"},
-            r"names of scalars are known for meshlab and cloudcompare, got 'paraview'",
         ),
     ],
 )

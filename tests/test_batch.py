@@ -146,10 +146,8 @@ def test_what_a_scan_has_written_is_no_mesh(serial, tmp_path):
     [
         ([], r"there is no mesh to scan; name mesh files"),
         (["empty"], r"the folder empty has no mesh file; expected files that end with \.stl, \.ply"),
-        (["*.stl"], r"the pattern \*\.stl has no mesh file"),
         (["@none.txt"], r"can't read the list none\.txt: No such file"),
         (["@binary.txt"], r"can't read the list binary\.txt: it is not text in UTF-8"),
-        (["@blank.txt"], r"the list blank\.txt is empty; expected a mesh in each line"),
     ],
 )
 def test_meshes_that_are_not_there(tmp_path, monkeypatch, given, sentence):
@@ -211,13 +209,10 @@ def test_a_grid_is_the_product_of_its_lists(tmp_path):
     ("text", "sentence"),
     [
         (None, r"can't read the grid .*grid\.toml: No such file"),
-        ("slices = ", r"grid\.toml is not a TOML file: "),
         ("", r"grid\.toml has no settings; expected lists of values"),
         ("slices = []", r"grid\.toml: the list of values for slices is empty"),
-        ("[a.b]\nslices = [1]", r"grid\.toml: \[a\.b\] is a table in a table"),
         ("slices = [1]\n[a]\nslices = [2]", r"grid\.toml: slices stands in \[a\] and outside"),
         (f"slices = {[*range(400)]}\nseed = {[*range(400)]}", r"has 160000 combinations, where 100000 are allowed"),
-        ("slises = [1]", r"grid\.toml: unknown setting slises; .*did you mean slices"),
         ("slices = ['many']", r"grid\.toml: slices must be a whole number, got 'many'"),
         ("slices = [8, 0]", r"grid\.toml, slices = 0: slices must be a whole number of at least 1"),
     ],

@@ -379,13 +379,10 @@ def test_long_recordings_are_begun_with_some_rows_and_end_with_all(on_sphere, mo
     ("arguments", "sentence"),
     [
         (dict(sphere=0.0), "needs a diameter above 0"),
-        (dict(sphere=float("nan")), "needs a diameter above 0"),
         (dict(reference="plain"), "got 'plain'; the other reference is 'plane'"),
-        (dict(), "needs a diameter above 0, got None"),
         (dict(reference="plane", sphere=0.03), "give either a reference or the diameter"),
         (dict(sphere=1e297), r"a diameter of 1e\+297 m, and the rod a length of 60 mm; check the unit"),
         (dict(sphere=0.03, tare="cubic"), "tare must be one of auto, constant, linear, sweep"),
-        (dict(sphere=0.03, pose_noise_m=-1.0), "noise of the poses"),
         (dict(sphere=0.02), "do not fit a sphere of 20 mm"),
         (dict(reference="plane"), r"do not fit a plane.*check that only the plane was touched"),
     ],
@@ -558,14 +555,10 @@ def test_a_rig_by_hand_needs_the_rod_only(tmp_path):
     ("text", "sentence"),
     [
         ("", r"rig.toml: \[rod\] needs length_m and bending_stiffness_Nm2"),
-        ("rod = 3", r"rod must be a section \[rod\] or a table in braces, got 3"),
         ("[rod", "is not a TOML file"),
         (MINIMAL + "[sensr]\n", "unknown names: sensr.*did you mean sensor"),
         ("schema = 7\n" + MINIMAL, "schema must be 1, got 7"),
-        (MINIMAL + "[sensor]\nposition_mm = [1, 2]\n", r"\[sensor\] position_mm must be a list of 3 finite numbers"),
-        (MINIMAL.replace("2e-4", "true"), "bending_stiffness_Nm2 must be a number, got True"),
         (MINIMAL.replace("2e-4", "-1"), "positive bending stiffness"),
-        (MINIMAL + '[covariance]\nquantities = ["length_m"]\nmatrix = [[1.0]]\nwell = [true]\n', "quantities of"),
         (
             MINIMAL + '[quantities]\na_mm = 1\n[covariance]\nquantities = ["a_mm"]\nmatrix = [["x"]]\n',
             r"\[covariance\]",

@@ -12,7 +12,7 @@ from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.surfaces import certificate, choice, enclosure, surface
-from scan3d.surfaces.choice import HeldOutError, error_of_surface, hold_out
+from scan3d.surfaces.choice import error_of_surface, hold_out
 
 
 @pytest.fixture(scope="module")
@@ -172,16 +172,6 @@ def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
         surface(cloud, "magic")
     with pytest.raises(scan3d.InputError, match="span no body"):
         surface(cloud, "hull")
-
-
-@pytest.mark.slow
-def test_the_choice_follows_the_cross_validation(box, monkeypatch):
-    _, cloud = box
-    nothing, least = HeldOutError(1.0, 1.0, 1.0, 1.0), HeldOutError(0.5, 0.5, 0.5, 0.5)
-    for best, said in ((0, "slopes of neighbouring"), (1, "half as far from"), (6, "100 %")):
-        errors = iter([least if k == best else nothing for k in range(7)])
-        monkeypatch.setattr(choice, "error_of_surface", lambda *_, errors=errors: next(errors))
-        assert said in surface(cloud).metadata["reason"]
 
 
 @pytest.mark.slow

@@ -112,9 +112,6 @@ def test_means_of_rounded_numbers_are_no_more_accurate():
     assert len(averages_of(cloud.points, None, np.ones(len(cloud)), 5.0).kappa) == 0
 
 
-# --- polygons ---
-
-
 # --- enclosures and certificates ---
 
 

@@ -1,8 +1,7 @@
 """The scripts in examples/ run, draw, and show what their docstrings state.
 
-Every script there is imported and, if it defines `draw`, drawn.  The statements of the paper about its figures (Section III)
-are checked against the arrays that are drawn, and the transitions against the reference values below, which were derived twice
-and integrated numerically.
+Every script there is imported and, if it defines `draw`, drawn.  The statements of the paper have tests of their own; the
+transitions that a script prints are checked against reference values, derived twice and integrated numerically.
 """
 
 import importlib
@@ -79,12 +78,6 @@ def test_a_script_saves_its_picture_in_the_current_folder_or_at_the_given_path(
                 assert made.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
-def test_transitions_are_at_the_reference_values() -> None:
-    figure = example("paper_figure_3")
-    np.testing.assert_allclose([events.x0[1:] for events in figure.EVENTS], REFERENCE, rtol=0, atol=1e-7)
-
-
 def test_figure_3() -> None:
     figure = example("paper_figure_3")
     shapes, *reactions = figure.draw().axes
@@ -100,38 +93,12 @@ def test_figure_3() -> None:
         assert len(curves) == len(figure.SWEEPS)
         assert [len(line.get_xdata()) for line in circles[:-1]] == [2] * len(figure.FRICTIONS)
 
-    # the clamping moment grows with friction, and so does the length of the sweep
-    tangential = [figure.planar.sweep(figure.CONTOUR, mu, base=[0.4, 0.0, -0.4, -0.8]).m0z for mu in figure.FRICTIONS]
-    assert (np.diff(tangential, axis=0) > 0).all()
-    assert (np.diff([events.x0[-1] for events in figure.EVENTS]) < 0).all()
-    # friction has little impact on the transitions
-    assert np.ptp([events.x0[1:3] for events in figure.EVENTS], axis=0).max() < 0.03
-
 
 def test_figure_4() -> None:
     figure = example("paper_figure_4")
     panels = figure.draw().axes
     assert len(panels) == 6
     assert [len(panel.child_axes) for panel in panels] == [1, 0, 1, 0, 0, 0]
-
-    # friction invariant: within the tolerance of the integration, and within rounding in closed form, random μ included
-    for errors in figure.ERRORS["scholz-rahn"]:
-        assert np.nanmax(errors) < 1e-9
-    for errors in figure.ERRORS["closed-form"]:
-        assert np.nanmax(errors) < 1e-13
-    # (10) without friction is as good, but for the end of the sweep, where it takes tip contact for tangential contact
-    will, swept = figure.CONTACTS["will"], figure.SWEEPS
-    before = swept[0].x0 > -1.15
-    assert np.nanmax(figure.ERRORS["will"][0][before]) < 1e-12
-    assert np.nanmax(figure.ERRORS["will"][0][~before]) > 1e-2
-    assert (will[0].s1[swept[0].x0 < -1.16] < 1).all()
-    # with friction its error grows with the coefficient
-    tangential = [sweep.phase == planar.Phase.TANGENTIAL for sweep in swept]
-    medians = [np.nanmedian(errors[rows]) for errors, rows in zip(figure.ERRORS["will"], tangential, strict=True)]
-    assert (np.diff(medians[:4]) > 1e-3).all()
-    # and is undefined at the beginning where the force is steeper than the clamp
-    undefined = [(contacts.status == planar.Status.UNDEFINED).any() for contacts in will[:4]]
-    assert undefined == [False, False, True, True]
 
 
 def test_figure_5() -> None:

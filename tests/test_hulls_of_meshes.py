@@ -70,13 +70,6 @@ def test_without_the_hull_dents_stay_and_faces_are_turned_outwards(dimpled):
     assert is_convex(judge_mesh(load_mesh(dimpled), hull=True))
 
 
-def test_a_body_that_was_moved_has_lost_its_mesh():
-    body = judge_mesh(letter_l(), hull=True)
-    assert len(mesh_itself(body).vertices) == 12
-    body.apply_translation([1, 0, 0])
-    assert mesh_itself(body) is None
-
-
 def test_open_bodies_are_not_filled(tmp_path):
     mesh = box()
     path = save(tmp_path, without(mesh, mesh.face_normals[:, 2] < 0.5))

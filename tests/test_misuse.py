@@ -35,16 +35,13 @@ def recording():
         (None, "the body must be a trimesh.Trimesh, got NoneType"),
         (trimesh.Scene(box()), r"got Scene; a scene becomes a mesh by its method to_mesh\(\)"),
         ("part.stl", "there is no mesh file part.stl"),
-        (Path("part.stl"), "there is no mesh file part.stl"),
-        (np.eye(3), "must be a trimesh.Trimesh, got ndarray"),
-        (trimesh.PointCloud(np.eye(3)), "must be a trimesh.Trimesh, got PointCloud"),
         (without(box(20, 30, 40), range(10)), "the body isn't a closed surface .*give mesh.convex_hull"),
         (dimpled_box(0.01), "the body isn't a closed surface whose faces are turned alike"),
         (trimesh.Trimesh(np.eye(3), [[0, 1, 5]], process=False), "a face with a vertex that does not exist"),
         (trimesh.Trimesh(), "at least one triangle"),
         (trimesh.Trimesh(np.full((3, 3), np.nan), [[0, 1, 2]], process=False), "finite coordinates"),
     ],
-    ids=range(11),
+    ids=range(8),
 )
 def test_what_is_no_body_is_not_scanned(mesh, sentence):
     with pytest.raises(InputError, match=sentence):
@@ -64,16 +61,11 @@ def test_what_is_no_mesh_is_not_compared(mesh):
     [
         ("force_N", lambda a: np.ma.masked_less(a, 0), "force_N is a masked array"),
         ("moment_Nm", lambda a: a.astype(complex), "moment_Nm must be an array of real numbers, got complex128"),
-        ("position_m", lambda a: a.astype(str), "position_m must be an array of real numbers"),
         ("position_m", lambda a: None, "position_m must be an array of real numbers, got object None"),
-        ("quaternion", lambda a: a.astype(object), "quaternion must be an array of real numbers, got object"),
         ("sweep", lambda a: a + 0.5, "sweep must be an array of whole numbers, got float64"),
-        ("sweep", lambda a: None, "sweep must be an array of whole numbers"),
         ("sweep", lambda a: [[1], [2, 3]], "rows differ in length"),
         ("force_N", lambda a: a[:, :1], r"force_N must have the shape"),
         ("rod", lambda a: None, "rod must be a scan3d.Rod, got NoneType"),
-        ("unit", lambda a: ["mm"], "unit must be one of"),
-        ("noise_force_N", lambda a: "0", "must be numbers >= 0"),
         ("noise_moment_Nm", lambda a: 1j, "must be numbers >= 0"),
         # its square is no number of a computer: a calibration ended in an OverflowError
         ("noise_moment_Nm", lambda a: 1e300, r"a standard deviation of the noise is 1e\+300; check its unit"),

@@ -372,12 +372,9 @@ def test_the_view_that_explains(make, tmp_path):
     [
         ((), "rainbow", "view must be one of cloud, surface, bound, .*, histogram, forces, got 'rainbow'"),
         (["contacts"], "cloud", "cube has no contacts to show; it has a surface: give the view surface"),
-        (["surface"], "surface", "cube has no surface to show; it has a cloud: give the view cloud"),
         (["truth"], "compare", "the true body of cube is not known, .*: give --truth MESH"),
         (["bound"], "bound", "the bound of cube is not known; show a scan's folder"),
-        (["recording"], "explain", "cube has no recording, which rods are drawn from"),
         (["recording"], "forces", "cube has no recording, whose reactions the view forces shows"),
-        (["surface"], "histogram", "cube has no surface, whose deviation and bound the view"),
         (["truth", "bound"], "histogram", "neither the deviation nor the bound of cube is known, .*"),
     ],
 )

@@ -191,14 +191,12 @@ def changed(column, value):
         ("", "log.csv is empty; expected a table with one row per sample"),
         (f"{HEADER}\n", "log.csv: the recording has no samples: expected at least one row"),
         ("mz_Nm\n1\n", "its header lacks sweep, x_m, y_m, z_m, qw, qx, qy, qz, fx_N, fy_N; expected"),
-        (HEADER.replace("mz_Nm", "mz_Nmm") + f"\n{ROW}\n", "its header lacks mz_Nm; expected"),
         (HEADER.replace(",", ";") + f"\n{ROW.replace(',', ';')}\n", "is not a recording: its header lacks"),
         (f"{HEADER},fx_N\n{ROW},3\n", "its header has fx_N more than once; keep one column of each name"),
         (
             changed("x_m", "nan"),
             r"log\.csv: line 3 has no value in column 'x_m', .* 1 of 2 rows; complete the table$",
         ),
-        (changed("qw", "0.7"), r"orientations must be unit quaternions .*; that of row 2 has the length 0\.7$"),
         (changed("qx", "1"), r"that of row 2 has the length 1\.414$"),
         (changed("sweep", "0.5"), r"log\.csv: line 3 has 0\.5 in column 'sweep', where a whole number is expected"),
     ],
@@ -214,13 +212,10 @@ def test_broken_tables_are_refused(tmp_path, table, sentence):
     [
         (None, r"log\.csv needs log\.toml beside it, with the rod's length_m and bending_stiffness_Nm2"),
         ("", r"log\.toml: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m, diameter_m and modulus_Pa"),
-        ("[rod\n", r"log\.toml is not a TOML file: Expected"),
-        (b"\xff", r"log\.toml is not a TOML file: .*utf-8"),
         (
             "[rod]\nlength_m = -0.05\nbending_stiffness_Nm2 = 1\n",
             r"log\.toml: \[rod\] a rod needs a positive length in metres",
         ),
-        ("[rod]\nlength_m = 1\ndiameter_m = 0\nmodulus_Pa = 1\n", "a wire needs a positive diameter and modulus"),
         ("unit = 'furlong'\n" + TOML, r"log\.toml: unit must be one of m, cm, mm, um, in; got 'furlong'"),
         (TOML + "[noise]\nforce_N = -1\n", r"\[noise\] force_N must be a finite number of at least 0, got -1"),
     ],

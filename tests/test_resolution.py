@@ -44,14 +44,6 @@ def test_single_precision(values):
     assert rounding_sd(values.astype(np.float32)) == pytest.approx(float(np.spacing(largest)) / 12**0.5)
 
 
-@pytest.mark.parametrize("digits", [3, 7])
-def test_digits_of_a_log_that_was_read_in_single_precision(values, digits):
-    largest = np.abs(values).max()
-    single = rounded(values, digits).astype(np.float32)
-    step = max(10.0 ** (np.floor(np.log10(largest)) + 1 - digits), float(np.spacing(np.float32(largest))))
-    assert rounding_sd(single) == pytest.approx(step / 12**0.5)
-
-
 @pytest.mark.parametrize("step", [0.0123456789, 2.0**-9 * np.pi])
 def test_steps_of_a_converter(values, step):
     assert rounding_sd(np.round(values / step) * step) == pytest.approx(step / 12**0.5)

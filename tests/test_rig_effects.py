@@ -10,11 +10,9 @@ from scipy.spatial.transform import Rotation
 import planar
 import scan3d
 from scan3d.bounds import allowed, certificate, enclosure, sigmas
-from scan3d.pipeline import analyse
 from scan3d.reconstruction import Diagnosis, agreement, checked
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.errors import effects, torsion_sd, with_rig_errors
-from scan3d.report import summary
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from tests.rig_errors import displaced, typical
 from tests.spatial_scans import recorded
@@ -176,14 +174,6 @@ def test_the_spatial_bound_allows_for_the_calibration(space):
     assert certificate(bounds, hull).bound > certificate(smaller, hull).bound
 
 
-def test_a_contact_without_a_known_effect_is_left_out(flat):
-    """An error of the rig that is as large as the rod: some contacts have no rod any more, and the others stay."""
-    cloud = touched(dataclasses.replace(flat, rig=RigUncertainty(("stiffness_relative",), [[90.0**2]])))
-    assert 0 < len(cloud) < len(touched(flat))
-    assert np.isfinite(cloud.calibration.place_sd).all()
-    assert len(cloud.calibration.turn_sd) == len(cloud)
-
-
 @pytest.mark.slow
 def test_errors_of_the_calibration_are_no_contradiction(flat, space, monkeypatch):
     """Exact touches of a rig that is off by what is stated: without the statement they contradict the convex body."""
@@ -205,25 +195,3 @@ def test_torsion_is_that_of_finite_changes(space):
     moved = [displaced(space, component).wrench()[1][rows, 1] for component in rig.components().T]
     changes = (np.array(moved) - space.wrench()[1][rows, 1]) / space.rod.moment_unit_Nm
     np.testing.assert_allclose(torsion_sd(stated, rows), np.linalg.norm(changes, axis=0), rtol=0.02, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_the_report_names_its_size(flat):
-    rig = dataclasses.replace(typical(six=False), exact=("length_m",))
-    analysis = analyse(dataclasses.replace(flat, rig=rig), method="hull")
-    data = scan3d.report.report(analysis, settings={})
-    off = data["certificate"]["parts"]["systematic"]
-    assert off == pytest.approx(allowed(analysis.cloud).factor * analysis.cloud.calibration.place_sd.max())
-    assert data["error_budget"]["systematic"]["at_most"] == off
-    assert data["error_budget"]["contacts_off"]["at_most"] >= off
-    assert data["calibration"]["taken_as_exact"] == ["length_m"]
-    assert data["calibration"]["independent_errors"] == 9
-    assert list(data["calibration"]["standard_deviations"]) == list(rig.names)
-    assert data["measurands"][0]["coverage_probability"] == 0.95
-    assert data["measurands"][0]["coverage_factor"] == pytest.approx(analysis.cloud.calibration.factor(0.05))
-    rows = dict(summary(data).rows)
-    assert rows["calibration"].endswith("not determined by it, and taken as exact: length_m")
-    plain = scan3d.report.report(analyse(flat, method="hull"), settings={})
-    assert "calibration" not in plain
-    assert "systematic" not in plain["certificate"]["parts"]
-    assert "calibration" not in dict(summary(plain).rows)

@@ -360,17 +360,12 @@ def test_files_of_faults_are_read(tmp_path):
     ("text", "sentence"),
     [
         ("[nois]\nfraction = 1", r"f.toml: unknown names: nois; known are .*seed, .*; did you mean noise\?"),
-        ("[noise]\nfractoin = 1", r"f.toml: \[noise\] has unknown names: fractoin; .* did you mean fraction"),
-        ("rate_hz = 0", r"f.toml: rate_hz must be a finite number above 0, got 0"),
-        ("[noise]\nfraction = -1", r"\[noise\] fraction must be a finite number of at least 0, got -1"),
         ("[bias]\nforce_N = 1", r"\[bias\] force_N must be a list of 3 finite numbers, got 1"),
         (
             '[sensor]\nshows = "clamp-on-rot"',
             r"\[sensor\] shows must be one of clamp-on-rod, rod-on-clamp; .* did you mean",
         ),
-        ("[sensor]\nnominal = {euler = [0, 0, 0]}", r"\[sensor.nominal\] has unknown names: euler; .* did you mean"),
         ("[rod]\nlength_error = 3", r"\[rod\] length_error must be a finite number above -1 and below 1, got 3"),
-        ("[missing]\nfraction = 1", r"\[missing\] fraction must be a finite number of at least 0 and below 1"),
         ("seed = ", "f.toml is not a TOML file"),
     ],
 )
@@ -470,7 +465,6 @@ def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
         ),
         (["--noise", "0.1"], 2, "--noise is a setting of a scan, .* noise belongs into --faults"),
         (["--faults", "none.toml"], 1, "can't read the faults none.toml"),
-        (["--placed", "placed.stl"], 1, "the placed mesh is written as .ply, got 'placed.stl'"),
         (["--as-is"], 0, ""),
     ],
 )

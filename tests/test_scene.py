@@ -127,10 +127,8 @@ def test_files_that_can_not_be_shown(tmp_path, call):
     for number, (name, data, shown, sentence) in enumerate(
         (
             (None, b"", "nothing", "there is no .*nothing; show a scan's folder, a recording"),
-            (None, b"", ".", "holds no scan: expected cloud.ply or surface.ply in it; make it with 'scan3d scan'"),
             ("report.json", b"[1]", ".", "is not a report: expected a JSON object; run the scan again"),
             ("report.json", b"{", ".", "can't read .*report.json: .*; run the scan again"),
-            ("cloud.ply", flat, ".", "cloud.ply does not hold what its name says"),
             ("a.ply", ply(np.zeros(3, [("force", "f8")])), "a.ply", "a.ply has no points: expected the columns x, y"),
             ("a.ply", ply(np.full(3, np.nan, XYZ)), "a.ply", "a.ply has no points, or points that are not numbers"),
             ("a.ply", flat[:90], "a.ply", "can't read .*a.ply: .*; expected a PLY of points or triangles"),

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -184,21 +183,3 @@ def test_next_gives_poses_until_the_tolerance_is_met(folder, tmp_path, capsys):
     assert "0 further sweeps" in capsys.readouterr().out
     assert main([*again[:-1], str(tmp_path / "p2.yaml"), "--tolerance", "0.5", "--quiet"]) == 0
     assert (tmp_path / "p2.yaml").read_text().endswith("points: []\n")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "sentence"),
-    [
-        (["."], 1, "there is no recording.csv in"),
-        (["out", "--sweeps", "0"], 2, "sweeps must be a whole number of at least 1"),
-        (["out", "--around", "egg"], 2, "a bounding body is"),
-        (["out", "--around", "cylinder:90x90"], 1, "doesn't reach the axis"),
-    ],
-)
-def test_next_says_what_is_wrong(folder, tmp_path, capsys, monkeypatch, arguments, code, sentence):
-    monkeypatch.chdir(folder)
-    assert main(["next", *arguments, "--out", str(tmp_path / "p.csv")]) == code
-    captured = capsys.readouterr()
-    assert sentence in captured.err
-    assert captured.err.count("\n") == 1
-    assert list(Path(tmp_path).iterdir()) == []

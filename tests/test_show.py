@@ -58,16 +58,8 @@ def test_a_colour_shows_the_contacts(tmp_path, shown, monkeypatch):
     ("options", "sentence"),
     [
         ("--view bound --html x.html", "--view says what a picture shows: give --screenshot FILE as well"),
-        ("--color phase --html x.html", "--color is for a picture or the window: give --screenshot FILE as well"),
         ("--color phase --view bound --screenshot x.png", "--color is that of the contacts in the view cloud: leave"),
-        ("--movie-of growth --html x.html", "--movie-of says what a movie shows: give --movie FILE as well"),
-        ("--size=85mm --html x.html", "--size is that of a picture: give --screenshot FILE as well"),
-        ("--dpi=300 --html x.html", "--dpi is that of a picture: give --screenshot FILE as well"),
-        ("--size 85 --screenshot x.png", "the size of a picture is WIDTH or WIDTHxHEIGHT with a unit .* got '85'"),
         ("--camera -60,95 --screenshot x.png", "a camera is front, back, .* got '-60,95'"),
-        ("--against b --truth c --screenshot x.png", "--against takes another surface in the place of the"),
-        ("--against b --view explain --screenshot x.png", "--against compares surfaces: give the view surf"),
-        ("--against b --color force --screenshot x.png", "--against compares surfaces: give the view surf"),
         ("--against b --movie x.gif", "--against is for a picture, a page or the window: leave out --movie"),
     ],
 )

@@ -147,27 +147,6 @@ def test_with_all_normals_the_support_is_that_of_the_polygon():
         assert section.closed
 
 
-def test_hermites_cubic_follows_a_smooth_contour():
-    """Points and tangents of a unit circle about (5, 0), 45° apart: closer to it than contacts and support lines are."""
-    angle = np.radians(np.arange(-180, 180, 45.0))
-    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    points = normals + np.array([5.0, 0.0])
-    tangential = 5 * -np.sin(angle)
-    section = dataclasses.replace(
-        slice_of(rectangle(1.0), 0.0),
-        points=points,
-        outline=points,
-        angle=angle,
-        value=(points * normals).sum(axis=1),
-        slope=np.stack([tangential, tangential]),
-        corner=np.stack([points, points], axis=1),
-    )
-    exact = 1 + 5 * np.cos(ANGLES)
-    assert np.abs(section.support_of_contacts(NORMALS) - exact).max() > 0.07
-    assert np.abs(section.support(ANGLES) - exact).max() < 0.01
-    assert section.steiner_point() == pytest.approx([5.0, 0.0], abs=3e-3)
-
-
 @pytest.mark.parametrize("offset", [0.0, 1024.0])
 def test_contacts_on_a_line_have_no_outline(offset):
     """The support function of such contacts is that of the line."""
@@ -237,26 +216,6 @@ def test_the_nearest_empty_slices_bound_a_stack():
     assert (stack.floor, stack.ceiling) == (-30.0, 25.0)
     assert stack.heights == pytest.approx(heights)
     assert stack.bounded_by_others == (False, False)
-
-
-def test_normals_inferred_from_friction_belong_to_tip_contacts():
-    """They do not enter the support function of the slice."""
-    plan = scan3d.Plan(slices=4, samples=16, sweeps=4, friction=0.3)
-    cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), plan))
-    (stack,) = stacks(cloud)
-    number_of_tips = 0
-    for section in stack.slices:
-        for part, normals, phase in (
-            (section.tangential, section.normals, planar.Phase.TANGENTIAL),
-            (section.tip, section.tip_normals, planar.Phase.TIP),
-        ):
-            rows = section.rows[part]
-            assert (cloud.phase[rows] == phase).all()
-            assert normals == pytest.approx(cloud.in_plane_normals[rows] @ stack.frame[:2].T)
-        angles = np.arctan2(section.normals[:, 1], section.normals[:, 0])
-        assert np.abs(np.exp(1j * section.angle)[:, None] - np.exp(1j * angles)).min(axis=1).max() < 1e-8
-        number_of_tips += len(section.tip)
-    assert number_of_tips > 4
 
 
 @pytest.mark.parametrize("name", ["points", "in_plane_normals", "phase"])

@@ -158,24 +158,6 @@ def test_tiny_reactions_near_touch_down_keep_their_digits(scale):
     np.testing.assert_allclose(found.point[0], [0, 0.7, 0], atol=1e-12)
 
 
-def test_arguments_of_other_shapes_are_refused():
-    good = np.ones((2, 3))
-    for force, moment, further in (
-        (np.ones(3), np.ones(3), {}),
-        (good, np.ones((3, 3)), {}),
-        (np.ones((2, 2)), np.ones((2, 2)), {}),
-        (good.astype(complex), good, {}),
-        (np.ma.masked_array(good, good > 0), good, {}),
-        (good, good, {"tolerance": 1.0}),
-        (good, good, {"tolerance": np.zeros(3)}),
-        (good, good, {"noise": (-1.0, 0.0)}),
-        (good, good, {"noise": (np.nan, 0.0)}),
-    ):
-        with pytest.raises(ValueError, match=r"must"):
-            reconstruct(force, moment, **further)
-    assert len(reconstruct(np.empty((0, 3)), np.empty((0, 3)))) == 0
-
-
 @pytest.mark.parametrize("noise", [(1e-4, 1e-6), (1e-6, 1e-4), (1e-5, 0.0)])
 def test_errors_are_those_of_monte_carlo(noise):
     rng = np.random.default_rng(7)

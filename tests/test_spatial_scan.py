@@ -189,18 +189,6 @@ def test_a_scan_in_space_depends_neither_on_place_nor_on_unit(cube):
     assert (off < 1e-6).mean() > 0.95
 
 
-@pytest.mark.trust
-def test_noise_is_that_of_the_plan(cube):
-    noise, plan = 1e-3, dict(SMALL, sweeps=5, friction=0.2)
-    exact, noisy = (scan3d.simulate(cube, scan3d.Plan(noise=sigma, **plan)) for sigma in (0.0, noise))
-    assert len(exact) > 800
-    off = (np.array(noisy.wrench()[0]) - exact.wrench()[0]) / exact.rod.force_unit_N
-    assert off.std() == pytest.approx(noise, rel=0.05)
-    assert noisy.noise_force_N == pytest.approx(noise * exact.rod.force_unit_N)
-    off = (noisy.wrench()[1] - exact.wrench()[1]) / exact.rod.moment_unit_Nm
-    assert off.std(axis=0) == pytest.approx([noise] * 3, rel=0.1)
-
-
 def test_a_rod_that_reaches_nothing(cube, monkeypatch):
     def distant(*arguments):
         lines = aims.rasters(*arguments)

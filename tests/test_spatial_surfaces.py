@@ -4,11 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-import trimesh
-from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, largest_difference, random_polyhedron, spatial_cloud
 
-import scan3d
 from scan3d.geometry.support import fit_support
 from scan3d.surfaces import between, certificate, enclosure, surface
 
@@ -81,15 +78,6 @@ def test_contacts_that_the_rod_displaces_hide_no_face():
     assert largest_difference(between.with_edges(unsure.select(well_placed)), body) < 1e-6 * body.size
 
 
-def test_nothing_is_curved_between_edges_of_the_body():
-    """A rod touches a facet's edges and vertices, with normals of all sides, and never its middle."""
-    polyhedron = Polyhedron(trimesh.creation.icosphere(1).vertices, faces=0.0, corners=1.0)
-    for body, least, most in ((polyhedron, 0.95, 1.0), (SMOOTH, 0.0, 0.0)):
-        cloud = spatial_cloud(body, 800, 3)
-        ends = ConvexHull(cloud.points).simplices[:, :2]
-        assert least <= between._between_edges(cloud, ends).mean() <= most
-
-
 def test_long_edges_of_a_capsule_are_straight():
     """The ends of a generator lie in the caps, where normals lean; the contacts beside it show that it is straight."""
     rng = np.random.default_rng(3)
@@ -114,25 +102,6 @@ def test_wrong_normals_do_not_pass_cross_validation():
     wrong = dataclasses.replace(cloud, normals=normals / np.linalg.norm(normals, axis=1)[:, None])
     wrong_surface = surface(wrong)
     assert largest_difference(wrong_surface, SMOOTH) <= 1.01 * largest_difference(surface(cloud, "hull"), SMOOTH)
-
-
-def test_too_few_sweeps_give_the_hull():
-    cloud = spatial_cloud(SMOOTH, 200, 7)
-    mesh = surface(cloud, "bracket")
-    assert "too few sweeps" in mesh.metadata["reason"]
-
-
-def test_the_hull_is_taken_where_it_is_proven():
-    cloud = spatial_cloud(SMOOTH, 1000, 8)
-    bounds = dataclasses.replace(enclosure(cloud), bound=1e-6)
-    mesh = surface(cloud, bounds=bounds)
-    assert mesh.metadata["method"] == "hull"
-    assert mesh.metadata["reason"].startswith("convex hull of the contacts: proven to lie within under 1 nm")
-
-
-def test_support_without_a_fit_is_refused():
-    with pytest.raises(scan3d.InputError, match="not smooth enough"):
-        surface(spatial_cloud(SMOOTH, 200, 9), "support")
 
 
 @pytest.mark.parametrize(

@@ -120,14 +120,6 @@ def test_a_fine_mesh_of_a_sphere_is_the_sphere(friction):
     assert differences[2] < 0.6 * differences[1] < 0.36 * differences[0]
 
 
-def test_open_surfaces_are_refused():
-    mesh = trimesh.creation.box((1, 1, 1))
-    with pytest.raises(ValueError, match="closed surface"):
-        RoundedPolyhedron(mesh.vertices, mesh.faces[:-1], 0.01)
-    with pytest.raises(ValueError, match="radius"):
-        RoundedPolyhedron(mesh.vertices, mesh.faces, -0.01)
-
-
 @pytest.mark.trust
 def test_contacts_end_only_where_the_straight_rod_is_clear():
     """A thin rod past a cube, with friction: rods that have just touched are nearly straight, too, but do not lift off."""

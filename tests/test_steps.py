@@ -1,6 +1,5 @@
 """The public steps take paths where they take meshes and recordings, and give what they give for what was read."""
 
-import inspect
 import typing
 
 import numpy as np
@@ -69,37 +68,7 @@ def test_surfaces_state_their_unit():
     assert scan3d.surface(cloud, "hull").units == "in"
 
 
-def test_a_plot_takes_the_truth_by_its_path(monkeypatch):
-    result = scan3d.scan(CUBE, slices=4, sweeps=4, samples=8, method="hull")
-    shown = []
-    monkeypatch.setattr("scan3d.pictures.notebook.scene_image", lambda scene, *_, **__: shown.append(scene))
-    result.plot(str(CUBE))
-    assert np.array_equal(shown[0].truth.vertices, result.analysis.truth.vertices)
-
-
 # --- help ---
-
-
-def described(text):
-    """The descriptions of parameters in a docstring, by name."""
-    found, name = {}, None
-    for line in text.splitlines():
-        if line and not line.startswith(" "):
-            name = line if line.isidentifier() else None
-        elif name:
-            found[name] = found.get(name, "") + line
-    return found
-
-
-def test_the_help_of_a_plan_has_every_parameter_and_choice():
-    descriptions = described(inspect.getdoc(scan3d.Plan))
-    parameters = inspect.signature(scan3d.Plan).parameters
-    assert list(descriptions) == list(parameters)
-    hints = typing.get_type_hints(scan3d.Plan)
-    chosen = {name: typing.get_args(hint) for name, hint in hints.items() if typing.get_origin(hint) is typing.Literal}
-    assert set(chosen) == {"model", "spacing", "unit"}
-    for name, values in chosen.items():
-        assert all(f"``{value}``" in descriptions[name] for value in values), name
 
 
 def test_the_types_of_choices_are_those_of_the_lists():

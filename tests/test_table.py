@@ -190,23 +190,6 @@ def test_the_commands_know_the_table(logs, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_table_above_the_contacts_withdraws_the_certificate(logs, tmp_path, capsys):
-    folder, _ = logs
-    run = ["reconstruct", str(folder / "log.csv"), "--out", str(tmp_path), "--table", "20", "--strict"]
-    assert main(run) == 1
-    assert "where the table is at 20 mm; move the frame of the poses" in capsys.readouterr().err
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["certificate"]["bound"] is None
-    assert report["diagnosis"]["fault"] == "table"
-
-
-def test_a_body_left_where_it_is_stands_on_no_table(logs, tmp_path):
-    folder, poses = logs
-    assert main([*poses, "--as-is", "--out", str(tmp_path / "log.csv")]) == 0
-    assert scan3d.read_recording(tmp_path / "log.csv").table_m is None
-
-
-@pytest.mark.slow
 def test_a_map_states_the_table(logs, tmp_path):
     folder, poses = logs
     (tmp_path / "faults.toml").write_text("rate_hz = 50\n[noise]\nfraction = 1e-4\n")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from scan3d import InputError
 from scan3d.workers import Workers
 
 
@@ -28,12 +27,6 @@ def gone(pid):
     while is_alive(pid) and time.monotonic() < end:
         time.sleep(0.05)
     return not is_alive(pid)
-
-
-@pytest.mark.parametrize("jobs", [0, True, 1.0, "2", None])
-def test_the_number_of_workers_is_at_least_one(jobs):
-    with pytest.raises(InputError, match=r"jobs must be a whole number of at least 1, got"):
-        Workers(jobs)
 
 
 @pytest.mark.parametrize(("stated", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
