@@ -24,7 +24,7 @@ _POINTS = 60
 # Travel of the tip, in steps of the base, beyond which the rod has snapped.
 _SNAPPED = 5.0
 # Groups of parts of areas by their size.
-_SIZES = 4
+_SIZES = 16
 # Pairs of points and edges at once, which limits the memory.
 _PAIRS = 2_000_000
 
@@ -75,8 +75,12 @@ class FreeSpace:
                 row = np.fromiter(chain.from_iterable(around), np.intp, len(owner))
                 inside = (np.abs(points[row] - middle[owner]) <= half[owner]).all(axis=1)
                 row, owner = row[inside], owner[inside]
-                inside = _winds(corners[:, owner] - points[row])
-                pairs.append(row[inside] * len(self.loops) + owner[inside] // (count - 1))
+                quads = corners[:, owner] - points[row]
+                inside = _winds(quads)
+                row, owner, quads = row[inside], owner[inside] // (count - 1), quads[:, inside]
+                # next to either of the rods nothing is claimed
+                inside = _from_edges(quads[[0, 3]], quads[[1, 2]]) > self.margin[owner]
+                pairs.append(row[inside] * len(self.loops) + owner[inside])
         both: Index = np.unique(np.concatenate(pairs))
         return both // len(self.loops), both % len(self.loops)
 
@@ -95,10 +99,16 @@ def _depths(points: Array, loops: Array) -> Array:
     following = np.roll(offset, -1, axis=1)
     cross = offset[..., 0] * following[..., 1] - offset[..., 1] * following[..., 0]
     turned = np.arctan2(cross, (offset * following).sum(axis=2)).sum(axis=1)
-    edge = following - offset
-    share = np.clip(-(offset * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=2), 1e-300), 0, 1)
-    border = np.hypot(*(offset + share[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
+    border = _from_edges(offset.swapaxes(0, 1), following.swapaxes(0, 1))
     return np.where(np.abs(turned) > np.pi, border, -1.0)
+
+
+def _from_edges(start: Array, end: Array) -> Array:
+    """Distance (n,) of the origin from the nearest of the edges (k, n, 2)."""
+    edge = end - start
+    share = np.clip(-(start * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=2), 1e-300), 0, 1)
+    x, y = (start + share[..., None] * edge).transpose(2, 0, 1)
+    return np.asarray(np.sqrt((x**2 + y**2).min(axis=0)))
 
 
 def free_space(

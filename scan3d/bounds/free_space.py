@@ -69,6 +69,11 @@ class Sheets:
     solid: Mask
     """(s, ny, nx) whether it may be of the body: not free, and in the hull of the slice's contacts."""
 
+    @property
+    def apart(self) -> float:
+        """Median distance of neighbouring planes; infinite for a single one."""
+        return float(np.median(np.diff(self.height))) if len(self.height) > 1 else np.inf
+
     @cached_property
     def depth(self) -> NDArray[np.float32]:
         """(s, ny, nx) distance from the border of what may be of the body, positive outside, in the plane."""
@@ -87,10 +92,9 @@ class Sheets:
                 (place[:, 0] - self.origin[0]) / self.cell,
             ]
         )
-        apart = float(np.median(np.diff(self.height))) if len(self.height) > 1 else np.inf
         found, distance = (
             ndimage.map_coordinates(depth, index, order=1, mode="nearest")
-            for depth in (np.clip(self.depth, -apart, apart), np.abs(self.depth))
+            for depth in (np.clip(self.depth, -self.apart, self.apart), np.abs(self.depth))
         )
         return found, distance
 

@@ -12,6 +12,7 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
+from scan3d.bounds.free_space import contradicted, sheets_of
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body, check_convex, is_convex
@@ -32,6 +33,7 @@ from scan3d.planning.plan import (
     positions,
 )
 from scan3d.planning.several_axes import first_heights_together, next_slices
+from scan3d.planning.stretches import Aim, aimed_line, aims
 from scan3d.processes import check_memory
 from scan3d.reconstruction.contacts import GrowingContacts, contacts
 from scan3d.recording import Recording
@@ -123,6 +125,8 @@ def simulate_judged(mesh: Any, plan: Plan, progress: Progress | None = None) -> 
             report(len(scan.heights))
         if plan.spacing == "adaptive":
             _adapt(scan, rod, report)
+        if not convex and plan.sweeps is None:
+            _aim(scan, rod)
     return recording_of(scans, rod)
 
 
@@ -193,6 +197,19 @@ def _adapt(scan: AxisScan, rod: Rod, report: Callable[[int], None], others: Sequ
         scan.scan(heights)
         _check_sweeps(scan, scan.plan.samples)
         report(len(scan.heights))
+
+
+def _aim(scan: AxisScan, rod: Rod) -> None:
+    """Sweep slices of a body that is not convex again, at the widest stretches of their contours that no contact supports."""
+    for _ in range(_ROUNDS):
+        recording = recording_of([scan], rod)
+        try:
+            cloud = contacts(recording)
+            sheets = sheets_of(recording, cloud)
+        except InputError:  # too few contacts to say where others are needed
+            return
+        scan.sweep_at(aims(sheets, cloud.select(~contradicted(sheets, cloud))))
+        _check_sweeps(scan, scan.plan.samples)
 
 
 def _refine(scan: AxisScan, rod: Rod, wanted: float, finest: int) -> bool:
@@ -327,6 +344,16 @@ class AxisScan:
         further = self._sweep({i: self._lines(i, self._open_directions(done[i], i, limit)) for i in done}, done)
         self.swept += further
         return bool(further)
+
+    def sweep_at(self, aimed: list[Aim]) -> None:
+        """Sweep slices again, from base lines from which the rod's end reaches as far as is aimed at."""
+        slices = self._nearest(np.array([aim.height for aim in aimed])) if aimed else []
+        done = {i: [swept for swept in self.swept if swept.slice == i] for i in slices}
+        lines: dict[int, list[BaseLine]] = {i: [] for i in slices}
+        for aim in aimed:
+            (i,) = self._nearest(np.array([aim.height]))
+            lines[i].append(aimed_line(aim, self.outline(i), self.length, self.plan.clearance * self.length))
+        self.swept += self._sweep(lines, done)
 
     def _nearest(self, heights: Array) -> list[int]:
         """The numbers of the slices at some heights, each once."""

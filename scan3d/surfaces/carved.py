@@ -90,15 +90,10 @@ def carved(recording: Recording, cloud: Cloud) -> Carved:
     points[: len(cloud)] = cloud.points
     vertices, faces = _refined(points, faces, 2 * spacing)
     surface = _mesh(vertices, faces)
-    known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, _gap(sheets))
+    apart = max((sheet.apart for sheet in sheets if len(sheet.height) > 1), default=0.0)
+    known = _classes(surface.vertices.view(np.ndarray), cloud.points, unreached, spacing, apart)
     surface.vertex_attributes["known"] = known
     return Carved(surface, known, float(contours.distance.max(initial=0.0)), _coverage(surface, known))
-
-
-def _gap(sheets: list[Sheets]) -> float:
-    """The largest of the axes' median distances between planes."""
-    gaps = [float(np.median(np.diff(sheet.height))) for sheet in sheets if len(sheet.height) > 1]
-    return max(gaps, default=0.0)
 
 
 def _unreached(contours: Contours, sheets: list[Sheets], spacing: float) -> Array:
