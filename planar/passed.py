@@ -119,8 +119,8 @@ def free_space(
     single
         (n,) whether a rod is known to touch at one place only, or nowhere (NaN reactions count as none).
     bulge
-        by how much, in rod lengths, the path of the tip may leave its chord in each step (n - 1,).  None: a quarter of the
-        second differences of the tip's places, which is the sagitta of smooth travel.
+        by how much, in rod lengths, the path of the tip may leave its chord in each step (n - 1,).  None: half of the second
+        differences of the tip's places, by which a path that turns once in a step leaves it; smooth travel by an eighth.
     """
     base, fx, fy, moment = (np.nan_to_num(np.asarray(column, dtype=float)) for column in (x0, f0x, f0y, m0z))
     lines = elastic_lines(base, fx, fy, moment, _POINTS)
@@ -130,7 +130,7 @@ def free_space(
     if bulge is None:
         second = np.zeros(len(tip))
         second[1:-1] = np.hypot(*np.diff(tip, 2, axis=0).T)
-        sagitta = np.maximum(second[1:], second[:-1]) / 4
+        sagitta = np.maximum(second[1:], second[:-1]) / 2
     else:
         sagitta = np.asarray(bulge, dtype=float)
     # the rods are drawn by chords, whose sagitta is κ h²/8; the largest curvature is that at the clamp

@@ -129,6 +129,8 @@ class Cloud(Shown, Exported):
     """Whether the body counts as convex: unless its recording states that it is not, and its contacts accord with that."""
     second: int = 0
     """Number of rows with a force of which no contact is known, because the rod touched at a second place as well."""
+    recovered: NDArray[np.bool_] | None = None
+    """(n,) whether the contact is the second one of its rod, at the tip, whose first one is at a known corner."""
     left_out: LeftOut | None = None
     """Rows of the recording that contradict the rest, and were left out; None if there are none."""
     pose_error: float = 0.0
@@ -212,7 +214,7 @@ class Cloud(Shown, Exported):
 
     def select(self, rows: Mask | Index) -> Cloud:
         """A cloud of some of the contacts, selected by (n,) booleans or by indices; slices, fit and settings stay the same."""
-        columns = {name: getattr(self, name) for name in _PER_CONTACT}
+        columns = {name: getattr(self, name) for name in PER_CONTACT}
         selected = {name: column[rows] for name, column in columns.items() if column is not None}
         calibration = None if self.calibration is None else self.calibration.select(rows)
         fattened = None if self.fattened is None else self.fattened.select(rows)
@@ -242,7 +244,7 @@ class Cloud(Shown, Exported):
         return rows
 
 
-_PER_CONTACT = (
+PER_CONTACT = (
     "points",
     "normals",
     "normal_source",
@@ -253,6 +255,7 @@ _PER_CONTACT = (
     "row",
     "force_N",
     "friction",
+    "recovered",
     "covariance",
     "place_sd",
     "normal_sd",

@@ -11,6 +11,7 @@ import trimesh
 from shapes import box, letter_l
 
 import scan3d
+from scan3d.bounds.free_space import rods_of
 from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.geometry.convexity import is_convex, runs_both_ways
 from scan3d.geometry.distance import nearest
@@ -101,6 +102,20 @@ def test_contacts_lie_on_a_body_that_is_not_convex(scanned):
     assert counts["hidden_second_contacts"] <= wrong.sum()
     assert counts["unresolved"] == 0
     assert not result.cloud.convex
+
+
+def test_second_contacts_are_found_by_friction_and_recovered_at_known_corners():
+    """All contacts lie on the body then, and the rods of those that were recovered prove no free space."""
+    mesh = letter_l()
+    recording = scan3d.simulate(mesh, scan3d.Plan(slices=2, friction=0.3))
+    cloud = scan3d.reconstruct(recording)
+    assert np.abs(nearest(cloud.points, mesh)[0]).max() < 1e-9 * cloud.rod_length
+    assert cloud.recovered.sum() >= 3
+    assert np.isnan(cloud.friction[cloud.recovered]).all()
+    assert (np.diff(cloud.row) > 0).all()
+    assert cloud.second > 0
+    # no step to or from one of these rods counts
+    assert not rods_of(recording, cloud).on[cloud.row[cloud.recovered]].any()
 
 
 def test_the_report_of_a_body_that_is_not_convex(scanned):

@@ -156,7 +156,7 @@ def sheets_of(recording: Recording, cloud: Cloud, beyond: float = 0.0) -> list[S
     bent = recording.rod.in_plane()
     if not (bent is None or bent.is_straight_and_uniform):
         raise InputError("free space is known of rods that are straight, uniform and weightless only")
-    rods = _rods(recording, cloud)
+    rods = rods_of(recording, cloud)
     left = np.ones(len(cloud.slice_height), dtype=bool)
     found = []
     cell = spacing_of(cloud) / _CELLS
@@ -187,12 +187,13 @@ class _Rods(NamedTuple):
     """(n,) by how much the path of the end may leave its chord in that step."""
 
 
-def _rods(recording: Recording, cloud: Cloud) -> _Rods:
+def rods_of(recording: Recording, cloud: Cloud) -> _Rods:
+    """The rods of the rows whose contact is their only one, and of those without force."""
     rod, unit = recording.rod, UNITS_M[recording.unit]
     force, noise = recording.force_N / rod.force_unit_N, recording.noise.of_reactions(rod)
     is_felt = felt(force, noise)
     known = ~is_felt
-    known[cloud.row] = True
+    known[cloud.row if cloud.recovered is None else cloud.row[~cloud.recovered]] = True
     zero = np.zeros(len(force))
     fx, fy = np.where(is_felt[:, None], force, 0.0).T
     lines = planar.elastic_lines(

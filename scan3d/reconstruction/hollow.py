@@ -1,5 +1,8 @@
 """Contacts of bodies that are not convex: which ones are none, because the rod touched at a second place as well.
 
+Where exact sweeps have turned about a corner, rods that pass it touch it first; with a constant friction what their tip touches
+is known then as well (C12), often the ground of a bay that no rod reaches otherwise.
+
 A recording states that its body is not convex.  Without the statement a contact beyond the tangent at another one, or inside
 the hull of the others, contradicts the model: a rod that is a tenth too long, or a sensor that is turned, gives contacts as a
 hollow body does.  No contact lies inside what the other sweeps have passed, whatever the body's shape (C14), unless the rod,
@@ -9,13 +12,14 @@ the sensor or the poses are not as stated; then much of what one sweep touches a
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 import planar
 from scan3d.arrays import Array, Index, Mask
-from scan3d.cloud import Cloud, NormalSource
+from scan3d.cloud import PER_CONTACT, Cloud, NormalSource
 from scan3d.reconstruction.errors import felt
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
@@ -38,7 +42,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     if recording.source.get("convex") is not False:
         return cloud
     rows = _Rows(cloud, recording)
-    refused = rows.refused()
+    friction = rows.friction()
+    refused = rows.refused(friction)
     # at first rods with a second contact that only the others show are among those that pass
     passed = rows.passed(refused, rows.passed(refused, np.zeros_like(refused)))
     kept = (rows.touching & ~(refused | passed))[cloud.row]
@@ -46,6 +51,8 @@ def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
     if passed.sum() > _SECOND * len(cloud) or 2 * kept.sum() < rows.pressed.sum():
         return cloud
     single = cloud.select(kept)
+    if cloud.covariance is None and np.isfinite(friction):
+        single = rows.with_recovered(single, recording, friction)
     normals = _estimated_normals(single)
     known = np.isfinite(normals[:, 0])
     source = np.where(known, NormalSource.SLICES, NormalSource.UNKNOWN).astype(np.int8)
@@ -79,10 +86,13 @@ class _Rows:
         apart = np.abs(self.axes[first, 2][:, None] - cloud.slice_axis).max(axis=2) * cloud.rod_length
         self.slice = (apart + np.abs(height[:, None] - cloud.slice_height)).argmin(axis=1)
 
-    def refused(self) -> Mask:
-        """(n,) contacts that are not those of single ones by friction and path."""
+    def friction(self) -> float:
+        """The coefficient that the contacts agree on; NaN where they do not."""
         rows = np.flatnonzero(self.touching)
-        friction = np.tan(planar.constant_friction_angle(_of(self.found, rows), _of_errors(self.errors, rows)))
+        return float(np.tan(planar.constant_friction_angle(_of(self.found, rows), _of_errors(self.errors, rows))))
+
+    def refused(self, friction: float) -> Mask:
+        """(n,) contacts that are not those of single ones by friction and path."""
         refused = np.zeros(len(self.touching), dtype=bool)
         for sweep in self.sweeps:
             rows = sweep[self.touching[sweep]]
@@ -111,6 +121,49 @@ class _Rows:
                 depth = replace(free, loops=loops).depth(points[apart])
                 found[rows[apart]] |= depth > _DEVIATIONS * self.errors.largest[rows[apart]]
         return found
+
+    def with_recovered(self, single: Cloud, recording: Recording, friction: float) -> Cloud:
+        """The single contacts and those of rods that touch a known corner, and with their tip another place, in addition."""
+        touched = single.row[single.phase == planar.Phase.TANGENTIAL]
+        asked = self.pressed.copy()
+        asked[single.row] = False
+        first, slice_of = np.full(len(asked), np.nan), np.zeros(len(asked), dtype=np.int32)
+        for number, sweep in zip(self.slice, self.sweeps, strict=True):
+            slice_of[sweep] = number
+        for number in np.unique(slice_of[asked]):
+            plane = self.axes[np.argmax(slice_of == number), :2]
+            around = touched[slice_of[touched] == number]
+            corners = planar.corners(self._in_plane(self.found.point[around], around, plane))
+            for sweep in (self.sweeps[k] for k in np.flatnonzero(self.slice == number)):
+                known = corners @ (self.axes[sweep[0], :2] @ plane.T).T - [0.0, self.above[sweep[0]]]
+                x0, fx, fy, moment = (column[sweep] for column in self.columns)
+                at = planar.first_contacts(x0, fx, fy, moment, self.found.s1[sweep], known)
+                first[sweep] = np.where(asked[sweep], at, np.nan)
+        tips = planar.recover(*self.columns, first=first, friction=friction)
+        rows = np.flatnonzero(np.isfinite(tips.force))
+        place = np.stack([tips.point[rows, 0] - self.columns[0][rows], tips.point[rows, 1]], axis=1)
+        normal = np.stack([np.sin(tips.slope[rows]), -np.cos(tips.slope[rows])], axis=1)
+        in_world = np.einsum("kni,nij->knj", np.stack([recording.rod.length_m * place, normal]), self.axes[rows, :2])
+        # as many contacts, to be changed to those
+        added = single.select(np.zeros(len(rows), dtype=np.intp))
+        added = replace(
+            added,
+            points=(recording.position_m[rows] + in_world[0]) / UNITS_M[recording.unit],
+            in_plane_normals=in_world[1],
+            phase=np.full_like(added.phase, planar.Phase.TIP),
+            slice=slice_of[rows],
+            sweep=recording.sweep[rows].astype(np.int32),
+            row=rows.astype(np.int32),
+            force_N=tips.force[rows] * recording.rod.force_unit_N,
+            friction=np.full(len(rows), np.nan),
+        )
+        order = np.argsort(np.concatenate([single.row, added.row]), kind="stable")
+        joined: dict[str, Any] = {
+            column: np.concatenate([getattr(single, column), getattr(added, column)])[order]
+            for column in PER_CONTACT
+            if getattr(single, column) is not None
+        }
+        return replace(single, **joined, recovered=order >= len(single))
 
     def _in_plane(self, points: Array, rows: Index, plane: Array) -> Array:
         """Points of the clamps' frames at some rows, in the axes (2, 3) of a slice's plane."""

@@ -194,7 +194,7 @@ def main() -> None:
             print(f"{name:12} refused: {error}", flush=True)
             continue
         off = np.abs(nearest(cloud.points, mesh)[0])
-        wrong = off > EXACT * cloud.rod_length + 5 * np.nan_to_num(cloud.place_sd, posinf=np.inf)
+        wrong = off > EXACT * cloud.rod_length + 5 * (0.0 if cloud.place_sd is None else cloud.place_sd)
         took, count = time.process_time() - begin, max(len(cloud), 1)
         print(
             f"{name:12} {len(mesh.faces):6d} {len(cloud):9d} {cloud.second:7d} {recording.source['unresolved']:11d} "
