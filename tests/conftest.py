@@ -109,6 +109,16 @@ def folder(tmp_path_factory):
     return scanned_folder(tmp_path_factory.mktemp("egg"))
 
 
+@pytest.fixture(scope="module")
+def few_samples():
+    """Fewer points for the averages of comparisons, which take most of their time on small meshes."""
+    from scan3d import comparison
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "SOME", 1000)
+        yield
+
+
 @pytest.fixture
 def read_ply():
     """A reader of binary PLY of the tests' own: (vertices as a structured array, faces (m, 3) or None, comments)."""

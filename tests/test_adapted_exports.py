@@ -276,6 +276,3 @@ def test_the_command_passes_its_options_on(folder, tmp_path, capsys):
     rows, _, comments = read_ply(tmp_path / "a.ply")
     assert {"red", "quality", "bound"} <= set(rows.dtype.names)
     assert "unit m" in comments
-
-
-# --- every mesh, read with the defaults of every program ---

@@ -272,17 +272,8 @@ def test_a_rod_in_a_plane_has_fewer_parameters(noise, tip):
     assert len(scan3d.reconstruct(corrected)) > 300
 
 
-def shaken(recording, normal, sag):
-    """The touches of a table that sags by so much per square of the distance from the middle of the strokes."""
-    inner = references.turned().inv().apply(recording.position_m - rigs.CENTRE)
-    height = sag * (inner[:, :2] ** 2).sum(axis=1)
-    return dataclasses.replace(recording, position_m=recording.position_m + height[:, None] * normal)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "case", ["diameter", "planar", *(pytest.param(case, marks=pytest.mark.trust) for case in ("facets", "sag"))]
-)
+@pytest.mark.parametrize("case", ["diameter", "planar", pytest.param("facets", marks=pytest.mark.trust)])
 def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case):
     touched, raster, sentence = rigs.DIAMETER, {}, "a reference that is no sphere, such as one of facets"
     if case == "facets":
@@ -290,12 +281,8 @@ def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case)
         recording = rigs.recorded(**raster)
     elif case == "planar":
         recording, sentence = rigs.planar_model_recorded(), "forces lie in one plane, of a planar model"
-    elif case == "diameter":
-        recording, touched, sentence = rigs.recorded(), 0.031, "The likeliest cause is the diameter: one of"
     else:
-        recording, touched = recorded("plane")
-        recording = shaken(recording, references.turned().as_matrix()[:, 2], 2.0)
-        sentence = "a reference that is not flat"
+        recording, touched, sentence = rigs.recorded(), 0.031, "The likeliest cause is the diameter: one of"
     found = scan3d.calibrate(recording, touched)
     assert not np.array(found.well)[of_rig(found)].any()
     assert sentence in found.sentences[-1]
@@ -320,26 +307,6 @@ def test_gains_and_cross_talk_of_the_sensor_are_part_of_the_uncertainties(kind):
     assert found.standard_deviations[0] > 0.002 * found.rod.bending_stiffness_Nm2
     contradiction = next(sentence for sentence in found.sentences if "contradict a single force by" in sentence)
     assert "the noise in the air is" in contradiction
-
-
-@pytest.mark.trust
-@pytest.mark.parametrize("kind", ["sphere", "plane"])
-def test_intervals_hold_for_sensors_whose_channels_mix(kind):
-    holds = []
-    for seed in range(40):
-        random = np.random.default_rng(seed)
-        truth = rigs.Truth(
-            mixing=0.01,
-            clamp=tuple(0.001 * random.normal(size=3)),
-            sensor=tuple(0.005 * random.normal(size=3) - [0, 0.015, 0]),
-            sensor_turn=tuple(random.uniform(-60, 60, 3)),
-        )
-        raster = SHORT if kind == "sphere" else {}
-        recording, touched = recorded(kind, truth, seed, **raster)
-        found = scan3d.calibrate(recording, touched)
-        error = np.abs(errors(found, recording, kind, truth, **raster))
-        holds.append((error < 1.96 * found.standard_deviations)[of_rig(found)])
-    assert 0.9 <= np.mean(np.concatenate(holds)) <= 0.98
 
 
 @pytest.mark.slow

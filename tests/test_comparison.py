@@ -14,13 +14,7 @@ from scan3d.comparison import compare, compare_all
 from scan3d.errors import InputError
 from scan3d.geometry.distance import distances
 
-
-@pytest.fixture(scope="module", autouse=True)
-def few_samples():
-    """Fewer points for the averages, which take most of the time on small meshes, in tests of other quantities."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "SOME", 1000)
-        yield
+pytestmark = pytest.mark.usefixtures("few_samples")
 
 
 @pytest.fixture

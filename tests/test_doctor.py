@@ -119,6 +119,14 @@ def test_missing_system_libraries(monkeypatch, platform, known):
     assert ("apt-get" in stdout) == known
 
 
+def test_the_error_of_a_child_process():
+    assert doctor._error_of("") is None
+    assert doctor._error_of("raise OSError('no luck')") == "OSError: no luck"
+    assert doctor._error_of("import sys; sys.exit(3)") == "exit code 3"
+    if sys.platform != "win32":
+        assert doctor._error_of("import os; os.kill(os.getpid(), 9)") == "killed by signal 9"
+
+
 def test_it_runs_where_nothing_can_be_imported():
     # as in a fresh checkout without its packages, where the doctor is needed most
     code = "import sys\nfor name in ('numpy', 'scipy', 'trimesh', 'pyvista'): sys.modules[name] = None\n"

@@ -15,17 +15,10 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import directed_hausdorff
 from shapes import PAIRS, angle_bracket, cube, dented, inscribed_radius, moved, pinhole, polytope, quad, rotation
 
-from scan3d import comparison
 from scan3d.comparison import compare
 from scan3d.geometry.hausdorff import one_sided_distances, prepare
 
-
-@pytest.fixture(scope="module", autouse=True)
-def few_samples():
-    """Fewer points for the averages, which take most of the time on small meshes and are not tested here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "SOME", 1000)
-        yield
+pytestmark = pytest.mark.usefixtures("few_samples")
 
 
 @pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)

@@ -162,20 +162,6 @@ def test_any_map_and_its_inverse(
         assert np.abs(six(found.recording) - truth)[:, part].max() < 1e-11 * np.abs(truth[:, part]).max()
 
 
-def test_a_table_as_parquet_gives_the_same_recording(tmp_path, planar):
-    columns, data = table(track(planar), EXACT), map_of(planar.rod, EXACT)
-    write(tmp_path / "raw.csv", columns)
-    (tmp_path / "raw.parquet").write_bytes(parquet_bytes(columns))
-    one, other = (scan3d.import_table(tmp_path / f"raw.{ending}", data) for ending in ("csv", "parquet"))
-    assert one.force_N.tobytes() == other.force_N.tobytes()
-    assert one.position_m.tobytes() == other.position_m.tobytes()
-    data["columns"]["force"] = ["Fw", "Fy", "Fz"]
-    with pytest.raises(
-        InputError, match=r"raw\.parquet has no column 'Fw', which \[columns\] force of the map names; it has t, x"
-    ):
-        scan3d.import_table(tmp_path / "raw.parquet", data)
-
-
 def write_sheet(path, columns):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
@@ -204,6 +190,7 @@ def write_arrays(path, columns):
 
 
 FILES_OF_ARRAYS = {
+    "raw.parquet": (lambda path, columns: path.write_bytes(parquet_bytes(columns)), {}),
     "raw.xlsx": (write_sheet, {}),
     "raw.h5": (write_hdf5, dict.fromkeys("xyzabct", "run/{}") | {f"{v}{k}": "run/{}" for v in "FT" for k in "xyz"}),
     **{

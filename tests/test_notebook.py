@@ -10,13 +10,14 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from image_checks import fraction_of_color
 from PIL import Image
 from small_scans import CUBE, EGG, scanned, scanned_in_space
 
 import planar
 import scan3d
 from scan3d.numbers import number
-from scan3d.pictures import charts, rendering
+from scan3d.pictures import charts, parts, rendering
 
 
 @pytest.fixture(scope="module")
@@ -228,6 +229,34 @@ def test_reactions_and_distances_need_no_renderer(recording, comparison, no_pict
     # with a certified upper bound of twice the value the bar has half the length, and a line continues it
     half = np.asarray(replace(comparison, upper=2 * comparison.hausdorff).plot()).astype(int)[70]
     assert (np.abs(half - [27, 108, 168]).max(axis=1) < 10).sum() == pytest.approx(blue.sum() / 2, rel=0.02)
+
+
+@pytest.mark.rendering
+def test_clouds_of_a_few_contacts(cloud):
+    for count in (1, 2):
+        image = np.asarray(cloud.select(np.arange(count)).plot(color="phase", dpi=50))[:, :235]
+        seen = [fraction_of_color(image, color, 60) for color in (parts.TIP, parts.TANGENTIAL)]
+        assert 0 < max(seen) < 0.1
+
+
+def test_what_can_not_be_plotted(recording, cloud, surface, comparison, monkeypatch):
+    monkeypatch.setattr(rendering, "can_render", lambda: True)  # it is refused before anything is drawn
+    mesh = scanned(CUBE).truth
+    for what, options, sentence in (
+        ([1, 2], {}, r"only a recording, a cloud, a surface \(trimesh.Trimesh\) or a comparison .*, got a list"),
+        (surface, dict(unit="ell"), "unit must be one of m, cm, mm, um, in, got 'ell'"),
+        (surface, dict(view="cloud"), "the surface has no contacts"),
+        (cloud, dict(color="error"), "the error of the contacts of the cloud is not known"),
+        (cloud, dict(view="explain"), "the cloud has no recording, which rods are drawn from"),
+        (surface, dict(truth=CUBE), "truth must be a trimesh.Trimesh.*load_mesh.*got a \\w+Path"),
+        (surface, dict(against=str(EGG)), r"against must be a trimesh\.Trimesh"),
+        (surface, dict(against=mesh, view="bound"), "surfaces are compared in the views surface, compare or histogram"),
+        (recording, dict(path="a.jpg"), r"a picture is written as \.png, \.pdf or \.svg, got 'a\.jpg'"),
+        (recording, dict(camera="top"), "the view forces shows no body, so that it has no camera"),
+        (comparison, dict(camera="top"), "a comparison shows no body, so that it has no camera"),
+    ):
+        with pytest.raises(scan3d.InputError, match=sentence):
+            scan3d.plot(what, **options)
 
 
 # --- in child processes ---

@@ -3,7 +3,6 @@
 import json
 import re
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -526,57 +525,3 @@ def test_nothing_leaves_the_window(tab):
                            " return r.left >= d.left && r.right <= d.right && r.bottom <= d.bottom; })")  # fmt: skip
     finally:
         tab("Emulation.setDeviceMetricsOverride", width=WIDTH, height=HEIGHT, deviceScaleFactor=1, mobile=False)
-
-
-# --- a hundred thousand contacts ---
-
-
-def many(scene, count):
-    """The scene with at least so many contacts: its recording and its contacts repeated, sweep after sweep."""
-    recording, contacts = scene.recording, scene.contacts
-    times = -(-count // len(contacts))
-    repeat = np.arange(times)
-    tiled = {name: np.concatenate([getattr(recording, name)] * times)
-             for name in ("position_m", "quaternion", "force_N", "moment_Nm")}  # fmt: skip
-    sweep = (recording.sweep + (recording.sweep.max() + 1) * repeat[:, None]).ravel()
-    rows = np.tile(contacts, times)
-    rows["row"] = (contacts["row"] + len(recording) * repeat[:, None]).ravel()
-    rows["sweep"] = sweep[rows["row"]]
-    # apart from each other on the screen
-    rows["z"] *= 1 - 0.1 * np.random.default_rng(0).random(len(rows))
-    return replace(scene, contacts=rows, recording=replace(recording, sweep=sweep, **tiled))
-
-
-@pytest.mark.trust
-def test_a_hundred_thousand_contacts(shows, cube):
-    """Links work as with few; and pictures in motion are made in the time of 30 in a second, even by software."""
-    scene = many(cube, 100_000)
-    tab = shows(scene)
-    assert tab.run("contacts.points.length / 3") == len(scene.contacts) >= 100_000
-    press(tab, "#charts")
-    tab.picture()
-    contact, x, y = front_contacts(tab)[0]
-    tab.click(x, y)
-    assert tab.run("player.contactOf[player.sample]") == contact
-    text = tab.run("buildRod() || now.textContent")
-    assert reactions_in(text) == pytest.approx(of_contact(scene, contact), rel=6e-3, abs=1e-12)
-    counts = tab.run("[...document.querySelectorAll('.legend')][1].innerText")
-    assert sum(int(count) for count in re.findall(r": (\d+) \(", counts)) == len(scene.contacts)
-    # a picture is opaque
-    pixels = "(c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data)(picture())"
-    assert tab.run(f"{pixels}.every((value, k) => k % 4 < 3 || value === 255)")
-    # the fastest, as the machine may be busy
-    moving = """(() => { const times = [], pixel = new Uint8Array(4);
-      for (let k = 0; k < 40; k++) {
-        const before = performance.now();
-        eye.azimuth += 0.05; draw(levels.length - 1);
-        gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
-        times.push(performance.now() - before);
-      }
-      return Math.min(...times); })()"""
-    assert tab.run(moving) < 1000 / 30
-    # and where they come late, the page changes to these by itself, and back when it is still
-    tab.run("pace.level = 1; redraw()")
-    wait_for(tab, "canvas.width < innerWidth")
-    wait_for(tab, "canvas.width === innerWidth")
-    assert tab.complaints() == []

@@ -13,6 +13,7 @@ import scan3d
 from scan3d.cli import main
 from scan3d.files.text import to_json
 from scan3d.pictures import rendering
+from scan3d.settings import settings
 
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 """Those of `FEW`, as keywords."""
@@ -110,6 +111,11 @@ def test_scan_writes_nothing_unless_asked_to(tmp_path, monkeypatch, capfd):
     assert result.report["settings"]["friction"] == "0.1:0.3"
     assert result.report["friction"]["set"] == "0.1:0.3"
     assert set(result.report["timings_s"]) >= {"load", "simulate", "reconstruct", "compare"}
+
+
+def test_numbers_of_numpy_are_settings():
+    given = settings({"slices": np.int64(4), "friction": np.array([0.1, 0.25]), "axis": [0, 0, 1]})
+    assert (given.slices, given.friction, given.axis) == (4, "0.1:0.25", "0,0,1")
 
 
 # --- meshes of a program ---
@@ -221,6 +227,10 @@ def test_a_report_of_an_earlier_version_has_no_comparison_and_an_unknown_bound_i
     (copy / "report.json").write_text(json.dumps(report))
     with pytest.raises(scan3d.InputError, match=r"does not hold the comparison with the mesh: an earlier version"):
         _ = scan3d.open(copy).comparison
+
+
+def test_the_table_without_a_renderer_says_why(made):
+    assert rendering.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
 
 
 # --- pictures ---

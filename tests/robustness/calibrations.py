@@ -1,6 +1,6 @@
 """Rigs that touch a reference, each seed with other noise: do the stated intervals of a calibration hold?
 
-    python -m tests.robustness.calibrations [--reference sphere] [--count 200] [--first 0] [--samples 120] [--pink 0.5]
+    python -m tests.robustness.calibrations [--reference sphere] [--count 200] [--first 0] [--mixing 0.01] [--pink 0.5]
 
 The rig is that of `tests.rigs.Truth`: 30 sweeps, force noise of 0.2 % of the largest force, a sensor turned by 30° and 20 mm
 away, a bias of 5 % and a drift of 1 %, pose jitter of 20 µm.
@@ -30,8 +30,9 @@ def main() -> int:
     parser.add_argument(
         "--pink", type=float, default=0.0, help="fraction of the noise's variance that is 1/f (default 0)"
     )
+    parser.add_argument("--mixing", type=float, default=0.0, help="of the sensor's channels, such as 0.01 (default 0)")
     arguments = parser.parse_args()
-    truth, deviations, errors, warned = rigs.Truth(), [], [], 0
+    truth, deviations, errors, warned = rigs.Truth(mixing=arguments.mixing), [], [], 0
     touched, motion, reference = references.of(arguments.reference, truth)
     start = time.process_time()
     for seed in range(arguments.first, arguments.first + arguments.count):
