@@ -4,13 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from sample_bodies import scanned
 
-from scan3d.geometry.distance import signed_distances
-from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.slices import Slice, SliceStack
-from scan3d.surfaces import enclosure
-from scan3d.surfaces.between import _local, between, contours_between, room
+from scan3d.surfaces.between import _local, contours_between
 
 
 def stack_of(heights, support):
@@ -85,21 +81,3 @@ def test_the_contours_between_slices_are_the_bodys(profile, heights):
         assert radius[member == k].min() == pytest.approx(profile(z), rel=1e-9)
         # not beyond the corners of 36 support lines
         assert radius[member == k].max() < profile(z) / np.cos(np.pi / 36)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
-def test_the_estimate_lies_between_the_bounds(fraction):
-    """No point lies inside the hull, and none outside the outer body by more than support functions are interpolated to."""
-    cloud = scanned(hull(20 * np.random.default_rng(0).normal(size=(30, 3))), slices=12, samples=32)
-    bounds = enclosure(cloud)
-    found = room(cloud, bounds)
-    estimate = between(found, fraction)
-    assert signed_distances(estimate.vertices, hull(bounds.corners)).max() < 1e-4 * bounds.bound
-    assert signed_distances(bounds.inner.vertices, estimate).max() < 1e-9 * bounds.bound
-    largest = max(bounds.gap[(bounds.slabs.number > 0) & (bounds.slabs.number < len(bounds.slabs.stack.slices))])
-    assert found.gap_at(cloud.points).max() >= largest
-    # in the caps, of which nothing is known, the surface lies half way
-    corner = int(np.where(found.past, np.linalg.norm(found.away, axis=1), 0.0).argmax())
-    tip = found.foot[corner] + found.away[corner] / 2
-    assert abs(signed_distances(tip[None], estimate)[0]) < 0.2 * bounds.bound
