@@ -76,6 +76,11 @@ class LeftOut(NamedTuple):
     factor: float
     """Standard deviations of the others' noise for each that the recording states."""
 
+    @property
+    def too_many(self) -> bool:
+        """Whether rows contradict the rest that can't be left out."""
+        return self.share > 0 and not len(self.rows)
+
 
 @dataclass(frozen=True, repr=False)
 class Cloud(Shown, Exported):

@@ -152,7 +152,7 @@ def test_the_report_says_what_is_assumed_and_what_was_tested():
     data = report(analysis, settings={})["certificate"]
     body, rod, noise = data["premises"]
     assert data["premise"] == "; ".join(each["assumed"] for each in (body, rod, noise))
-    assert (body["tested"], rod["tested"], noise["tested"]) == (True, True, False)
+    assert (body["tested"], rod["tested"], noise["tested"]) == (True, True, True)
     assert "sweeps agree at the places that several of them touched" in rod["outcome"]
     one_sweep = recorded(1e-4)
     first = np.array([np.flatnonzero(one_sweep.sweep == k)[0] for k in np.unique(one_sweep.sweep)])

@@ -8,12 +8,13 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d.bounds import enclosure
+from scan3d.bounds import enclosure, premises
 from scan3d.geometry.distance import nearest
 from scan3d.laboratory.air import tare
 from scan3d.pipeline import analyse
 from scan3d.reconstruction import agreement, checked
 from scan3d.reconstruction.diagnosis import Diagnosis
+from scan3d.reconstruction.wild import noise_in_air
 from scan3d.report import key_figures, report, summary
 from tests.robustness import bounds
 
@@ -92,6 +93,37 @@ def test_wild_rows_are_left_out_and_the_rest_is_certified(body, kind, noise, see
         assert analysis.cloud.left_out.share < agreement.LARGEST_SHARE
         assert np.isfinite(analysis.certificate.bound)
         assert false_statements(body, analysis) == []
+
+
+def test_values_in_the_air_that_are_too_large_widen_the_bounds_where_no_contact_shows_them():
+    """Contacts of sharp ends lie alone: that tails of the noise put them beyond the surface no neighbour contradicts."""
+    right, tailed = (disturbed(exact("ellipsoid"), 1e-3, kind) for kind in ("", "heavy tails"))
+    in_air = (exact("ellipsoid").force_N == 0).all(axis=1)
+    force = np.where(in_air[:, None], tailed.force_N, right.force_N)
+    recording = replace(right, force_N=force, moment_Nm=np.where(in_air, tailed.moment_Nm, right.moment_Nm))
+    outcome = {}
+    for name, each in {"right": right, "tailed": recording}.items():
+        cloud = scan3d.reconstruct(each)
+        outcome[name] = premises(each, cloud, ())[2], cloud.left_out and cloud.left_out.factor
+    rows = noise_in_air(right).rows
+    assert rows > 100
+    assert outcome["right"][0][1:] == (
+        True,
+        f"no value of {rows} rows in the air is larger than the stated noise explains",
+    )
+    assert outcome["right"][1] is None
+    assert outcome["tailed"][0].outcome.endswith("some have larger values than the stated noise explains")
+    assert outcome["tailed"][1] == 1.5
+
+
+def test_noise_that_is_larger_than_stated_shows_in_the_air():
+    right = disturbed(exact("box"), 1e-3)
+    assert noise_in_air(right).size is None
+    third = replace(right, noise_force_N=right.noise_force_N / 3, noise_moment_Nm=right.noise_moment_Nm / 3)
+    assert noise_in_air(third).size == pytest.approx(3, rel=0.1)
+    analysis = analyse(third, BODIES["box"], "hull")
+    assert analysis.warnings or analysis.cloud.left_out.factor > 4
+    assert analysis.warnings or false_statements("box", analysis) == []
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])

@@ -10,8 +10,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.bounds.constraints import allowed
-from scan3d.cloud import Cloud
+from scan3d.cloud import Cloud, LeftOut
 from scan3d.numbers import angle, length, number, share
+from scan3d.reconstruction.wild import noise_in_air
 from scan3d.recording import Recording
 from scan3d.rods import Rod
 
@@ -26,25 +27,34 @@ class Premise(NamedTuple):
 
 def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) -> tuple[Premise, ...]:
     """What the bounds of a cloud's body rest on; `contradicted` are the codes of what the recording contradicts."""
-    noise = recording.noise
-    stated = max(noise.force_N, noise.moment_Nm, noise.pose_m) > 0
     hidden = "not tested: what neither friction nor path nor other sweeps contradict stays hidden"
-    left = cloud.left_out
-    size = (
-        "the stated size"
-        if left is None
-        else f"at most {number(left.factor)} times the stated size, but for single wild rows"
-    )
     return (
         Premise("a convex body", True, _of_body(contradicted))
         if cloud.convex
         else Premise("no contact is that of a rod with a second one that stayed hidden", False, hidden),
         _of_rod(recording.rod, cloud, contradicted),
-        Premise(
-            f"white noise of {size}" if stated else "reactions without noise",
-            False,
-            "not tested: of the noise the contacts tell nothing that the body could not",
-        ),
+        _of_noise(recording, cloud.left_out),
+    )
+
+
+def _of_noise(recording: Recording, left: LeftOut | None) -> Premise:
+    """That on the noise: rows in the air have no values that are too large for it."""
+    noise = recording.noise
+    if not max(noise.force_N, noise.moment_Nm, noise.pose_m):
+        assumed = "reactions without noise"
+    elif left is None:
+        assumed = "white noise of the stated size"
+    else:
+        assumed = f"white noise of at most {number(left.factor)} times the stated size, but for single wild rows"
+    air = noise_in_air(recording)
+    if not air.rows:
+        return Premise(assumed, False, "not tested: of the noise the contacts tell nothing that the body could not")
+    if air.size is None:
+        return Premise(
+            assumed, True, f"no value of {air.rows} rows in the air is larger than the stated noise explains"
+        )
+    return Premise(
+        assumed, True, f"of {air.rows} rows in the air some have larger values than the stated noise explains"
     )
 
 

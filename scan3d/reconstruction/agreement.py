@@ -95,7 +95,7 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         first = alone[0]
         code, unit, cause = _CAUSES[first.code]
         diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
-    if left is not None and not len(left.rows):
+    if left is not None and left.too_many:
         found.append(_too_wild(left.share))
     differs = cloud.calibration is not None and cloud.calibration.relative > 0
     if (found or differs) and (diagnosis is None or cloud.model == "spatial"):

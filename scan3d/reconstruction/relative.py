@@ -71,9 +71,9 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     by_rig = with_rig_errors(touched, recording)
     # slices of a body that is stated not to be convex may contradict each other
     left = None if recording.source.get("convex") is False else left_out(recording, by_rig)
-    if left is not None and len(left.rows):
+    if left is not None and not left.too_many:
+        left, touched = _without_wild(recording, left, method)
         part, kept = rest(recording, left)
-        touched = contacts(part, method)
         known = _with_relative_error(part, with_rig_errors(touched, part), method)
         return renumbered(_with_left_out(_whole(touched, part, known, method), left), kept)
     known = _with_relative_error(recording, by_rig, method)
@@ -84,6 +84,19 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
         return found
     explained = known is not recording and left_out(recording, found.fattened or found) is None
     return found if explained else _with_left_out(found, left)
+
+
+def _without_wild(recording: Recording, left: LeftOut, method: str) -> tuple[LeftOut, Cloud]:
+    """All rows to be left out, and the contacts of the others: a larger noise makes contacts of rows that were none."""
+    for _ in range(_PASSES):
+        part, kept = rest(recording, left)
+        touched = contacts(part, method)
+        further = left_out(part, with_rig_errors(touched, part))
+        if further is None or not len(further.rows):
+            break
+        rows = np.append(left.rows, kept[further.rows])
+        left = LeftOut(np.sort(rows), left.share + further.share, left.factor)
+    return left, touched
 
 
 def _whole(touched: Cloud, recording: Recording, known: Recording, method: str) -> Cloud:

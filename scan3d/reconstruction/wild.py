@@ -11,6 +11,8 @@ A rod that touches lightly, or not at all, shows a wild row as a touch of one or
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import ndtri
 
@@ -30,6 +32,8 @@ _FACTOR = 1.5
 # Standard deviations from which on a row is off, where the rows are judged that follow each other: 1 % of the right ones are.
 # Small errors of gains, rods and clamps leave such beside half of the wild rows or more, independent errors beside 12 %.
 _BESIDE = 3.0
+# Median of the sizes of normal numbers.
+_MEDIAN_OF_NORMAL = float(ndtri(0.75))
 # Rows of a touch at least.
 _TOUCH = 3
 # Passes, each without the rows that the ones before it have left out.
@@ -44,22 +48,48 @@ def left_out(recording: Recording, cloud: Cloud) -> LeftOut | None:
     """
     if not recording.noise.independent or not max(recording.noise_force_N, recording.noise_moment_Nm):
         return None
-    pressed = felt(recording.force_N / recording.rod.force_unit_N, recording.noise.of_reactions(recording.rod))
-    limit, strict = (-ndtri(chance / (2 * max(len(cloud), 1))) for chance in (_RIGHT_ROWS, FALSE_ALARM))
+    noise = recording.noise.of_reactions(recording.rod)
+    pressed = felt(recording.force_N / recording.rod.force_unit_N, noise)
+    size = noise_in_air(recording).size
+    limit, strict = (-(size or 1.0) * ndtri(chance / (2 * max(len(cloud), 1))) for chance in (_RIGHT_ROWS, FALSE_ALARM))
     value, short = _numbered(recording), _short(recording.sweep, pressed)
     beyond = np.full(len(recording), -np.inf)
     for compared in compared_in_slices(cloud):
         rows = cloud.row[compared.rows]
         beyond[rows] = _beyond_neighbours(compared, cloud, value[rows], short[rows], limit)
-    if not (beyond > limit).any():
-        return None
     wild = np.isin(value, value[beyond > limit])
+    if not wild.any() and size is None:
+        return None
     left = np.flatnonzero(wild | short)
     share = float(pressed[left].sum() / pressed.sum())
     if share <= LARGEST_SHARE and _alone(recording.sweep, value, wild, beyond > _BESIDE):
-        return LeftOut(left, share, _FACTOR)
+        return LeftOut(left, share, _FACTOR * (size or 1.0))
     # what no right recording has must be explained, or nothing is certified
     return LeftOut(np.empty(0, dtype=np.intp), share, 1.0) if (beyond > strict).any() else None
+
+
+class Air(NamedTuple):
+    """What rows without a felt force say of the noise."""
+
+    rows: int
+    """Number of those whose neighbours have none either."""
+    size: float | None
+    """Standard deviations for each that counts, 1 at least; None if no value is larger than expected."""
+
+
+def noise_in_air(recording: Recording) -> Air:
+    """The noise by second differences of successive rows in the air, in which touches that begin or end do not show."""
+    rod, noise = recording.rod, recording.noise.of_reactions(recording.rod)
+    order = np.argsort(recording.sweep, kind="stable")
+    force, moment = recording.force_N[order] / rod.force_unit_N, recording.moment_Nm[order] / rod.moment_unit_Nm
+    air, sweep, sd = ~felt(force, noise), recording.sweep[order], np.array([noise[0], noise[0], noise[1]])
+    before, own, after = (np.column_stack([force, moment])[k : len(order) - 4 + k] for k in (1, 2, 3))
+    known = np.all([air[k : len(air) - 4 + k] for k in range(5)] + [sweep[4:] == sweep[:-4]], axis=0)
+    found = np.abs(before - 2 * own + after)[known][:, sd > 0] / (np.sqrt(6) * sd[sd > 0])
+    if not found.size:
+        return Air(0, None)
+    expected = (found <= -ndtri(_RIGHT_ROWS / (2 * found.size))).all()
+    return Air(len(found), None if expected else max(1.0, float(np.median(found)) / _MEDIAN_OF_NORMAL))
 
 
 def _numbered(recording: Recording) -> Index:
@@ -104,7 +134,7 @@ def _beyond_neighbours(compared: Compared, cloud: Cloud, value: Index, short: Ma
     others, own, turned = (
         part**2 for part in compared.deviations(compared.errors(1.0, cloud.covariance, cloud.normal_sd))
     )
-    of_line, trusted = own + turned, np.ones(len(value), dtype=bool)
+    of_line, trusted, refuted = own + turned, np.ones(len(value), dtype=bool), np.zeros(len(value), dtype=bool)
     for _ in range(_PASSES):
         known = trusted[lines], trusted[some]
         of_lines, of_points = _groups(compared.points[lines], known[0]), _groups(compared.points[some], known[1])
@@ -115,10 +145,11 @@ def _beyond_neighbours(compared: Compared, cloud: Cloud, value: Index, short: Ma
         found[some] = np.maximum(found[some], by_lines)
         found[lines] = np.maximum(found[lines], by_points)
         rows, columns = _contradicted(pairs & known[0][:, None] & known[1])
-        rows, columns = np.append(rows, wrong_lines), np.append(columns, wrong_points)
-        rows = np.append(rows, np.flatnonzero(~known[0] & (pairs & known[1]).any(axis=1)))
-        columns = np.append(columns, np.flatnonzero(~known[1] & (pairs & known[0][:, None]).any(axis=0)))
-        found[lines[rows]] = found[some[columns]] = np.inf
+        refuted[lines[rows]] = refuted[some[columns]] = True
+        found[lines[wrong_lines]] = found[some[wrong_points]] = np.inf
+        found[lines[~known[0] & (pairs & known[1]).any(axis=1)]] = np.inf
+        found[some[~known[1] & (pairs & known[0][:, None]).any(axis=0)]] = np.inf
+        found[refuted] = np.inf
         wild = np.isin(value, value[found > limit])
         if not (wild & trusted).any():
             break
