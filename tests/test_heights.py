@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import math
 import re
 from pathlib import Path
 
@@ -114,6 +115,22 @@ def test_even_gaps_along_a_sphere_are_cut_as_by_cosine_spacing():
     known = np.concatenate([[-3.0 - (levels[0] + 3.0)], levels[[0, 4, 8]], [7.0 + (7.0 - levels[-1])]])
     cuts = cuts_at(known, np.array([1, 2]), np.ones(2), np.array([[0.25], [0.5], [0.75]]))
     assert cuts.T.ravel() == pytest.approx(levels[[1, 2, 3, 5, 6, 7]])
+
+
+def test_a_bent_slab_is_cut_by_the_density_of_slices():
+    """The density over the angle is 10 and 20/3 in the middles of two slabs, and linear between them."""
+    angles = np.linspace(0.5, 1.1, 3)
+    known = 5 - 5 * np.cos(np.concatenate([[-angles[0]], [angles[0]], angles[1:], [np.pi]]))
+    # so that the ends of the body are at the angles 0 and pi
+    known[0], known[-1] = -known[1], 20 - known[3]
+    cuts = cuts_at(known, np.array([1, 2]), np.array([3.0, 2.0]), np.array([[0.25], [0.5]]))
+    for column, low, ends in zip(cuts.T, angles, ((10, 25 / 3), (25 / 3, 20 / 3)), strict=False):
+        for cut, below in zip(column, (0.25, 0.5), strict=True):
+            u = (math.acos(1 - cut / 5) - low) / 0.3
+            assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(below * sum(ends) / 2)
+    # where the neighbour's density is not known, the density is constant
+    alone = cuts_at(known, np.array([1, 2]), np.array([3.0, np.nan]), np.array([[0.5]]))[0, 0]
+    assert math.acos(1 - alone / 5) == pytest.approx(0.65)
 
 
 # --- by the contacts along one axis ---

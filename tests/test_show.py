@@ -136,6 +136,24 @@ def test_units_of_the_other_surface(folder, tmp_path):
     assert other_surface(folder, "m").extents == pytest.approx(scan3d.open(folder).surface.extents / 1000)
 
 
+def test_what_has_no_surface_to_compare_with(folder, tmp_path, shown):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("none")
+    for path, sentence in (
+        (tmp_path / "missing", r"there is no .*missing to compare the surface with: expected a scan's folder"),
+        (tmp_path / "empty", r"empty holds no scan: expected cloud\.ply or surface\.ply in it"),
+        (tmp_path / "notes.txt", r"notes\.txt has no surface to compare with: expected a scan's folder, or a surf"),
+        (folder / "cloud.ply", r"cloud\.ply has no surface to compare with, but contacts only"),
+        (folder / "recording.csv", r"recording\.csv has no surface to compare with"),
+    ):
+        code, _, err = shown("--screenshot", tmp_path / "a.png", "--against", path)
+        assert code == 1
+        assert re.search(sentence, err)
+    for other, sentence in ((3, "there is no surface in a int: expected"), (trimesh.Trimesh(), "has no tri")):
+        with pytest.raises(scan3d.InputError, match=sentence):
+            scan3d.open(folder).plot(against=other)
+
+
 # --- the window ---
 
 

@@ -151,6 +151,14 @@ def test_noise_below_the_table_is_no_contradiction():
         assert [found.code for found in checked(on_table, scan3d.reconstruct(on_table)).contradictions] == codes
 
 
+def test_a_session_refuses_another_table(recording):
+    session = Session("cylinder:46x48", ROD, slices=7)
+    with pytest.raises(InputError, match=r"the session's body stands on z = 0, and the recording's on z = 10 mm"):
+        session.tell(dataclasses.replace(recording, table_m=0.01))
+    session.tell(dataclasses.replace(recording, table_m=None))
+    assert session.recording.table_m == 0.0
+
+
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     """Poses, and an exact log of the egg on the table."""
