@@ -55,8 +55,9 @@ def refused(capsys, monkeypatch):
     return check
 
 
-@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
-@pytest.mark.parametrize("link", [None, os.symlink, os.link])
+@pytest.mark.parametrize(
+    ("overwrite", "link"), [((), None), (("--overwrite",), None), (("--overwrite",), os.symlink), ((), os.link)]
+)
 def test_a_run_never_overwrites_what_it_reads(folder, refused, overwrite, link):
     mesh = Path("out/surface.ply")
     if link:

@@ -309,6 +309,7 @@ def test_the_certificate_under_noise_states_its_confidence(tmp_path, no_pictures
     assert report["contact_error"]["max"] < certified["parts"]["noise"]
 
 
+@pytest.mark.slow
 def test_cloud_ply_holds_the_cloud(scanned, read_ply):
     cloud = scan3d.reconstruct(scan3d.read_recording(scanned / "recording.csv"))
     vertices, faces, comments = read_ply(scanned / "cloud.ply")

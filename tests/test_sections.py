@@ -53,7 +53,7 @@ def test_slices_of_a_cube_in_any_rotation(seed, height):
     exponent=st.integers(-40, 40),
     shift=st.tuples(*[st.floats(-3, 3)] * 3),
 )
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_slices_move_with_their_body(seed, exponent, shift):
     hull = trimesh.convex.convex_hull(np.random.default_rng(seed).normal(size=(30, 3)))
     frame, scale = rotation(seed + 1), 2.0**exponent

@@ -13,7 +13,7 @@ CONTOURS = {
     "thin ellipse": planar.Ellipse((0.6, 0.05), (0.0, 0.8), -0.5),
     "triangle pointing down": planar.Polygon(np.array([[0.1, 0.4], [0.5, 1.4], [-0.6, 1.2]])),
 }
-FRICTIONS = (0.0, 0.2, 0.4, 1.0, 2.0)
+FRICTIONS = (0.0, 0.4, 2.0)
 
 
 def cut(contour, friction):

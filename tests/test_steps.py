@@ -8,7 +8,6 @@ from small_scans import CUBE
 
 import scan3d
 from scan3d import choices, units
-from tests import rigs
 
 PLAN = scan3d.Plan(slices=4, sweeps=4, samples=8)
 
@@ -36,13 +35,6 @@ def test_recordings_may_be_paths(recording, tmp_path):
     points = scan3d.reconstruct(recording).points
     for path in (tmp_path / "log.csv", str(tmp_path / "log.csv")):
         assert np.array_equal(scan3d.reconstruct(path).points, points)
-
-
-def test_touches_may_be_a_path(tmp_path):
-    touches = rigs.recorded(sweeps=8, samples=60)
-    scan3d.write_recording(touches, tmp_path / "touches.csv")
-    by_path = scan3d.calibrate(tmp_path / "touches.csv", sphere=rigs.DIAMETER)
-    assert by_path.values == pytest.approx(scan3d.calibrate(touches, rigs.DIAMETER).values, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ def test_the_state_is_the_first_place_on_the_path_that_comes_down_to_its_base(co
     swept = planar.sweep(contour, friction, samples=50)
     path = contour.path()
     count = path.offsets[-1]
-    piece, t = np.repeat(np.arange(count), 30), np.tile(np.linspace(0, 1, 30), count)
+    piece, t = np.repeat(np.arange(count), 12), np.tile(np.linspace(0, 1, 12), count)
     slope, x, y = path.at(piece, t)
     zeta = np.full(len(slope), np.arctan(friction))
     x0 = equilibria.states(equilibria.is_tangential(slope, y, zeta), slope, x, y, zeta).x0
