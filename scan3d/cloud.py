@@ -49,6 +49,8 @@ class NormalSource(IntEnum):
     """The direction of the contact force, where there is no friction (spatial model)."""
     HULL = 7
     """Perpendicular to the rod, with all contacts on one side: the middle of the angles that this leaves (spatial model)."""
+    FACET = 8
+    """The facet of a polyhedron that several slices show, or those that meet at the contact."""
 
 
 class Tilt(NamedTuple):

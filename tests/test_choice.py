@@ -175,8 +175,9 @@ def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
 
 
 @pytest.mark.slow
-def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box):
+def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box, monkeypatch):
     mesh, cloud = box
+    monkeypatch.setattr("scan3d.surfaces.between.facets", lambda _: np.empty((0, 4)))  # on which all contacts lie
     kept, held_out = hold_out(cloud)
     (of_kept, part), (estimates, whole) = choice._estimates(kept, None, False), choice._estimates(cloud, None, False)
     falls = choice._falls(part, whole, held_out)

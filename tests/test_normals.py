@@ -60,7 +60,7 @@ def test_bodies_with_edges_are_not_fitted():
     assert cloud.fit is None
     assert scan3d.surface(cloud).metadata["method"] != "support"
     # on the faces of a box the normals are exact
-    known = cloud.normal_source == NormalSource.SLICES
+    known = np.isin(cloud.normal_source, (NormalSource.SLICES, NormalSource.FACET))
     on_face = known & (np.abs(np.abs(cloud.points) - [10, 15, 20]) < 1e-9).sum(axis=1).astype(bool)
     in_plane = np.abs(cloud.in_plane_normals[on_face]).max(axis=1) > 1 - 1e-12
     assert in_plane.sum() > 1000

@@ -106,7 +106,7 @@ def test_pandas_has_the_columns_of_the_cloud(result):
     assert np.array_equal(table["force"], result.cloud.force_N)
     assert table["quality"].max() < 1e-9
     assert set(table["phase"]) == {"tip", "tangential"}
-    assert set(table["normal_source"]) <= {"slices", "fit", "friction", "hull", "unknown"}
+    assert set(table["normal_source"]) <= {"slices", "fit", "friction", "hull", "facet", "unknown"}
     assert "quality" not in result.cloud.to_pandas()
 
 

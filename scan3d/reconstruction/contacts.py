@@ -32,6 +32,7 @@ from scan3d.reconstruction.errors import (
     too_light,
     with_rig_errors,
 )
+from scan3d.reconstruction.facets import with_facet_normals
 from scan3d.reconstruction.normals import EXACT, hull_normals, with_fit, with_slice_normals, with_smooth_fit
 from scan3d.reconstruction.slices import planes, unproven
 from scan3d.recording import SIX_AXES, Noise, Recording, joined, of_rows
@@ -207,7 +208,8 @@ def on_surface(cloud: Cloud, recording: Recording) -> Cloud:
 
     Those of a rod's centre line with the body fattened by its radius lie on the body's surface then.
     """
-    cloud = with_rig_errors(with_smooth_fit(with_slice_normals(cloud)), recording)
+    cloud = with_smooth_fit(with_slice_normals(cloud))
+    cloud = with_rig_errors(with_facet_normals(cloud) if cloud.fit is None else cloud, recording)
     rod, scale = recording.rod, UNITS_M[recording.unit]
     if not rod.diameter_m:
         return cloud

@@ -39,15 +39,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scan3d.arrays import NEGLIGIBLE, Array, Index, Mask
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, Mask
 from scan3d.bounds.cells import applicable, cells_of_cloud
 from scan3d.bounds.constraints import STRAIGHT
 from scan3d.bounds.enclosures import Enclosure, slice_enclosure
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
+from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.polytopes import cut_polytope, plane_faces
+from scan3d.geometry.polytopes import clipped, cut_polytope, plane_faces
 from scan3d.geometry.triangles import distance_of_readers, kept_apart
+from scan3d.reconstruction.facets import facets
 from scan3d.reconstruction.slices import Slice, SliceStack, stacks
 
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -85,6 +87,8 @@ class Room(NamedTuple):
     """(m, 3) points on estimated contours between the slices."""
     axes: list[Gaps]
     """Of each axis."""
+    facets: int = 0
+    """Number of known facets if all contacts lie on them, else 0."""
 
     def gap_at(self, points: Array) -> Array:
         """(n,) the largest distance from the hull to the outer body in the slabs that points (n, 3) lie in, or between."""
@@ -96,11 +100,11 @@ class Room(NamedTuple):
         return gap
 
 
-def _gaps(stack: SliceStack, number: Index, gap: Array) -> Gaps:
+def _gaps(axis: Array, heights: Array, number: Index, gap: Array) -> Gaps:
     """The largest gaps, from gaps (w,) at corners in slabs (w,)."""
-    largest = np.zeros(len(stack.slices) + 1)
+    largest = np.zeros(len(heights) + 1)
     np.maximum.at(largest, number, gap)
-    return Gaps(stack.frame[2], stack.heights, largest)
+    return Gaps(axis, heights, largest)
 
 
 def has_cells(cloud: Cloud) -> bool:
@@ -120,7 +124,10 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     if by_cells:
         by_axis = stacks(cloud)
         cells = cells_of_cloud(cloud, by_axis, hull(cloud.points))
-        axes = [_gaps(stack, cells.number[cells.cell, k], cells.gap) for k, stack in enumerate(by_axis)]
+        axes = [
+            _gaps(stack.frame[2], stack.heights, cells.number[cells.cell, k], cells.gap)
+            for k, stack in enumerate(by_axis)
+        ]
         open_ = np.isfinite(cells.gap) & (cells.gap > 0)
         foot, past = cells.foot[open_], np.zeros(int(open_.sum()), dtype=bool)
         away, half_way = cells.corners[open_] - foot, np.full(len(foot), UNKNOWN)
@@ -131,9 +138,43 @@ def room(cloud: Cloud, bounds: Enclosure | None = None, *, by_cells: bool = Fals
     assert slabs is not None
     open_ = np.isfinite(bounds.gap) & (bounds.gap > 0)
     foot, past = slabs.foot[open_], np.isin(slabs.number[open_], (0, len(slabs.stack.slices)))
-    away, axes = bounds.corners[open_] - foot, [_gaps(slabs.stack, slabs.number, bounds.gap)]
+    away, axes = (
+        bounds.corners[open_] - foot,
+        [_gaps(slabs.stack.frame[2], slabs.stack.heights, slabs.number, bounds.gap)],
+    )
     local = _local(slabs.stack, slabs.number[open_], away)
-    return Room(cloud.points, foot, away, local, past, contours_between(slabs.stack), axes)
+    return _below_facets(
+        Room(cloud.points, foot, away, local, past, contours_between(slabs.stack), axes), facets(cloud)
+    )
+
+
+def _below_facets(found: Room, planes: Array) -> Room:
+    """The room that planes (k, 4) of facets leave, if most contacts lie on them.
+
+    Four of them that meet in the outer body, though three make a corner, meet in a vertex of the body; another corner may be
+    cut off by a facet that is not known.
+    """
+    near, (axis, heights, _) = NEGLIGIBLE * float(np.linalg.norm(np.ptp(found.points, axis=0))), found.axes[0]
+
+    def depth(points: Array) -> Array:
+        """(n,) of points (n, 3) below the nearest plane."""
+        blocks = np.array_split(points, 1 + len(points) * len(planes) // AT_ONCE)
+        return np.concatenate([(planes[:, 3] - part @ planes[:, :3].T).min(axis=1, initial=np.inf) for part in blocks])
+
+    on_facets = float(np.mean(depth(found.points) <= near))
+    if on_facets <= 0.5:
+        return found
+    corners, contours = found.foot + found.away, found.contours
+    inside, remain = (depth(points) >= -near for points in (corners, contours))
+    left = clipped(hull(np.concatenate([found.points, corners])).vertices.view(np.ndarray), planes)
+    meeting = (planes[:, 3] - left @ planes[:, :3].T <= near).sum(axis=1)
+    points, open_ = np.concatenate([found.points, left[meeting > 3]]), (meeting > 0) & (meeting < 4)
+    corners = np.concatenate([corners[inside], left[open_]])
+    gap, _, foot = nearest(corners, hull(points))
+    along, local = corners @ axis, np.append(found.local[inside], np.full(open_.sum(), UNKNOWN))
+    past = ((along < heights[0]) | (along > heights[-1])) & (np.append(np.zeros(inside.sum()), meeting[open_]) < 3)
+    axes = [_gaps(axis, heights, np.searchsorted(heights, along), np.maximum(gap, 0.0))]
+    return Room(points, foot, corners - foot, local, past, contours[remain], axes, len(planes) if on_facets == 1 else 0)
 
 
 def _local(stack: SliceStack, number: Index, away: Array) -> Array:

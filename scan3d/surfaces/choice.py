@@ -146,8 +146,13 @@ def _best(cloud: Cloud, bounds: Enclosure, *, with_fit: bool) -> Any:
 
     fit = error_of_fit(cloud.fit, kept, held_out) if with_fit and cloud.fit is not None else None
     by_cells = bounds.tighter is not None and has_cells(cloud) and has_cells(kept)
-    of_kept, part = _estimates(kept, None, by_cells)
     estimates, whole = _estimates(cloud, bounds, by_cells)
+    if whole is not None and whole.facets:
+        # held-out slices would say less of them: facets that one of the others has met alone are unknown then
+        return _labelled(
+            between(whole, 1.0), "bracket", f"a polyhedron of {whole.facets} facets: all contacts lie on them"
+        )
+    of_kept, part = _estimates(kept, None, by_cells)
     falls = _falls(part, whole, held_out)
     errors = {name: error_of_surface(make(), held_out, falls) for name, make in of_kept.items()}
     best = min(errors, key=lambda name: errors[name].expected)

@@ -1,0 +1,97 @@
+"""Facets of polyhedra from contacts in slices, against the planes of the bodies that were scanned."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import nnls
+
+import scan3d
+from scan3d.cloud import NormalSource
+from scan3d.geometry.hulls import hull
+from scan3d.reconstruction.facets import facets, with_facet_normals
+from scan3d.reconstruction.normals import with_slice_normals
+
+
+def polytope(vertices, seed):
+    """A random body, every vertex of which lies on an ellipsoid, in a random orientation."""
+    directions = np.random.default_rng(seed).normal(size=(vertices, 3))
+    return hull(40 * directions / np.linalg.norm(directions, axis=1)[:, None] * [1.0, 0.8, 0.6])
+
+
+def planes_of(body):
+    """The distinct planes (k, 4) of a body."""
+    planes = np.column_stack([body.face_normals, (body.face_normals * body.triangles[:, 0]).sum(axis=1)])
+    return planes[np.unique(np.round(planes, 6), axis=0, return_index=True)[1]]
+
+
+def error_of_normals(cloud, body, rows):
+    """Angles (k,) in degrees of normals from the cone of the normals of the body's faces at a contact."""
+    planes, found = planes_of(body), []
+    for row in rows:
+        meeting = planes[np.abs(planes[:, :3] @ cloud.points[row] - planes[:, 3]) < 1e-8 * body.scale, :3]
+        nearest = meeting.T @ nnls(meeting.T, cloud.normals[row])[0]
+        sine = np.linalg.norm(np.cross(cloud.normals[row], nearest))
+        found.append(np.degrees(np.arctan2(sine, cloud.normals[row] @ nearest)))
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def scanned():
+    body = polytope(30, 1)
+    recording = scan3d.simulate(body, scan3d.Plan(slices=40, friction=(0.0, 0.4), samples=48, seed=1))
+    return body, recording, scan3d.reconstruct(recording)
+
+
+def test_the_planes_are_those_of_the_body(scanned):
+    body, _, cloud = scanned
+    found, true = facets(cloud), planes_of(body)
+    apart = np.abs(found[:, None] - true).max(axis=2)
+    assert apart.min(axis=1).max() < 1e-9 * body.scale  # none is false
+    assert (apart.min(axis=0) < 1e-9 * body.scale).sum() == len(found) > 0.9 * len(true)  # nor twice there
+
+
+def test_contacts_on_facets_have_exact_normals_at_the_tip_as_well(scanned):
+    body, _, cloud = scanned
+    rows = np.flatnonzero(cloud.normal_source == NormalSource.FACET)[::11]
+    assert len(rows) > 0.9 * len(cloud) / 11
+    assert error_of_normals(cloud, body, rows).max() < 1e-5
+    by_slices = with_slice_normals(cloud)
+    tips, tangential = (np.isnan(by_slices.normals[rows, 0]) == tip for tip in (True, False))
+    assert tips.any()
+    assert np.percentile(error_of_normals(by_slices, body, rows[tangential]), 95) > 1  # what slices alone tell
+
+
+def test_a_polyhedron_all_of_whose_contacts_lie_on_facets_is_exact():
+    body = polytope(12, 4)
+    cloud = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=24, spacing="cosine", samples=48)))
+    surface = scan3d.surface(cloud)
+    assert "all contacts lie on them" in surface.metadata["reason"]
+    assert scan3d.compare(surface, body).hausdorff < 1e-9 * body.scale
+
+
+@pytest.mark.trust
+@pytest.mark.parametrize("seed", range(20))
+def test_no_plane_is_false(seed):
+    body = polytope(20 + 12 * seed, seed)
+    cloud = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=32, friction=(0.0, 0.4), seed=seed)))
+    apart = np.abs(facets(cloud)[:, None] - planes_of(body)).max(axis=2)
+    assert apart.min(axis=1).max() < 1e-9 * body.scale
+
+
+def test_a_double_pyramid_is_not_taken_for_a_prism():
+    """Upper and lower facets are parallel in the slices, and a plane through sides on both would cut off the edge between."""
+    body = hull(20 * np.concatenate([np.eye(3), -np.eye(3)]))
+    cloud = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=12, spacing="uniform", samples=48)))
+    found = facets(cloud)
+    assert len(found) == 8
+    assert np.abs(found[:, :3]) * np.sqrt(3) == pytest.approx(1, abs=1e-9)
+
+
+def test_a_smooth_body_and_noisy_contacts_show_no_facets(scanned):
+    body, recording, cloud = scanned
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=20)
+    smooth = scan3d.reconstruct(scan3d.simulate(sphere, scan3d.Plan(slices=8, sweeps=6, samples=48)))
+    assert not len(facets(smooth))  # though its facets above and below the middle are parallel in the slices
+    noisy = scan3d.reconstruct(scan3d.simulate(body, scan3d.Plan(slices=8, sweeps=6, samples=48, noise=1e-4)))
+    assert not len(facets(noisy))
+    assert with_facet_normals(noisy) is noisy
