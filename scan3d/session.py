@@ -15,7 +15,7 @@ from scan3d.bounds import Certificate, Gap
 from scan3d.choices import Model
 from scan3d.cloud import Cloud
 from scan3d.errors import InputError
-from scan3d.numbers import length
+from scan3d.numbers import length, share
 from scan3d.pipeline import analyse
 from scan3d.planning.heights import next_heights
 from scan3d.planning.plan import Plan, further_directions, open_places
@@ -29,6 +29,7 @@ from scan3d.planning.rig import (
     pose_list,
     slice_sweep,
 )
+from scan3d.planning.stretches import aimed_line, aims
 from scan3d.poses import PoseList
 from scan3d.reconstruction import Contradiction, reconstruct
 from scan3d.reconstruction.agreement import BELOW_TABLE
@@ -171,6 +172,18 @@ class Session(Described):
         """The certified bound, relative to the diagonal of the contacts' bounding box."""
         return self.certificate.bound / float(np.linalg.norm(np.ptp(self.cloud.points, axis=0)))
 
+    @property
+    def known(self) -> str:
+        """What is certified so far, in words."""
+        found, unit = self._known, self.plan.unit
+        if found.carved is not None:
+            contours = f"the outer contours are known within {length(found.carved.contours_bound, unit, up=True)}"
+            return f"{contours} in the planes of the slices; between them nothing is, because the body is not convex"
+        if not self.certificate.bound < np.inf:
+            return "nothing bounds the body yet"
+        part = share(self.relative_bound, up=True)
+        return f"the body is known within {length(self.certificate.bound, unit, up=True)} ({part} of the diagonal)"
+
     def summary(self) -> Rows:
         """The plan, and what is known so far."""
         plan, known = self.plan, self._recordings
@@ -181,7 +194,7 @@ class Session(Described):
         ]
         if not known:
             return [*rows, ("recordings", "none yet: sweep the poses of ask(), and tell() their recording")]
-        bound = "nothing" if self.warnings else f"within {length(self.certificate.bound, plan.unit, up=True)}"
+        bound = "nothing" if self.warnings else self.known
         return [*rows, ("recordings", f"{len(known)} with {len(self.cloud)} contacts"), ("certified", bound)]
 
     @property
@@ -201,10 +214,23 @@ class Session(Described):
         return self._last
 
     def _further_slices(self, sweeps: int) -> list[Sweep]:
-        """Sweeps of new slices, and of slices that their contacts leave open."""
-        space = self.plan.space()
+        """Sweeps of new slices, and of slices that their contacts leave open.
+
+        Of a body that is not convex: at the widest stretches without contact, and then of slices in the middle of others.
+        """
+        space, cloud = self.plan.space(), self.cloud
         count = max(1, sweeps // _SIDES)
-        heights = next_heights(self.cloud.fattened or self.cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
+        at_stretches: list[Sweep] = []
+        if cloud.convex:
+            heights = next_heights(cloud.fattened or cloud, Plan(), left=_LEFT_PER_HEIGHT * count, count=count)
+        else:
+            outline = self.plan.around.outline()
+            for aim in aims(self.recording, cloud)[:sweeps]:
+                line = aimed_line(aim, outline, space.length, space.clearance)
+                at_stretches.append(slice_sweep(self.plan, space, aim.angle, aim.height, line))
+            known = np.unique(cloud.slice_height)
+            between = np.argsort(-np.diff(known), kind="stable")[: (sweeps - len(at_stretches)) // _SIDES]
+            heights = (known[between] + known[between + 1]) / 2
         top = self.plan.around.height
         chosen = [
             (float(angle), float(z))
@@ -213,7 +239,7 @@ class Session(Described):
             for angle in 2 * np.pi * np.arange(_SIDES) / _SIDES
         ]
         chosen += self._open_directions(sweeps)
-        return [slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]
+        return at_stretches + [slice_sweep(self.plan, space, angle, z) for angle, z in sorted(chosen)]
 
     def _open_directions(self, sweeps: int) -> list[tuple[float, float]]:
         """At most `sweeps` directions and heights that close what the contacts of slices leave open, if that is much."""

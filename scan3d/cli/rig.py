@@ -221,13 +221,9 @@ def further(
         "tolerance": tolerance,
         "around": str(body),
     }
-    known = "nothing bounds the body yet"
-    if bound < float("inf"):
-        part = share(session.relative_bound, up=True)
-        known = f"the body is known within {length(bound, measured.unit, up=True)} ({part} of the diagonal)"
     for warning in session.warnings:
         output.progress.say(f"warning: {warning.message}")
-    text = f"{known}; {data['sweeps']} further sweeps, written to {data['poses']}"
+    text = f"{session.known}; {data['sweeps']} further sweeps, written to {data['poses']}"
     return print_result(output, data, printable(text))
 
 

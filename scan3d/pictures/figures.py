@@ -176,7 +176,10 @@ def color_bar(figure: Any, shaded: Shade, sheet: Sheet, unknown: str = "") -> fl
         bar.formatter.set_powerlimits((-4, 5))
         bar.formatter.set_useMathText(True)
         bar.ax.yaxis.get_offset_text().set_fontsize(sheet.font - 1)
-    bar.set_label(wrapped(shaded.title, height, sheet), fontsize=sheet.font, labelpad=0.6 * sheet.font)
+    if shaded.names:
+        bar.set_ticks([value for value, _ in shaded.names], labels=[name for _, name in shaded.names])
+    title = "" if shaded.names else wrapped(shaded.title, height, sheet)
+    bar.set_label(title, fontsize=sheet.font, labelpad=0.6 * sheet.font)
     box = box_of(figure, bar.ax)
     margin = _MARGIN * sheet.em
     bar.ax.set_position([(width - margin - box.x1) / width, *place[1:]])

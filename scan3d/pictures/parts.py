@@ -41,6 +41,8 @@ class Shade(NamedTuple):
     map: str
     norm: Any
     """A matplotlib norm; None for kinds of contact."""
+    names: tuple[tuple[float, str], ...] = ()
+    """Values that stand for classes, and what these are called."""
 
 
 def largest_known(values: Array) -> float:
@@ -113,7 +115,9 @@ def surface_shades(scene: Scene) -> tuple[Any, list[Shade]]:
     shades = []
     if known is not None:  # patches that no rod has reached are seen at once
         values = np.interp(np.asarray(known, dtype=float), (0, 1, 2), (1.0, _ESTIMATED, 0.0))
-        shades.append(shade(values, f"known (0), estimated ({_ESTIMATED}), unknown (1)", 0.0, 1.0, map="Reds"))
+        names = (0.0, "known"), (_ESTIMATED, "estimated"), (1.0, "unknown")
+        title = ", ".join(f"{name} ({value:g})" for value, name in names)
+        shades.append(shade(values, title, 0.0, 1.0, map="Reds")._replace(names=names))
     if deviation is not None:
         values, unit = shown_lengths(deviation, scene.unit)
         # a body that was found exactly, to a nanometre, is not shown in the colours of a large deviation

@@ -28,6 +28,7 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.planning.heights import first_heights
 from scan3d.planning.plan import (
+    BaseLine,
     Plan,
     across,
     base_line,
@@ -368,10 +369,10 @@ def _slices(plan: RigPlan, space: Space) -> list[Sweep]:
     ]
 
 
-def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float) -> Sweep:
-    """The sweep at a height with the rod in a direction, past the whole bounding body."""
+def slice_sweep(plan: RigPlan, space: Space, angle: float, height: float, line: BaseLine | None = None) -> Sweep:
+    """The sweep at a height with the rod in a direction, past the whole bounding body; on the nearest base line by default."""
     outline, frame = plan.around.outline(), slice_frame(np.array([0.0, 0.0, 1.0]))
-    line = base_line(outline, angle, space.clearance)
+    line = line or base_line(outline, angle, space.clearance)
     across = (outline - line.origin) @ line.axes[0]
     x0 = np.linspace(across.max() + space.margin, across.min() - space.margin - space.beyond, plan.samples)
     return Sweep(positions(line, x0, height, frame), clamp_axes(line, frame))

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from scan3d.arrays import Array
-from scan3d.bounds.free_space import Sheets, outer_contours
+from scan3d.bounds.free_space import contradicted, outer_contours, sheets_of
 from scan3d.cloud import Cloud
 from scan3d.planning.plan import BaseLine, base_line
+from scan3d.recording import Recording
 
 # Stretches of a slice that are aimed at in one round.
 _AT_ONCE = 3
@@ -38,14 +39,18 @@ class Aim(NamedTuple):
     """How far along that direction, from the origin, the end of the undeformed rod goes."""
 
 
-def aims(sheets: list[Sheets], cloud: Cloud) -> list[Aim]:
+def aims(recording: Recording, cloud: Cloud) -> list[Aim]:
     """Sweeps at the widest stretches of each slice that are wider than the slices are apart, the widest first.
 
-    Contacts that lie in free space are to be left out before.
+    cloud
+        contacts of the recording.  Raises InputError as `bounds.free_space.sheets_of`.
     """
+    touched = cloud.fattened or cloud
+    sheets = sheets_of(recording, touched)
+    touched = touched.select(~contradicted(sheets, touched))
     found = []
     for sheet in sheets:
-        contours = outer_contours([sheet], cloud)
+        contours = outer_contours([sheet], touched)
         places = contours.points @ sheet.frame.T
         flat, height = places[:, :2], places[:, 2]
         x, y = np.round((flat - sheet.origin) / sheet.cell).astype(int).T

@@ -12,7 +12,6 @@ import numpy as np
 
 import planar
 from scan3d.arrays import Array
-from scan3d.bounds.free_space import contradicted, sheets_of
 from scan3d.errors import InputError
 from scan3d.files.reading import to_float
 from scan3d.geometry.convexity import check_body, check_convex, is_convex
@@ -204,11 +203,10 @@ def _aim(scan: AxisScan, rod: Rod) -> None:
     for _ in range(_ROUNDS):
         recording = recording_of([scan], rod)
         try:
-            cloud = contacts(recording)
-            sheets = sheets_of(recording, cloud)
+            aimed = aims(recording, contacts(recording))
         except InputError:  # too few contacts to say where others are needed
             return
-        scan.sweep_at(aims(sheets, cloud.select(~contradicted(sheets, cloud))))
+        scan.sweep_at(aimed)
         _check_sweeps(scan, scan.plan.samples)
 
 
