@@ -19,10 +19,10 @@ from small_scans import CUBE, EGG, FEW, FOLDER
 
 import scan3d
 from scan3d import batches, workers
-from scan3d.batches import COLUMNS, _csv, body_names, combinations, mesh_files, read_grid, run_name
+from scan3d.batches import COLUMNS, _csv, body_names, mesh_files, read_grid, run_name
 from scan3d.cli import main
 from scan3d.pictures import rendering
-from scan3d.settings import settings, varied_settings
+from scan3d.settings import settings
 
 SETTINGS = {"slices": 4, "sweeps": 4, "samples": 8}
 """Those of `FEW`, as keywords."""
@@ -242,17 +242,6 @@ def test_a_setting_is_given_once(call, tmp_path):
         scan3d.batch(EGG, tmp_path / "out", slises=4)
 
 
-def test_a_grid_takes_precedence_over_the_file_of_settings_and_no_combination_comes_twice(tmp_path):
-    (tmp_path / "settings.toml").write_text("samples = 12\nsweeps = 4\n")
-    grid = combinations({"samples": (8, 10), "slices": 4, "friction": [0.3, "0.3"]})
-    chosen = varied_settings({"seed": 1}, grid, tmp_path / "settings.toml")
-    assert [(one.samples, one.sweeps, one.slices, one.seed) for one in chosen] == [
-        (k, "4", 4, 1) for k in (8, 8, 10, 10)
-    ]
-    runs = batches._runs([CUBE], list(zip(grid, chosen, strict=True)), tmp_path, False)
-    assert [run.name for run in runs] == [f"cube_samples={k}_slices=4_friction=0.3" for k in (8, 10)]
-
-
 # --- what a batch writes ---
 
 
@@ -280,19 +269,6 @@ def test_the_summary_has_a_row_for_each_run(serial):
     assert re.match(r"bad\.stl has no triangles", found[3]["error"])
     assert found[3]["hausdorff_relative"] == ""
     assert repr(done) == f"Batch of 4 runs, 1 failed, in {out}"
-
-
-def test_best_median_and_worst(serial):
-    out, done = serial
-    ordered = sorted(done.rows[:3], key=lambda row: row["hausdorff_relative"])
-    assert list(done.ranks) == ordered
-    data = json.loads((out / "batch.json").read_text())
-    assert [data[name] for name in ("best", "median", "worst")] == [row["run"] for row in ordered]
-    assert data["counts"] == {"runs": 4, "done": 3, "failed": 1}
-    assert set(data["files"]) == SUMMARIES
-    even = [*done.rows[:3], {**done.rows[0], "hausdorff_relative": 2.0}]
-    assert batches._ranks(even).median == ordered[1]
-    assert batches._ranks(done.failures) == (None, None, None)
 
 
 def test_the_results_of_a_run_are_opened_by_its_name(serial):

@@ -10,7 +10,7 @@ import trimesh
 
 import scan3d
 from scan3d.bounds.constraints import allowed, sigmas
-from scan3d.bounds.noise import averages_of, confident
+from scan3d.bounds.noise import averages_of, beyond, confident
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
@@ -110,6 +110,21 @@ def test_means_of_rounded_numbers_are_no_more_accurate():
     by_means = enclosure(dataclasses.replace(cloud, independent=True)).inner
     assert nearest(np.asarray(by_means.vertices), mesh)[0].max() > 0
     assert len(averages_of(cloud.points, None, np.ones(len(cloud)), 5.0).kappa) == 0
+
+
+def test_the_part_of_a_polygon_beyond_a_line():
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    normals, tangents = np.array([[1.0, 0], [1, 0], [1, 0]]), np.array([[0.0, 1], [0, 1], [0, 1]])
+    points, offset = np.array([[0.5, 0.25], [1.0, 0], [2.0, 0]]), np.array([0.5, 1.0, 2.0])
+    extent, height = beyond(square, points, normals, tangents, offset)
+    np.testing.assert_allclose(extent, [1.25, 1.0, 0.0])
+    np.testing.assert_allclose(height, [0.5, 0.0, 0.0])
+    diagonal = np.array([[np.sqrt(0.5), np.sqrt(0.5)]])
+    extent, height = beyond(
+        square, np.array([[0.5, 0.5]]), diagonal, diagonal[:, ::-1] * [-1, 1], np.array([np.sqrt(0.5)])
+    )
+    np.testing.assert_allclose(extent, np.sqrt(0.5))
+    np.testing.assert_allclose(height, np.sqrt(0.5))
 
 
 # --- enclosures and certificates ---

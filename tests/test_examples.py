@@ -18,7 +18,6 @@ import pytest
 from matplotlib.figure import Figure
 
 import planar
-from planar.plots import TANGENTIAL_COLOR, TIP_COLOR
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -76,44 +75,6 @@ def test_a_script_saves_its_picture_in_the_current_folder_or_at_the_given_path(
                 runpy.run_path(script, run_name="__main__")
                 made = tmp_path / (given[0] if given else f"{name}.png")
                 assert made.read_bytes().startswith(b"\x89PNG")
-
-
-def test_figure_3() -> None:
-    figure = example("paper_figure_3")
-    shapes, *reactions = figure.draw().axes
-    colors = [line.get_color() for line in shapes.lines]
-    assert colors.count(TIP_COLOR) == (figure.SWEEP.phase == planar.Phase.TIP).sum()
-    tangential = (figure.SWEEP.phase == planar.Phase.TANGENTIAL).sum()
-    assert colors.count(TANGENTIAL_COLOR) == colors.count("black") == tangential
-    assert colors.count(TIP_COLOR) + tangential == figure.LINES
-    for axes in reactions:
-        # a curve for every friction, two circles on every curve of constant friction
-        curves = [line for line in axes.lines if line.get_marker() == "None"]
-        circles = [line for line in axes.lines if line.get_marker() == "o"]
-        assert len(curves) == len(figure.SWEEPS)
-        assert [len(line.get_xdata()) for line in circles[:-1]] == [2] * len(figure.FRICTIONS)
-
-
-def test_figure_4() -> None:
-    figure = example("paper_figure_4")
-    panels = figure.draw().axes
-    assert len(panels) == 6
-    assert [len(panel.child_axes) for panel in panels] == [1, 0, 1, 0, 0, 0]
-
-
-def test_figure_5() -> None:
-    figure = example("paper_figure_5")
-    angle, coefficient = figure.draw().axes
-    # a curve and its circles for every sweep, and the friction that was set at random
-    assert (len(angle.lines), len(coefficient.lines)) == (10, 11)
-    for swept, contacts in zip(figure.SWEEPS, figure.CONTACTS, strict=True):
-        touching = contacts.status == planar.Status.OK
-        tangential = swept.phase == planar.Phase.TANGENTIAL
-        np.testing.assert_array_equal(contacts.phase[touching], swept.phase[touching])
-        # the estimated friction is the friction that was set, sample by sample
-        np.testing.assert_allclose(contacts.friction[tangential], swept.friction[tangential], rtol=0, atol=1e-12)
-        tip = touching & ~tangential
-        assert (contacts.friction_angle_bound[tip] < np.arctan(swept.friction[tip])).all()
 
 
 def test_one_sweep() -> None:

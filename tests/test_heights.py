@@ -78,6 +78,21 @@ def test_slabs_are_cut_at_their_worst_corners_the_widest_first():
     assert cut([0], [-0.1], [1.0], False) == pytest.approx([0.0])
 
 
+def test_bent_slabs_are_divided_so_that_the_largest_gap_becomes_least():
+    angles = np.arccos(1 - 2 * KNOWN[1:-1])
+    within = lambda part: (1 - np.cos(angles[0] + (angles[1] - angles[0]) * part)) / 2  # noqa: E731
+    gap = [1.0, 0.999]
+    # with three slices left, one slab gets three parts and the other two; the density of slices is nearly the same in both
+    thirds, half = within(np.array([1, 2]) / 3), 1 - within(0.5)
+    assert cut([1, 2], [0.3, 0.7], gap, False, left=3) == pytest.approx([*thirds, half], rel=1e-3)
+    # a round gets whole slabs, but no more heights than are left, and one that needs many parts is cut into two
+    assert cut([1, 2], [0.3, 0.7], gap, False, count=1, left=3) == pytest.approx(thirds, rel=1e-3)
+    assert len(cut([1, 2], [0.3, 0.7], gap, False, count=1, left=1)) == 1
+    assert cut([1, 2], [0.3, 0.7], gap, False, count=1, left=19) == pytest.approx([within(5 / 11)], rel=1e-3)
+    # without a number of slices left they are halved
+    assert len(cut([1, 2], [0.3, 0.7], gap, False)) == 2
+
+
 def test_parts_are_shared_so_that_the_largest_gap_is_least():
     """The least gap by trying all numbers of parts."""
     gaps = np.array([1.0, 0.7, 3.0])

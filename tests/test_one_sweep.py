@@ -10,7 +10,7 @@ from PIL import Image
 import planar
 from scan3d import InputError
 from scan3d.cli import main
-from scan3d.laboratory.one_sweep import COLUMNS, SI_COLUMNS, OneSweep, is_sweep, read_sweep, reconstruct_sweep
+from scan3d.laboratory.one_sweep import COLUMNS, SI_COLUMNS, OneSweep, read_sweep, reconstruct_sweep
 from scan3d.pictures.charts import sweep_figure
 from scan3d.rods import parse_rod
 
@@ -186,23 +186,6 @@ def test_only_tip_contacts_have_no_friction(tmp_path, left, capsys):
     table = write(tmp_path / "sweep.csv", tips)
     assert main(["reconstruct", str(table)]) == 0
     assert "not known, as no contact is tangential" in capsys.readouterr().out
-
-
-def test_a_recording_is_told_from_one_sweep_by_its_header(tmp_path):
-    for header, is_one in (
-        ("x0,f0x,f0y,m0z", True),
-        ("time,x0_m,f0x_N,f0y_N,m0z_Nm,sweep", True),
-        ("x0;f0x;f0y;m0z", True),
-        ("f0x,f0y", True),
-        ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm", False),
-        ("sweep,x_m,y_m,z_m,qw,qx,qy,qz,fx_N,fy_N,mz_Nm,x0", False),
-        ("a,b", False),
-        ("", False),
-    ):
-        path = tmp_path / "table.csv"
-        path.write_text(header + "\n", encoding="utf-8-sig")
-        assert is_sweep(path) == is_one, header
-    assert not is_sweep(tmp_path / "none.csv")
 
 
 def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):

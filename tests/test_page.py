@@ -16,7 +16,6 @@ from small_scans import CUBE, scanned, scanned_in_space
 import scan3d
 from scan3d.numbers import FORCES, MOMENTS
 from scan3d.pictures.page import page, player, samples_of
-from scan3d.pictures.parts import shown_lengths, shown_surface
 from scan3d.pictures.scene import Scene
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -63,26 +62,6 @@ def test_the_page_holds_the_scan(cube):
     for quantity, value in cube.key_figures:
         assert f"<th>{quantity}</th><td>{value}</td>" in text.decode()
     assert page(cube) == text
-
-
-def test_histograms_count_area_and_contacts_alike(cube):
-    layers, (mesh, deviation, bound, _) = layers_of(page(cube)), shown_surface(cube)
-    weight = np.zeros(len(mesh.vertices))
-    np.add.at(weight, np.asarray(mesh.faces), np.asarray(mesh.area_faces)[:, None] / 3)
-    for scale, values in zip(layers["surface"]["colors"], (deviation, bound), strict=True):
-        values = shown_lengths(values, "mm")[0]
-        expected = np.histogram(np.clip(values, scale["low"], scale["high"]), 32, (scale["low"], scale["high"]),
-                                weights=weight)[0]  # fmt: skip
-        # values of equal size at an edge of a bin may be rounded into the next
-        assert np.abs(np.cumsum(scale["shares"]) - np.cumsum(expected) / weight.sum()).max() < 0.02
-        assert scale["unknown"] == 0
-        for share, quantile in zip((0.05, 0.5, 0.95), scale["quantiles"], strict=True):
-            assert weight[values <= quantile].sum() >= share * weight.sum() * (1 - 1e-9)
-            assert weight[values < quantile].sum() <= share * weight.sum() * (1 + 1e-9)
-    friction = layers["contacts"]["colors"][2]
-    known = np.isfinite(cube.column("friction"))
-    assert friction["unknown"] == pytest.approx(1 - known.mean())
-    assert sum(friction["shares"]) == pytest.approx(known.mean())
 
 
 def test_the_page_of_a_scan_in_space():

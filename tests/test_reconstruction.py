@@ -132,18 +132,6 @@ def test_no_rows_and_single_numbers():
     np.testing.assert_array_equal(single.point, planar.reconstruct(*row()).point)
 
 
-def test_methods_agree():
-    exact, numerical = planar.reconstruct(*columns()), planar.reconstruct(*columns(), "scholz-rahn")
-    np.testing.assert_array_equal(exact.status, numerical.status)
-    np.testing.assert_allclose(numerical.point, exact.point, atol=1e-9)  # it integrates at 1e-10
-    frictionless = planar.sweep(CIRCLE, 0.0, samples=25)
-    tangential = frictionless.phase == Phase.TANGENTIAL
-    reactions = [getattr(frictionless, name)[tangential] for name in ("x0", "f0x", "f0y", "m0z")]
-    np.testing.assert_allclose(
-        planar.reconstruct(*reactions, "will").point, planar.reconstruct(*reactions).point, atol=1e-12
-    )
-
-
 def test_tolerance_decides_between_tip_and_tangential():
     contacts = planar.reconstruct(*columns())
     nearly = (contacts.s1 > 0.95) & (contacts.phase == Phase.TANGENTIAL)

@@ -226,20 +226,6 @@ def test_broken_toml_files_are_refused(tmp_path, meta, sentence):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "shape"),
-    [
-        ("position_m", np.zeros((5, 2)), r"\(5, 3\), got \(5, 2\)"),
-        ("quaternion", np.zeros((4, 4)), r"\(5, 4\), got \(4, 4\)"),
-        ("force_N", np.zeros(5), r"\(5, 2\), got \(5,\)"),
-        ("moment_Nm", np.zeros((5, 1)), r"\(5,\), got \(5, 1\)"),
-    ],
-)
-def test_columns_of_different_lengths_are_refused(column, value, shape):
-    with pytest.raises(InputError, match=f"recording: {column} must have the shape {shape}"):
-        random_recording(5, **{column: value})
-
-
 def test_a_rounded_quaternion_is_a_unit_quaternion():
     exact = random_recording()
     rounded = random_recording(quaternion=np.round(exact.quaternion, 4))

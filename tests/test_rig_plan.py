@@ -297,21 +297,6 @@ def test_lists_of_poses_with_errors_say_where(tmp_path, text, sentence):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (("speed_m_s = 0.02", "speed_m_s = -1"), "p.toml: speed_m_s must be a finite number above 0, got -1"),
-        (("speed_m_s", "sped_m_s"), "p.toml: unknown names: sped_m_s; .* did you mean speed_m_s"),
-    ],
-)
-def test_toml_files_of_poses_with_errors_say_where(tmp_path, change, sentence):
-    write_poses(planned("sphere:30"), tmp_path / "p.csv")
-    beside = tmp_path / "p.toml"
-    beside.write_text(beside.read_text().replace(*change))
-    with pytest.raises(InputError, match=sentence):
-        read_poses(tmp_path / "p.csv")
-
-
 def test_the_command_writes_poses_without_a_mesh(tmp_path, capsys):
     out = tmp_path / "new" / "poses.csv"
     assert main(["plan", "--around", "cylinder:80x90", "--out", str(out), "--slices", "3", "--json"]) == 0

@@ -114,17 +114,6 @@ def test_long_runs_leave_few_lines_in_a_pipe(monkeypatch):
     assert lines[-1] == "scan3d: simulating 2560/3600 slices, 42 min 40 s so far"
 
 
-def test_a_message_stays_and_a_closed_stream_does_no_harm(monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(sys, "stderr", stream := Stream())
-    with Progress("scan", quiet=False) as progress:
-        progress.say("no [pictures]")
-        assert "scan3d: no [pictures]\n" in re.sub("\x1b\\[[0-9?]*[a-zA-Z]", "", stream.getvalue())
-        monkeypatch.setattr(sys, "stderr", io.StringIO())
-        stream.close()
-        progress.tell("on")
-
-
 def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_lasted_a_second(monkeypatch):
     now = 100.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)

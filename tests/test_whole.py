@@ -15,7 +15,6 @@ from scan3d import InputError
 from scan3d.files import whole
 from scan3d.files.whole import (
     RESULTS,
-    atomic,
     check_belongs,
     folder,
     locate,
@@ -281,23 +280,6 @@ def test_a_file_is_written_with_the_permissions_of_any_new_file(tmp_path):
     assert (tmp_path / "a.bin").read_bytes() == b"\x00new\n"
     assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "plain").stat().st_mode
     assert names(tmp_path) == ["a.bin", "plain"]
-
-
-def test_the_old_file_stays_when_the_writing_fails(tmp_path):
-    path = tmp_path / "picture.png"
-    path.write_bytes(b"old")
-
-    def draw():
-        with atomic(path) as temporary:
-            # beside it, on the same disk, with the ending that determines the format
-            assert (temporary.parent, temporary.suffix) == (tmp_path, ".png")
-            temporary.write_bytes(b"ne")
-            raise DisasterError
-
-    with pytest.raises(DisasterError):
-        draw()
-    assert path.read_bytes() == b"old"
-    assert names(tmp_path) == ["picture.png"]
 
 
 def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path):
