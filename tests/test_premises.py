@@ -113,7 +113,9 @@ def test_bounds_allow_for_the_relative_error(wrong, noise):
     assert analysis.recording.rig is None  # it is no part of the files
     data = report(analysis, settings={})
     rows = dict(summary(data).rows)
-    assert "of the wrench, which the bounds allow for" in rows["tested"]
+    assert "of the wrench: bounds allow for that, and no more" in rows["tested"]
+    named = analysis.diagnosis
+    assert named is None or "the bounds hold if no more of the wrench is wrong" in named.message
     assert data["certificate"]["relative_error"] == analysis.cloud.calibration.relative
 
 

@@ -72,7 +72,9 @@ def _of_rod(rod: Rod, cloud: Cloud, contradicted: Collection[str]) -> Premise:
     if contradicted:
         outcome = "contradicted"
     elif relative := 0.0 if cloud.calibration is None else cloud.calibration.relative:
-        outcome = f"sweeps over the same place differ by {share(relative)} of the wrench, which the bounds allow for"
+        outcome = (
+            f"sweeps over the same place differ by {share(relative)} of the wrench: bounds allow for that, and no more"
+        )
     elif part:
         agree = f"sweeps agree at the places that several of them touched, {share(part)} of the contacts"
         outcome = f"{agree}; {six_axes}" if six_axes else agree

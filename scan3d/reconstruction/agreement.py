@@ -97,11 +97,15 @@ def checked(recording: Recording, cloud: Cloud) -> Checked:
         diagnosis = Diagnosis(code, first.value, unit, 1.0, f"most likely {cause.format(first.message)}")
     if left is not None and left.too_many:
         found.append(_too_wild(left.share))
-    differs = cloud.calibration is not None and cloud.calibration.relative > 0
-    if (found or differs) and (diagnosis is None or cloud.model == "spatial"):
+    relative = 0.0 if cloud.calibration is None else cloud.calibration.relative
+    if (found or relative) and (diagnosis is None or cloud.model == "spatial"):
         diagnosis = diagnose(recording, cloud.model)
-        if not found and diagnosis.fault == "unknown":
-            diagnosis = None
+        if not found:
+            holds = (
+                f"the bounds hold if no more of the wrench is wrong than the {share(relative)} by which sweeps differ"
+            )
+            said = f"{diagnosis.message}; {holds}"
+            diagnosis = None if diagnosis.fault == "unknown" else diagnosis._replace(message=said)
         found = [each._replace(message=f"{each.message}; {diagnosis.message}") for each in found if diagnosis]
     return Checked(alone + found if cloud.model == "planar" else found + alone, diagnosis)
 
