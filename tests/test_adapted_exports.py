@@ -1,4 +1,4 @@
-"""Exports as other programs want them: units, colours, names of scalars, GLB of clouds, bags of ROS, and closed surfaces."""
+"""Exports as other programs want them: units, colours, names of scalars, GLB of clouds, and bags of ROS."""
 
 import json
 import struct

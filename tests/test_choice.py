@@ -1,4 +1,4 @@
-"""The choice among the methods: which contacts are held out, and the errors of surfaces there."""
+"""The choice among the methods, and the errors of surfaces at contacts that are held out."""
 
 from dataclasses import replace
 

@@ -10,7 +10,7 @@ import trimesh
 
 import scan3d
 from scan3d.bounds.constraints import allowed, sigmas
-from scan3d.bounds.noise import averages_of, beyond, confident
+from scan3d.bounds.noise import AVERAGED, averages_of, beyond, confident
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
@@ -73,6 +73,27 @@ def test_support_lines_that_do_not_close_prove_nothing():
 def test_more_contacts_and_more_confidence_need_more_standard_deviations():
     assert 3.0 < sigmas(1) < sigmas(1000) < sigmas(100_000) < 7.0
     assert sigmas(1000, 0.5) < sigmas(1000, 0.95) < sigmas(1000, 0.999)
+
+
+def test_averages_are_those_of_runs_and_of_the_runs_beside_them():
+    rng = np.random.default_rng(0)
+    points = np.column_stack([np.tile(np.arange(40.0), 2), np.repeat([0.0, 0.01], 40)])
+    sweep = np.repeat([3, 8], 40).astype(np.int32)
+    averages = averages_of(points, sweep, np.ones(80), 5.0)
+    ones = np.ones(80)
+    np.testing.assert_allclose(averages.mean(ones), 1.0)
+    members = np.bincount(averages.group)
+    np.testing.assert_allclose(averages.variance(ones), 1 / members)
+    # the first averages are those of pairs of rows, then each with the pair of the other sweep
+    np.testing.assert_allclose(averages.mean(points)[:20], points.reshape(-1, 2, 2).mean(axis=1)[:20])
+    assert set(members) >= {AVERAGED[0], 2 * AVERAGED[0]}
+    assert (averages.kappa[members == AVERAGED[0]] >= 5.0 - 1e-12).all()
+    assert (averages.kappa[40:80] > 5.0).all()
+    # unequal variances: the mean of least variance
+    variance = rng.uniform(0.5, 2.0, 80)
+    weighted = averages_of(points, sweep, variance, 5.0)
+    least = 1 / np.bincount(weighted.group, 1 / variance[weighted.row])
+    np.testing.assert_allclose(weighted.variance(variance), least)
 
 
 # --- averages ---

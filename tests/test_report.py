@@ -1,4 +1,4 @@
-"""The report: quantities with their intervals against the true bodies, and what it says of scans in space, in words too."""
+"""The report: quantities with their intervals against the true bodies."""
 
 from dataclasses import replace
 
@@ -86,6 +86,3 @@ def test_the_summary_states_the_volume_with_its_interval(exact):
     low, high = data["measurands"][3]["interval"]
     middle, off = (float(part) for part in row.removesuffix(" mm³, certified").replace(",", "").split(" ± "))
     assert middle - off <= low < high <= middle + off
-
-
-# --- scans in space ---

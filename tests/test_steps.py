@@ -69,6 +69,3 @@ def test_the_types_of_choices_are_those_of_the_lists():
     assert set(lists.pop("NOT_CONVEX")) < set(choices.METHODS)
     types = {name: typing.get_args(kind) for name, kind in vars(choices).items() if typing.get_origin(kind)}
     assert sorted(lists.values()) == sorted(types.values())
-
-
-# --- types ---
