@@ -36,7 +36,7 @@ from planar.uncertainty import Errors
 
 # Friction angle, in radians, that rounding may change (of 6,000 exact contacts it changed none by 1e-13), the one up to which
 # contacts agree on theirs, standard deviations of a test on noisy contacts.
-_EXACT, _AGREES, _DEVIATIONS = 1e-8, 1e-6, 5.0
+_EXACT, _AGREES, _DEVIATIONS = 1e-11, 1e-6, 5.0
 # Share of the turn from one slope to the next by which the chord may differ from their mean, and what is added for pieces of
 # other curvature, in radians: with exact contacts of four bodies no single contact of 15,489 was beyond.
 _SHARE, _ADDED = 0.6, 2e-3

@@ -126,10 +126,21 @@ def test_what_rods_passed_is_free():
         inside = np.array([0.0, 0.95]) + share[:, None] * (border - np.array([0.0, 0.95]))
         assert free.depth(inside).max() == 0
         assert free.depth(border).max() == 0
-        # a hundredth of the rod's length outside of most of the lower side the space begins
+        # two hundredths of the rod's length outside of most of the lower side the space begins
         low = border[border[:, 1] < 0.95 - 0.7 * np.abs(border[:, 1] - 0.95).max()]
-        outward = low + 0.01 * (low - [0.0, 0.95]) / np.linalg.norm(low - np.array([0.0, 0.95]), axis=1)[:, None]
+        outward = low + 0.02 * (low - [0.0, 0.95]) / np.linalg.norm(low - np.array([0.0, 0.95]), axis=1)[:, None]
         assert (free.depth(outward) > 0).mean() > 0.5
+
+
+def test_the_path_of_a_tip_over_a_bump_is_not_free():
+    """The tip bends round a spike within a step: the body reaches beyond the chord of its path."""
+    angle = np.linspace(0, 2 * np.pi, 96, endpoint=False)
+    outline = np.stack(polar(0.3 * (1 + 0.35 * np.cos(5 * angle)), angle, 1.2, (0.0, 0.0)), axis=1)
+    outline[:, 1] += 0.5 - outline[:, 1].min()
+    swept = planar.sweep(planar.Polygon(outline), 0.3, samples=72)
+    single = swept.status < planar.SweepStatus.SEVERAL_CONTACTS
+    free = free_space(swept.x0, swept.f0x, swept.f0y, swept.m0z, single=single)
+    assert free.depth(np.concatenate([outline, (outline + np.roll(outline, -1, axis=0)) / 2])).max() == 0
 
 
 def test_second_contacts_are_recovered_where_other_sweeps_know_the_first():

@@ -34,13 +34,10 @@ _AROUND = 12
 
 
 def without_second_contacts(cloud: Cloud, recording: Recording) -> Cloud:
-    """The contacts of a recording in slices, less those that can't be single ones if its body is stated not to be convex.
+    """The contacts of a recording in slices, less those that can't be single ones, if its body is not convex.
 
-    The cloud is returned as it is where that is not stated, and where its contacts contradict each other whatever the body's
-    shape.
+    The cloud is returned as it is where its contacts contradict each other whatever the body's shape.
     """
-    if recording.source.get("convex") is not False:
-        return cloud
     rows = _Rows(cloud, recording)
     friction = rows.friction()
     refused = rows.refused(friction)

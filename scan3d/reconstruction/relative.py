@@ -68,9 +68,13 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
     if model_of(recording, method, model) == "spatial":
         return with_rig_errors(spatial_contacts(recording), recording)
     touched = contacts(recording, method)
+    hollow = recording.source.get("convex") is False
+    if hollow:  # its slices may contradict each other without any error
+        found = without_second_contacts(_whole(touched, recording, recording, method), recording)
+        if not found.convex:
+            return found
     by_rig = with_rig_errors(touched, recording)
-    # slices of a body that is stated not to be convex may contradict each other
-    left = None if recording.source.get("convex") is False else left_out(recording, by_rig)
+    left = None if hollow else left_out(recording, by_rig)
     if left is not None and not left.too_many:
         left, touched = _without_wild(recording, left, method)
         part, kept = rest(recording, left)
@@ -78,9 +82,7 @@ def reconstruct(recording: Recording, method: str = "closed-form", model: str | 
         return renumbered(_with_left_out(_whole(touched, part, known, method), left), kept)
     known = _with_relative_error(recording, by_rig, method)
     found = _whole(touched, recording, known, method)
-    if known is recording:  # what a small error of the wrench explains is no dent
-        found = without_second_contacts(found, recording)
-    if left is None or not found.convex:
+    if left is None:
         return found
     explained = known is not recording and left_out(recording, found.fattened or found) is None
     return found if explained else _with_left_out(found, left)
