@@ -16,6 +16,7 @@ from spatial_bodies import (
     random_polyhedron,
     spatial_cloud,
 )
+from spatial_scans import recorded
 
 import scan3d
 from planar import Phase
@@ -148,3 +149,12 @@ def test_contradicting_tangents_are_not_believed():
     """Rods that pass through the body contradict the premise, and bound nothing."""
     cloud = spatial_cloud(Ellipsoid(np.array([1.0, 0.8, 0.6])), 1000, 1)
     assert enclosure(dataclasses.replace(cloud, tangents=cloud.normals)).bound == np.inf
+
+
+def test_contacts_deeper_than_noise_explains_widen_the_bounds():
+    """A rod that tapers by 2 % made the outer body false where the test of depths, by noise along the rod, did not see it."""
+    right, _, _ = recorded(0.3, directions=8, heights=8, samples=48, substeps=2, noise=(2e-4, 2e-4))
+    thin = right.rod.length_m * 1e-6
+    wrong = dataclasses.replace(right, rod=dataclasses.replace(right.rod, diameter_m=thin, tip_diameter_m=0.98 * thin))
+    assert scan3d.reconstruct(right).pose_error == 0
+    assert scan3d.reconstruct(wrong).pose_error > 0.02

@@ -48,7 +48,7 @@ _OFF_LINE = 0.05
 FALSE_ALARM = 1e-5
 """Probability that noise makes a correct recording exceed the allowed distances."""
 # Contacts, tangents, and contacts of the hull that are compared at most.
-_COMPARED = 1500
+COMPARED = 1500
 
 
 class Contradiction(NamedTuple):
@@ -116,7 +116,7 @@ def cause_of_no_contact(recording: Recording) -> str:
     return "" if diagnosis.fault in ("unknown", "second-contact") else f"; {diagnosis.message}"
 
 
-def _kappa(count: int) -> float:
+def kappa(count: int) -> float:
     """Standard deviations that no place of so many contacts is off by, but for `FALSE_ALARM`."""
     return float(np.sqrt(chdtri(3, FALSE_ALARM / max(count, 1))))
 
@@ -157,7 +157,7 @@ def shape_contradictions(recording: Recording, cloud: Cloud) -> list[Contradicti
             "of one that is not convex state convex = false under [source] of the recording"
         )
         return [Contradiction("beyond-tangent", text, beyond)]
-    place = np.zeros(len(cloud)) if cloud.place_sd is None else _kappa(len(cloud)) * cloud.place_sd
+    place = np.zeros(len(cloud)) if cloud.place_sd is None else kappa(len(cloud)) * cloud.place_sd
     # the force of friction on a thick rod's tip may meet the centre line as deep in the fattened body as the rod is thick
     radius = recording.rod.diameter_m / 2 / UNITS_M[cloud.unit]
     place = place + cloud.lever + np.where(cloud.phase == planar.Phase.TIP, radius, 0.0)
@@ -211,7 +211,7 @@ def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
         for k, slice_ in enumerate(stack.slices):
             if cloud.tilt is not None and k in (0, len(stack.slices) - 1):
                 continue
-            lines, some = evenly(slice_.tangential, _COMPARED), evenly(np.arange(len(slice_.rows)), _COMPARED)
+            lines, some = evenly(slice_.tangential, COMPARED), evenly(np.arange(len(slice_.rows)), COMPARED)
             if not len(lines):
                 continue
             normals = slice_.normals[np.searchsorted(slice_.tangential, lines)]
@@ -225,7 +225,7 @@ def compared_in_slices(cloud: Cloud) -> Iterator[Compared]:
                 systematic += _by_tilt(cloud, cloud.tilt, stack, k, normals)[:, None]
             noise = None
             if cloud.covariance is not None and cloud.normal_sd is not None:
-                noise = found.errors(_kappa(len(cloud)), cloud.covariance, cloud.normal_sd)
+                noise = found.errors(kappa(len(cloud)), cloud.covariance, cloud.normal_sd)
             misfit = beyond_tangents(*compared, noise, cloud.rod_length)
             explained = misfit.explained + systematic
             yield found._replace(misfit=misfit._replace(explained=explained), systematic=systematic)
@@ -250,11 +250,11 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     known = readings(recording)
     pressed = int(known.felt.sum())
     without = 1 - int((known.touching | known.light).sum()) / pressed if pressed else 0.0
-    rows, kappa = cloud.row, _kappa(len(cloud))
+    rows, sigmas = cloud.row, kappa(len(cloud))
     of_rows = known.found.rows(rows)
     force, moment = (part[rows] for part in recording.reactions(six_axis=True))
     radius = cloud.rod_radius / cloud.rod_length
-    about_rod, along_force = against_single_force(force, moment, of_rows, known.noise, kappa, radius)
+    about_rod, along_force = against_single_force(force, moment, of_rows, known.noise, sigmas, radius)
     by_rig: Array | float = 0.0
     if (rig := cloud.calibration) is not None:
         by_rig = rig.factor(FALSE_ALARM) * torsion_sd(recording, rows) / np.hypot(moment[:, 0], moment[:, 2])
@@ -279,9 +279,11 @@ def _in_space(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     assert cloud.tangents is not None
     place, turn = np.zeros(len(cloud)), np.zeros(len(cloud))
     if known.error is not None and cloud.place_sd is not None:
-        place, turn = kappa * cloud.place_sd, kappa * known.error.tangent[rows]
-    lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), _COMPARED)
-    found += _not_convex(cloud, (place, turn), lines)
+        place, turn = sigmas * cloud.place_sd, sigmas * known.error.tangent[rows]
+    lines = evenly(np.flatnonzero(cloud.phase == planar.Phase.TANGENTIAL), COMPARED)
+    # what depths show beyond that is allowed for in the bounds, but is no excuse
+    by_poses = recording.noise.place_m * cloud.rod_length / recording.rod.length_m
+    found += _not_convex(replace(cloud, pose_error=by_poses), (place, turn), lines)
     return found
 
 
@@ -298,7 +300,7 @@ def _not_convex(cloud: Cloud, errors: tuple[Array, Array], lines: Index) -> list
         factor = rig.factor(FALSE_ALARM)
         place, turn = place + factor * rig.place_sd, turn + factor * rig.turn_sd
     every = np.arange(len(points))
-    misfit = depths_in_hull(points, evenly(every, _COMPARED), every, lines, tangents, (place, turn), cloud.rod_length)
+    misfit = depths_in_hull(points, evenly(every, COMPARED), every, lines, tangents, (place, turn), cloud.rod_length)
     if misfit is None:
         return []
     depth, explained, rows = misfit.found, misfit.explained + 2 * cloud.pose_error, np.concatenate([every, lines])
@@ -328,7 +330,7 @@ def _below_table(cloud: Cloud) -> list[Contradiction]:
         heights = cloud.points[:, 2] if cloud.fattened is None else cloud.fattened.points[:, 2] + cloud.rod_radius
         covariance = cloud.covariance
     sd = None if covariance is None else np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
-    depth = cloud.table - heights - allowed - (0.0 if sd is None else _kappa(len(cloud)) * sd)
+    depth = cloud.table - heights - allowed - (0.0 if sd is None else kappa(len(cloud)) * sd)
     worst = int(depth.argmax())
     if depth[worst] <= 0:
         return []
@@ -377,7 +379,7 @@ def _out_of_plane(recording: Recording, cloud: Cloud) -> list[Contradiction]:
     lost = 1 - len(here) / len(spatial)
     distance = np.linalg.norm(cloud.points[here] - spatial.points[there], axis=1)
     error = float(np.percentile(distance, 95)) if len(here) else np.inf
-    allowed = ROUNDING * cloud.rod_length + _kappa(len(cloud)) * spatial.noise
+    allowed = ROUNDING * cloud.rod_length + kappa(len(cloud)) * spatial.noise
     if (rig := with_rig_errors(spatial, recording).calibration) is not None and len(rig.place_sd):
         allowed += rig.factor(FALSE_ALARM) * float(rig.place_sd.max())
     if lost <= _DISTURBED and error <= allowed:
