@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from scan3d.arrays import NEGLIGIBLE, Array
 from scan3d.bounds.constraints import allowed
-from scan3d.cloud import Cloud, LeftOut
+from scan3d.cloud import Cloud
 from scan3d.numbers import angle, length, number, share
 from scan3d.reconstruction.wild import noise_in_air
 from scan3d.recording import Recording
@@ -33,17 +33,17 @@ def premises(recording: Recording, cloud: Cloud, contradicted: Collection[str]) 
         if cloud.convex
         else Premise("no contact is that of a rod with a second one that stayed hidden", False, hidden),
         _of_rod(recording.rod, cloud, contradicted),
-        _of_noise(recording, cloud.left_out),
+        _of_noise(recording, cloud),
     )
 
 
-def _of_noise(recording: Recording, left: LeftOut | None) -> Premise:
+def _of_noise(recording: Recording, cloud: Cloud) -> Premise:
     """That on the noise: rows in the air have no values that are too large for it."""
-    noise = recording.noise
+    noise, left = recording.noise, cloud.left_out
     if not max(noise.force_N, noise.moment_Nm, noise.pose_m):
         assumed = "reactions without noise"
     elif left is None:
-        assumed = "white noise of the stated size"
+        assumed = "white noise of the stated size" + (", without wild rows" if cloud.model == "spatial" else "")
     else:
         assumed = f"white noise of at most {number(left.factor)} times the stated size, but for single wild rows"
     air = noise_in_air(recording)
