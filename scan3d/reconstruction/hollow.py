@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 import planar
 from scan3d.arrays import Array, Index, Mask
 from scan3d.cloud import PER_CONTACT, Cloud, NormalSource
-from scan3d.reconstruction.errors import felt
+from scan3d.reconstruction.errors import contact_tolerance, felt, tip_tolerance
 from scan3d.recording import Recording
 from scan3d.units import UNITS_M
 
@@ -70,9 +70,10 @@ class _Rows:
         self.above = place[:, 1]
         """(n,) place of the clamp along the y axis of its frame."""
         noise = recording.noise.of_reactions(rod)
-        self.found = planar.reconstruct(*self.columns)
         self.errors = planar.errors(force[:, 0], force[:, 1], moment, noise=noise)
         self.pressed = felt(force, noise)
+        tolerance = tip_tolerance(recording, self.pressed, contact_tolerance(self.errors), "planar")
+        self.found = planar.reconstruct(*self.columns, tolerance=tolerance)
         self.touching = np.zeros(len(moment), dtype=bool)
         # the cloud allows for noise: some of its rows have no rod as they are
         self.touching[cloud.row] = np.isfinite(self.found.point[cloud.row]).all(axis=1)
