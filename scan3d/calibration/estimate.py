@@ -19,13 +19,26 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Mask, evenly
-from scan3d.calibration.fit import Fit, Noise, Problem, adjusted, by_parameter, estimates, fitted, in_air
+from scan3d.calibration.fit import (
+    CHANCE,
+    Fit,
+    Noise,
+    Problem,
+    adjusted,
+    by_parameter,
+    checked,
+    estimates,
+    fitted,
+    in_air,
+    is_shaped,
+)
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
     MIXING,
     PLACE,
     SENSOR,
+    SHAPE,
     STIFFNESS,
     TARE,
     TILT,
@@ -61,6 +74,7 @@ _FIXED_FIRST = {
     SENSOR: 0.8,
     PLACE: 0.0,
     LENGTH: 1.0,
+    SHAPE: 0.95,
     MIXING: 0.0,
     TARE: 0.0,
 }
@@ -86,8 +100,10 @@ _PLACE_NOISE, _NO_FIT, _RELATIVE = 3e-4, 0.01, 2e-3
 _CONTRADICTION = 0.1
 # Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
 _USABLE, _STIFFEST = 0.3, 2.5
-# Rows in contact by which the fit is begun.
-_MANY = 10_000
+# What places, and wrenches relative to their sizes, may be off for a rod whose shape is not known yet.
+_SHAPELESS = 0.03
+# Rows in contact by which the fit is begun; and those of a rod that is marched, of which so many tell as much as is needed.
+_MANY, _MARCHED = 10_000, 400
 
 
 def calibrated(
@@ -111,21 +127,59 @@ def calibrated(
     problem, nominal = measured(recording, touched, tare)
     first = _PLACE_NOISE if place is None else max(place / rod.length_m, NEGLIGIBLE)
     noise = Noise(problem.air.force_noise, problem.air.moment_noise, first, _RELATIVE * problem.channels.all())
-    step = max(1, len(problem.touches.kind) // _MANY)
+    refusal = None
+    try:
+        fit = _of_rig(problem, nominal, noise, place)
+        _check(fit, recording)
+        if not is_shaped(fit):
+            return fit
+    except InputError as error:
+        refusal = error
+    other = _shaped(problem, nominal, noise, recording, place)
+    if other is None and refusal is not None:
+        raise refusal
+    return other or fit
+
+
+def _of_rig(problem: Problem, nominal: Rig, noise: Noise, place: float | None) -> Fit:
+    """The fit from a nominal rig; of the rows if it has a shape, which takes long, so many as are needed."""
+    many = _MARCHED if nominal.marched else _MANY
+    step = max(1, len(problem.touches.kind) // many)
     few = problem.rows(np.arange(0, len(problem.touches.kind), step))
     rig = first_rig(few, nominal, noise)
     strong, rig = _with_kinds(_strong(few, rig, noise), rig, noise, None, _ROUGH)
-    free = _determined(strong, rig, step * fitted(strong, rig, noise, 1).normal)
+    begun = fitted(strong, rig, noise, 1)
+    away = np.abs(begun.rows.misclosure[begun.rows.used[:, 2], 2])
+    if nominal.marched and not (len(away) and np.median(away) < _NO_FIT):  # a fit would take long, and find none
+        raise _no_fit(rig.reference, "")
+    free = _determined(strong, rig, step * begun.normal)
     if (free != strong.free).any():
         rig = fitted(replace(strong, free=free), _at_nominal(rig, nominal, free), noise).rig
     length = rig.length if strong.free[LENGTH] else None
     free[LENGTH] |= length is None  # tip contacts may turn up later
     fit = _settled(replace(few, free=free), rig, noise, length, place is None)
-    if step > 1:  # the fit of some rows is near that of all
+    if step > 1 and not nominal.marched:  # the fit of some rows is near that of all
         length = fit.rig.length if fit.problem.free[LENGTH] else None
         fit = _settled(replace(problem, free=free), fit.rig, fit.noise, length, place is None)
-    _check(fit, recording)
     return fit if fit.problem.free[LENGTH] else replace(fit, rig=replace(fit.rig, length=nominal.length))
+
+
+def _shaped(problem: Problem, nominal: Rig, noise: Noise, recording: Recording, place: float | None) -> Fit | None:
+    """The fit of a rod whose shape is sought as well, if that explains all that the touches deviate by and is certain.
+
+    A shape may make up in part for a wrong diameter of a sphere, or for what no rod does.
+    """
+    free = problem.free.copy()
+    free[SHAPE:MIXING] = [True, True, problem.channels.all()]
+    try:
+        fit = _of_rig(replace(problem, free=free), replace(nominal, marched=True), noise, place)
+        _check(fit, recording)
+    except InputError:
+        return None
+    found = checked(fit, recording, place is None)
+    variances = np.diag(found.covariance)[SHAPE:MIXING]
+    certain = (variances > 0) & (fit.rig.shape**2 > CHANCE**2 * variances)
+    return fit if certain.any() and found.fits else None
 
 
 def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Problem, Rig]:
@@ -153,7 +207,7 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
     kind = np.full(len(rows), Kind.EITHER, dtype=np.int8)
     touches = Touches(wrench[rows], position, frame, air.basis[rows], recording.sweep[rows], rows, around[rows], kind)
     free = np.ones(TARE + air.tare.size, dtype=bool)
-    free[MIXING:TARE] = False
+    free[SHAPE:TARE] = False
     reference = replace(reference, origin=position.mean(axis=0))
     if not six:
         free[[TILT, TURN, TURN + 1, SENSOR + 2]] = False
@@ -161,7 +215,21 @@ def measured(recording: Recording, reference: Reference, tare: str) -> tuple[Pro
         # sweeps in a plane do not determine how far the sphere's centre is from it: its normal is one of the axes
         reference = replace(reference, axes=frame[0])
         free[PLACE + 2] = np.ptp(position @ frame[0, :, 2]) > _PLANE * reference.size
-    nominal = Rig(0.0, np.zeros(3), np.zeros(2), np.eye(3), np.zeros(3), reference, 1.0, air.tare, np.zeros((6, 6)))
+    light = replace(rod, weight_N=0.0)
+    nominal = Rig(
+        stiffness=0.0,
+        clamp=np.zeros(3),
+        tilt=np.zeros(2),
+        turn=np.eye(3),
+        sensor=np.zeros(3),
+        reference=reference,
+        length=1.0,
+        tare=air.tare,
+        mixing=np.zeros((6, 6)),
+        stated=light.in_space(),
+        shape=np.zeros(3),
+        marched=not light.is_simple,
+    )
     return Problem(touches, air, channels, free), nominal
 
 
@@ -200,7 +268,7 @@ def _strong(problem: Problem, rig: Rig, noise: Noise) -> Problem:
     """The rows whose contacts are known well enough along the rod, by their neighbours."""
     scale = np.exp(-rig.stiffness)
     force, moment = clamp_wrench(rig, problem.touches._replace(wrench=problem.touches.around))
-    by_s1 = scale * bent(scale * force, scale * moment).by_s1
+    by_s1 = scale * bent(rig, scale * force, scale * moment).by_s1
     deviation = np.repeat([noise.force, np.hypot(noise.moment, np.linalg.norm(rig.sensor) * noise.force)], 3)
     with np.errstate(invalid="ignore"):
         strong = np.linalg.norm(by_s1 * deviation, axis=1) < _ALONG * rig.reference.size
@@ -307,6 +375,9 @@ def _at_nominal(rig: Rig, nominal: Rig, free: Mask) -> Rig:
         rig.length if free[LENGTH] else nominal.length,
         rig.tare,
         rig.mixing,
+        rig.stated,
+        np.where(free[SHAPE:MIXING], rig.shape, nominal.shape),
+        rig.marched,
     )
 
 
@@ -354,6 +425,8 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     """A rig whose contacts lie near the reference and, where they are far from the tip, are tangential."""
     free = problem.free.copy()
     free[LENGTH:] = False  # the tare is that of the rows in the air
+    # a straight and uniform rod, of which the fit in closed form is fast, is a start for one whose shape is sought
+    nominal = replace(nominal, marched=not nominal.stated.is_straight_and_uniform)
     # contacts of light touches are far from linear in the noise
     force = np.linalg.norm((problem.touches.wrench - problem.touches.basis @ nominal.tare.T)[:, :3], axis=1)
     heavy = np.flatnonzero(force >= np.median(force))
@@ -374,6 +447,12 @@ def first_rig(problem: Problem, nominal: Rig, noise: Noise) -> Rig:
     if not rigs:
         return nominal
     begun = [fitted(_far_from_tip(coarse, rig), rig, noise, _BEGUN) for rig in rigs]
+    if problem.free[SHAPE]:
+        free[SHAPE:MIXING] = problem.free[SHAPE:MIXING]
+        coarse = replace(problem.rows(evenly(heavy, _SEARCHED)), free=free)
+        rigs = [replace(fit.rig, marched=True) for fit in begun]
+        rough = noise._replace(place=_SHAPELESS, relative=_SHAPELESS)
+        begun = [fitted(_far_from_tip(coarse, rig), rig, rough, _BEGUN) for rig in rigs]
     best = min(begun, key=lambda fit: fit.cost).rig
     return fitted(_far_from_tip(coarse, best), best, noise).rig
 

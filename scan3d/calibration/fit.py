@@ -24,14 +24,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
+from scipy.special import chdtri, ndtr
 
-from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask
+from scan3d.arrays import NEGLIGIBLE, ROUNDING, Array, Index, Mask, evenly
 from scan3d.calibration.model import (
     CLAMP,
     LENGTH,
     MIXING,
     PLACE,
     SENSOR,
+    SHAPE,
     STIFFNESS,
     TARE,
     TILT,
@@ -46,7 +48,8 @@ from scan3d.numbers import length, share
 from scan3d.recording import Recording
 
 # Widths within which parameters are known without any touch: those that the touches leave less certain are not determined.
-# Of the stiffness's logarithm, lengths in rod lengths, angles in radians, and the tare in EI/L² and EI/L.
+# Of the logarithms of stiffness and taper, curvatures over the rod's length, lengths in rod lengths, angles in radians, and the
+# tare in EI/L² and EI/L.
 _WIDTHS = {
     STIFFNESS: 0.5,
     CLAMP: 0.1,
@@ -55,6 +58,7 @@ _WIDTHS = {
     SENSOR: 0.3,
     PLACE: 1.0,
     LENGTH: 0.1,
+    SHAPE: 1.0,
     MIXING: 1.0,
     TARE: 1.0,
 }
@@ -313,6 +317,33 @@ def _estimated(fit: Fit, noise: Noise, name: str, which: slice, freedom: float) 
     return noise._replace(**{name: math.exp(brentq(excess, low, high, rtol=1e-4))})
 
 
+# Rows by which the shape of a rod is tested.
+_TESTED = 1000
+
+
+def is_shaped(fit: Fit) -> bool:
+    """Whether touches contradict the shape of the rod by more than chance: what its taper and curvature would explain of the
+    sum of squares, to the first order, exceeds what they would of noise (the score test)."""
+    problem = fit.problem
+    if problem.free[SHAPE]:
+        return False
+    few = problem.rows(evenly(np.arange(len(problem.touches.kind)), _TESTED))
+    rows = adjusted(few, replace(fit.rig, marched=True), fit.noise)
+    columns = rows.white_by_rig.reshape(-1, len(problem.free))
+    known = fit.jacobian[4 * len(problem.touches.kind) :, problem.free]
+    rig = np.linalg.qr(np.vstack([columns[:, problem.free], known]))[0]
+
+    def left(values: Array) -> Array:
+        values = np.concatenate([values, np.zeros((len(known), *values.shape[1:]))])
+        return np.asarray(values - rig @ (rig.T @ values))
+
+    by_shape = columns[:, SHAPE : SHAPE + 2 + problem.channels.all()]
+    white = np.where(rows.used, rows.white, 0.0)  # rows that are found without a rod tell nothing of its shape
+    residual, axes = left(white.ravel()), np.linalg.qr(left(by_shape))[0]
+    scatter = float(residual @ residual) / max(int(rows.used.sum()) - int(problem.free[:MIXING].sum()), 1)
+    return bool(((axes.T @ residual) ** 2).sum() > scatter * chdtri(axes.shape[1], 2 * ndtr(-CHANCE)))
+
+
 # Estimated noise of the poses, in rod lengths, that is larger than that of robots, and the variance beyond 1 of the
 # misclosures of an equation with which the model does not fit.
 _ROUGH, _SPOILED = 1e-3, 0.3
@@ -335,6 +366,8 @@ class Checked(NamedTuple):
     sentences: tuple[str, ...]
     spoiled: bool
     """Whether the model fits so badly that no quantity of the rig counts as well determined."""
+    fits: bool
+    """Whether nothing contradicts the model by more than chance."""
 
 
 def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
@@ -375,7 +408,9 @@ def checked(fit: Fit, recording: Recording, estimated: bool) -> Checked:
     enlarged = max(1.0, total if spoiled else max(scatter))
     both = rows.used[:, :2].all(axis=1)
     consistency = float((white[both, :2] ** 2).mean()) if both.any() else 1.0
-    return Checked(enlarged * covariance, total / fit.freedom, consistency, tuple(sentences), spoiled)
+    return Checked(
+        enlarged * covariance, total / fit.freedom, consistency, tuple(sentences), spoiled, not (any(deviates) or rough)
+    )
 
 
 def _above_one(square: Array) -> float:
@@ -469,6 +504,6 @@ _PLANAR = (
     "that slides sideways over a {kind} has none such."
 )
 _SHAPE = (
-    "The likeliest causes are {unlike}, a second contact, a rod that sticks, poses that deviate from the clamp's path or by "
-    "more than stated, and noise of the sensor that is alike in neighbouring rows."
+    "The likeliest causes are {unlike}, a rod that is not as stated, a second contact, one that sticks, poses that deviate "
+    "from the clamp's path or by more than stated, and noise of the sensor that is alike in neighbouring rows."
 )

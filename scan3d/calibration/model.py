@@ -4,7 +4,7 @@ A row measures nine values: force and moment in the sensor's frame, and the plac
 the true values of a row in contact:
 
 1. ``m0·t0 = 0`` and
-2. ``m0·f0 = 0`` (S4), the internal consistency of the six reactions,
+2. ``m0·f0 = 0`` (S4), the internal consistency of the six reactions; of any other rod 1. is the moment about it at the contact,
 3. the rod's centre line touches the reference fattened by the rod's radius a: ``|r1 - c| = D/2 + a`` for a sphere,
 4. the rod is tangent to it in tangential contact, ``t1·n = 0`` with the reference's normal n there; and ``s1 = L`` where
    the tip touches.
@@ -25,15 +25,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import planar
+from planar.march import STEPS
 from scan3d.arrays import Array, Index, Mask
 from scan3d.calibration.references import Reference
 from scan3d.frames import to_outer, wrench_matrix
 from scan3d.spatial.inverse import reconstruct
+from scan3d.spatial.march import SpatialRod, reshaped
 
 PAST_TIP = 0.999
 """Contacts that noise puts past the tip by nearly any part of the rod are used: their places do not depend on the tip."""
 # Where the parameters stand in their vector, by their numbers; the tare follows them.
-STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, MIXING, TARE = accumulate((0, 1, 3, 2, 3, 3, 3, 1, 36))
+STIFFNESS, CLAMP, TILT, TURN, SENSOR, PLACE, LENGTH, SHAPE, MIXING, TARE = accumulate((0, 1, 3, 2, 3, 3, 3, 1, 3, 36))
+# Steps of the differences by the wrench, relative to it, and by the shape of the rod: between their error and rounding.
+_DIFFERENCE = 1e-5
 
 
 class Kind(IntEnum):
@@ -69,6 +73,18 @@ class Rig:
     """(6, k) force and moment that the sensor shows in the air, as coefficients of the basis of the tare."""
     mixing: Array
     """(6, 6) what is added to the tared channels, as multiples of them, against gains and cross-talk of the sensor."""
+    stated: SpatialRod
+    """The rod as it is stated, of the nominal length."""
+    shape: Array
+    """(3,) logarithm of what the tip's diameter over the clamp's is more than stated, and curvature about z and x more than
+    stated, over the nominal length."""
+    marched: bool
+    """Whether the rod has a shape that is not that of a straight, uniform one, or may turn out to have."""
+
+    @property
+    def rod(self) -> SpatialRod:
+        """The rod of the nominal length, beyond whose tip it goes on."""
+        return reshaped(self.stated, self.shape)
 
     def moved(self, step: Array) -> Rig:
         """The rig after a step (p,) of its parameters; that of the sensor's turn is a rotation vector in the clamp's frame."""
@@ -82,6 +98,9 @@ class Rig:
             length=float(self.length + step[LENGTH]),
             tare=self.tare + step[TARE:].reshape(self.tare.shape),
             mixing=self.mixing + step[MIXING:TARE].reshape(6, 6),
+            stated=self.stated,
+            shape=self.shape + step[SHAPE:MIXING],
+            marched=self.marched,
         )
 
     def clamp_axes(self) -> tuple[Array, Array, Array]:
@@ -133,6 +152,12 @@ class Bent(NamedTuple):
     by_tangent: Array
     by_s1: Array
     """(n, 6)"""
+    torsion: Array
+    """(n,) moment about the rod at the contact."""
+    by_torsion: Array
+    """(n, 6)"""
+    by_shape: Array | None
+    """(n, 8, 3) derivatives of point, tangent, s1 and torsion by the rod's shape, if it may have one."""
 
 
 def clamp_wrench(rig: Rig, touches: Touches) -> tuple[Array, Array]:
@@ -146,12 +171,14 @@ def contacts(rig: Rig, touches: Touches) -> tuple[Array, Array]:
     """Contacts (n, 3) in the clamp's frame, NaN where there is no rod, and their places s1 (n,) along it."""
     force, moment = clamp_wrench(rig, touches)
     scale = np.exp(-rig.stiffness)
-    found = reconstruct(scale * force, scale * moment, tolerance=PAST_TIP)
+    found = reconstruct(scale * force, scale * moment, tolerance=PAST_TIP, rod=rig.rod, steps=STEPS)
     return found.point, found.s1
 
 
-def bent(force: Array, moment: Array) -> Bent:
+def bent(rig: Rig, force: Array, moment: Array) -> Bent:
     """The rods that reactions (n, 3) bend, over a stiffness of 1; NaN where there is no rod."""
+    if rig.marched:
+        return _of_shape(rig, force, moment)
     found = reconstruct(force, moment, tolerance=PAST_TIP)
     e = found.bending
     zero = np.zeros(len(e))
@@ -174,7 +201,32 @@ def bent(force: Array, moment: Array) -> Bent:
         by_point[:, 1] += y
         by_tangent = normal[:, :, None] * (slope[:, None] * omega)[:, None] - (rise[:, None] * e)[:, :, None] * phi
         by_tangent[:, 1] += slope[:, None] * phi[:, 0]
-    return Bent(found.point, found.tangent, found.s1, by_point, by_tangent, s1)
+    about_rod = np.zeros((len(e), 6))
+    about_rod[:, 4] = 1
+    return Bent(found.point, found.tangent, found.s1, by_point, by_tangent, s1, moment[:, 1], about_rod, None)
+
+
+def _of_shape(rig: Rig, force: Array, moment: Array) -> Bent:
+    """`bent` of any rod, by differences."""
+
+    def at(wrench: Array, change: Array) -> Array:
+        rod = reshaped(rig.stated, rig.shape + change)
+        found = reconstruct(wrench[:, :3], wrench[:, 3:], tolerance=PAST_TIP, rod=rod, steps=STEPS)
+        return np.column_stack([found.point, found.tangent, found.s1, found.torsion])
+
+    wrench, n = np.hstack([force, moment]), len(force)
+    sizes = _DIFFERENCE * np.repeat([np.linalg.norm(part, axis=1) for part in (force, moment)], 3, axis=0).T
+    moved = at(np.concatenate([wrench, *(wrench + step * sizes for step in np.eye(6))]), np.zeros(3))
+    values = np.concatenate([moved, *(at(wrench, step) for step in _DIFFERENCE * np.eye(3))]).reshape(10, n, 8)
+    steps = np.hstack([sizes, np.full((n, 3), _DIFFERENCE)])
+    with np.errstate(all="ignore"):
+        slopes = np.moveaxis((values[1:] - values[0]) / steps.T[:, :, None], 0, -1)
+    (point, tangent, s1, torsion), by = (values[0][:, part] for part in _PARTS), slopes[..., :6]
+    return Bent(point, tangent, s1, by[:, :3], by[:, 3:6], by[:, 6], torsion, by[:, 7], slopes[..., 6:])
+
+
+# Point, tangent, s1 and torsion among the values of a contact.
+_PARTS = slice(0, 3), slice(3, 6), 6, 7
 
 
 class Equations(NamedTuple):
@@ -195,7 +247,7 @@ def equations(rig: Rig, touches: Touches) -> Equations:
     """
     force, moment = clamp_wrench(rig, touches)
     scale = np.exp(-rig.stiffness)
-    rod = bent(scale * force, scale * moment)
+    rod = bent(rig, scale * force, scale * moment)
     n, kind, frame = len(force), touches.kind, touches.frame
     tip, sure = kind == Kind.TIP, kind != Kind.UNSURE
     turn, by_x, by_z = rig.clamp_axes()
@@ -203,10 +255,11 @@ def equations(rig: Rig, touches: Touches) -> Equations:
     met = rig.reference.met(point, np.einsum("nij,nj->ni", frame @ turn, rod.tangent))
 
     value = np.zeros((n, 4))
-    value[:, 0], value[:, 1] = moment[:, 1], (moment * force).sum(axis=1)
+    value[:, 0] = moment[:, 1] if rod.by_shape is None else rod.torsion / scale
+    value[:, 1] = (moment * force).sum(axis=1)
     value[:, 2], value[:, 3] = met.gap, met.along
     by_wrench, by_row, by_rig = np.zeros((n, 4, 6)), np.zeros((n, 4, 9)), np.zeros((n, 4, TARE + rig.tare.size))
-    by_wrench[:, 0, 4] = 1
+    by_wrench[:, 0] = rod.by_torsion
     by_wrench[:, 1, :3], by_wrench[:, 1, 3:] = moment, force
     for row, by_point, by_tangent, by_place in (
         (2, met.normal, np.zeros_like(point), met.gap_by_place),
@@ -219,13 +272,21 @@ def equations(rig: Rig, touches: Touches) -> Equations:
         for column, by_angle in enumerate((by_x, by_z)):
             by_rig[:, row, TILT + column] = (point_in_pose * (rod.point @ by_angle.T)).sum(axis=1)
             by_rig[:, row, TILT + column] += (tangent_in_pose * (rod.tangent @ by_angle.T)).sum(axis=1)
+        if rod.by_shape is not None:
+            by_rig[:, row, SHAPE:MIXING] = np.einsum("ni,nij->nj", point_in_pose @ turn, rod.by_shape[:, :3])
+            by_rig[:, row, SHAPE:MIXING] += np.einsum("ni,nij->nj", tangent_in_pose @ turn, rod.by_shape[:, 3:6])
         by_rig[:, row, PLACE:LENGTH] = by_place
         by_row[:, row, 6:] = by_point
     value[tip, 3] = rod.s1[tip] - rig.length
     by_wrench[tip, 3], by_rig[tip, 3], by_row[tip, 3] = rod.by_s1[tip], 0, 0
     by_rig[tip, 3, LENGTH] = -1
+    if rod.by_shape is not None:
+        by_rig[tip, 3, SHAPE:MIXING] = rod.by_shape[tip, 6]
+        by_rig[:, 0, SHAPE:MIXING] = rod.by_shape[:, 7] / scale
     by_wrench[:, 2:] *= scale
-    by_rig[:, 2:, STIFFNESS] = -np.einsum("nkj,nj->nk", by_wrench[:, 2:], np.column_stack([force, moment]))
+    wrench = np.column_stack([force, moment])
+    by_rig[:, 2:, STIFFNESS] = -np.einsum("nkj,nj->nk", by_wrench[:, 2:], wrench)
+    by_rig[:, 0, STIFFNESS] = value[:, 0] - (by_wrench[:, 0] * wrench).sum(axis=1)
     # a turn δ of the sensor: f -> f + δ × f, m -> m + δ × (m - d × f) + d × (δ × f)
     by_force, by_moment = by_wrench[:, :, :3], by_wrench[:, :, 3:]
     own = (moment - np.cross(rig.sensor, force))[:, None]

@@ -14,10 +14,10 @@ import numpy as np
 from scan3d.arrays import Array, Mask
 from scan3d.calibration.estimate import calibrated, six_channels
 from scan3d.calibration.fit import Fit, checked
-from scan3d.calibration.model import PLACE, TURN, Kind, Rig
+from scan3d.calibration.model import PLACE, SHAPE, TURN, Kind, Rig
 from scan3d.calibration.references import Plane, Sphere, unloaded
 from scan3d.errors import InputError
-from scan3d.files.reading import Section, read_rod, read_section
+from scan3d.files.reading import Section, read_rod, read_section, rod_section
 from scan3d.files.text import to_toml
 from scan3d.files.whole import Inputs, check_file, folder, write_atomic
 from scan3d.frames import Frame, euler_of, to_outer, turn_of
@@ -166,15 +166,16 @@ class Calibration(Described):
         return RigUncertainty(tuple(RIG_QUANTITIES[k] for k in uncertain), (covariance + covariance.T) / 2, exact)
 
     def _errors(self) -> Array:
-        """(14, 13) what errors of one unit of `OF_CONTACTS` are in `RIG_QUANTITIES`, to the first order."""
+        """(17, 16) what errors of one unit of `OF_CONTACTS` are in `RIG_QUANTITIES`, to the first order."""
         to_clamp = turn_of(self.clamp_euler_deg).T
         clamp, sensor = (np.radians(_euler_axes(angles)) for angles in (self.clamp_euler_deg, self.sensor_euler_deg))
         errors = np.zeros((len(RIG_QUANTITIES), len(OF_CONTACTS)))
         errors[0, 0], errors[1, 1] = 1 / self.rod.bending_stiffness_Nm2, 1 / self.rod.length_m
         errors[2:5, 2:5], errors[8:11, 7:10] = to_clamp / 1000, np.eye(3) / 1000
-        errors[5:8, 5:7], errors[11:, 10:] = (to_clamp @ clamp)[:, [0, 2]], sensor
+        errors[5:8, 5:7], errors[11:14, 10:13] = (to_clamp @ clamp)[:, [0, 2]], sensor
+        errors[14, 13], errors[15:, 14:] = 1 / self.rod.profile.diameters[-1], np.eye(2)
         # a turn about the sensor's origin is one about the clamp's, and moves the sensor
-        errors[8:11, 10:] = np.cross(self.sensor_position_m, sensor.T).T
+        errors[8:11, 10:13] = np.cross(self.sensor_position_m, sensor.T).T
         return errors
 
 
@@ -241,7 +242,7 @@ def calibrate(
             "position_mm": centre.tolist(),
         }
     return Calibration(
-        rod=Rod(nominal.length_m * rig.length, found["bending_stiffness_Nm2"], nominal.diameter_m),
+        rod=_rod(nominal, rig),
         sensor_position_m=nominal.length_m * rig.sensor,
         sensor_euler_deg=euler_of(rig.turn),
         clamp_position_m=nominal.length_m * rig.clamp,
@@ -253,7 +254,9 @@ def calibrate(
         standard_deviations=deviations,
         covariance=covariance,
         well=tuple(map(bool, well)),
-        sentences=lacking(fit, names, deviations, limits, premises.spoiled) + premises.sentences,
+        sentences=lacking(fit, names, deviations, limits, premises.spoiled)
+        + premises.sentences
+        + (_WEIGHT,) * bool(nominal.weight_N),
         chi2=premises.chi2,
         consistency=premises.consistency,
         freedom=fit.freedom,
@@ -271,6 +274,32 @@ def calibrate(
         },
         map_frames=_map_frames(recording),
     )
+
+
+def _rod(nominal: Rod, rig: Rig) -> Rod:
+    """The rod of a rig, as it is stated but for what was found."""
+    long, stiffness = nominal.length_m * rig.length, nominal.bending_stiffness_Nm2 * math.exp(rig.stiffness)
+    rod = dataclasses.replace(
+        nominal,
+        length_m=long,
+        bending_stiffness_Nm2=stiffness,
+        tip_diameter_m=None,
+        stiffness_table=(),
+        diameter_table=(),
+    )
+    if not rig.marched:
+        return rod
+    bend_z, bend_x, twist = (part / nominal.length_m for part in rig.rod.curvature)
+    rod = dataclasses.replace(rod, curvature_per_m=(bend_z, bend_x, twist))
+    profile = rig.rod.profile
+    places = np.unique(np.minimum([*profile.knots, rig.length], rig.length))
+    diameters = profile.diameter(places)
+    if np.ptp(diameters) == 0:
+        return rod
+    rows = list(zip((nominal.length_m * places).tolist(), diameters.tolist(), strict=True))
+    if nominal.stiffness_table or not nominal.diameter_m:
+        return dataclasses.replace(rod, stiffness_table=tuple((s, stiffness * d**4) for s, d in rows))
+    return dataclasses.replace(rod, diameter_table=tuple((s, nominal.diameter_m * d) for s, d in rows))
 
 
 def _map_frames(recording: Recording) -> dict[str, Any]:
@@ -293,11 +322,14 @@ OF_CONTACTS = (
     *(f"clamp_turn_{axis}_deg" for axis in "xz"),
     *(f"sensor_{axis}_mm" for axis in "xyz"),
     *(f"sensor_turn_{axis}_deg" for axis in "xyz"),
+    "tip_diameter_ratio",
+    *(f"curvature_{axis}_per_m" for axis in "zx"),
 )
 """The quantities of a calibration that change contacts."""
 # Expanded uncertainties up to which a quantity counts as well determined: relative for the stiffness, relative to the rod's
-# length for lengths, in degrees, and for the tare in standard deviations of the noise of a row.
-_STIFFNESS, _LENGTH, _DEGREES, _NOISE = 0.01, 0.005, 0.3, 1.0
+# length for lengths, in degrees, for the tare in standard deviations of the noise of a row, for the tip's diameter over the
+# clamp's, and for curvatures over the rod's length.
+_STIFFNESS, _LENGTH, _DEGREES, _NOISE, _TIP, _CURVATURE = 0.01, 0.005, 0.3, 1.0, 0.03, 0.02
 # Step of difference quotients, and the part of the largest derivative of a quantity that is their rounding.
 _STEP, _ROUNDING = 1e-5, 1e-7
 
@@ -325,7 +357,14 @@ def quantities(fit: Fit, rig: Rig, nominal: Rod) -> dict[str, float]:
             found[f"tare_{name}"] = unit * tare.mean()
         elif measured:
             found |= {f"{title}_{name}": unit * value for title, value in zip(("tare", "drift"), tare, strict=False)}
+    if problem.free[SHAPE]:
+        found["tip_diameter_ratio"] = rig.rod.profile.diameters[-1]
+        found |= {
+            f"curvature_{axis}_per_m": value / nominal.length_m
+            for axis, value in zip("zx", rig.rod.curvature, strict=False)
+        }
     if not problem.channels.all():
+        found.pop("curvature_x_per_m", None)
         for name in ("clamp_turn_x_deg", "sensor_z_mm", "sensor_turn_x_deg", "sensor_turn_y_deg"):
             del found[name]
     return {name: float(value) for name, value in found.items()}
@@ -356,6 +395,8 @@ def limit(name: str, value: float, nominal: Rod, fit: Fit) -> float:
     if name.startswith(("tare", "drift")):
         force, moment = nominal.force_unit_N * fit.noise.force, nominal.moment_unit_Nm * fit.noise.moment
         return _NOISE * (force if name.endswith("_N") else moment)
+    if name.startswith(("tip_diameter", "curvature")):
+        return _TIP if name.startswith("tip") else _CURVATURE / nominal.length_m
     if name.startswith("plane_normal"):
         return float(np.radians(_DEGREES))
     if name.endswith("_deg"):
@@ -401,6 +442,14 @@ _TOUCHES = {
         "the free length",
         "tip contacts: sweeps whose clamp is farther from the {noun}, so that the rod's tip slides over it",
     ),
+    "tip_diameter": (
+        "the rod's taper",
+        "sweeps that bend the rod more, from touches near the clamp to some near the tip",
+    ),
+    "curvature": (
+        "the rod's curvature",
+        "sweeps that touch the {noun} near the clamp and near the tip, with the clamp turned about the rod's axis",
+    ),
     "clamp_turn": (
         "the clamp's turn",
         "sweeps that touch the {noun} near the clamp and near the tip, with the clamp turned about the rod's axis",
@@ -420,6 +469,7 @@ _TOUCHES = {
     "tare": ("the tare", "more rows in the air, before and after each touch"),
     "drift": ("the drift", "more rows in the air at the beginning and the end of the recording"),
 }
+_WEIGHT = "The rod's weight is not part of this fit: what it adds to the reactions counts as tare."
 _ABOUT_THE_ROD = (
     "These touches do not determine the sensor's turn about the rod: {names} are a first estimate, which may be wrong by some "
     "degrees. It needs a {noun} with more friction, because without friction contacts stay on the {noun} when they turn about "
@@ -458,11 +508,7 @@ def sections(calibration: Calibration) -> dict[str, Any]:
     reference = {key: value for key, value in rig.reference.items() if key != "kind"}
     return {
         "schema": _SCHEMA,
-        "rod": {
-            "length_m": rig.rod.length_m,
-            "bending_stiffness_Nm2": rig.rod.bending_stiffness_Nm2,
-            "diameter_m": rig.rod.diameter_m,
-        },
+        "rod": rod_section(rig.rod),
         "sensor": _frame(rig.sensor_position_m, rig.sensor_euler_deg),
         "clamp": _frame(rig.clamp_position_m, rig.clamp_euler_deg),
         "tare": {

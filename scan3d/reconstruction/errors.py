@@ -20,6 +20,7 @@ from scan3d.frames import displaced
 from scan3d.recording import Recording
 from scan3d.rigs import RIG_QUANTITIES, RigErrors
 from scan3d.spatial import inverse
+from scan3d.spatial.march import reshaped
 
 FORCE_SIGMAS = 8.0
 """A row counts as touching if its force exceeds this many standard deviations of the noise: of the many rows without contact
@@ -135,9 +136,9 @@ def _contacts(
     noise: tuple[float, float] | None,
     error: Array,
 ) -> tuple[Array, Array, Array]:
-    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (14,)."""
+    """Contacts (n, 3), tangents (n, 3) and s1 (n,) in the clamp's frame, by a rig that differs by an error (17,)."""
     rod, (force, moment) = recording.rod, wrench
-    offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:]
+    offset, turn, lever, sensor_turn = error[2:5] / rod.length_m, error[5:8], error[8:11] / rod.length_m, error[11:14]
     softer = np.exp(-error[0])
     force, moment = (softer * part for part in displaced(force, moment, sensor_turn, lever))
     if noise is None:
@@ -149,7 +150,7 @@ def _contacts(
         moment,
         tolerance=inverse.PAST_TIP,
         noise=noise,
-        rod=rod.in_space(),
+        rod=reshaped(rod.in_space(), error[14:] * [1.0, rod.length_m, rod.length_m]),
         gravity=None if down is None else down[rows],
     )
     place = offset + found.point + np.cross(turn, found.point)
@@ -161,7 +162,7 @@ def torsion_sd(recording: Recording, rows: Index) -> Array:
     assert recording.rig is not None
     force, moment = _wrench(recording, rows)
     components = recording.rig.components()
-    lever, turn = components[8:11] / recording.rod.length_m, components[11:]
+    lever, turn = components[8:11] / recording.rod.length_m, components[11:14]
     moment[:, 1] = 0  # the other components give what is added to it
     parts = displaced(force[:, None], moment[:, None], turn.T, lever.T)[1][..., 1]
     return np.asarray(np.linalg.norm(parts, axis=1))

@@ -53,6 +53,15 @@ class SpatialRod:
         return straight and set(self.profile.diameters) == {1.0} and self.profile.weight == 0
 
 
+def reshaped(rod: SpatialRod, shape: Array) -> SpatialRod:
+    """The rod with another shape (3,): the logarithm of its tip's diameter grows by the first number, diameters before it by a
+    part that is linear along it, and its curvatures about d1 and d2 grow by the others."""
+    profile, (bend_z, bend_x, twist) = rod.profile, rod.curvature
+    growth = 1 + np.expm1(shape[0]) * np.array(profile.knots)
+    profile = replace(profile, diameters=tuple((growth * profile.diameters).tolist()))
+    return replace(rod, profile=profile, curvature=(bend_z + float(shape[1]), bend_x + float(shape[2]), twist))
+
+
 class Marched(NamedTuple):
     """Contacts (n,) of marched rods in rod lengths, in the clamp's frame; NaN where there is none."""
 
