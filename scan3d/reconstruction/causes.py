@@ -56,9 +56,9 @@ _GAINS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 # Largest logarithm of a scale: larger ones make rods so long or forces so large that noise and rounding hide any misfit.
 _LARGEST_SCALE = 1.4
-# First estimates of what is searched: factors; the rod's length, in which the misfit is one of steps because contacts near the
-# tip count as tip contacts; angles in radians, and distances in rod lengths.
-_SCALES = np.geomspace(0.3, 3.0, 12)
+# First estimates of what is searched: factors, 1 among them, near which small ones are found; the rod's length, in which the
+# misfit is one of steps because contacts near the tip count as tip contacts; angles in radians, and distances in rod lengths.
+_SCALES = np.geomspace(0.3, 1 / 0.3, 13)
 _LENGTHS = np.linspace(0.7, 1.4, 47)
 _ANGLES = np.radians(np.concatenate([sign * np.geomspace(2.0, 165.0, 12) for sign in (-1, 1)]))
 _TURNS = np.concatenate([np.radians(angle) * (2 * np.array(list(np.ndindex(2, 2, 2))) - 1) for angle in (2.0, 15.0)])

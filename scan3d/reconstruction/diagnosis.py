@@ -49,9 +49,9 @@ _SIGMAS = 3.0
 _NO_FORCE = 1e-5
 # Slices that are compared, rows of each, and rows of a recording in space; a first search takes half of them.
 _SLICES, _IN_SLICE, _IN_SPACE = 5, 120, 250
-# Faults that are refined, starts of each, and evaluations of a refinement, fewer in a first search and of rods, which are slow
+# Starts that are refined of each fault, and evaluations of a refinement, fewer in a first search and of rods, which are slow
 # and nearly linear.
-_REFINED, _STARTS, _EVALUATIONS, _FEW = 4, 2, 12, 4
+_STARTS, _EVALUATIONS, _FEW = 2, 12, 4
 # Step of the derivatives by numbers, and steps in which the ends of an interval are sought.
 _STEP, _STEPS = 1e-3, 10
 # Runs of rows that repeat others of which each is tried.
@@ -217,7 +217,7 @@ def _mean_square(residuals: Array) -> float:
 
 
 def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
-    """The best faults with numbers, as estimated by few rows, and all faults without numbers."""
+    """The faults with numbers that few rows make hopeful, as these estimate them, and all faults without numbers."""
     plain = [_Trial(cause, cause.starts[0]) for cause in tried if not cause.starts.shape[1]]
     rough, least = [], (1 - _HOPEFUL) ** 2 * _mean_square(few.left(Undone()).excess)
     for cause in (cause for cause in tried if cause.starts.shape[1]):
@@ -225,8 +225,7 @@ def _searched(tried: list[Cause], few: _Sample) -> list[_Trial]:
         # the misfits of starts between which the right one lies differ little, those of estimates a lot
         best = sorted(trials, key=lambda trial: trial.misfit)[: 1 if cause.family == "rod" else _STARTS]
         rough.append(min((_refined(trial, few, _FEW) for trial in best), key=lambda trial: trial.misfit))
-    hopeful = [trial for trial in rough if trial.misfit <= least]
-    return plain + sorted(hopeful, key=lambda trial: trial.score)[:_REFINED]
+    return plain + [trial for trial in rough if trial.misfit <= least]
 
 
 def _refined(trial: _Trial, sample: _Sample, evaluations: int = _EVALUATIONS) -> _Trial:
