@@ -1,4 +1,4 @@
-"""Arcs of supporting planes contain the true normals."""
+"""Arcs of supporting planes contain the true normals, and their apexes the body, for all normals of the arcs."""
 
 import dataclasses
 
@@ -8,7 +8,8 @@ from scipy.spatial import ConvexHull
 from spatial_bodies import Cylinder, Ellipsoid, Polyhedron, box, random_polyhedron, spatial_cloud, unit
 
 from planar import Phase
-from scan3d.geometry.arcs import Places, arcs_at
+from scan3d.bounds.apexes import best_apexes, cover, thinned
+from scan3d.geometry.arcs import Arcs, Places, arcs_at
 from scan3d.geometry.hulls import edges_of
 
 BODIES = {
@@ -107,3 +108,58 @@ def test_contradictions_large_errors_and_no_contacts_have_no_arc():
     assert np.isnan(arcs_of(cloud, 10.0)[1].half_width).all()
     tips = dataclasses.replace(cloud, phase=np.full(len(cloud), Phase.TIP))
     assert all(len(column) == 0 for column in arcs_of(tips)[1])
+
+
+# --- apexes ---
+
+
+def planes_of_ball(count, half_width, seed=0, *, seen=lambda normals: np.full(len(normals), True)):
+    """Planes that touch the unit ball, whose normals lie anywhere in arcs of a half-width."""
+    rng = np.random.default_rng(seed)
+    normals = unit(rng.normal(size=(count, 3)))
+    normals = normals[seen(normals)]
+    across = unit(np.cross(normals, rng.normal(size=normals.shape)))
+    off = rng.uniform(-1, 1, size=(len(normals), 1)) * half_width
+    middle = np.cos(off) * normals + np.sin(off) * across
+    return Arcs(normals, middle, np.cos(off) * across - np.sin(off) * normals, np.full(len(normals), half_width))
+
+
+@pytest.mark.parametrize("half_width", [0.0, 1e-3, 0.02])
+def test_the_apexes_enclose_the_body(half_width):
+    planes = planes_of_ball(300, half_width)
+    found = cover(planes, thinned(planes, 3.0, 0.1))
+    u = unit(np.random.default_rng(1).normal(size=(2000, 3)))
+    refined = best_apexes(planes, lambda points: np.maximum(np.linalg.norm(points, axis=1) - 1, 0.0)).cover
+    for covering in (found, refined):
+        assert np.isfinite(covering.apexes).all()
+        assert (u @ covering.apexes.reshape(-1, 3).T).max(axis=1).min() >= 1
+        assert np.linalg.norm(covering.apexes, axis=2).min() >= 1 - 1e-9
+    assert np.linalg.norm(refined.apexes, axis=2).max() <= np.linalg.norm(found.apexes, axis=2).max()
+
+
+def test_apexes_lie_on_the_planes_of_a_cube():
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    found = cover(Arcs(axes, axes, np.roll(axes, 1, axis=1), np.zeros(6)), np.arange(6))
+    assert len(found.planes) == 8
+    assert np.abs(found.apexes) == pytest.approx(np.ones((8, 8, 3)))
+    assert np.abs(found.nominal) == pytest.approx(np.ones((8, 3)))
+
+
+def test_directions_without_planes_are_open():
+    planes = planes_of_ball(300, 1e-3, seen=lambda normals: normals[:, 2] > 0)
+    found = cover(planes, thinned(planes, 3.0, 0.1))
+    is_open = np.isinf(found.apexes[:, 0, 0])
+    assert is_open.any()
+    assert not is_open.all()
+    assert ((found.planes < 0).any(axis=1) == is_open).all()
+    assert np.isinf(cover(planes, np.empty(0, dtype=np.intp)).apexes).all()
+
+
+def test_planes_that_turn_over_or_pass_through_the_middle_are_left_out():
+    found = cover(planes_of_ball(100, 0.15), np.arange(100))
+    assert len(found.removed)
+    assert not np.isin(found.removed, found.planes).any()
+    planes = planes_of_ball(50, 0.0)
+    points = planes.points.copy()
+    points[0] = 0
+    assert 0 in cover(planes._replace(points=points), np.arange(50)).removed

@@ -1,7 +1,7 @@
 """What contacts say of a body that contains them: arcs of supporting planes, and how far errors move these outwards.
 
 A contact p with the rod's tangent t is an arc of supporting planes (`scan3d.geometry.arcs`).  All bounds are made of such arcs:
-contacts in slices use one end of them on either side of their slice, contacts anywhere what lies beyond both.
+contacts in slices use one end of them on either side of their slice, contacts anywhere the places where three of them meet.
 What noise, digits and the rig's calibration leave uncertain moves the planes outwards.
 """
 
@@ -106,11 +106,23 @@ class Tangents(NamedTuple):
     shape: Array
     """(3, 3) symmetric map from the frame to the world."""
 
+    def to_world(self, points: Array) -> Array:
+        """Points (n, 3) of the frame in the world."""
+        return points @ self.shape + self.centre
+
     def exclude(self, points: Array) -> Mask:
         """Whether points (n, 3) of the world lie beyond one of the planes, whichever normal of its arc that has."""
         depths = self.arcs.depths((points - self.centre) @ np.linalg.inv(self.shape))
         excluded: Mask = np.asarray((depths > 0).any(axis=1))
         return excluded
+
+    def normals(self) -> tuple[Array, Array]:
+        """Middle normals (k, 3) of the contacts in the world, and the largest angle (k,) of the true ones from them."""
+        inverse = np.linalg.inv(self.shape)
+        arcs = self.arcs.select(np.arange(len(self.rows)))
+        middle = unit(arcs.middle @ inverse)
+        cosines = (unit(arcs.ends() @ inverse) * middle[:, None]).sum(axis=2)
+        return middle, np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1)
 
 
 def tangent_planes(cloud: Cloud, errors: Array) -> Tangents:

@@ -1,8 +1,8 @@
 """An inner and an outer body from touch alone, between which the surface of the true body lies.
 
 The hull of the contacts lies inside the body.  The supporting planes at the contacts bound it from outside: between slices they
-leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere leave out
-wedges (`scan3d.bounds.wedges`).  Whatever is left is known by its corners: the distance to a convex set is a convex function,
+leave slabs, or cells where the slices lie along several axes (`scan3d.bounds.cells`), and those of contacts anywhere meet in
+apexes (`scan3d.bounds.apexes`).  Whatever is left is known by its corners: the distance to a convex set is a convex function,
 and so it is largest over a polyhedron at one of its corners.  The largest distance of the corners from the hull is therefore an
 upper bound of the Hausdorff distance between the hull and the body, provided that the body is convex.  Where contacts are
 noisy, each slice's contour is first replaced by a polygon inside it and one around it, which hold with a stated confidence
@@ -10,18 +10,19 @@ noisy, each slice's contour is first replaced by a polygon inside it and one aro
 
 Contacts anywhere (S25, S27, S28).  B is the body and a the rod's radius.  The rod's centre line touches the fattened body
 ``K = B + ball(a)`` in the points r, and in tangential contact the whole line through r along the rod is free of the interior of
-K.  H, the hull of the points r, lies in K, and ``h_K(u) <= <u, v>`` for one of the outer body's corners v.  The Hausdorff
-distance of two convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
+K.  H, the hull of the points r, lies in K, and ``h_K(u) <= <u, v>`` for one of the apexes v.  The Hausdorff distance of two
+convex bodies is the largest difference of their support functions, and ``h_K = h_B + a``.  With
 ``sd(x, S) = max_u (<u, x> - h_S(u))``, the distance of a point x from S, negative inside, any convex surface S satisfies
 
-    h_B - h_S = h_K - a - h_S <= max over corners v of sd(v, S) - a,
+    h_B - h_S = h_K - a - h_S <= max over apexes v of sd(v, S) - a,
     h_S - h_B = h_S + a - h_K <= h_S + a - h_H <= max over vertices x of S of sd(x, H) + a.
 
 No measured normal enters, though the points of the inner body are moved by a along theirs: the second line contains what is
 wrong with them.  There, B has further inner bodies: it contains the points ``r - a n``, and n lies within δ of the middle ν of
 its arc (S27), so that ``h_B(u) >= <u, r - a ν> - a δ``.  The smallest of these numbers counts at each vertex.  Where contacts
-have errors, H may stick out of K by what its vertices' errors are in the directions in which they support it.  A table below
-the body, if it is known, is one more supporting plane of K, moved outwards by the rod's radius.
+have errors, each of them leaves out a wedge instead (`scan3d.bounds.wedges`), whose errors are those across the rod, and H may
+stick out of K by what its vertices' errors are in the directions in which they support it.  A table below the body, if it is
+known, is one more supporting plane of K, moved outwards by the rod's radius.
 
 A thick rod in slices.  Its centre line touches K as a thin rod would, so that slices enclose K, and the enclosure of B follows:
 the outer body is smaller by a in all directions, and so is the inner one, since what lies in a part of K deeper than a lies in
@@ -42,23 +43,15 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from scan3d.arrays import ROUNDING, Array, Index, Mask, highest, unit
+from scan3d.bounds.apexes import Apexes, best_apexes
 from scan3d.bounds.cells import Gap, Slab, applicable, cells_of_cloud, slabs, tighter_cells
-from scan3d.bounds.constraints import (
-    CONFIDENCE,
-    EXACT,
-    Allowed,
-    allowed,
-    arcs_of_contacts,
-    exact_error,
-    tangent_planes,
-    tangential,
-)
+from scan3d.bounds.constraints import CONFIDENCE, EXACT, Allowed, Tangents, allowed, exact_error, tangent_planes
 from scan3d.bounds.noise import confident
-from scan3d.bounds.wedges import Outer, outer_body
+from scan3d.bounds.wedges import outer_body
 from scan3d.cloud import Cloud, Tilt
 from scan3d.errors import InputError
-from scan3d.geometry.arcs import Arcs, Places
-from scan3d.geometry.distance import nearest
+from scan3d.geometry.arcs import Places
+from scan3d.geometry.distance import nearest, nearest_on
 from scan3d.geometry.hulls import hull, offset_inwards, shrunk, shrunk_by
 from scan3d.geometry.triangles import dot
 from scan3d.reconstruction.slices import SAME_HEIGHT, SliceStack, stacks
@@ -103,7 +96,7 @@ class SlabCorners(NamedTuple):
 
 
 class Directions(NamedTuple):
-    """Directions in which a body may be unbounded: those are open in which an open one of these points lies farthest."""
+    """Directions in which a body may be unbounded: those of a triangle are the ones in which its apex lies farthest."""
 
     apexes: Array
     """(m, 3)"""
@@ -140,7 +133,7 @@ class Enclosure(Described):
     slabs: SlabCorners | None = None
     """More about the corners, if the outer body consists of slabs."""
     directions: Directions | None = None
-    """Where the body is bounded, if the contacts lie anywhere."""
+    """Where the body is bounded, if the corners are apexes over contacts anywhere."""
     tighter: Enclosure | None = None
     """Another enclosure by the same contacts, along whatever axes their slices lie, with a smaller bound."""
 
@@ -324,7 +317,7 @@ def _with_tangents(bounds: Enclosure, cloud: Cloud) -> Enclosure:
     # where no tangent excludes the farthest corner, no choice of them bounds the body more tightly
     if np.isfinite(worst).all() and not tangent.exclude(worst).any():
         return bounds
-    found = _by_wedges(anywhere, Places(cloud.points, errors), np.full(len(cloud), EXACT), bounds.confidence)
+    found = _by_apexes(anywhere, errors, bounds.confidence)
     if found.bound >= bounds.bound:
         return bounds
     volume = max(bounds.volume[0], found.volume[0]), min(bounds.volume[1], found.volume[1])
@@ -503,14 +496,13 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
     """The enclosure by contacts anywhere; the arguments are those of `enclosure`."""
     if not len(cloud):
         raise InputError("0 contacts span no body: a surface needs contacts all around it")
-    assert cloud.centre_points is not None
     errors = np.full(len(cloud), exact_error(cloud) if margin is None else margin)
-    if margin is not None and cloud.place_sd is not None:
-        return _by_wedges(cloud, Places(cloud.centre_points, errors), _TURN * errors / cloud.rod_length, 1.0)
     if margin is not None or (cloud.place_sd is None and cloud.calibration is None):
-        return _by_wedges(cloud, Places(cloud.centre_points, errors), np.full(len(cloud), EXACT), 1.0)
+        if cloud.place_sd is None:
+            return _by_apexes(cloud, errors, 1.0)
+        return _by_wedges(cloud, _certain(cloud, errors), _TURN * errors / cloud.rod_length, 1.0)
     allow = allowed(cloud, confidence)
-    places, turns = Places(cloud.centre_points, errors + allow.place), np.full(len(cloud), EXACT)
+    places, turns = _certain(cloud, errors + allow.place), np.zeros(len(cloud))
     if cloud.place_sd is not None:
         assert allow.kappa is not None
         if cloud.centre_covariance is None:
@@ -523,21 +515,44 @@ def _spatial_enclosure(cloud: Cloud, margin: float | None, confidence: float) ->
     return _by_wedges(cloud, places, turns + allow.turn, allow.confidence)
 
 
+def _certain(cloud: Cloud, errors: Array) -> Places:
+    """The centre points with errors (n,) that are alike in all directions."""
+    assert cloud.centre_points is not None
+    return Places(cloud.centre_points, errors)
+
+
+def _by_apexes(cloud: Cloud, errors: Array, confidence: float) -> Enclosure:
+    """The enclosure by all contacts of a cloud with exact tangents and errors (n,) of their places."""
+    assert cloud.centre_points is not None
+    tangent = tangent_planes(cloud, errors)
+    centre_hull = hull(cloud.centre_points)
+    apexes = _apexes_around(tangent, centre_hull)
+    if apexes is None:
+        corners, directions = np.empty((0, 3)), Directions(np.zeros((1, 3)), np.ones(1, dtype=bool))
+    else:
+        corners = np.unique(tangent.to_world(apexes.cover.apexes[~apexes.open].reshape(-1, 3)), axis=0)
+        directions = Directions(tangent.to_world(apexes.cover.nominal), apexes.open)
+    margin, normals = float(errors.max()), tangent.normals()
+    bodies = ((centre_hull, cloud.rod_radius + margin), *_bodies_by_arcs(cloud, tangent.rows, normals, margin))
+    inner = _inner_body(cloud, centre_hull)
+    gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
+    return _anywhere(cloud, (inner, bodies, margin), (corners, gap, directions), confidence)
+
+
 def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) -> Enclosure:
     """The enclosure by all contacts of a cloud with uncertain places, and errors (n,) of their tangents in radians."""
-    assert cloud.tangents is not None
-    hull(places.points)  # raises InputError where they span no body
-    rows, largest, radius = tangential(cloud), places.largest(), cloud.rod_radius
-    arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
-    by_arcs = tuple(_bodies_by_arcs(radius, arcs, arcs.half_width + turns[rows], largest[rows]))
     candidates = []
-    for limit in np.unique(np.quantile(largest, _QUANTILES))[::-1]:
-        kept = largest <= limit
+    largest = places.largest()
+    for quantile in _QUANTILES:
+        kept = largest <= np.quantile(largest, quantile)
         with suppress(InputError):
+            some = cloud.select(kept)
             centre_hull = hull(places.points[kept])
-            margin, inner = _error_of_hull(centre_hull, places), _inner_body(cloud.select(kept), centre_hull)
-            candidates.append((inner, ((centre_hull, radius + margin), *by_arcs), margin))
-    found = outer_body(cloud, places, arcs, turns[rows], candidates[0][0])
+            margin, inner = _error_of_hull(centre_hull, places), _inner_body(some, centre_hull)
+            candidates.append((inner, ((centre_hull, cloud.rod_radius + margin),), margin))
+    if not candidates:
+        hull(places.points)  # raises InputError, which says why
+    found = outer_body(cloud, places, turns, candidates[0][0])
     is_open = np.isinf(found.gap)
     corners = np.unique(found.corners[~is_open].reshape(-1, 3), axis=0)
     far = _FAR * float(np.linalg.norm(np.ptp(places.points, axis=0)))
@@ -548,25 +563,36 @@ def _by_wedges(cloud: Cloud, places: Places, turns: Array, confidence: float) ->
     )
     bounds = []
     for inner, bodies, margin in candidates:
-        gap = np.maximum(nearest(corners, inner)[0] - radius, 0.0) if len(corners) else np.empty(0)
-        excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), margin)
-        unbounded = bool(is_open.any())
-        bounds.append(
-            Enclosure(
-                inner=inner,
-                corners=corners,
-                gap=np.append(gap, np.inf) if unbounded else gap,
-                bound=np.inf if unbounded else max(float(gap.max()), excess),
-                margin=margin,
-                volume=_volumes(inner, excess, found, radius),
-                confidence=confidence,
-                excess=excess,
-                reach=-radius,
-                inner_bodies=bodies,
-                directions=Directions(apexes, is_open),
-            )
-        )
+        gap = np.maximum(nearest(corners, inner)[0] - cloud.rod_radius, 0.0) if len(corners) else np.empty(0)
+        part = (inner, bodies, margin), (corners, gap, Directions(apexes, is_open))
+        bounds.append(_anywhere(cloud, *part, confidence))
     return min(bounds, key=lambda candidate: (candidate.bound, candidate.excess))
+
+
+def _anywhere(
+    cloud: Cloud,
+    within: tuple[Any, tuple[tuple[Any, float], ...], float],
+    outside: tuple[Array, Array, Directions],
+    confidence: float,
+) -> Enclosure:
+    """The enclosure by an inner body, the bodies that it may stick out of by so much, and the largest error of theirs, and by
+    the corners of an outer body, their distances from the inner one, and the directions in which there are none."""
+    (inner, bodies, margin), (corners, gap, directions) = within, outside
+    radius, unbounded = cloud.rod_radius, bool(directions.open.any())
+    excess = max(float(sticking_out(inner.vertices.view(np.ndarray), bodies).max()), margin)
+    return Enclosure(
+        inner=inner,
+        corners=corners,
+        gap=np.append(gap, np.inf) if unbounded else gap,
+        bound=np.inf if unbounded else max(float(gap.max()), excess),
+        margin=margin,
+        volume=_volumes(inner, excess, corners, radius, unbounded=unbounded),
+        confidence=confidence,
+        excess=excess,
+        reach=-radius,
+        inner_bodies=bodies,
+        directions=directions,
+    )
 
 
 def _error_of_hull(body: Any, places: Places) -> float:
@@ -597,26 +623,40 @@ def _inner_body(cloud: Cloud, centre_hull: Any) -> Any:
     return hull(centre + max(factor, _LEAST) * (centre_hull.vertices.view(np.ndarray) - centre))
 
 
-def _volumes(inner: Any, excess: float, outer: Outer, radius: float) -> tuple[float, float]:
+def _volumes(inner: Any, excess: float, corners: Array, radius: float, *, unbounded: bool) -> tuple[float, float]:
     """Bounds of the volume: that of the inner body, made smaller until it does not stick out, and that of the outer one.
 
     By Steiner's formula the fattened body is larger than the body by more than the radius times the area of the inner body.
     """
     factor = max(shrunk_by(inner, excess)[1], 0.0)
     lower = float(inner.volume) * factor**3
+    if unbounded:
+        return lower, np.inf
     shell = radius * float(inner.area) * factor**2 + 4 / 3 * np.pi * radius**3
-    return lower, max(outer.volume - shell, lower)
+    return lower, max(float(ConvexHull(corners).volume) - shell, lower)
 
 
-def _bodies_by_arcs(radius: float, arcs: Arcs, angle: Array, errors: Array) -> Iterator[tuple[Any, float]]:
-    """Hulls of the points of the surface that follow from the arcs (k,) of the normals, and how far they may stick out.
+def _apexes_around(tangent: Tangents, centre_hull: Any) -> Apexes | None:
+    """The best apexes of the planes; None if nothing is bounded."""
+    signed, size = nearest_on(centre_hull), float(np.linalg.norm(tangent.shape, 2))
+    return best_apexes(tangent.arcs, lambda points: np.maximum(signed(tangent.to_world(points))[0], 0.0) / size)
 
-    angle, errors
-        (k,) the largest angles of the normals from the middles of their arcs, and the largest errors of the places.
+
+def _bodies_by_arcs(
+    cloud: Cloud, rows: Index, normals: tuple[Array, Array], margin: float
+) -> Iterator[tuple[Any, float]]:
+    """Hulls of the points of the surface that follow from the arcs of the normals, and how far they may stick out.
+
+    normals
+        the middles (k, 3) of the arcs of the contacts `rows`, and the largest angles (k,) from them.
     """
-    points = arcs.points - radius * arcs.middle
-    for widest in _WIDEST if radius else ():
+    radius, (middle, angle) = cloud.rod_radius, normals
+    if not radius:
+        return
+    assert cloud.centre_points is not None
+    points = cloud.centre_points[rows] - radius * middle
+    for widest in _WIDEST:
         narrow = angle <= widest
         with suppress(InputError):
             if narrow.sum() > 3:
-                yield hull(points[narrow]), radius * widest + float(errors[narrow].max())
+                yield hull(points[narrow]), radius * widest + margin

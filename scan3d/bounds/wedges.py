@@ -1,4 +1,4 @@
-"""What contacts anywhere leave of a convex body.
+"""What contacts anywhere leave of a convex body where their errors are not negligible.
 
 A contact's supporting plane has one of the normals of its arc (S27).  The body K does not reach into the wedge of all points
 that lie beyond the plane whichever normal that is: of the points with ``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the
@@ -7,10 +7,9 @@ follows, since e is a norm, and so does it for the true normal when it is turned
 
 A wedge is a convex set, and if it contains x and not the centre o, it contains all points beyond x, as seen from o.  Where it
 contains the corners of a triangle, K therefore does not reach beyond the triangle in the directions of its points from o: there
-it is contained in the tetrahedron of o and the triangle.  Triangles over all directions give the outer body (S28); in each of
-them that contact is taken which leaves least.  They begin as the faces of the polytope that planes with narrow arcs enclose,
-which are those of a polyhedron.  The farthest of them are divided until the bound is nearly that of the union of all wedges.
-Exact contacts say no more: the hull of the contacts and of a point in no wedge is a body that touches the rod in all of them.
+it is contained in the tetrahedron of o and the triangle.  Triangles over all directions give the outer body; in each of them
+that contact is taken which leaves least.  The farthest of them are divided until the bound is nearly that of the union of all
+wedges, which is all that the contacts one by one say of K.
 """
 
 from __future__ import annotations
@@ -18,24 +17,20 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
+import trimesh
 
 from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly
-from scan3d.bounds.constraints import tangential
+from scan3d.bounds.constraints import arcs_of_contacts, frame_of, tangential
 from scan3d.cloud import Cloud
-from scan3d.geometry.arcs import Arcs, Places
+from scan3d.geometry.arcs import Places
 from scan3d.geometry.distance import nearest_on
 
 # Wedges that are used at most: of more contacts neighbours say nearly the same.
 _MOST = 4000
-# Widths of an arc, and angle in radians, within which no other plane forms the polytope whose faces the first triangles are.
-_WIDTHS, _SPACING = 3.0, 0.02
-# Distance of the planes that close the polytope, in sizes of the contacts.
-_FAR = 3.0
-# Rounds in which triangles are divided into four.
-_ROUNDS = 8
-# Part by which the bound may exceed what the wedges leave at the triangles' corners, and that of the contacts' size.
-_CLOSE, _NEGLIGIBLE = 0.02, 2e-5
+# Subdivisions of the icosahedron with whose faces the triangles begin, and rounds in which they are divided into four.
+_BEGIN, _ROUNDS = 3, 6
+# Part by which the bound may exceed what the wedges leave at the triangles' corners.
+_CLOSE = 0.03
 
 
 class Outer(NamedTuple):
@@ -44,56 +39,38 @@ class Outer(NamedTuple):
     corners: Array
     """(m, 3, 3); infinite where nothing bounds the body."""
     gap: Array
-    """(m,) the largest distance of a corner from the inner body, less the rod's radius."""
+    """(m,) the largest distance of a corner from the inner body."""
     directions: Array
     """(m, 3) of the triangles from the centre, not of unit length."""
     centre: Array
     """(3,)"""
 
-    @property
-    def volume(self) -> float:
-        """That of the tetrahedra of the centre and the triangles, which contain the body."""
-        return (
-            float(np.abs(np.linalg.det(self.corners - self.centre)).sum()) / 6
-            if np.isfinite(self.gap).all()
-            else np.inf
-        )
 
+def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
+    """The outer body by contacts with uncertain centre points, and errors (n,) of their tangents in radians.
 
-def outer_body(cloud: Cloud, places: Places, arcs: Arcs, turns: Array, inner: Any) -> Outer:
-    """The outer body by contacts with uncertain centre points.
-
-    arcs, turns
-        of the tangential contacts: (k,) arcs of their normals, and errors of their tangents in radians.
     inner
         a convex `trimesh.Trimesh`, from which distances are measured.
     """
-    rows = tangential(cloud)
-    centre, size = places.points.mean(axis=0), float(np.linalg.norm(np.ptp(places.points, axis=0)))
-    normals, values = _wedges(cloud, places.select(rows), arcs, turns, centre)
-    planes = _apart(normals, values)
-    directions, triangles = _polytope(*planes[1:], _FAR * size)
-    some = np.union1d(evenly(np.arange(len(values)), _MOST), planes[0])
-    # the first stands for none: no direction enters it
-    normals, values = (
-        np.concatenate([np.zeros((1, 4, 3)), normals[some]]),
-        np.concatenate([np.ones((1, 4)), values[some]]),
-    )
+    centre, shape = frame_of(places.points)
+    normals, values = _wedges(cloud, places, turns, centre)
+    directions, triangles = _sphere()
+    directions = directions @ shape
     distance = nearest_on(inner)
-    sides = np.column_stack([inner.face_normals, (inner.face_normals * (inner.triangles[:, 0] - centre)).sum(axis=1)])
+    planes = np.column_stack([inner.face_normals, (inner.face_normals * (inner.triangles[:, 0] - centre)).sum(axis=1)])
 
     def gaps(points: Array) -> Array:
         found = np.full(len(points), np.inf)
         finite = np.isfinite(points).all(axis=1)
-        found[finite] = np.maximum(distance(points[finite])[0] - cloud.rod_radius, 0.0)
+        found[finite] = np.maximum(distance(points[finite])[0], 0.0)
         return found
 
-    reach, beyond, known = np.empty((0, len(values))), np.empty((0, len(values))), _NEGLIGIBLE * size
+    reach, beyond, known = np.empty((0, len(values))), np.empty((0, len(values))), 0.0
     parts: list[tuple[Array, Array, Index]] = []
     for left in reversed(range(_ROUNDS)):
         new = directions[len(reach) :]
         entered = _entered(normals, values, new)
-        outside = (entered - _leaves(sides, new)[:, None]) * np.linalg.norm(new, axis=1)[:, None]
+        outside = (entered - _leaves(planes, new)[:, None]) * np.linalg.norm(new, axis=1)[:, None]
         reach, beyond = np.concatenate([reach, entered]), np.concatenate([beyond, outside])
         with np.errstate(invalid="ignore"):
             known = max(known, float(gaps(centre + entered.min(axis=1)[:, None] * new).max(initial=0.0)))
@@ -111,12 +88,17 @@ def outer_body(cloud: Cloud, places: Places, arcs: Arcs, turns: Array, inner: An
     return Outer(corners, gap, directions[triangles].mean(axis=1), centre)
 
 
-def _wedges(cloud: Cloud, own: Places, arcs: Arcs, turns: Array, centre: Array) -> tuple[Array, Array]:
-    """Planes that bound the wedges (k,): normals (k, 4, 3), and their values (k, 4) from the centre, all above 0."""
+def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[Array, Array]:
+    """Planes that bound the wedges (k,): normals (k, 4, 3), and their values (k, 4) from the centre, all above 0.
+
+    The first stands for none: no direction enters it.
+    """
     assert cloud.tangents is not None
-    known = np.flatnonzero(np.isfinite(arcs.half_width))
-    own, ends = own.select(known), arcs.ends()[known]
-    tangents, turn = cloud.tangents[tangential(cloud)[known], None], turns[known, None]
+    rows = evenly(tangential(cloud), _MOST)
+    arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
+    known = np.isfinite(arcs.half_width)
+    own, ends = places.select(rows[known]), arcs.ends()[known]
+    tangents, turn = cloud.tangents[rows[known], None], turns[rows[known], None]
     normals = np.concatenate([ends - turn[..., None] * tangents, ends + turn[..., None] * tangents], axis=1)
     error = own.along(ends) + turn * own.along(tangents)
     values = (normals * (own.points - centre)[:, None]).sum(axis=2) + np.tile(error, 2)
@@ -124,37 +106,13 @@ def _wedges(cloud: Cloud, own: Places, arcs: Arcs, turns: Array, centre: Array) 
         normals = np.concatenate([normals, np.tile([0.0, 0.0, -1.0], (1, 4, 1))])
         values = np.concatenate([values, np.full((1, 4), centre[2] - (cloud.table - cloud.rod_radius))])
     outside = (values > NEGLIGIBLE * np.abs(values).max(initial=0.0)).all(axis=1)
-    return normals[outside], values[outside]
+    return np.concatenate([np.zeros((1, 4, 3)), normals[outside]]), np.concatenate([np.ones((1, 4)), values[outside]])
 
 
-def _apart(normals: Array, values: Array) -> tuple[Index, Array, Array]:
-    """Numbers (p,) of the narrowest of the wedges (k,) around each normal, and their middle normals (p, 3) and values (p,)."""
-    middle, value = normals.mean(axis=1), values.mean(axis=1)
-    size = np.linalg.norm(middle, axis=1)
-    middle, value = middle / size[:, None], value / size
-    nearest = ((normals * middle[:, None]).sum(axis=2) / np.linalg.norm(normals, axis=2)).min(axis=1)
-    width = np.maximum(_WIDTHS * np.arccos(np.minimum(nearest, 1.0)), _SPACING)
-    order = np.flatnonzero(width < 1)
-    order = order[np.argsort(width[order], kind="stable")]
-    free = []
-    for block in np.array_split(np.arange(len(order)), 1 + len(order) ** 2 // AT_ONCE):
-        cosines = middle[order[block]] @ middle[order].T
-        before = np.arange(len(order)) < block[:, None]
-        free.append(~(before & (cosines > np.cos(width[order[block]])[:, None])).any(axis=1))
-    chosen = order[np.concatenate(free)]
-    return chosen, middle[chosen], value[chosen]
-
-
-def _polytope(normals: Array, values: Array, far: float) -> tuple[Array, Index]:
-    """Directions (v, 3) of the corners of the polytope that planes enclose, and triangles (m, 3) of them over all directions.
-
-    It is closed by planes at a distance of `far` from the centre.
-    """
-    box = np.concatenate([np.eye(3), -np.eye(3)]) / far
-    dual = ConvexHull(np.concatenate([normals / values[:, None], box])).equations
-    corners = -dual[:, :3] / dual[:, 3:]
-    used, triangles = np.unique(ConvexHull(corners).simplices, return_inverse=True)
-    return corners[used], triangles.reshape(-1, 3)
+def _sphere() -> tuple[Array, Index]:
+    """Unit vectors (v, 3), and triangles (m, 3) of them over all directions."""
+    mesh = trimesh.creation.icosphere(subdivisions=_BEGIN)
+    return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
 
 
 def _entered(normals: Array, values: Array, directions: Array) -> Array:

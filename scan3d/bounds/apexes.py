@@ -1,0 +1,259 @@
+"""Where supporting planes of a convex body meet whose normals lie in known arcs (S28), and the best choice of planes.
+
+Let K be a convex body, and let n_i be normals with ``h_K(n_i) <= <n_i, p_i>``, each of them unknown in an arc about ν_i.  Let
+the ν_i be triangulated as points of the sphere, and let ``det(n_i, n_j, n_k)`` be positive in every triangle for all 8 choices
+of ends of its arcs.  A determinant is ``A cos θ + B sin θ`` in each angle, and so it is positive within the arcs too: the true
+normals cover the sphere with the same triangles.  In the triangle of a direction u, ``h_K(u) <= <u, a>`` with the apex a, where
+the three planes meet.  As one normal turns within its arc, the apex moves along the line in which the other two planes meet, so
+that every convex function of the apex is largest at one of the 8 choices of ends.
+
+The triangles are those of the polar dual of the polytope that the planes with the normals ν_i enclose.  Planes far away close
+it where no normals are known; apexes on them are infinite.
+
+Every choice of planes gives a valid bound.  A coarse one is refined where the apexes lie farthest outside: the plane is added
+that cuts off most of the apex, whichever normals of their arcs the planes have, and a plane with a wide arc is removed where no
+other plane cuts the apex off.  The best choice met is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from scan3d.arrays import Array, Index, Mask
+from scan3d.geometry.arcs import Arcs
+
+# Smallest determinant of three unit normals that meet in an apex: below it the rounding of the apex is no longer small.
+_FLATTEST = 1e-7
+# Distance of the planes that close the polytope where no normals are known, in sizes of the body.
+_FAR = 300.0
+# Rounds of the refinement.
+_ROUNDS = 80
+# Half-widths below this, in radians, count as equal: rounding does not choose between arcs.
+_NARROW = 1e-5
+# Spacing of the normals of the first choice, in radians and in half-widths of their arcs, and the widest half-width that is
+# used: with wider arcs triangles turn over.
+_FIRST_SPACING, _FIRST_WIDTHS, _WIDEST = 0.2, 3.0, 0.4
+# Apexes that are cut off in one round: those farther out than this fraction of the farthest one, and no more than so many.
+_FRACTION, _AT_ONCE = 0.5, 60
+# Apexes at least this fraction of the farthest one, which no plane cuts off, lose their plane with the widest arc.
+_STUCK = 0.9
+# Gap relative to the body's size at which the refinement ends, and depth of a cut that counts.
+_CLOSE, _SHALLOWEST = 2e-5, 1e-7
+_CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
+
+
+class Cover(NamedTuple):
+    """Triangles (m,) of normals that cover the sphere of directions."""
+
+    planes: Index
+    """(m, 3) numbers of the planes; negative for those far away."""
+    apexes: Array
+    """(m, 8, 3) for all choices of ends; infinite where one of the planes is far away."""
+    nominal: Array
+    """(m, 3) apexes of the planes with the middle normals, planes far away included."""
+    removed: Index
+    """Numbers of the planes that were left out because their triangles turned over."""
+
+
+class Apexes(NamedTuple):
+    """The apexes over the triangles (m,) of a cover."""
+
+    cover: Cover
+    gap: Array
+    """(m,) largest distance of an apex from the inner body over all normals of the arcs; infinite where nothing bounds it."""
+
+    @property
+    def open(self) -> Mask:
+        """(m,) whether nothing bounds the body in the triangle's directions."""
+        unbounded: Mask = np.isinf(self.gap)
+        return unbounded
+
+    @property
+    def score(self) -> tuple[bool, float]:
+        """Smaller for better apexes: those that close the body, and of these those with the smaller gap."""
+        is_open = bool(self.open.any())
+        return is_open, 0.0 if is_open else float(self.gap.max())
+
+
+def best_apexes(planes: Arcs, distance: Callable[[Array], Array]) -> Apexes | None:
+    """The apexes of the best choice among planes (n,), found by refinement; None if no choice has any.
+
+    planes
+        in a frame in which the body has the size of about 1 and its middle lies in the origin.
+    distance
+        of points (p, 3) from the inner body, convex and never negative, in that frame.
+    """
+    chosen = thinned(planes, _FIRST_WIDTHS, _FIRST_SPACING)
+    usable = planes.half_width < _WIDEST
+    known: dict[int, float] = {}
+    stuck: set[int] = set()
+    best: Apexes | None = None
+    for _ in range(_ROUNDS):
+        covering = cover(planes, chosen)
+        if covering is None:
+            return best
+        usable[covering.removed] = False
+        chosen = np.setdiff1d(chosen, covering.removed)
+        codes = _codes(covering.planes, len(planes.points))
+        apexes = Apexes(covering, _gaps(covering, codes, distance, known))
+        if best is None or apexes.score <= best.score:
+            best = apexes
+        added, needless = _improvements(planes, apexes, codes, chosen, usable, stuck)
+        usable[needless] = False
+        if not len(added) and not len(needless):
+            return best
+        chosen = np.union1d(np.setdiff1d(chosen, needless), added)
+    return best
+
+
+def _codes(triangles: Index, count: int) -> list[int]:
+    """Numbers of triangles (m, 3) of planes, of which there are `count` beside those far away."""
+    far = len(_far_planes().points)
+    ordered = np.sort(triangles, axis=1) + far
+    base = count + far
+    codes: list[int] = ((ordered[:, 0] * base + ordered[:, 1]) * base + ordered[:, 2]).tolist()
+    return codes
+
+
+def _gaps(covering: Cover, codes: list[int], distance: Callable[[Array], Array], known: dict[int, float]) -> Array:
+    """The gaps (m,) of a cover's triangles; those in `known` are not computed again."""
+    new = np.array([i for i, code in enumerate(codes) if code not in known], dtype=np.intp)
+    gap = np.full(len(new), np.inf)
+    closed = np.isfinite(covering.apexes[new, 0, 0])
+    if closed.any():
+        gap[closed] = distance(covering.apexes[new][closed].reshape(-1, 3)).reshape(-1, 8).max(axis=1)
+    known.update(zip((codes[i] for i in new.tolist()), gap.tolist(), strict=True))
+    return np.array([known[code] for code in codes])
+
+
+def _improvements(
+    planes: Arcs, apexes: Apexes, codes: list[int], chosen: Index, usable: Mask, stuck: set[int]
+) -> tuple[Index, Index]:
+    """Numbers of the planes to be added, and of those to be removed; triangles that no plane cuts off are added to `stuck`."""
+    gap, nominal = apexes.gap, apexes.cover.nominal
+    added = removed = np.empty(0, dtype=np.intp)
+    candidates = np.flatnonzero(usable)
+    # a plane nearer to a chosen one than its arc is wide would turn over their triangles
+    if len(chosen) and len(candidates):
+        apart = cKDTree(planes.middle[chosen]).query(planes.middle[candidates])[0]
+        candidates = candidates[apart > planes.half_width[candidates]]
+    free = np.flatnonzero((gap >= _CLOSE) & [code not in stuck for code in codes])
+    while len(free) and not len(added):
+        # from the farthest apexes on, until some can be cut off
+        rows = free[np.argsort(-gap[free], kind="stable")][:_AT_ONCE]
+        rows = rows[gap[rows] >= _FRACTION * gap[rows[0]]]
+        free = np.setdiff1d(free, rows)
+        cut = np.zeros(len(rows), dtype=bool)
+        if len(candidates):
+            depth = planes.select(candidates).depths(nominal[rows])
+            deepest = depth.argmax(axis=1)
+            cut = depth[np.arange(len(rows)), deepest] > _SHALLOWEST
+            added = np.unique(candidates[deepest[cut]])
+        stuck.update(codes[row] for row in rows[~cut].tolist())
+    if not apexes.open.any() and gap.max() >= _CLOSE:
+        held = [code in stuck for code in codes] & (gap >= _STUCK * gap.max())
+        triangles = apexes.cover.planes[held]
+        removed = np.unique(triangles[np.arange(len(triangles)), planes.half_width[triangles].argmax(axis=1)])
+    return added, removed
+
+
+def thinned(planes: Arcs, multiple: float, least: float) -> Index:
+    """Numbers of planes, those with narrow arcs first, none nearer to an earlier one than `least` and `multiple` widths."""
+    width = np.maximum(least, multiple * planes.half_width)
+    known = np.flatnonzero(np.isfinite(width) & (width < 1))
+    order = known[np.argsort(width[known], kind="stable")]
+    accepted = np.empty((0, 3))
+    chosen: list[Index] = []
+    for rows in np.array_split(order, max(1, len(order) // 500)):
+        limit = np.cos(width[rows])
+        free = rows if not len(accepted) else rows[((planes.middle[rows] @ accepted.T).max(axis=1) < limit)]
+        cosines = planes.middle[free] @ planes.middle[free].T
+        kept: Mask = np.zeros(len(free), dtype=bool)
+        for i, bound in enumerate(np.cos(width[free])):
+            kept[i] = not (cosines[i, :i][kept[:i]] >= bound).any()
+        chosen.append(free[kept])
+        accepted = np.concatenate([accepted, planes.middle[free[kept]]])
+    return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.intp)
+
+
+def cover(planes: Arcs, chosen: Index) -> Cover | None:
+    """The triangles of some of the planes; None if the rounding is too large."""
+    far = _far_planes()
+    removed: list[Index] = [np.empty(0, dtype=np.intp)]
+    while True:  # each time there are fewer planes
+        some = far.joined(planes.select(chosen))
+        offset = (some.middle * some.points).sum(axis=1)
+        positive = offset > 1 / _FAR
+        if not positive.all():
+            removed.append(chosen[~positive[len(far.points) :]])
+            chosen = chosen[positive[len(far.points) :]]
+            continue
+        triangles = _triangles(some.middle / offset[:, None])
+        if triangles is None:
+            return None
+        determinant, apexes = _apexes(some, triangles)
+        bad = ~(determinant > _FLATTEST)
+        if not bad.any():
+            numbers = np.concatenate([-1 - np.arange(len(far.points)), chosen])[triangles]
+            apexes[(numbers < 0).any(axis=1)] = np.inf
+            nominal = np.linalg.solve(some.middle[triangles], offset[triangles][..., None])[..., 0]
+            return Cover(numbers, apexes, nominal, np.concatenate(removed))
+        widest = np.unique(_needless(some, triangles[bad], len(far.points))) - len(far.points)
+        widest = widest[widest >= 0]
+        if not len(widest):
+            return None
+        removed.append(chosen[widest])
+        chosen = np.delete(chosen, widest)
+
+
+def _needless(planes: Arcs, triangles: Index, far: int) -> Index:
+    """The plane (m,) of each triangle that turns over which is removed: that with the widest arc; the first `far` planes stay.
+
+    Of planes with equally narrow arcs it is the one between the other two: planes through one edge of a polyhedron have their
+    normals on an arc, and the outer ones matter.
+    """
+    normals = planes.middle[triangles]
+    opposite = np.linalg.norm(np.roll(normals, -1, axis=1) - np.roll(normals, 1, axis=1), axis=2)
+    width = np.maximum(planes.half_width, _NARROW)[triangles] * (1 + 1e-3 * opposite)
+    width[triangles < far] = -1.0
+    return np.asarray(np.take_along_axis(triangles, width.argmax(axis=1)[:, None], axis=1)[:, 0])
+
+
+def _far_planes() -> Arcs:
+    normals = np.concatenate([np.eye(3), -np.eye(3), _CORNERS / np.sqrt(3)])
+    # turned, so that no body's own normals are parallel to them
+    first, _ = np.linalg.qr(np.array([[1.0, 0.37, 0.19], [-0.23, 1.0, 0.41], [0.13, -0.29, 1.0]]))
+    normals = normals @ first.T
+    across = np.cross(normals, np.roll(normals, 1, axis=1))
+    return Arcs(_FAR * normals, normals, across, np.zeros(len(normals)))
+
+
+def _triangles(dual: Array) -> Index | None:
+    """The facets (m, 3) of the hull of points (n, 3) around the origin, counterclockwise from outside."""
+    try:
+        faces: Index = ConvexHull(dual).simplices.astype(np.intp)
+    except (QhullError, ValueError):
+        return None
+    mirrored = np.linalg.det(dual[faces]) < 0
+    faces[mirrored] = faces[mirrored, ::-1]
+    return faces
+
+
+def _apexes(planes: Arcs, triangles: Index) -> tuple[Array, Array]:
+    """The smallest determinant (m,) over all choices of ends, and the apexes (m, 8, 3) of the choices."""
+    ends = ((_CORNERS + 1) // 2).astype(np.intp)
+    normals = planes.ends()[triangles]
+    a, b, c = (normals[:, k, ends[:, k]] for k in range(3))
+    points = planes.points[triangles]
+    origin = points.mean(axis=1)
+    offset = points - origin[:, None]
+    bc, ca, ab = np.cross(b, c), np.cross(c, a), np.cross(a, b)
+    determinant = (a * bc).sum(axis=2)
+    heights = [(n * offset[:, None, k]).sum(axis=2)[..., None] for k, n in enumerate((a, b, c))]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apexes = (heights[0] * bc + heights[1] * ca + heights[2] * ab) / determinant[..., None]
+    return determinant.min(axis=1), apexes + origin[:, None]
