@@ -26,10 +26,10 @@ def with_wrench(recording, force, moment):
 
 
 def displaced(recording, error):
-    """The recording as a rig with an error (14,) of `RIG_QUANTITIES` gives it; finite, by rotations."""
+    """The recording as a rig with an error (17,) of `RIG_QUANTITIES` gives it; finite, by rotations."""
     full = six_axis(recording)
     force, moment = full.wrench()
-    turn = Rotation.from_rotvec(error[11:])
+    turn = Rotation.from_rotvec(error[11:14])
     force, moment = turn.apply(force), turn.apply(moment) + np.cross(error[8:11], turn.apply(force))
     if not recording.six_axis:
         force[:, 2] = moment[:, 0] = moment[:, 1] = 0

@@ -398,7 +398,7 @@ def test_every_sweep_draws_different_friction(watched_sweeps):
 def test_friction_does_not_depend_on_the_order_of_work(watched_sweeps, monkeypatch):
     mesh, plan = scan3d.load_mesh(CUBE), scan3d.Plan(slices=5, sweeps=3, samples=4, friction=(0.0, 0.4))
     together = scan3d.simulate(mesh, plan)
-    monkeypatch.setattr(simulation, "_SLICES_AT_ONCE", 2)
+    monkeypatch.setattr(simulation, "_SLICES_AT_ONCE", (2, 2))
     apart = scan3d.simulate(mesh, plan)
     drawn = np.array([sweep.friction for sweep in watched_sweeps])
     assert np.array_equal(drawn[:15], drawn[15:])

@@ -100,6 +100,8 @@ _PLACE_NOISE, _NO_FIT, _RELATIVE = 3e-4, 0.01, 2e-3
 _CONTRADICTION = 0.1
 # Part of the rows whose contacts must be used, and the largest logarithm of the stiffness over the nominal one.
 _USABLE, _STIFFEST = 0.3, 2.5
+# Median distance from the reference, in rod lengths, from which on a rod's shape explains nothing: some times that of noise.
+_FAR_OFF = 3e-3
 # What places, and wrenches relative to their sizes, may be off for a rod whose shape is not known yet.
 _SHAPELESS = 0.03
 # Rows in contact by which the fit is begun; and those of a rod that is marched, of which so many tell as much as is needed.
@@ -150,7 +152,7 @@ def _of_rig(problem: Problem, nominal: Rig, noise: Noise, place: float | None) -
     strong, rig = _with_kinds(_strong(few, rig, noise), rig, noise, None, _ROUGH)
     begun = fitted(strong, rig, noise, 1)
     away = np.abs(begun.rows.misclosure[begun.rows.used[:, 2], 2])
-    if nominal.marched and not (len(away) and np.median(away) < _NO_FIT):  # a fit would take long, and find none
+    if nominal.marched and not (len(away) and np.median(away) < _FAR_OFF):  # a fit would take long, and be none
         raise _no_fit(rig.reference, "")
     free = _determined(strong, rig, step * begun.normal)
     if (free != strong.free).any():

@@ -223,7 +223,8 @@ def adjusted(problem: Problem, rig: Rig, noise: Noise, slack: float = 0.0) -> Ro
 
 
 def _finite(found: Equations) -> Mask:
-    return np.asarray(np.isfinite(found.value).all(axis=1) & np.isfinite((found.by_row**2).sum(axis=(1, 2))))
+    sizes = (found.value**2).sum(axis=1) + (found.by_row**2).sum(axis=(1, 2)) + (found.by_rig**2).sum(axis=(1, 2))
+    return np.asarray(np.isfinite(sizes))
 
 
 def fitted(problem: Problem, rig: Rig, noise: Noise, trials: int = _TRIALS) -> Fit:

@@ -132,13 +132,13 @@ def _without_contact(fraction: float) -> list[Contradiction]:
     return [Contradiction("force-without-contact", text, fraction)]
 
 
-def _too_wild(share: float) -> Contradiction:
+def _too_wild(part: float) -> Contradiction:
     """That rows contradict the rest, and can't be left out."""
     text = (
-        f"{100 * share:.2g} % of the rows with a force contradict their neighbours by more than the stated noise: more than "
-        f"{100 * LARGEST_SHARE:.0f} %, or many that follow each other, are no wild rows that may be left out"
+        f"{share(part)} of the rows with a force contradict their neighbours by more than the stated noise: more than "
+        f"{share(LARGEST_SHARE)}, or many that follow each other, are no wild rows that may be left out"
     )
-    return Contradiction("wild-rows", text, share)
+    return Contradiction("wild-rows", text, part)
 
 
 def _in_slices(recording: Recording, cloud: Cloud) -> list[Contradiction]:
