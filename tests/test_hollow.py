@@ -11,12 +11,14 @@ import trimesh
 from shapes import box, letter_l
 
 import scan3d
+from scan3d import pipeline
 from scan3d.bounds.free_space import rods_of
 from scan3d.files.meshes import judge_mesh, load_mesh
 from scan3d.geometry.convexity import is_convex, runs_both_ways
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.sections import slice_frame, slice_outlines
 from scan3d.pictures import rendering
+from scan3d.pictures.parts import shown_sweep
 
 FLAT = np.eye(3)
 
@@ -114,8 +116,11 @@ def test_second_contacts_are_found_by_friction_and_recovered_at_known_corners():
     assert np.isnan(cloud.friction[cloud.recovered]).all()
     assert (np.diff(cloud.row) > 0).all()
     assert cloud.second > 0
-    # no step to or from one of these rods counts
+    # no step to or from one of these rods counts, and none of them is drawn as one with a single contact
     assert not rods_of(recording, cloud).on[cloud.row[cloud.recovered]].any()
+    sweep = int(cloud.sweep[cloud.recovered][0])
+    drawn = shown_sweep(pipeline.to_scene(pipeline.analyse(recording)), sweep)
+    assert len(drawn.base) == (~cloud.recovered[cloud.sweep == sweep]).sum()
 
 
 def test_the_report_of_a_body_that_is_not_convex(scanned):

@@ -336,7 +336,8 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         raise InputError(
             f"sweep {chosen} has no contact; choose one of the {len(np.unique(sweeps))} that have, such as {int(sweeps[0])}"
         )
-    rod, rows = recording.rod, recording_rows(scene, recording)[selected]
+    rod, all_rows = recording.rod, recording_rows(scene, recording)
+    rows = all_rows[selected]
     axes = recording.axes()[rows]
     if is_spatial(scene):
         reactions, in_plane, plane = _spatial_reactions(recording, rows, axes)
@@ -346,7 +347,8 @@ def shown_sweep(scene: Scene, number: int | None = None, points: int = 60) -> Sh
         plane = axes[:, :2]
     across, along, moment = in_plane.T
     lines = planar.elastic_lines(np.zeros(len(rows)), across, along, moment, points)
-    kept = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
+    finite = np.isfinite(lines.curved).all(axis=(1, 2)) & np.isfinite(lines.straight).all(axis=(1, 2))
+    kept: NDArray[np.bool_] = np.asarray(finite & _alone(scene, recording, all_rows)[selected])
     scale = 1 / UNITS_M[scene.unit]
     base = recording.position_m[rows]
 
@@ -397,17 +399,22 @@ def _spatial_reactions(recording: Recording, rows: NDArray[np.int64], axes: Arra
 
 def recording_rows(scene: Scene, recording: Recording) -> NDArray[np.int64]:
     """(n,) rows of the recording that the contacts come from."""
-    rows, sweeps, forces = (scene.column(name) for name in ("row", "sweep", "force"))
+    rows, sweeps = (scene.column(name) for name in ("row", "sweep"))
     if rows is not None and sweeps is not None and 0 <= rows.min() <= rows.max() < len(recording):
         indices = rows.astype(np.int64)
-        components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
-        of_recording = np.linalg.norm(components[indices], axis=1)
-        same_force = forces is None or np.allclose(forces, of_recording, rtol=1e-6, atol=0)
-        if np.array_equal(recording.sweep[indices], sweeps) and same_force:
+        if np.array_equal(recording.sweep[indices], sweeps) and _alone(scene, recording, indices).mean() > 0.5:
             return indices
     raise InputError(
         f"the contacts of {scene.name} do not belong to its recording, which rods are drawn from: reconstruct it again"
     )
+
+
+def _alone(scene: Scene, recording: Recording, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(n,) whether contacts have the whole force of their rows, as all but the second ones of rods that touch twice."""
+    forces = scene.column("force")
+    components = recording.wrench()[0] if is_spatial(scene) and recording.six_axis else recording.force_N
+    of_recording = np.linalg.norm(components[rows], axis=1)
+    return np.asarray(np.isclose(of_recording if forces is None else forces, of_recording, rtol=1e-6, atol=0))
 
 
 def most_informative_sweep(scene: Scene) -> int:
