@@ -62,9 +62,13 @@ def test_shapes_hold_within_their_intervals(rod):
     scaled = []
     for seed in range(5):
         recording, found = found_of(rod, seed)
+        if "tip_diameter_ratio" not in found.names:  # no start led to the shape
+            assert not any(found.well)
+            continue
         error, deviation = shape_errors(found, rod)
         scaled.append(error / deviation)
         assert np.abs(error[0]) < 0.03 * rod.tip
         assert np.abs(error[1:]).max() < 0.02
         assert np.median(off_sphere(recording, found, rod)) < 0.002
+    assert len(scaled) >= 3
     assert (np.abs(scaled) < 2).mean() > 0.8
