@@ -493,7 +493,13 @@ def test_nothing_leaves_the_window(tab):
     try:
         for width, height in [(360, 640), (844, 390), (1920, 1080)]:
             size = dict(width=width, height=height, deviceScaleFactor=1, mobile=width < 500)
+            tab.run("switchPlayer(true); reset()")
             tab("Emulation.setDeviceMetricsOverride", **size)
+            # a view that nobody has moved keeps the whole body beside panel and player
+            x, y = np.reshape(tab.run("[...onScreen(data.layers[0].points)]"), (-1, 3)).T[:2]
+            view = tab.run("measures()")
+            assert view["left"] <= x.min() < x.max() <= view["left"] + view["wide"]
+            assert 0 <= y.min() < y.max() <= height - view["bottom"]
             reload(tab)
             press(tab, "#charts")
             for box in tab.run("[panel, dock].map(e => e.getBoundingClientRect().toJSON())"):

@@ -8,6 +8,7 @@ function along(axis) {
   [eye.azimuth, eye.elevation] = {x: [Math.PI / 2, 0], y: [Math.PI, 0], z: [0, 1.5707]}[axis]; redraw();
 }
 let home = {...start};  // the view to which the page comes back, and in which it opens
+const untouched = () => Object.keys(start).every(name => eye[name] === home[name]);
 function reset() {
   eye = {...start};
   if (player?.on) lookAtSweep();
@@ -85,7 +86,8 @@ function listen() {
   const arrange = () => {
     document.body.classList.toggle("with-panel", panel.open);
     if (player) player.stale = true;
-    redraw();
+    if (untouched()) reset();  // to the new space
+    else redraw();
   };
   panel.ontoggle = window.onresize = arrange;
   arrange();

@@ -42,10 +42,10 @@ function preview(k) {  // show a sample as long as the pointer is at it, -1 for 
 
 function switchPlayer(on) {
   if (player.on === on) return;
-  const untouched = Object.keys(start).every(name => eye[name] === home[name]);
+  const fitted = untouched();
   player.on = on; player.stale = true; player.box.checked = on;
   if (!on) showCurves(false);
-  if (untouched) reset();
+  if (fitted) reset();
   redraw();
 }
 
