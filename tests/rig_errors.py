@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 import scan3d
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from tests import rigs
+from tests.rigs import in_sensor, with_wrench
 
 SIX = ("force_z_N", "moment_x_Nm", "moment_y_Nm")
 
@@ -18,11 +19,6 @@ def six_axis(recording):
         return recording
     zero = np.zeros(len(recording))
     return replace(recording, **dict.fromkeys(SIX, zero))
-
-
-def with_wrench(recording, force, moment):
-    columns = dict(zip(SIX, (force[:, 2], moment[:, 0], moment[:, 1]), strict=True)) if recording.six_axis else {}
-    return replace(recording, force_N=force[:, :2], moment_Nm=moment[:, 2], **columns)
 
 
 def displaced(recording, error):
@@ -48,15 +44,12 @@ def displaced(recording, error):
 
 def logged(recording, truth):
     """What a rig of `tests.rigs.Truth` logs, with poses and reactions of its own frames, where the clamp does as recorded."""
-    force, moment = six_axis(recording).wrench()
-    ratio = truth.stiffness / recording.rod.bending_stiffness_Nm2
-    turn = Rotation.from_euler("xyz", truth.sensor_turn, degrees=True)
-    moment = turn.inv().apply(ratio * (moment - np.cross(truth.sensor, force)))
-    force = turn.inv().apply(ratio * force)
+    full, ratio = six_axis(recording), truth.stiffness / recording.rod.bending_stiffness_Nm2
+    force, moment = full.wrench()
     clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True)
     pose = Rotation.from_quat(recording.quaternion, scalar_first=True) * clamp.inv()
     return replace(
-        with_wrench(six_axis(recording), force, moment),
+        with_wrench(full, *in_sensor(truth, ratio * force, ratio * moment)),
         position_m=recording.position_m - pose.apply(truth.clamp),
         quaternion=pose.as_quat(scalar_first=True),
     )

@@ -83,46 +83,71 @@ def swept(samples=120, friction=0.2, sweeps=30, directions=6, rolls=5, reach=REA
     return position, axes, np.where(touching, result.force, 0), np.where(touching, result.moment, 0), result
 
 
-def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=swept, **raster):
-    """The recording of a rig, as it logs without knowing of its faults; `pink` is the fraction of its noise's variance with
-    the spectrum 1/f, and `motion` gives the exact sweeps."""
-    truth = Truth() if truth is None else truth
-    rng = np.random.default_rng(seed)
-    position, axes, force, moment, _ = motion(length=truth.length, **raster)
-    m, n, _ = position.shape
-    position = position.reshape(-1, 3) * truth.length + truth.centre
-    axes = np.repeat(axes, n, axis=0)
-    force = force.reshape(-1, 3) * truth.stiffness / truth.length**2
-    moment = moment.reshape(-1, 3) * truth.stiffness / truth.length
-    # clamp -> sensor: its axes are the columns of a matrix in the clamp's frame
+def with_wrench(recording, force, moment):
+    """The recording with other reactions (n, 3); a planar one keeps its three channels."""
+    six = dict(force_z_N=force[:, 2], moment_x_Nm=moment[:, 0], moment_y_Nm=moment[:, 1])
+    return replace(recording, force_N=force[:, :2], moment_Nm=moment[:, 2], **(six if recording.six_axis else {}))
+
+
+def in_sensor(truth, force, moment):
+    """Reactions (n, 3) at the clamp as the sensor shows them in its frame, whose axes are columns in the clamp's frame."""
     turn = Rotation.from_euler("xyz", truth.sensor_turn, degrees=True).as_matrix()
-    moment = (moment - np.cross(truth.sensor, force)) @ turn
-    force = force @ turn
-    largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
-    mixing = truth.mixing * np.random.default_rng([seed, 36]).normal(size=(6, 6)) * largest[:, None] / largest
-    wrench = np.hstack([force, moment]) @ (np.eye(6) + mixing).T
-    time = np.linspace(-0.5, 0.5, m * n)[:, None]
+    return force @ turn, (moment - np.cross(truth.sensor, force)) @ turn
+
+
+def largest(*reactions):
+    """(6,) the largest force three times, and the largest moment."""
+    return np.repeat([np.linalg.norm(column, axis=1).max() for column in reactions], 3)
+
+
+def logged(truth, sweep, position, axes, force, moment, rng, *, rod=ROD, stated=True, pink=0.0, mixed=0.0):
+    """What a rig logs without knowing of its faults, of clamps (n, 3) with the axes (n, 3, 3) as rows, and of reactions.
+
+    `pink` is the fraction of its noise's variance with the spectrum 1/f, `mixed` (6, 6) the sensor's gains and cross-talk.
+    """
+    shown = in_sensor(truth, force, moment)
+    size, wrench = largest(*shown), np.hstack(shown)
+    wrench = wrench @ (np.eye(6) + truth.mixing * mixed * size[:, None] / size).T
+    time = np.linspace(-0.5, 0.5, len(wrench))[:, None]
     noise = rng.normal(size=wrench.shape)
     if pink:
         coloured = np.stack([pink_noise(len(wrench), rng) for _ in range(6)], axis=1)
         noise = np.sqrt(1 - pink) * noise + np.sqrt(pink) * coloured
-    wrench = wrench + largest * (np.array(truth.bias) + time * truth.drift + truth.noise * noise)
-    # clamp -> pose
+    wrench = wrench + size * (np.array(truth.bias) + time * truth.drift + truth.noise * noise)
     clamp = Rotation.from_euler("xyz", truth.clamp_turn, degrees=True).as_matrix()
     pose = np.einsum("nji,kj->nik", axes, clamp)  # columns: axes of the pose's frame in the world
-    position = position - pose @ truth.clamp + truth.jitter * rng.normal(size=position.shape)
     return scan3d.Recording(
-        sweep=np.repeat(np.arange(m), n),
-        position_m=position,
+        sweep=sweep,
+        position_m=position - pose @ truth.clamp + truth.jitter * rng.normal(size=position.shape),
         quaternion=Rotation.from_matrix(pose).as_quat(scalar_first=True),
         force_N=wrench[:, :2],
         moment_Nm=wrench[:, 5],
         force_z_N=wrench[:, 2],
         moment_x_Nm=wrench[:, 3],
         moment_y_Nm=wrench[:, 4],
+        rod=rod,
+        noise_force_N=stated * truth.noise * size[0],
+        noise_moment_Nm=stated * truth.noise * size[3],
+    )
+
+
+def recorded(truth=None, seed=0, *, stated=True, nominal=ROD, pink=0.0, motion=swept, **raster):
+    """The recording of a rig; `motion` gives the exact sweeps."""
+    truth = Truth() if truth is None else truth
+    position, axes, force, moment, _ = motion(length=truth.length, **raster)
+    m, n, _ = position.shape
+    return logged(
+        truth,
+        np.repeat(np.arange(m), n),
+        position.reshape(-1, 3) * truth.length + truth.centre,
+        np.repeat(axes, n, axis=0),
+        force.reshape(-1, 3) * truth.stiffness / truth.length**2,
+        moment.reshape(-1, 3) * truth.stiffness / truth.length,
+        np.random.default_rng(seed),
         rod=nominal,
-        noise_force_N=stated * truth.noise * largest[0],
-        noise_moment_Nm=stated * truth.noise * largest[3],
+        stated=stated,
+        pink=pink,
+        mixed=np.random.default_rng([seed, 36]).normal(size=(6, 6)),
     )
 
 
@@ -130,78 +155,53 @@ def truth_of(calibration, truth, recording, *, motion=swept, reference=None, **r
     """The true values of the quantities of a calibration, by its names; those of the `reference` if it is no sphere."""
     _, _, force, moment, _ = motion(length=truth.length, **raster)
     force = force.reshape(-1, 3) * truth.stiffness / truth.length**2
-    moment = moment.reshape(-1, 3) * truth.stiffness / truth.length - np.cross(truth.sensor, force)
-    largest = np.repeat([np.linalg.norm(column, axis=1).max() for column in (force, moment)], 3)
+    values = by_name(truth, force, moment.reshape(-1, 3) * truth.stiffness / truth.length) | (reference or {})
+    return np.array([values[name] for name in calibration.names])
+
+
+def by_name(truth, force, moment):
+    """The true values of all quantities of a rig that touches a sphere with reactions (n, 3) at the clamp."""
+    size = largest(*in_sensor(truth, force, moment))
     values = {"bending_stiffness_Nm2": truth.stiffness, "length_m": truth.length}
     for title, place in (("clamp", truth.clamp), ("sensor", truth.sensor), ("sphere", truth.centre)):
         values |= {f"{title}_{axis}_mm": 1000 * x for axis, x in zip("xyz", place, strict=True)}
     for title, turn in (("clamp", truth.clamp_turn), ("sensor", truth.sensor_turn)):
         values |= {f"{title}_turn_{axis}_deg": x for axis, x in zip("xyz", turn, strict=True)}
-    channels = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
-    values |= {f"tare_{name}": part * size for name, part, size in zip(channels, truth.bias, largest, strict=True)}
-    values |= {f"drift_{name}": part * size for name, part, size in zip(channels, truth.drift, largest, strict=True)}
-    values |= reference or {}
-    return np.array([values[name] for name in calibration.names])
+    for k, name in enumerate(("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")):
+        values |= {f"tare_{name}": truth.bias[k] * size[k], f"drift_{name}": truth.drift[k] * size[k]}
+    return values
 
 
-def planar_recorded(seed=0, *, noise=0.0, stiffness=1.05, sweeps=24, samples=80, tip=True):
+STEADY = Truth(jitter=0.0, drift=(0.0,) * 6)
+
+
+def planar_recorded(seed=0, *, noise=0.0, sweeps=24, samples=80, tip=True):
     """Three channels of a rod in a plane through the centre of a sphere: the recording, and the true values by name."""
-    rng = np.random.default_rng(seed)
-    rod, radius = scan3d.Rod(0.06, 1.9e-4), DIAMETER / 2 / ROD.length_m
-    clamp, sensor, turn, sensor_turn = np.array([0.0007, -0.0009]), np.array([0.003, -0.02]), 0.8, 20.0
-    columns = {name: [] for name in ("sweep", "position", "frame", "wrench", "touching")}
-    for number in range(sweeps):
-        reach = (0.7, 0.85, 0.95, 1.1)[number % 4] if tip else (0.6, 0.7, 0.8, 0.85)[number % 4]
-        base = np.linspace(0.55, -0.15, samples)
-        state = planar.sweep(planar.Circle(radius, (0.0, reach)), 0.2, base=base)
-        force = np.column_stack([state.f0x, state.f0y, 0 * base])
-        moment = np.column_stack([0 * base, 0 * base, state.m0z])
-        # every other clamp is turned by half a turn about the rod, which leaves the plane where it is
-        pose = Rotation.from_euler("z", 2 * np.pi * number / sweeps) * Rotation.from_euler("y", np.pi * (number % 2))
-        columns["sweep"].append(np.full(samples, number))
-        columns["position"].append(
-            CENTRE / ROD.length_m + pose.apply(np.column_stack([base, 0 * base - reach, 0 * base]))
-        )
-        columns["frame"].append(np.repeat(pose.as_matrix()[None], samples, axis=0))
-        columns["wrench"].append(np.nan_to_num(np.hstack([force, moment])))
-        columns["touching"].append(np.isfinite(state.s1))
-    sweep_number, position, frame, wrench, _ = (np.concatenate(column) for column in columns.values())
-    actual = scan3d.Rod(0.06, 1.9e-4 * stiffness)
-    force, moment = wrench[:, :3] * actual.force_unit_N, wrench[:, 3:] * actual.moment_unit_Nm
-    lever = np.append(sensor, 0.0)
-    about_z = Rotation.from_euler("z", sensor_turn, degrees=True).as_matrix()
-    moment = (moment - np.cross(lever, force)) @ about_z
-    force = force @ about_z
-    sizes = np.linalg.norm(force, axis=1).max(), np.abs(moment).max()
-    force, moment = (
-        column + size * (bias + noise * rng.normal(size=column.shape))
-        for column, size, bias in zip((force, moment), sizes, (0.03, -0.04), strict=True)
+    rod, radius, base = scan3d.Rod(0.06, 1.9e-4), DIAMETER / 2 / ROD.length_m, np.linspace(0.55, -0.15, samples)
+    truth = replace(
+        STEADY,
+        stiffness=1.05 * rod.bending_stiffness_Nm2,
+        clamp=(0.0007, -0.0009, 0.0),
+        clamp_turn=(0.0, 0.0, 0.8),
+        sensor=(0.003, -0.02, 0.0),
+        sensor_turn=(0.0, 0.0, 20.0),
+        bias=(0.03, 0.03, 0.0, 0.0, 0.0, -0.04),
+        noise=noise,
     )
-    frame = frame @ Rotation.from_euler("z", turn, degrees=True).as_matrix().T
-    recording = scan3d.Recording(
-        sweep=sweep_number,
-        position_m=position * ROD.length_m - frame @ np.append(clamp, 0.0),
-        quaternion=Rotation.from_matrix(frame).as_quat(scalar_first=True),
-        force_N=force[:, :2],
-        moment_Nm=moment[:, 2],
-        rod=rod,
-        noise_force_N=noise * sizes[0],
-        noise_moment_Nm=noise * sizes[1],
-    )
-    truth = {
-        "bending_stiffness_Nm2": actual.bending_stiffness_Nm2,
-        "length_m": 0.06,
-        "clamp_x_mm": 0.7,
-        "clamp_y_mm": -0.9,
-        "clamp_turn_z_deg": turn,
-        "sensor_x_mm": 3.0,
-        "sensor_y_mm": -20.0,
-        "sensor_turn_z_deg": sensor_turn,
-        "tare_fx_N": 0.03 * sizes[0],
-        "tare_fy_N": 0.03 * sizes[0],
-        "tare_mz_Nm": -0.04 * sizes[1],
-    }
-    return recording, truth
+    reach = [((0.7, 0.85, 0.95, 1.1) if tip else (0.6, 0.7, 0.8, 0.85))[k % 4] for k in range(sweeps)]
+    states = [planar.sweep(planar.Circle(radius, (0.0, away)), 0.2, base=base).reactions[1:] for away in reach]
+    fx, fy, mz = np.nan_to_num(np.concatenate(states, axis=1))
+    number, zero = np.repeat(np.arange(sweeps), samples), 0 * fx
+    # every other clamp is turned by half a turn about the rod, which leaves the plane where it is
+    pose = Rotation.from_euler("ZY", np.column_stack([2 * np.pi * number / sweeps, np.pi * (number % 2)]))
+    place = np.column_stack([np.tile(base, sweeps), -np.repeat(reach, samples), zero])
+    force = np.column_stack([fx, fy, zero]) * truth.stiffness / truth.length**2
+    moment = np.column_stack([zero, zero, mz]) * truth.stiffness / truth.length
+    axes = pose.as_matrix().swapaxes(1, 2)
+    position = CENTRE + truth.length * pose.apply(place)
+    recording = logged(truth, number, position, axes, force, moment, np.random.default_rng(seed), rod=rod)
+    three = replace(recording, force_z_N=None, moment_x_Nm=None, moment_y_Nm=None)
+    return three, by_name(truth, force, moment)
 
 
 @cache
@@ -214,26 +214,12 @@ def planar_model_log(samples=100, slices=12):
     return replace(simulate_rig(ball, poses, friction=(0.2, 0.2)).recording(), rod=rod)
 
 
-def planar_model_recorded(seed=0, noise=0.002, jitter=20e-6):
+def planar_model_recorded():
     """That log as a sensor with six channels shows it: turned by 30 degrees, 20 mm away, biased, with noise."""
-    log, rng = planar_model_log(), np.random.default_rng(seed)
+    log, none = planar_model_log(), (0.0, 0.0, 0.0)
     zero = np.zeros(len(log))
-    turn = Rotation.from_euler("y", 30, degrees=True).as_matrix()
     force = np.nan_to_num(np.column_stack([log.force_N, zero]))
-    moment = np.nan_to_num(np.column_stack([zero, zero, log.moment_Nm])) - np.cross([0, -0.02, 0], force)
-    sizes = [np.linalg.norm(column, axis=1).max() for column in (force, moment)]
-    force, moment = (
-        column @ turn + size * (0.03 + noise * rng.normal(size=column.shape))
-        for column, size in zip((force, moment), sizes, strict=True)
-    )
-    return replace(
-        log,
-        position_m=log.position_m + jitter * rng.normal(size=(len(log), 3)),
-        force_N=force[:, :2],
-        force_z_N=force[:, 2],
-        moment_x_Nm=moment[:, 0],
-        moment_y_Nm=moment[:, 1],
-        moment_Nm=moment[:, 2],
-        noise_force_N=noise * sizes[0],
-        noise_moment_Nm=noise * sizes[1],
-    )
+    moment = np.nan_to_num(np.column_stack([zero, zero, log.moment_Nm]))
+    beside = dict(clamp=none, clamp_turn=none, sensor=(0.0, -0.02, 0.0), sensor_turn=(0.0, 30.0, 0.0), bias=(0.03,) * 6)
+    truth = replace(STEADY, jitter=20e-6, **beside)
+    return logged(truth, log.sweep, log.position_m, log.axes(), force, moment, np.random.default_rng(0), rod=log.rod)

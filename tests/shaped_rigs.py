@@ -10,25 +10,16 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-import scan3d
-from tests.rigs import CENTRE, DIAMETER, ROD
+from tests.rigs import CENTRE, DIAMETER, ROD, Truth, logged
 
 
 @dataclass(frozen=True)
-class Shaped:
-    """A rod and its rig; lengths in m, angles in degrees."""
+class Shaped(Truth):
+    """A rod that is tapered and curved, and its rig."""
 
     tip: float = 1.0
     curvature: tuple = (0.0, 0.0)
     """About the clamp's z and x axes, in the inverse of rod lengths."""
-    stiffness: float = 1.04 * ROD.bending_stiffness_Nm2
-    length: float = ROD.length_m
-    clamp: tuple = (0.0006, -0.0011, 0.0008)
-    clamp_turn: tuple = (0.9, 0.0, -0.6)
-    sensor: tuple = (0.004, -0.019, 0.005)
-    sensor_turn: tuple = (12.0, 25.0, -10.0)
-    noise: float = 0.002
-    jitter: float = 20e-6
 
 
 def shot(rod, s1, force, torsion=1 / 1.3):
@@ -86,22 +77,4 @@ def recorded(rod, seed=0, *, sweeps=30, samples=60, friction=0.2, nominal=ROD):
     world = turn @ axes
     unit = rod.stiffness / rod.length**2
     force, moment = reaction * unit * touching[:, None], moment * unit * rod.length * touching[:, None]
-    into = Rotation.from_euler("xyz", rod.sensor_turn, degrees=True).as_matrix()
-    moment, force = (moment - np.cross(rod.sensor, force)) @ into, force @ into
-    largest = np.repeat([np.linalg.norm(part, axis=1).max() for part in (force, moment)], 3)
-    wrench = np.hstack([force, moment]) + largest * (0.05 + rod.noise * rng.normal(size=(n, 6)))
-    pose = world @ Rotation.from_euler("xyz", rod.clamp_turn, degrees=True).as_matrix().T
-    position = clamp - pose @ np.array(rod.clamp) + rod.jitter * rng.normal(size=(n, 3))
-    return scan3d.Recording(
-        sweep=number,
-        position_m=position,
-        quaternion=Rotation.from_matrix(pose).as_quat(scalar_first=True),
-        force_N=wrench[:, :2],
-        moment_Nm=wrench[:, 5],
-        force_z_N=wrench[:, 2],
-        moment_x_Nm=wrench[:, 3],
-        moment_y_Nm=wrench[:, 4],
-        rod=nominal,
-        noise_force_N=rod.noise * largest[0],
-        noise_moment_Nm=rod.noise * largest[3],
-    )
+    return logged(rod, number, clamp, world.swapaxes(1, 2), force, moment, rng, rod=nominal)

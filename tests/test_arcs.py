@@ -54,17 +54,6 @@ def test_arcs_narrow_with_the_spacing_and_are_exact_inside_edges():
     assert np.quantile(arcs_of(edges)[1].half_width, 0.9) < 1e-6
 
 
-def test_no_search_is_better_than_all_points():
-    """The search among the hull's vertices finds what all points say, against brute force."""
-    cloud = spatial_cloud(BODIES["ellipsoid"], 400, 3)
-    rows, found = arcs_of(cloud)
-    for i, half in zip(rows[:50], found.half_width[:50], strict=True):
-        inward = -cloud.normals[i]
-        offset = np.delete(cloud.centre_points, i, axis=0) - cloud.centre_points[i]
-        angle = np.arctan2(offset @ np.cross(cloud.tangents[i], inward), offset @ inward)
-        assert half == pytest.approx((np.pi - np.ptp(angle)) / 2, abs=1e-6)
-
-
 def test_errors_of_places_and_tangents_widen_an_arc():
     cloud = spatial_cloud(BODIES["ellipsoid"], 1000, 4)
     _, exact = arcs_of(cloud)
@@ -80,34 +69,6 @@ def test_errors_of_places_and_tangents_widen_an_arc():
     # the true normal, turned until it is perpendicular to the measured tangent
     turned = cloud.normals - (cloud.normals * tangents).sum(axis=1)[:, None] * tangents
     assert np.nanmax(angle_beyond(turned[rows], found)) <= 0
-
-
-def test_errors_along_the_rod_hardly_widen_an_arc():
-    """Of errors in an ellipsoid those across the rod count, and where all directions have the same, they are as one number."""
-    cloud = spatial_cloud(BODIES["ellipsoid"], 1000, 4)
-    error, each = 1e-3, np.ones((len(cloud), 1, 1))
-    alike, ball = (arcs_of(cloud, *given)[1] for given in ((error,), (0.0, 0.0, error**2 * each * np.eye(3))))
-    np.testing.assert_allclose(ball.half_width, alike.half_width, rtol=0.1)
-    along = cloud.tangents[:, :, None] * cloud.tangents[:, None, :]
-    rng = np.random.default_rng(0)
-    spread = (0.1 * error) ** 2 * np.eye(3) + (10 * error) ** 2 * along
-    off = 0.1 * error * unit(rng.normal(size=cloud.points.shape))
-    off += 10 * error * rng.uniform(-1, 1, size=(len(cloud), 1)) * cloud.tangents
-    noisy = dataclasses.replace(cloud, centre_points=cloud.centre_points + off)
-    rows, found = arcs_of(noisy, 0.0, 0.0, spread)
-    alike = arcs_of(noisy, 10.1 * error)[1]
-    assert np.nanmedian(alike.half_width) > 2 * np.nanmedian(found.half_width)
-    assert np.isfinite(found.half_width).mean() > 0.99
-    assert np.nanmax(angle_beyond(cloud.normals[rows], found)) <= 0
-
-
-def test_contradictions_large_errors_and_no_contacts_have_no_arc():
-    cloud = spatial_cloud(BODIES["sphere"], 200, 5)
-    through = dataclasses.replace(cloud, tangents=cloud.normals)
-    assert np.isnan(arcs_of(through)[1].half_width).all()
-    assert np.isnan(arcs_of(cloud, 10.0)[1].half_width).all()
-    tips = dataclasses.replace(cloud, phase=np.full(len(cloud), Phase.TIP))
-    assert all(len(column) == 0 for column in arcs_of(tips)[1])
 
 
 # --- apexes ---
@@ -143,23 +104,3 @@ def test_apexes_lie_on_the_planes_of_a_cube():
     assert len(found.planes) == 8
     assert np.abs(found.apexes) == pytest.approx(np.ones((8, 8, 3)))
     assert np.abs(found.nominal) == pytest.approx(np.ones((8, 3)))
-
-
-def test_directions_without_planes_are_open():
-    planes = planes_of_ball(300, 1e-3, seen=lambda normals: normals[:, 2] > 0)
-    found = cover(planes, thinned(planes, 3.0, 0.1))
-    is_open = np.isinf(found.apexes[:, 0, 0])
-    assert is_open.any()
-    assert not is_open.all()
-    assert ((found.planes < 0).any(axis=1) == is_open).all()
-    assert np.isinf(cover(planes, np.empty(0, dtype=np.intp)).apexes).all()
-
-
-def test_planes_that_turn_over_or_pass_through_the_middle_are_left_out():
-    found = cover(planes_of_ball(100, 0.15), np.arange(100))
-    assert len(found.removed)
-    assert not np.isin(found.removed, found.planes).any()
-    planes = planes_of_ball(50, 0.0)
-    points = planes.points.copy()
-    points[0] = 0
-    assert 0 in cover(planes._replace(points=points), np.arange(50)).removed

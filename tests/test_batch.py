@@ -141,25 +141,6 @@ def test_what_a_scan_has_written_is_no_mesh(serial, tmp_path):
     assert mesh_files([f"{tmp_path}/**/*.[ps][lt][yl]"]) == [tmp_path / "egg" / "mine.stl"]
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ([], r"there is no mesh to scan; name mesh files"),
-        (["empty"], r"the folder empty has no mesh file; expected files that end with \.stl, \.ply"),
-        (["@none.txt"], r"can't read the list none\.txt: No such file"),
-        (["@binary.txt"], r"can't read the list binary\.txt: it is not text in UTF-8"),
-    ],
-)
-def test_meshes_that_are_not_there(tmp_path, monkeypatch, given, sentence):
-    monkeypatch.chdir(tmp_path)
-    Path("empty").mkdir()
-    Path("binary.txt").write_bytes(b"\xff\xfe\x00")
-    Path("blank.txt").write_text("\n# nothing\n")
-    with pytest.raises(scan3d.InputError, match=sentence):
-        scan3d.batch(given, "out")
-    assert not Path("out").exists()
-
-
 # --- names ---
 
 
@@ -339,24 +320,6 @@ def test_other_meshes_settings_versions_and_results_that_are_not_whole_are_compu
     assert done([meshes[2]]) == [False]
     monkeypatch.setattr(batches, "version", lambda name: "0.0.1")
     assert done() == [False, False]
-
-
-@pytest.mark.slow
-def test_files_of_others_are_replaced_only_if_asked_to(again, call):
-    out, meshes = again
-    (out / "egg" / "surface.ply").write_bytes(b"mine")
-    done = scan3d.batch(meshes[:2], out, **SETTINGS)
-    assert [row["status"] for row in done.rows] == ["failed", "done"]
-    assert re.search(r"surface\.ply was not written by scan3d or was changed since", done.rows[0]["error"])
-    assert (out / "egg" / "surface.ply").read_bytes() == b"mine"
-    # the summary itself is looked at before any work
-    (out / "summary.csv").write_text("mine")
-    code, _, stderr = call(*meshes[:2], "--out", out, *FEW)
-    assert code == 1
-    assert re.search(r"summary\.csv was not written by scan3d or was changed since; give --overwrite", stderr)
-    assert (out / "summary.csv").read_text() == "mine"
-    assert call(*meshes[:2], "--out", out, *FEW, "--overwrite")[0] == 0
-    assert [row["status"] for row in rows_of(out)] == ["done", "done"]
 
 
 # --- failures ---

@@ -6,7 +6,6 @@ import itertools
 import json
 import re
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,23 +193,6 @@ def test_glb_is_read_as_its_specification_says(tmp_path, name):
     assert mesh.volume == pytest.approx(7200, rel=1e-4)
 
 
-@pytest.mark.parametrize("mode", [5, 6])
-def test_strips_and_fans_of_glb(tmp_path, mode):
-    """A tetrahedron, in a fan without the wall through the origin that adds nothing to the volume."""
-    points = np.zeros((8, 3), "<f4")
-    points[1:4] = 0.01 * np.eye(3)
-
-    def changed(tree):
-        tree["accessors"][0].update(min=[0, 0, 0], max=[0.01] * 3)
-        tree["accessors"][1].update(bufferView=2, count=6 if mode == 5 else 5)
-        tree["meshes"][0]["primitives"][0]["mode"] = mode
-
-    corners = [1, 2, 0, 3, 1, 2] if mode == 5 else [1, 2, 0, 3, 2]
-    mesh = read_mesh(written_glb(tmp_path / "corner.glb", points, changed, np.array(corners, "<u2").tobytes()))
-    assert len(mesh.faces) == (4 if mode == 5 else 3)
-    assert abs(mesh.volume) == pytest.approx(10**3 / 6)
-
-
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
@@ -224,11 +206,6 @@ def test_strips_and_fans_of_glb(tmp_path, mode):
 )
 def test_glb_that_would_be_read_wrongly_is_refused(tmp_path, changed, why):
     assert why in error(written_glb(tmp_path / "box.glb", CORNERS, changed))
-
-
-def test_separate_bodies_in_a_file_stay_apart(tmp_path):
-    pair = trimesh.util.concatenate([box(), as_mesh(box().vertices + np.array([3, 0, 0]), box().faces)])
-    assert load_mesh(save(tmp_path, pair)).body_count == 2
 
 
 @pytest.mark.slow
@@ -261,12 +238,6 @@ def test_a_body_too_small_or_too_large_is_asked_about(tmp_path, capsys, size, un
     assert main(["simulate", str(path), "--out", str(tmp_path / "log.csv"), "--unit", unit, *counts]) == 0
     question = f"scan3d: the body measures {size:g} {unit}; did you mean --unit {meant}?\n" if meant else ""
     assert capsys.readouterr().err == question
-
-
-def test_vertices_without_faces_are_left_out(tmp_path):
-    cube = box()
-    body = load_mesh(save(tmp_path, as_mesh(np.vstack([cube.vertices, [9, 9, 9]]), cube.faces), "body.off"))
-    assert len(body.vertices) == 8
 
 
 def test_read_mesh_keeps_the_surface_as_it_is(tmp_path):
@@ -317,26 +288,6 @@ def test_names_of_solids_in_text_stl_may_be_any(tmp_path, begin, end):
     assert load_mesh(path).volume == pytest.approx(6)
     path.write_text(f"{begin}\n{facets[: len(facets) // 2]}", encoding="utf-8", newline="")
     assert "cut off" in error(path)
-
-
-def tail(data):
-    """The bytes after the header of the box as binary STL, of which some triangles are counted."""
-    return box(3, 2, 1).export(file_type="stl")[84:] + data
-
-
-BINARY = {
-    "a header of text": b"solid facet vertex 1 2 3".ljust(80) + b"\x0c\0\0\0" + tail(b""),
-    "a line end": bytes(80) + b"\x0c\0\0\0" + tail(b"\r\n"),
-    "padding": bytes(80) + b"\x0c\0\0\0" + tail(bytes(200)),
-}
-
-
-@pytest.mark.parametrize("name", BINARY)
-def test_bytes_around_the_triangles_of_binary_stl(tmp_path, name):
-    (tmp_path / "box.stl").write_bytes(BINARY[name])
-    assert load_mesh(tmp_path / "box.stl").volume == pytest.approx(6)
-    (tmp_path / "box.stl").write_bytes(bytes(80) + b"\x0b\0\0\0" + tail(b""))
-    assert "counts 11 triangles, and 1 more may follow" in error(tmp_path / "box.stl")
 
 
 @pytest.mark.parametrize("kind", ["stl_ascii", "obj", "off", "ply"])
@@ -405,18 +356,6 @@ def test_files_that_are_not_meshes_are_refused(tmp_path, name):
     data, why = BAD_FILES[name]
     (tmp_path / name).write_bytes(data)
     assert why in error(tmp_path / name)
-
-
-def test_missing_and_unreadable_files_are_refused(tmp_path, monkeypatch):
-    assert "no mesh file" in error(tmp_path / "missing.stl")
-    assert "is a folder" in error(tmp_path)
-    path = save(tmp_path, box(), "locked.stl")
-
-    def refuse(_):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "read_bytes", refuse)
-    assert "Permission denied" in error(path)
 
 
 @pytest.mark.parametrize(("kind", "value"), list(zip(KINDS, itertools.cycle([np.nan, np.inf]), strict=False)))

@@ -1,7 +1,5 @@
 """The choice among the methods, and the errors of surfaces at contacts that are held out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
@@ -10,9 +8,7 @@ from sample_bodies import MESHES, rotated, scanned
 import scan3d
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
-from scan3d.reconstruction.contacts import contacts
-from scan3d.surfaces import certificate, choice, enclosure, surface
-from scan3d.surfaces.choice import error_of_surface, hold_out
+from scan3d.surfaces import certificate, enclosure, surface
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +61,6 @@ def test_the_estimate_between_the_bounds_is_closer_to_a_smooth_body_than_its_hul
 
 
 @pytest.mark.slow
-def test_a_proven_hull_is_taken_without_an_estimate():
-    cloud = scanned(trimesh.creation.box((40, 30, 50)), spacing="adaptive", slices=40)
-    proven = surface(cloud)
-    assert proven.metadata["method"] == "hull"
-    assert "proven" in proven.metadata["reason"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(1, 8))])
 def test_the_estimate_lies_between_the_bounds(seed):
     """Whatever the body: no point lies outside the outer body by more than interpolation, and the certificate holds."""
@@ -84,22 +72,6 @@ def test_the_estimate_lies_between_the_bounds(seed):
     assert signed_distances(estimate.vertices, hull(bounds.corners)).max() < 1e-4 * bounds.bound
     assert signed_distances(bounds.inner.vertices, estimate).max() < 1e-9 * bounds.bound + 1e-12
     assert certificate(bounds, estimate).bound >= scan3d.compare(estimate, mesh).hausdorff * (1 - 1e-9)
-
-
-@pytest.mark.slow
-def test_without_empty_slices_there_is_still_a_surface(box):
-    """Nothing bounds the ends then: the surface ends where the contacts do."""
-    _, cloud = box
-    filled = np.unique(cloud.slice)
-    without_empty_slices = replace(
-        cloud,
-        slice=np.searchsorted(filled, cloud.slice).astype(np.int32),
-        slice_axis=cloud.slice_axis[filled],
-        slice_height=cloud.slice_height[filled],
-    )
-    estimate = surface(without_empty_slices)
-    assert estimate.metadata["method"] == "bracket"
-    assert np.isfinite(estimate.vertices).all()
 
 
 @pytest.mark.slow
@@ -168,67 +140,3 @@ def test_bodies_in_any_orientation_with_64_adaptive_slices(name, seed):
     made = surface(cloud, bounds=bounds)
     assert scan3d.compare(made, mesh).relative < 5e-4
     assert certificate(bounds, made).bound < 2e-3 * np.linalg.norm(mesh.extents)
-
-
-def test_an_unknown_method_and_contacts_in_one_plane_are_refused():
-    cloud = contacts(scan3d.simulate(trimesh.creation.box((20, 30, 40)), scan3d.Plan(slices=1, samples=16)))
-    with pytest.raises(scan3d.InputError, match="method must be one of"):
-        surface(cloud, "magic")
-    with pytest.raises(scan3d.InputError, match="span no body"):
-        surface(cloud, "hull")
-
-
-@pytest.mark.slow
-def test_the_estimate_with_the_least_expected_error_is_close_to_the_best(box, monkeypatch):
-    mesh, cloud = box
-    monkeypatch.setattr("scan3d.surfaces.between.facets", lambda _: np.empty((0, 4)))  # on which all contacts lie
-    kept, held_out = hold_out(cloud)
-    (of_kept, part), (estimates, whole) = choice._estimates(kept, None, False), choice._estimates(cloud, None, False)
-    falls = choice._falls(part, whole, held_out)
-    assert 0 <= falls.min() < falls.max() <= 1
-    expected = {name: error_of_surface(make(), held_out, falls).expected for name, make in of_kept.items()}
-    true = {name: scan3d.compare(make(), mesh).hausdorff for name, make in estimates.items()}
-    assert true[min(expected, key=expected.get)] <= 1.2 * min(true.values())
-
-
-# --- what is held out, and the errors there ---
-
-
-def contacts_at(points, normals=None, sd=None):
-    """A cloud of contacts at points (n, 3), with standard deviations (n, 3) of their coordinates if they are noisy."""
-    points = np.array(points)
-    some = scanned(trimesh.creation.box((2, 2, 2)), slices=4, samples=16)
-    cloud = some.select(np.resize(np.arange(len(some)), len(points)))
-    cloud = replace(
-        cloud, points=points, normals=np.full_like(points, np.nan) if normals is None else np.array(normals)
-    )
-    if sd is None:
-        return cloud
-    place_sd = np.max(sd, axis=1)
-    covariance = np.eye(3) * np.square(sd)[:, None]
-    return replace(cloud, covariance=covariance, place_sd=place_sd, noise=float(np.median(place_sd)), rod_length=1e5)
-
-
-def test_noise_alone_is_no_error_of_the_true_surface_and_a_displaced_one_has_its_displacement():
-    chance = np.random.default_rng(1)
-    sphere = trimesh.creation.icosphere(6, 10.0)
-    directions = sphere.face_normals[:: len(sphere.faces) // 4000]
-    sd = np.repeat(chance.uniform(0.05, 0.2, (len(directions), 1)), 3, axis=1)
-    cloud = contacts_at(sphere.triangles_center[:: len(sphere.faces) // 4000], directions, sd)
-    noisy = replace(cloud, points=cloud.points + chance.normal(0, sd))
-    # the weighting adds 0.15 median standard deviations to each, which leaves nothing of the noise
-    assert error_of_surface(sphere, noisy).rms < 0.02
-    assert error_of_surface(sphere, noisy).largest > 0.5
-    larger = trimesh.creation.icosphere(6, 10.3)
-    assert error_of_surface(larger, noisy).rms == pytest.approx(0.3, rel=0.03)
-
-
-def test_a_contact_displaced_around_an_edge_is_judged_by_its_error_across_the_other_face():
-    box = hull(trimesh.creation.box((2, 2, 2)).vertices)
-    # of the face y = 1 at its edge, displaced along that face, where its error is large
-    normals, sd = [[0.0, 1.0, 0.0]], [[0.1, 1e-4, 1e-4]]
-    around = error_of_surface(box, contacts_at([[1.1, 1.0, 0.0]], normals, sd))
-    across = error_of_surface(box, contacts_at([[0.5, 1.1, 0.0]], normals, sd))
-    assert around.largest == pytest.approx(across.largest)
-    assert around.rms < 0.01
-    assert across.rms > 0.09

@@ -80,46 +80,6 @@ def test_files_that_are_no_convex_bodies(call, tmp_path):
     assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--friction", "-0.1"], r"friction must be a number >= 0 or a rising range LOW:HIGH of such, .*got -0\.1"),
-        (["--friction", "0:0.2:0.4"], r"friction must be a number, such as 0\.3, or a range .*; got '0:0\.2:0\.4'"),
-        (["--slices", "4.5"], r"Invalid value for --slices: expected a whole number, got '4\.5'"),
-        (["--sweeps", "some"], "sweeps must be 'auto' or a whole number, got 'some'"),
-        (["--spacing", "cosin"], 'Invalid value "cosin" for --spacing. Choose from: .* Did you mean "cosine"'),
-        (["--axis", "1,,0"], "axis must be x, y, z or three numbers, such as 1,1,0; got '1,,0'"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_invalid_settings(call, tmp_path, arguments, sentence):
-    for asked in ([], ["--print-config"]):
-        code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", *arguments, *asked)
-        assert (code, stdout) == (2, "")
-        assert_sentence(stderr, sentence + ".*; see 'scan3d scan --help'")
-        assert tree(tmp_path) == {}
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        (None, r"can't read the settings .*a\.toml: No such file or directory"),
-        (b"slises = 3\n", r"a\.toml: unknown setting slises; known are model, slices.*; did you mean slices\?"),
-        (b'slices = "many"\n', r"a\.toml: slices must be a whole number, got 'many'"),
-        (b"slices = \n", r"a\.toml is not a TOML file: .*line 1"),
-        (b"\xff\xfe\x00", r"a\.toml is not a TOML file: .*utf-8"),
-        (b"friction = -1\n", r"friction must be a number >= 0"),
-    ],
-)
-def test_an_invalid_file_of_settings(call, tmp_path, text, sentence):
-    if text is not None:
-        (tmp_path / "a.toml").write_bytes(text)
-    code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "out", "--config", tmp_path / "a.toml")
-    assert (code, stdout) == (1, "")
-    assert_sentence(stderr, sentence)
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("out", ["/proc/nowhere", "file/out/deeper", "file"])
 def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
     (tmp_path / "file").write_bytes(b"other content")
@@ -200,28 +160,18 @@ def test_output_into_a_closed_pipe(tmp_path):
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_output_to_a_full_disk_and_no_output_at_all(call, tmp_path, monkeypatch):
-    class Full(io.StringIO):
-        def flush(self):
-            raise OSError(28, "No space left on device")
-
-    asked = ["scan", CUBE, "--out", tmp_path / "out", "--print-config"]
-    monkeypatch.setattr(sys, "stdout", Full())
-    code, _, stderr = call(*asked)
-    assert (code, stderr) == (1, "scan3d: No space left on device\n")
-    monkeypatch.setattr(sys, "stdout", None)  # as with >&-
-    code, _, stderr = call(*asked)
-    assert (code, stderr) == (0, "")
-
-
 # --- output ---
 
 
-def test_help_and_version(call):
+def test_help_version_and_completion(call):
     code, stdout, stderr = call("--help")
     assert (code, stderr) == (0, "")
     assert all(f" {name} " in stdout for name in COMMANDS)
     assert call("--version") == (0, version("scan3d") + "\n", "")
+    for shell in SHELLS:
+        script = call("completion", shell)[1]
+        assert all(word in script for word in (*COMMANDS, "friction")), shell
+    assert "compdef _cyclopts_scan3d scan3d" in call("completion", "zsh")[1]  # for `eval`
     # the program alone prints a short guide
     code, stdout, stderr = call()
     assert (code, stderr) == (0, "")
@@ -258,28 +208,6 @@ def test_the_command_and_the_module_in_a_terminal_with_ascii_only():
     done = subprocess.run([sys.executable, "-m", "scan3d", "peel"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith('scan3d: Unknown command "peel"')
-
-
-@pytest.mark.slow
-def test_bash_completes_commands_options_and_values(call, tmp_path):
-    for shell in SHELLS:
-        script = call("completion", shell)[1]
-        for name in COMMANDS:
-            assert name in script, shell
-        assert "friction" in script
-    assert "compdef _cyclopts_scan3d scan3d" in call("completion", "zsh")[1]  # for `eval`
-    (tmp_path / "bash").write_text(call("completion", "bash")[1])
-    for words, offers in (
-        (["scan3d", "sc"], {"scan"}),
-        (["scan3d", "scan", "--sp"], {"--spacing"}),
-        (["scan3d", "scan", "x.stl", "--spacing", ""], {"adaptive", "cosine", "uniform"}),
-        (["scan3d", "scan", "x.stl", "--hull", "--mo"], {"--model"}),
-        (["scan3d", "completion", ""], set(SHELLS)),
-    ):
-        line = f"COMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _scan3d"
-        code = f"source {tmp_path / 'bash'}; {line}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
-        done = subprocess.run(["bash", "--norc", "-c", code], capture_output=True, text=True, check=True)
-        assert {word.strip() for word in done.stdout.split()} == offers
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from brute_force import EXACT, certified
+from brute_force import EXACT
 from shapes import PAIRS, angle_bracket, ball, cube, moved, quad, rotation, soup
 
 from scan3d import comparison
@@ -49,15 +49,6 @@ def test_a_comparison_of_a_surface_an_inner_body_and_points_is_that_of_each_alon
     assert of_points == pytest.approx(distances(points, mesh), abs=1e-14 * mesh.scale)
 
 
-@pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS)
-def test_order_does_not_matter(pair):
-    result, swapped = compare(*pair), compare(*pair[::-1])
-    assert result.hausdorff == swapped.hausdorff
-    assert (result.surface_to_mesh, result.mesh_to_surface) == (swapped.mesh_to_surface, swapped.surface_to_mesh)
-    for name in ("mean", "rms", "chamfer", "p95"):
-        assert getattr(result, name) == pytest.approx(getattr(swapped, name))
-
-
 def test_place_and_attitude_do_not_matter():
     turn = rotation(1)
     for pair in (PAIRS["crossing"], PAIRS["needles"]):
@@ -89,20 +80,6 @@ def test_seams_unused_vertices_and_faces_without_area_do_not_matter():
         assert result.volume_error == pytest.approx(body.volume / mesh.volume - 1, rel=1e-9)
 
 
-def test_open_and_flat_surfaces(all_samples):
-    square = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3)], process=False)
-    result = certified(compare(moved(square, (0.0, 0.0, 0.25)), square))
-    assert not result.exact
-    assert np.isnan(result.volume_error)
-    assert (result.hausdorff, result.mean, result.rms, result.p95) == pytest.approx((0.25,) * 4, rel=1e-9)
-    assert result.chamfer == pytest.approx(0.5)
-    assert compare(moved(square, (0.5, 0.0, 0.0)), square).f_score == pytest.approx(0.5 + 0.01 * np.sqrt(2), abs=0.01)
-    line = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
-    result = certified(compare(line, square))
-    assert (result.surface_to_mesh, result.mesh_to_surface) == pytest.approx((1.0, 1.0))
-    assert np.isnan(result.normal_median_deg)
-
-
 @pytest.mark.slow
 def test_averages_over_cubes(all_samples):
     """Along an edge of the outer cube the distance bends within 5 % of the side: the samples see that to 1e-3."""
@@ -120,22 +97,6 @@ def test_averages_over_cubes(all_samples):
         assert result.p95 == pytest.approx(np.quantile(outwards, 0.9), rel=0.05)
         assert result.f_score == 0.0
         assert result.volume_error == pytest.approx(1 / 1.1**3 - 1)
-
-
-def test_averages_are_over_the_area_even_with_faces_that_have_none():
-    """A large square at the height 1 and many small triangles at the height 0, over a square at the height 0."""
-    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
-    faces = [(0, 1, 2), (0, 2, 3)]
-    large, low = (trimesh.Trimesh(np.column_stack([square, np.full(4, z)]), faces, process=False) for z in (1.0, 0.0))
-    small = moved(low, scale=0.01)
-    for _ in range(4):
-        small = small.subdivide()
-    both = trimesh.util.concatenate([large, small])
-    with_point = trimesh.Trimesh(both.vertices, np.vstack([both.faces, [(0, 0, 1)]]), process=False)
-    expected, result = compare(both, low), compare(with_point, low)
-    assert expected.mean > 0.8
-    assert result.mean == pytest.approx(expected.mean, abs=1e-3)
-    assert result.rms == pytest.approx(expected.rms, abs=1e-3)
 
 
 def test_normals_of_a_turned_cube():
@@ -173,12 +134,3 @@ def test_what_cannot_be_compared_is_refused(mesh, words):
         compare(cube(), mesh)
     with pytest.raises(InputError, match=f"the mesh should .*{words}"):
         compare_all(cube(), cube(), np.zeros((1, 3)), mesh)
-
-
-def test_bodies_that_are_points_beside_their_distance():
-    for apart in (1e18, 1e33):
-        small, far = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1))
-        far.apply_translation((apart, 0, 0))
-        assert np.isclose(compare(small, far).hausdorff, apart)
-        large = trimesh.creation.box((apart, apart, apart))
-        assert compare(small, large).hausdorff == pytest.approx(apart / 2 * np.sqrt(3))

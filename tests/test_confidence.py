@@ -9,15 +9,15 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d.bounds.constraints import allowed, sigmas
-from scan3d.bounds.noise import AVERAGED, averages_of, beyond, confident
+from scan3d.bounds.constraints import allowed
+from scan3d.bounds.noise import averages_of, beyond, confident
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_polygons
 from scan3d.pipeline import analyse
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.slices import stacks
-from scan3d.surfaces import certificate, enclosure, surface
+from scan3d.surfaces import enclosure
 
 MESHES = Path(__file__).parents[1] / "meshes"
 
@@ -50,50 +50,6 @@ def test_the_section_lies_between_the_polygons(name, noise):
         assert len(slice_.angle) >= 3
         assert (slice_.value >= support - rounding).all()
         assert ((normals @ slice_.points.T).max(axis=1) <= support + rounding).all()
-
-
-@pytest.mark.slow
-def test_a_slice_that_proves_no_point_is_left_out():
-    _, _, cloud = scanned("egg.stl", 1e-3)
-    (stack,) = stacks(cloud)
-    uncertain = dataclasses.replace(cloud, covariance=1e8 * cloud.covariance)
-    assert not confident(stack, uncertain, allowed(uncertain)).slices
-    assert np.isinf(enclosure(uncertain).bound)
-    assert np.isinf(certificate(enclosure(uncertain), surface(cloud, "hull")).bound)
-
-
-def test_support_lines_that_do_not_close_prove_nothing():
-    """Sweeps from one side only: the lines of the far side are those of the rectangle, which is not known to hold the body."""
-    _, _, cloud = scanned("egg.stl", 1e-4, sweeps=1)
-    (stack,) = stacks(cloud)
-    assert all(len(slice_.angle) == 0 for slice_ in confident(stack, cloud, allowed(cloud)).slices)
-    assert np.isinf(enclosure(cloud).bound)
-
-
-def test_more_contacts_and_more_confidence_need_more_standard_deviations():
-    assert 3.0 < sigmas(1) < sigmas(1000) < sigmas(100_000) < 7.0
-    assert sigmas(1000, 0.5) < sigmas(1000, 0.95) < sigmas(1000, 0.999)
-
-
-def test_averages_are_those_of_runs_and_of_the_runs_beside_them():
-    rng = np.random.default_rng(0)
-    points = np.column_stack([np.tile(np.arange(40.0), 2), np.repeat([0.0, 0.01], 40)])
-    sweep = np.repeat([3, 8], 40).astype(np.int32)
-    averages = averages_of(points, sweep, np.ones(80), 5.0)
-    ones = np.ones(80)
-    np.testing.assert_allclose(averages.mean(ones), 1.0)
-    members = np.bincount(averages.group)
-    np.testing.assert_allclose(averages.variance(ones), 1 / members)
-    # the first averages are those of pairs of rows, then each with the pair of the other sweep
-    np.testing.assert_allclose(averages.mean(points)[:20], points.reshape(-1, 2, 2).mean(axis=1)[:20])
-    assert set(members) >= {AVERAGED[0], 2 * AVERAGED[0]}
-    assert (averages.kappa[members == AVERAGED[0]] >= 5.0 - 1e-12).all()
-    assert (averages.kappa[40:80] > 5.0).all()
-    # unequal variances: the mean of least variance
-    variance = rng.uniform(0.5, 2.0, 80)
-    weighted = averages_of(points, sweep, variance, 5.0)
-    least = 1 / np.bincount(weighted.group, 1 / variance[weighted.row])
-    np.testing.assert_allclose(weighted.variance(variance), least)
 
 
 # --- averages ---
@@ -152,15 +108,6 @@ def test_the_part_of_a_polygon_beyond_a_line():
 
 
 @pytest.mark.slow
-def test_exact_contacts_need_no_confidence():
-    cloud = scanned("cube.stl", 0.0)[2]
-    assert cloud.covariance is None
-    assert cloud.noise == 0
-    assert enclosure(cloud).confidence == 1
-    assert enclosure(cloud).bound == enclosure(cloud, margin=0.0).bound
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (1, 2))])
 def test_the_certificates_that_were_false(seed):
     """One standard deviation for all contacts certified 0.056 mm; the truth was 0.074 to 0.10 mm."""
@@ -189,23 +136,6 @@ def test_the_bound_is_at_most_five_times_the_least_one_that_holds(name, noise):
 
 
 # --- contacts ---
-
-
-@pytest.mark.slow
-def test_light_touches_are_left_out_with_a_count():
-    _, _, cloud = scanned("cube.stl", 1e-3)
-    assert cloud.light > 0
-    assert cloud.place_sd.max() <= max(4 * np.median(cloud.place_sd) * 1.2, 1e-3 * cloud.rod_length)
-    assert cloud.accurate() is cloud or len(cloud.accurate()) < len(cloud)
-
-
-@pytest.mark.slow
-def test_surfaces_do_not_use_the_least_certain_contacts():
-    """A light touch is out along the face by far more than across it, and so beyond the cube's edge."""
-    _, _, cloud = scanned("cube.stl", 1e-5)
-    assert len(cloud.accurate()) < len(cloud)
-    beyond_the_faces = [np.abs(points[:, :2]).max() - 20 for points in (surface(cloud, "hull").vertices, cloud.points)]
-    assert 0 < beyond_the_faces[0] < 0.2 * beyond_the_faces[1]
 
 
 def test_a_slice_with_a_force_but_no_contact_is_not_empty():

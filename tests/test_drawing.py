@@ -1,5 +1,6 @@
 """The child process that draws: what it draws is the same, and its end costs the pictures only."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -58,37 +59,18 @@ def test_a_child_that_fails(monkeypatch, code, sentence):
         drawing.draw(scanned(CUBE), JOBS)
 
 
-CRASH = """
-import sys
-from scan3d.cli import main
-from scan3d.pictures import drawing, rendering
-drawing._CODE, rendering.can_render = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", lambda: True
-sys.exit(main(sys.argv[1:]))
-"""
-
-
 @pytest.mark.slow
-def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path):
-    def run(*arguments):
-        command = [sys.executable, "-c", CRASH, *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
+@pytest.mark.usefixtures("renderer")
+def test_a_renderer_that_crashes_costs_the_pictures_only(tmp_path, monkeypatch, call):
+    monkeypatch.setattr(drawing, "_CODE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     out, sentence = tmp_path / "out", "the renderer crashed (SIGSEGV)"
-    done = run("scan", CUBE, "--out", out, *FEW)
-    assert (done.returncode, done.stderr) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
+    code, _, err = call("scan", CUBE, "--out", out, *FEW)
+    assert (code, err) == (0, f"scan3d: no pictures: {sentence}; all other files are written\n")
     assert {path.name for path in out.iterdir()} == {
         "recording.csv", "recording.toml", "cloud.ply", "surface.ply", "report.json", "view.html",
     }  # fmt: skip
-    done = run("show", out, "--screenshot", tmp_path / "a.png")
-    assert (done.returncode, done.stderr) == (1, f"scan3d: {sentence}\n")
+    assert call("show", out, "--screenshot", tmp_path / "a.png") == (1, "", f"scan3d: {sentence}\n")
     assert not (tmp_path / "a.png").exists()
-
-
-def wait_for(condition):
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.mark.slow
@@ -102,11 +84,9 @@ def test_a_child_ends_with_the_process_that_started_it():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
-    def has_ended():
-        try:
+    end = time.monotonic() + 20
+    with contextlib.suppress(ProcessLookupError):
+        while True:
             os.kill(int(done.stdout), 0)
-        except ProcessLookupError:
-            return True
-        return False
-
-    wait_for(has_ended)
+            assert time.monotonic() < end
+            time.sleep(0.01)

@@ -1,17 +1,23 @@
-"""Exported files: their contents, bit by bit where that is possible, what other programs read, and error messages."""
+"""Exported files: what other programs read of them, units, colours, names of scalars, bags of ROS, and what is refused."""
 
 import functools
 import json
 import re
+import shutil
 import struct
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import other_programs
 import pytest
 import trimesh
 from other_programs import FORMATS, HERE, PROGRAMS
 
+import scan3d
 from scan3d import InputError
 from scan3d.cli import main
 from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export, write_shape
@@ -50,6 +56,16 @@ def with_rows(shape, path, unit="mm", **columns):
         rows[name] = values
     path.write_bytes(ply(rows, shape.faces, (f"unit {unit}",)))
     return path
+
+
+@pytest.fixture
+def gaps(folder, tmp_path, cloud):
+    """The folder, in which four contacts have no normal and no friction."""
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    some = np.arange(len(cloud.rows)) < 4
+    names = ("nx", "ny", "nz", "friction")
+    with_rows(cloud, tmp_path / "cloud.ply", **{name: np.where(some, np.nan, cloud.rows[name]) for name in names})
+    return tmp_path
 
 
 # --- other programs ---
@@ -111,57 +127,6 @@ def test_a_ply_keeps_every_bit(folder, tmp_path, cloud, surface):
         assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
 
 
-def test_a_pcd_names_its_fields_and_contains_them(folder, tmp_path, cloud):
-    head, _, body = written(folder, tmp_path / "a.pcd").partition(b"DATA binary\n")
-    lines = head.decode().splitlines()
-    header = dict(line.split(" ", 1) for line in lines if not line.startswith("#"))
-    assert (
-        header["FIELDS"]
-        == "x y z normal_x normal_y normal_z quality phase slice sweep row force friction normal_source"
-    )
-    names = header["FIELDS"].split()
-    for name, value in (("SIZE", "4"), ("TYPE", "F"), ("COUNT", "1")):
-        assert header[name].split() == [value] * len(names)
-    assert header["WIDTH"] == header["POINTS"] == str(len(cloud.rows))
-    assert (header["VERSION"], header["HEIGHT"], header["VIEWPOINT"]) == ("0.7", "1", "0 0 0 1 0 0 0")
-    assert "# unit mm" in lines
-    assert any(line.startswith("# frame world") for line in lines)
-    table = np.frombuffer(body, "<f4").reshape(-1, len(names))
-    for k, name in enumerate(cloud.rows.dtype.names):
-        assert np.array_equal(table[:, k], cloud.rows[name].astype("f4"))
-
-
-def test_text_gives_the_same_bits_back(folder, tmp_path, cloud, surface):
-    table = np.loadtxt(written(folder, tmp_path / "a.xyzn").decode().splitlines())
-    assert np.array_equal(table[:, :3], cloud.points)
-    assert np.array_equal(table[:, 3:].astype("f4"), cloud.normals)
-    assert np.array_equal(np.loadtxt(written(folder, tmp_path / "a.xyz").decode().splitlines()), cloud.points)
-    header, *lines = written(folder, tmp_path / "a.csv").decode().splitlines()
-    assert header == "x_mm,y_mm,z_mm,nx,ny,nz,quality_mm,phase,slice,sweep,row,force_N,friction,normal_source"
-    table = np.loadtxt(lines, delimiter=",")
-    for k, name in enumerate(cloud.rows.dtype.names):
-        assert np.array_equal(table[:, k].astype(cloud.rows.dtype[name]), cloud.rows[name])
-    lines = written(folder, tmp_path / "a.obj").decode().splitlines()
-    assert "# unit mm" in lines
-    for start, values in (("v", surface.points), ("vn", surface.normals)):
-        table = np.loadtxt([line[len(start) :] for line in lines if line.startswith(f"{start} ")])
-        assert np.array_equal(table.astype(values.dtype), values)
-    assert f"f {' '.join(f'{c}//{c}' for c in surface.faces[0] + 1)}" in lines
-
-
-def test_an_stl_names_its_unit_and_faces_outwards(folder, tmp_path, surface):
-    data = written(folder, tmp_path / "a.stl")
-    assert len(data) == 84 + 50 * len(surface.faces)
-    assert b"unit mm" in data[:80]
-    assert not data.startswith(b"solid")  # which would be the start of a text file
-    assert struct.unpack("<I", data[80:84]) == (len(surface.faces),)
-    rows = np.frombuffer(data[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    assert np.array_equal(rows["corners"], surface.points[surface.faces].astype("f4"))
-    assert np.allclose(np.linalg.norm(rows["normal"], axis=1), 1, atol=1e-6)
-    centre = surface.points.mean(axis=0)
-    assert ((rows["corners"].mean(axis=1) - centre) * rows["normal"]).sum(axis=1).min() > 0
-
-
 def test_a_triangle_without_area_has_no_normal_in_an_stl(tmp_path, surface):
     faces = surface.faces.copy()
     faces[0] = faces[0, 0]
@@ -184,74 +149,216 @@ def test_a_shape_is_not_written_where_float32_would_lose_it(tmp_path, ending):
     write_shape(shape, tmp_path / f"far{ending}")
 
 
-def glb(data):
-    """The JSON of a GLB."""
-    assert data[:4] == b"glTF"
-    return json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
-
-
-@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("in", 0.0254), ("m", 1.0)])
-def test_a_glb_is_in_metres_and_names_its_unit(tmp_path, surface, unit, metres):
-    with_rows(surface, tmp_path / "surface.ply", unit)
-    tree = glb(written(tmp_path, tmp_path / "a.glb"))
-    extras = tree["asset"]["extras"]
-    assert (extras["unit"], extras["unit_of_recording"]) == ("m", unit)
-    assert extras["metres_per_unit_of_recording"] == metres
-    assert "world" in extras["frame"]
-    (primitive,) = tree["meshes"][0]["primitives"]
-    assert set(primitive["attributes"]) == {"POSITION", "NORMAL", "_BOUND"}
-    read = trimesh.load_mesh(tmp_path / "a.glb", process=False)
-    assert np.allclose(read.vertices, surface.points[:, [0, 2, 1]] * metres * [1, 1, -1], rtol=1e-6)
-    bound = read.vertex_attributes["_BOUND"].ravel()
-    assert np.allclose(bound, surface.columns["bound"] * metres, rtol=1e-6)
-
-
 def test_a_glb_leaves_out_scalars_that_are_infinite(tmp_path, surface):
     # the bound of a body without empty slices; JSON has no infinity
     with_rows(surface, tmp_path / "surface.ply", bound=np.inf)
-    tree = glb(written(tmp_path, tmp_path / "a.glb"))
-    assert set(tree["meshes"][0]["primitives"][0]["attributes"]) == {"POSITION", "NORMAL"}
+    export(tmp_path, tmp_path / "a.glb")
+    assert set(tree_of(tmp_path / "a.glb")[2]) == {"POSITION", "NORMAL"}
 
 
-def test_a_vtp_keeps_every_bit(folder, tmp_path, cloud, surface):
-    import pyvista
+def tree_of(path):
+    """The JSON of a GLB, and its accessors as arrays."""
+    data = path.read_bytes()
+    length = struct.unpack("<I", data[12:16])[0]
+    tree, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    kinds, sizes = {5126: "<f4", 5125: "<u4", 5121: "u1"}, {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
-    for shape in (cloud, surface):
-        export(folder, tmp_path / "a.vtp", shape.what)
-        read = pyvista.read(tmp_path / "a.vtp")
-        assert read.points.dtype == np.float64
-        assert np.array_equal(read.points, shape.points)
-        assert np.array_equal(read.point_data.active_normals, shape.normals)
-        for name, column in shape.columns.items():
-            assert read.point_data[name].dtype == column.dtype
-            assert np.array_equal(read.point_data[name], column)
-        assert list(read.field_data["unit"]) == ["mm"]
-        assert read.field_data["frame"][0].startswith("world coordinates")
-        assert (read.n_verts, read.n_cells) == (
-            (len(cloud.rows), len(cloud.rows)) if shape is cloud else (0, len(surface.faces))
-        )
+    def array(number):
+        accessor = tree["accessors"][number]
+        view, size = tree["bufferViews"][accessor["bufferView"]], sizes[accessor["type"]]
+        values = np.frombuffer(binary, kinds[accessor["componentType"]], accessor["count"] * size, view["byteOffset"])
+        return values.reshape(-1, size)
+
+    (primitive,) = tree["meshes"][0]["primitives"]
+    return tree, primitive, {name: array(number) for name, number in primitive["attributes"].items()}
 
 
-def test_unknown_values_stay_nan(tmp_path, cloud):
-    import pyvista
-
-    hole = np.arange(len(cloud.rows)) == 3
-    gaps = {name: np.where(hole, np.nan, cloud.rows[name]) for name in ("nx", "ny", "nz", "friction", "quality")}
-    with_rows(cloud, tmp_path / "cloud.ply", **gaps)
-    read = pyvista.read(export(tmp_path, tmp_path / "a.vtp", "cloud")["file"])
-    assert np.array_equal(np.isnan(read["Normals"]).all(axis=1), hole)
-    assert np.array_equal(np.isnan(read["friction"]), hole)
-    table = np.genfromtxt(written(tmp_path, tmp_path / "a.csv").decode().splitlines(), delimiter=",", names=True)
-    assert np.array_equal(np.isnan(table["quality_mm"]), hole)
-    body = written(tmp_path, tmp_path / "a.pcd").partition(b"DATA binary\n")[2]
-    table = np.frombuffer(body, "<f4").reshape(-1, 14)
-    assert np.array_equal(np.isnan(table), np.outer(hole, np.isin(np.arange(14), [3, 4, 5, 6, 12])))
-    assert np.isfinite(np.loadtxt(written(tmp_path, tmp_path / "a.xyz").decode().splitlines())).all()
+# --- units ---
 
 
-def test_the_same_shape_gives_the_same_file(folder, tmp_path):
-    for what, ending in FORMATS:
-        assert written(folder, tmp_path / f"a{ending}", what) == written(folder, tmp_path / f"b{ending}", what)
+@pytest.mark.parametrize("what", ["cloud", "surface"])
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("in", 1 / 25.4)])
+def test_lengths_are_converted_and_nothing_else(gaps, tmp_path, what, unit, factor):
+    before = read_shape(gaps / f"{what}.ply")
+    assert export(gaps, tmp_path / "a.ply", what, unit=unit)["unit"] == unit
+    after = read_shape(tmp_path / "a.ply")
+    assert after.unit == unit
+    assert after.points == pytest.approx(factor * before.points, rel=1e-15)
+    for name, column in before.columns.items():
+        scale = factor if name in ("quality", "bound") else 1.0
+        assert np.allclose(after.columns[name], scale * column, rtol=1e-6, atol=0, equal_nan=True)
+    assert np.array_equal(after.normals, before.normals, equal_nan=True)
+
+
+# --- colours ---
+
+
+def colors_in(path):
+    """(n, 3) the colours in an exported file, by readers of the tests' own."""
+    data, ending = path.read_bytes(), path.suffix
+    if ending == ".ply":
+        rows = read_ply(path)[0]
+        return np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
+    if ending == ".pcd":
+        head, _, body = data.partition(b"DATA binary\n")
+        fields = next(line.split()[1:] for line in head.decode().splitlines() if line.startswith("FIELDS"))
+        packed = np.frombuffer(body, "<u4").reshape(-1, len(fields))[:, fields.index("rgb")]
+        return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=1)
+    if ending == ".obj":
+        lines = [line[2:] for line in data.decode().splitlines() if line.startswith("v ")]
+        return np.round(255 * np.loadtxt(lines)[:, 3:])
+    return tree_of(path)[2]["COLOR_0"][:, :3]
+
+
+@pytest.mark.parametrize(
+    ("what", "scalar", "ending"),
+    [
+        ("cloud", "friction", ".ply"),
+        ("cloud", "friction", ".pcd"),
+        ("cloud", "force", ".glb"),
+        ("surface", "bound", ".obj"),
+    ],
+)
+def test_colours_are_those_of_the_scalar_beside_them(gaps, tmp_path, what, scalar, ending):
+    export(gaps, tmp_path / f"a{ending}", what, color=scalar)
+    shape = read_shape(gaps / f"{what}.ply")
+    values = shape.columns[scalar].astype(float)
+    if ending == ".glb":
+        values = values[np.isfinite(shape.normals).all(axis=1)]
+    known = np.isfinite(values)
+    # forces and lengths begin at zero, others at their smallest value
+    low = 0.0 if scalar in ("force", "bound") else values[known].min()
+    expected = np.full((len(values), 3), 154.0)
+    fraction = (values[known] - low) / (values[known].max() - low)
+    expected[known] = np.round(255 * matplotlib.colormaps["viridis"](fraction)[:, :3])
+    assert np.array_equal(colors_in(tmp_path / f"a{ending}"), expected)
+    if ending == ".ply":
+        rows, _, comments = read_ply(tmp_path / "a.ply")
+        assert np.array_equal(rows[scalar], shape.rows[scalar], equal_nan=True)
+        assert f"colour {scalar} from {low:.6g} to {values[known].max():.6g}, viridis" in comments
+        assert scalar in read_shape(tmp_path / "a.ply").columns
+        assert "red" not in read_shape(tmp_path / "a.ply").columns
+
+
+# --- GLB ---
+
+
+def test_a_cloud_in_glb_counts_the_points_that_it_leaves_out(gaps, tmp_path):
+    cloud = read_shape(gaps / "cloud.ply")
+    kept = np.isfinite(cloud.normals).all(axis=1)
+    result = export(gaps, tmp_path / "a.glb", "cloud")
+    assert (result["points"], result["left_out"], result["unit"]) == (kept.sum(), 4, "m")
+    tree, primitive, arrays = tree_of(tmp_path / "a.glb")
+    assert primitive["mode"] == 0
+    x, y, z = 1e-3 * cloud.points[kept].T
+    assert np.allclose(arrays["POSITION"], np.stack([x, z, -y], axis=1), rtol=1e-6)
+    nx, ny, nz = cloud.normals[kept].T
+    assert np.allclose(arrays["NORMAL"], np.stack([nx, nz, -ny], axis=1), atol=1e-6)
+    assert np.allclose(arrays["_QUALITY"][:, 0], 1e-3 * cloud.columns["quality"][kept], rtol=1e-6)
+    assert "_FRICTION" in arrays  # known wherever there is a normal
+    assert tree["materials"][0]["name"] == "scan3d cloud"
+
+
+def test_a_surface_in_glb_has_y_up_a_material_and_comes_back(gaps, tmp_path):
+    export(gaps, tmp_path / "a.glb")
+    tree, primitive, arrays = tree_of(tmp_path / "a.glb")
+    assert (primitive["mode"], tree["materials"][primitive["material"]]["name"]) == (4, "scan3d surface")
+    surface = read_shape(gaps / "surface.ply")
+    # the height of the world is the y axis of the file
+    assert np.allclose(arrays["POSITION"][:, 1], 1e-3 * surface.points[:, 2], rtol=1e-6)
+    assert np.allclose(np.linalg.norm(arrays["NORMAL"], axis=1), 1, atol=1e-6)
+    extremes = tree["accessors"][primitive["attributes"]["POSITION"]]
+    assert extremes["min"] == arrays["POSITION"].min(axis=0).tolist()
+    assert extremes["max"] == arrays["POSITION"].max(axis=0).tolist()
+    # scan3d turns its own files back
+    back = scan3d.load_mesh(tmp_path / "a.glb", hull=True)
+    assert back.bounds == pytest.approx(np.stack([surface.points.min(axis=0), surface.points.max(axis=0)]), rel=1e-6)
+    # but not those of others, whose axes it does not know
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.glb")
+    assert scan3d.load_mesh(tmp_path / "box.glb").extents == pytest.approx([1000, 2000, 3000])
+
+
+# --- ROS ---
+
+
+def test_a_bag_of_ros_has_the_cloud_in_metres(gaps, tmp_path):
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    result = export(gaps, tmp_path / "a.mcap", color="force")
+    assert (result["what"], result["unit"]) == ("cloud", "m")
+    with AnyReader([tmp_path / "a.mcap"], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        ((connection, stamp, raw),) = reader.messages()
+        message = reader.deserialize(raw, connection.msgtype)
+    assert (connection.topic, connection.msgtype, stamp) == ("/scan3d/contacts", "sensor_msgs/msg/PointCloud2", 0)
+    assert (message.header.frame_id, message.height, message.is_bigendian) == ("world", 1, False)
+    kinds = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
+    layout = {
+        "names": [field.name for field in message.fields],
+        "formats": [kinds[field.datatype] for field in message.fields],
+        "offsets": [field.offset for field in message.fields],
+        "itemsize": message.point_step,
+    }
+    rows = np.frombuffer(message.data.tobytes(), np.dtype(layout))
+    cloud = read_shape(gaps / "cloud.ply")
+    assert len(rows) == message.width == len(cloud.rows)
+    assert message.row_step == message.width * message.point_step
+    points = np.stack([rows[name] for name in "xyz"], axis=1)
+    assert points.dtype == np.float32
+    assert points == pytest.approx(1e-3 * cloud.points, rel=1e-6)
+    assert np.array_equal(rows["normal_z"], cloud.rows["nz"], equal_nan=True)
+    assert rows["quality"] == pytest.approx(1e-3 * cloud.columns["quality"])
+    assert np.array_equal(rows["force"], cloud.columns["force"])
+    assert np.array_equal(rows["sweep"], cloud.columns["sweep"])
+    packed = rows["rgb"].copy().view("<u4")
+    export(gaps, tmp_path / "a.ply", "cloud", color="force")
+    assert np.array_equal(packed >> 16 & 255, read_ply(tmp_path / "a.ply")[0]["red"])
+    # the same cloud gives the same bytes; an earlier export is recognised, and replaced
+    before = (tmp_path / "a.mcap").read_bytes()
+    export(gaps, tmp_path / "a.mcap", color="force")
+    assert (tmp_path / "a.mcap").read_bytes() == before
+    export(gaps, tmp_path / "a.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() != before
+
+
+def test_a_bag_needs_rosbags(gaps, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    with pytest.raises(
+        InputError, match=r"a bag of ROS 2 needs rosbags: pip install 'scan3d\[ros\]'; or export the cloud as"
+    ):
+        export(gaps, tmp_path / "a.mcap")
+    assert not (tmp_path / "a.mcap").exists()
+
+
+# --- names ---
+
+
+def test_names_of_scalars_that_cloudcompare_recognises(gaps, tmp_path):
+    export(gaps, tmp_path / "a.ply", "cloud", color="force", scalar_names="cloudcompare")
+    rows, _, _ = read_ply(tmp_path / "a.ply")
+    spatial = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"]
+    cloud = read_shape(gaps / "cloud.ply")
+    assert list(rows.dtype.names) == [*spatial, *(f"scalar_{name}" for name in cloud.columns)]
+    assert np.array_equal(rows["scalar_force"], cloud.rows["force"])
+
+
+@pytest.mark.parametrize(
+    ("what", "color", "shown"), [("cloud", None, "force"), ("surface", None, "bound"), ("cloud", "sweep", "sweep")]
+)
+def test_meshlab_shows_the_scalar(gaps, tmp_path, what, color, shown):
+    export(gaps, tmp_path / "a.ply", what, color=color, scalar_names="meshlab")
+    rows, _, _ = read_ply(tmp_path / "a.ply")
+    before = read_shape(gaps / f"{what}.ply")
+    assert np.array_equal(rows["quality"], before.rows[shown])
+    assert np.array_equal(rows[shown], before.rows[shown])
+    if what == "cloud":
+        assert np.array_equal(rows["distance"], before.rows["quality"])
+    if find_spec("pymeshlab"):
+        code = "import sys, numpy, pymeshlab; s = pymeshlab.MeshSet(); s.load_new_mesh(sys.argv[1]); "
+        code += "numpy.save(sys.argv[2], s.current_mesh().vertex_scalar_array())"
+        call = [sys.executable, "-c", code, str(tmp_path / "a.ply"), str(tmp_path / "read.npy")]
+        subprocess.run(call, check=True, capture_output=True)
+        assert np.allclose(np.load(tmp_path / "read.npy"), before.rows[shown], rtol=1e-6)
 
 
 # --- what is exported ---
@@ -271,82 +378,75 @@ def test_the_ending_and_the_option_choose_what_is_exported(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("source", "to", "what", "sentence"),
+    ("source", "to", "options", "sentence"),
     [
         (
             ".",
             "a.step",
-            None,
-            r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, .* or \.mcap, a surf",
+            {},
+            r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, .* a surf",
         ),
-        (".", "a.stl", "cloud", r"\.stl cannot contain a cloud; a cloud can be written as \.ply, \.pcd"),
-        (".", "a.ply", "rods", "what to export must be one of surface, cloud, got 'rods'"),
+        (".", "a.stl", {"what": "cloud"}, r"\.stl cannot contain a cloud; a cloud can be written as \.ply, \.pcd"),
         (
             "cloud.ply",
             "a.stl",
-            None,
+            {},
             r"cloud\.ply contains a cloud, but a surface is needed; a cloud can be written as \.ply",
         ),
-        ("missing", "a.ply", None, r"there is no .*missing; give the folder of a scan, or a PLY written by scan3d"),
-        ("text.ply", "a.ply", None, r"text\.ply is not a PLY file as scan3d writes it: it lacks the header"),
-        ("bare.ply", "a.ply", None, r"bare\.ply is not a PLY file written by scan3d: its vertices lack nx, ny, nz"),
+        ("missing", "a.ply", {}, r"there is no .*missing; give the folder of a scan, or a PLY written by scan3d"),
+        ("bare.ply", "a.ply", {}, r"bare\.ply is not a PLY file written by scan3d: its vertices lack nx, ny, nz"),
         (
-            "furlong.ply",
-            "a.ply",
-            None,
-            r"furlong\.ply is not a PLY file written by scan3d: .* with one of m, cm, mm, um, in",
-        ),
-        (
-            "gap.ply",
+            "cloud.ply",
             "a.xyzn",
-            None,
-            r"1 of 162 points have no normal, which \.xyzn requires; leave them out with \.xyz",
+            {},
+            r"4 of 162 points have no normal, which \.xyzn requires; leave them out with \.xyz",
         ),
-        (".", "text.ply/a.ply", None, r"can't write into the folder .*text\.ply: .*; choose another one with --to"),
-        (".", "empty.ply", None, r"can't write .*empty\.ply: Is a directory; choose another place with --to"),
+        (".", "empty.ply", {}, r"can't write .*empty\.ply: Is a directory; choose another place with --to"),
+        (
+            ".",
+            "a.glb",
+            {"unit": "mm"},
+            r"\.glb is in metres by its specification, and can't be in mm; leave the unit out",
+        ),
+        (".", "a.stl", {"color": "bound"}, r"\.stl has no place for colours; choose \.ply, \.pcd"),
+        (".", "a.ply", {"color": "beauty"}, r"there is no 'beauty' to colour the surface by; it has bound"),
+        (
+            ".",
+            "a.vtp",
+            {"scalar_names": "meshlab"},
+            r"names of scalars are chosen for \.ply, which meshlab reads, and not",
+        ),
     ],
 )
-def test_mistakes(tmp_path, cloud, surface, capsys, source, to, what, sentence):
-    with_rows(cloud, tmp_path / "cloud.ply")
-    with_rows(surface, tmp_path / "surface.ply")
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "empty.ply").mkdir()
-    (tmp_path / "text.ply").write_text("ply, as in plywood\n")
-    (tmp_path / "bare.ply").write_bytes(ply(cloud.rows[["x", "y", "z"]], None, ("unit mm",)))
-    (tmp_path / "unitless.ply").write_bytes(ply(cloud.rows))
-    (tmp_path / "furlong.ply").write_bytes(ply(cloud.rows, None, ("unit furlong",)))
-    some = np.arange(len(cloud.rows)) == 7
-    with_rows(cloud, tmp_path / "gap.ply", nx=np.where(some, np.nan, cloud.rows["nx"]))
-    zero = np.arange(len(surface.rows)) < 2
-    with_rows(surface, tmp_path / "flat.ply", **{n: np.where(zero, 0, surface.rows[n]) for n in ("nx", "ny", "nz")})
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(InputError, match=sentence):
-        export(tmp_path / source, tmp_path / to, what)
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-    # the command has the same message, unless its parser rejects the arguments before
-    if what != "rods":
-        asked = ["export", str(tmp_path / source), "--to", str(tmp_path / to), *(["--what", what] if what else [])]
-        assert main(asked) == 1
-        stdout, stderr = capsys.readouterr()
-        assert stdout == ""
-        assert stderr.startswith("scan3d: ")
-        assert stderr.count("\n") == 1
+def test_mistakes(gaps, cloud, call, source, to, options, sentence):
+    (gaps / "empty.ply").mkdir()
+    (gaps / "bare.ply").write_bytes(ply(cloud.rows[["x", "y", "z"]], None, ("unit mm",)))
+    before = {path: path.read_bytes() for path in gaps.rglob("*") if path.is_file()}
+    given = [part for name, value in options.items() for part in (f"--{name.replace('_', '-')}", value)]
+    code, stdout, stderr = call("export", gaps / source, "--to", gaps / to, *given)
+    assert (code, stdout) == (1, "")
+    assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", stderr), stderr
+    assert {path: path.read_bytes() for path in gaps.rglob("*") if path.is_file()} == before
 
 
 # --- the command ---
 
 
-def test_the_command_exports_to_all_formats(folder, tmp_path, capsys):
-    for what, ending in FORMATS:
-        assert main(["export", str(folder), "--to", str(tmp_path / f"a{ending}"), "--what", what]) == 0
+def test_the_command_says_what_it_wrote_and_passes_its_options_on(gaps, capsys):
+    for what, said in (
+        ("cloud", "158 contacts (4 without a normal are left out)"),
+        ("surface", "a surface of 162 vert"),
+    ):
+        assert main(["export", str(gaps), "--to", str(gaps / "a.glb"), "--what", what]) == 0
         stdout, stderr = capsys.readouterr()
+        assert stdout.startswith(said)
+        assert stdout.endswith(f" in m, written to {gaps / 'a.glb'}\n")
         assert stderr == ""
-        unit = "m" if ending == ".glb" else "mm"
-        kind = r"\d+ contacts" if what == "cloud" else r"a surface of \d+ vertices and \d+ faces"
-        assert re.fullmatch(rf"{kind} in {unit}, written to .*a{ending}\n", stdout)
-    assert trimesh.load_mesh(tmp_path / "a.stl").is_watertight
-    assert trimesh.load_mesh(tmp_path / "a.glb").extents.max() < 0.1
-    assert main(["export", str(folder), "--to", str(tmp_path / "a.glb"), "--json"]) == 0
+    call = ["export", str(gaps), "--to", str(gaps / "a.ply"), "--unit", "m", "--color", "bound"]
+    assert main([*call, "--scalar-names", "meshlab", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["unit"] == "m"
-    assert main(["export", str(folder), "--to", str(tmp_path / "a.glb"), "--quiet"]) == 0
+    rows, _, comments = read_ply(gaps / "a.ply")
+    assert {"red", "quality", "bound"} <= set(rows.dtype.names)
+    assert "unit m" in comments
+    assert main([*call, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

@@ -1,9 +1,6 @@
 """Heights of the slices: by a rule, or asked for by rigs that are not the simulation, along one axis and several."""
 
 import functools
-import itertools
-import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +10,15 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d import InputError, Plan, Recording, Rod
+from scan3d import Plan, Recording, Rod
 from scan3d.geometry.sections import extent_along, slice_polygons
 from scan3d.planning import next_heights
 from scan3d.planning.heights import (
     BEYOND,
     FIRST_SLICES,
     SlabMemory,
-    cuts,
-    cuts_at,
-    evened,
     first_heights,
     heights,
-    least_parts,
 )
 from scan3d.planning.plan import base_fractions, first_directions
 from scan3d.planning.several_axes import FIRST_SLICES as FIRST_TOGETHER
@@ -56,96 +49,6 @@ def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
     assert levels[beyond].sum() == pytest.approx(4.0)
     assert np.all((levels[~beyond] > -3) & (levels[~beyond] < 7))
     assert (~beyond).sum() == (min(FIRST_SLICES, slices) if spacing == "adaptive" else slices)
-
-
-KNOWN = np.array([-0.1, 0.1, 0.5, 0.9, 1.1])
-
-
-def cut(slab, corner, gap, straight, count=9, **settings):
-    straight = np.full(len(slab), straight)
-    return cuts(KNOWN, np.array(slab), np.array(corner), np.array(gap, dtype=float), straight, count, **settings)
-
-
-def test_slabs_are_cut_at_their_worst_corners_the_widest_first():
-    slab, corner, gap = [1, 1, 2, 2], [0.2, 0.24, 0.66, 0.7], [1.0, 9.0, 4.0, 0.5]
-    assert cut(slab, corner, gap, True).tolist() == [0.24, 0.66]
-    assert cut(slab, corner, gap, True, count=1).tolist() == [0.24]
-    assert cut(slab, corner, gap, True, enough=5.0).tolist() == [0.24]
-    assert len(cut(slab, corner, np.zeros(4), True)) == 0
-    # a corner on an end slice, and one on an empty slice, mean only that the body may end there
-    assert cut([1], [0.1], [1.0], True) == pytest.approx([0.3], abs=0.1)
-    assert cut([3], [1.1], [1.0], True) == pytest.approx([1.0])
-    assert cut([0], [-0.1], [1.0], False) == pytest.approx([0.0])
-
-
-def test_bent_slabs_are_divided_so_that_the_largest_gap_becomes_least():
-    angles = np.arccos(1 - 2 * KNOWN[1:-1])
-    within = lambda part: (1 - np.cos(angles[0] + (angles[1] - angles[0]) * part)) / 2  # noqa: E731
-    gap = [1.0, 0.999]
-    # with three slices left, one slab gets three parts and the other two; the density of slices is nearly the same in both
-    thirds, half = within(np.array([1, 2]) / 3), 1 - within(0.5)
-    assert cut([1, 2], [0.3, 0.7], gap, False, left=3) == pytest.approx([*thirds, half], rel=1e-3)
-    # a round gets whole slabs, but no more heights than are left, and one that needs many parts is cut into two
-    assert cut([1, 2], [0.3, 0.7], gap, False, count=1, left=3) == pytest.approx(thirds, rel=1e-3)
-    assert len(cut([1, 2], [0.3, 0.7], gap, False, count=1, left=1)) == 1
-    assert cut([1, 2], [0.3, 0.7], gap, False, count=1, left=19) == pytest.approx([within(5 / 11)], rel=1e-3)
-    # without a number of slices left they are halved
-    assert len(cut([1, 2], [0.3, 0.7], gap, False)) == 2
-
-
-def test_parts_are_shared_so_that_the_largest_gap_is_least():
-    """The least gap by trying all numbers of parts."""
-    gaps = np.array([1.0, 0.7, 3.0])
-    for left in range(6, 10):  # with fewer, some have one part, and get two all the same
-        parts = least_parts(gaps, left, np.full(3, np.inf))
-        every = np.array(list(itertools.product(range(1, left + 2), repeat=3)))
-        allowed = every[(every - 1).sum(axis=1) <= left]
-        assert (gaps / parts**2).max() == pytest.approx((gaps / allowed**2).max(axis=1).min())
-    # the third has its two parts, and the others get the rest
-    assert least_parts(gaps, 6, np.array([9, 9, 2])).tolist() == [4, 3, 2]
-
-
-def gaps_between(thickness, curvature=2.0):
-    """Distances of the corners in which the secants of each slab's neighbours meet, from the chord between its slices.
-
-    The contour is a parabola; beyond the end slices its tangents take the place of secants.
-    """
-    at = np.concatenate([[0.0], np.cumsum(thickness)])
-    height, chords = -curvature * at**2 / 2, np.diff(-curvature * at**2 / 2) / thickness
-    below, above = np.concatenate([[0.0], chords[:-1]]), np.concatenate([chords[1:], [-curvature * at[-1]]])
-    corner = (height[1:] - height[:-1] + below * at[:-1] - above * at[1:]) / (below - above)
-    line = height[:-1] + below * (corner - at[:-1])
-    return line - (height[:-1] + chords * (corner - at[:-1]))
-
-
-@pytest.mark.parametrize("thickness", [[1.0], [1.0, 1.0, 1.0], [1.0, 3.0, 0.5, 0.5, 2.0], [0.1, 1.0, 10.0]])
-def test_even_gaps_of_a_parabola_are_those_of_its_curvature(thickness):
-    thickness = np.array(thickness)
-    assert evened(gaps_between(thickness)) == pytest.approx(thickness**2, rel=1e-3)
-    assert evened(1e-30 * gaps_between(thickness)) == pytest.approx(1e-30 * thickness**2, rel=1e-3)
-
-
-def test_even_gaps_along_a_sphere_are_cut_as_by_cosine_spacing():
-    levels = heights(-3.0, 7.0, Plan(slices=9, spacing="cosine"))
-    known = np.concatenate([[-3.0 - (levels[0] + 3.0)], levels[[0, 4, 8]], [7.0 + (7.0 - levels[-1])]])
-    cuts = cuts_at(known, np.array([1, 2]), np.ones(2), np.array([[0.25], [0.5], [0.75]]))
-    assert cuts.T.ravel() == pytest.approx(levels[[1, 2, 3, 5, 6, 7]])
-
-
-def test_a_bent_slab_is_cut_by_the_density_of_slices():
-    """The density over the angle is 10 and 20/3 in the middles of two slabs, and linear between them."""
-    angles = np.linspace(0.5, 1.1, 3)
-    known = 5 - 5 * np.cos(np.concatenate([[-angles[0]], [angles[0]], angles[1:], [np.pi]]))
-    # so that the ends of the body are at the angles 0 and pi
-    known[0], known[-1] = -known[1], 20 - known[3]
-    cuts = cuts_at(known, np.array([1, 2]), np.array([3.0, 2.0]), np.array([[0.25], [0.5]]))
-    for column, low, ends in zip(cuts.T, angles, ((10, 25 / 3), (25 / 3, 20 / 3)), strict=False):
-        for cut, below in zip(column, (0.25, 0.5), strict=True):
-            u = (math.acos(1 - cut / 5) - low) / 0.3
-            assert ends[0] * u + (ends[1] - ends[0]) * u**2 / 2 == pytest.approx(below * sum(ends) / 2)
-    # where the neighbour's density is not known, the density is constant
-    alone = cuts_at(known, np.array([1, 2]), np.array([3.0, np.nan]), np.array([[0.5]]))[0, 0]
-    assert math.acos(1 - alone / 5) == pytest.approx(0.65)
 
 
 # --- by the contacts along one axis ---
@@ -220,14 +123,6 @@ def gem():
     return scan3d.load_mesh(GEM)
 
 
-@pytest.fixture(scope="module")
-def first_cloud(gem):
-    """The contacts in the first slices of an adaptive scan."""
-    rig = Rig(gem, PLAN)
-    rig.sweep(first_heights(*extent_along(gem, [0, 0, 1]), PLAN))
-    return contacts(rig.recording())
-
-
 @pytest.mark.slow
 def test_no_slices_are_taken_that_buy_nothing():
     """The contacts of few samples leave more open in the planes of slices than lies between them."""
@@ -246,16 +141,6 @@ def test_a_rig_stops_where_the_bound_meets_the_tolerance(gem):
     assert min(bounds[:-1]) > 0.03
 
 
-def test_the_memory_changes_no_answer(first_cloud):
-    memory = SlabMemory()
-    plain = next_heights(first_cloud, PLAN)
-    assert len(plain) > 0
-    assert np.array_equal(next_heights(first_cloud, PLAN, memory=memory), plain)
-    assert set(memory.gaps) == set(memory.slabs) != set()
-    # filled, it is used, and gives the same
-    assert np.array_equal(next_heights(first_cloud, PLAN, memory=memory), plain)
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_a_prism_along_the_axis_only_the_ends_are_sliced(turned):
     """Rounding of its gaps decides nothing: between the first slices nothing is left to be found."""
@@ -268,47 +153,6 @@ def test_of_a_prism_along_the_axis_only_the_ends_are_sliced(turned):
     inside = heights[(heights > first[1] + 1e-9) & (heights < first[-2] - 1e-9)]
     np.testing.assert_allclose(inside, first[2:-2])
     assert len(heights) > len(first)
-
-
-def test_no_heights_without_slices_left(first_cloud):
-    done = len(first_cloud.slice_height)
-    assert len(next_heights(first_cloud, PLAN, left=0)) == 0
-    assert len(next_heights(first_cloud, PLAN, left=-1)) == 0
-    assert len(next_heights(first_cloud, Plan(slices=done - BEYOND, spacing="adaptive"))) == 0
-    assert len(next_heights(first_cloud, Plan(slices=done - BEYOND + 1, spacing="adaptive"))) == 1
-    assert len(next_heights(first_cloud, PLAN, left=1)) == 1
-
-
-@pytest.fixture(scope="module")
-def three_axes(gem):
-    return contacts(scan3d.simulate(gem, Plan(slices=4, axis="xyz", sweeps=4, samples=12)))
-
-
-def test_of_several_axes_one_must_be_given(three_axes):
-    message = (
-        "next heights are chosen along one axis, and the cloud has contacts in slices along "
-        "(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0); give one of them as axis, got None"
-    )
-    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
-        next_heights(three_axes, PLAN)
-
-
-def test_an_axis_without_slices_is_refused(three_axes, first_cloud):
-    with pytest.raises(InputError, match=r"give one of them as axis, got \(1\.0, 1\.0, 0\.0\)$"):
-        next_heights(three_axes, PLAN, axis=np.array([1.0, 1.0, 0.0]))
-    with pytest.raises(InputError, match=r"slices along \(0\.0, 0\.0, 1\.0\); give .* got \(1\.0, 0\.0, 0\.0\)$"):
-        next_heights(first_cloud, PLAN, axis=np.array([1.0, 0.0, 0.0]))
-
-
-def test_the_axis_that_is_given_is_the_one_that_is_sliced(three_axes, gem):
-    for axis in np.eye(3):
-        heights = next_heights(three_axes, PLAN, axis=3.0 * axis, left=3)  # of any length
-        low, high = extent_along(gem, axis)
-        known = three_axes.slice_height[three_axes.slice_axis @ axis > 0.5]
-        assert 1 <= len(heights) <= 3
-        # the lowest and the highest of the known slices are empty
-        assert np.all((heights > known.min()) & (heights < known.max()))
-        assert np.all((heights > low) & (heights < high))
 
 
 # --- along several axes ---
@@ -384,18 +228,6 @@ def test_further_slices_lie_in_the_body_and_are_new():
         known = cloud.slice_height[cloud.slice_axis @ axis > 0.5]
         assert ((levels > low) & (levels < high)).all()
         assert np.abs(levels[:, None] - known).min() > 1e-6 * (high - low)
-
-
-def test_no_slices_are_left():
-    cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
-    assert next_slices(cloud, Plan(slices=5, axis="xyz"), 0).slices == []
-    assert next_slices(cloud, Plan(slices=50, axis="xyz", tolerance=1.0), 50).slices == []
-
-
-def test_contacts_that_span_no_body_are_refused():
-    cloud = cloud_of("polytope", 5, "xyz", sweeps=6)
-    with pytest.raises(InputError):
-        next_slices(cloud.select(np.arange(3)), Plan(slices=5, axis="xyz"), 5)
 
 
 @pytest.mark.slow

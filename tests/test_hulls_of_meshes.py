@@ -4,21 +4,16 @@ The authority for the numbers is the shape itself: a cube whose dent has a given
 reentrant edge and has 7/6 of its volume.
 """
 
-import json
-
 import numpy as np
 import pytest
 from mesh_files import save
-from shapes import as_mesh, box, dimpled_box, letter_l, without
-from small_scans import FEW
+from shapes import as_mesh, dimpled_box, letter_l
 
 import scan3d
-from scan3d.cli import main
 from scan3d.files.meshes import judge_mesh, load_mesh, mesh_itself
 from scan3d.geometry.convexity import is_convex
 from scan3d.numbers import length
-from scan3d.pictures import rendering
-from scan3d.report import _filled, key_figures
+from scan3d.report import key_figures
 
 SETTINGS = dict(slices=6, sweeps=4, samples=16, method="hull")
 HULL = "convex hull of the mesh"
@@ -70,21 +65,6 @@ def test_without_the_hull_dents_stay_and_faces_are_turned_outwards(dimpled):
     assert is_convex(judge_mesh(load_mesh(dimpled), hull=True))
 
 
-def test_open_bodies_are_not_filled(tmp_path):
-    mesh = box()
-    path = save(tmp_path, without(mesh, mesh.face_normals[:, 2] < 0.5))
-    with pytest.raises(scan3d.InputError, match=r"is open: .* give --hull"):
-        load_mesh(path)
-    filled = load_mesh(path, hull=True).metadata["filled"]
-    assert filled == {"depth": 0.0, "at": None, "open": True, "volume_relative": None}
-    assert _filled({"mesh": {"filled": filled, "unit": "mm"}}) == [("scanned", f"the {HULL}; the mesh is open")]
-
-
-def test_of_a_convex_body_nothing_is_filled():
-    for hull in (False, True):
-        assert not {"filled", "mesh_faces"} & set(judge_mesh(box(), hull=hull).metadata)
-
-
 # --- what is printed, reported and drawn ---
 
 
@@ -121,25 +101,3 @@ def test_what_is_printed_says_what_it_refers_to(scanned):
     assert figures["certified within"].endswith(f" of the {HULL}")
     assert f" of the {HULL}, at_vertices" in repr(scanned.certificate)
     assert {one["of"] for one in scanned.report["measurands"]} == {HULL}
-
-
-@pytest.mark.slow
-def test_commands_say_what_was_filled(dimpled, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(rendering, "can_render", lambda: False)
-    options = [*FEW[:-1], "--method", "hull", "--hull"]
-    assert main(["scan", str(dimpled), "--out", str(tmp_path / "out"), *options]) == 0
-    printed = capsys.readouterr().out
-    assert f"the {HULL}, which fills dents up to 10 µm deep, 0.33 % of its volume\n" in printed
-    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
-    assert report["settings"]["hull"] is True
-    recording = str(tmp_path / "out" / "recording.csv")
-    again = ["reconstruct", recording, "--out", str(tmp_path / "again"), "--truth", str(dimpled), "--hull"]
-    assert main([*again, "--method", "hull"]) == 0
-    assert "to the mesh itself" in capsys.readouterr().out
-    assert scan3d.open(tmp_path / "out").certificate.of == HULL
-    # the mesh that the report names is the body again
-    (tmp_path / "out" / dimpled.name).write_bytes(dimpled.read_bytes())
-    assert scan3d.open(tmp_path / "out")._scene().truth_name == HULL
-    page = tmp_path / "page.html"
-    assert main(["show", str(tmp_path / "out"), "--html", str(page)]) == 0
-    assert HULL in page.read_text(encoding="utf-8")

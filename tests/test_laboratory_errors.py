@@ -147,18 +147,6 @@ def test_tables(tmp_path, rows, sentence):
     assert len(str(error.value)) < 500
 
 
-def test_orientations_that_are_none(tmp_path):
-    wrong = data()
-    wrong["columns"]["orientation"] = {"matrix": ["qw", "qx", "qy", "qz", "qw", "qx", "qy", "qz", "Fx"]}
-    with pytest.raises(
-        InputError, match=r"line 56 has an orientation that is no rotation matrix, by 1.*nine columns of"
-    ):
-        import_table(put(tmp_path, lines()), wrong)
-    wrong["columns"]["orientation"] = {"rotvec": ["qx", "qy", "x"]}
-    with pytest.raises(InputError, match=r"has an angle of .* rad, .* turns; check \[columns\] orientation of the map"):
-        import_table(put(tmp_path, column("x", 1e308)), wrong)
-
-
 def test_wrong_units_that_the_header_contradicts(tmp_path):
     header = ",".join(NAMES).replace("Tx,", "Tx_Nm,")
     named = data()
@@ -228,23 +216,6 @@ def test_quaternions_of_wrong_order(tmp_path):
     with pytest.raises(
         InputError, match=r'log\.csv: the clamp moves .*along -x if qw is the first of the four columns, order = "wxyz"'
     ):
-        import_table(put(tmp_path, lines(table)), wrong)
-
-
-def test_euler_angles_in_another_unit_or_convention(tmp_path):
-    table = log()
-    table[:, [1, 2]] = np.stack([-table[:, 2], table[:, 1]], axis=1)
-    table[:, 4:7] = [0, 0, 90]
-    angles = data()
-    angles["columns"]["orientation"] = {"euler": ["qw", "qx", "qy"], "convention": "xyz"}
-    import_table(put(tmp_path, lines(table)), angles)
-    wrong = copy.deepcopy(angles)
-    wrong["units"]["angle"] = "rad"
-    with pytest.raises(InputError, match=r'if the angles are in deg, angle = "deg" under \[units\]'):
-        import_table(put(tmp_path, lines(table)), wrong)
-    wrong = copy.deepcopy(angles)
-    wrong["columns"]["orientation"]["convention"] = "zyx"
-    with pytest.raises(InputError, match=r'if the convention is "(xyz|ZYX|XYZ)"'):
         import_table(put(tmp_path, lines(table)), wrong)
 
 

@@ -1,7 +1,6 @@
 """Tables of a rig, made from simulated recordings by the inverse of the import, come back as these recordings."""
 
 import dataclasses
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -237,14 +236,6 @@ def test_files_of_arrays_give_the_same_recording(tmp_path, planar, file):
         (tmp_path / file).write_bytes(data_in_it)
         with pytest.raises(InputError, match=why):
             scan3d.import_table(tmp_path / file, data)
-
-
-@pytest.mark.parametrize(("file", "library"), [("raw.xlsx", "openpyxl"), ("raw.h5", "h5py")])
-def test_what_a_file_needs_is_named(tmp_path, monkeypatch, planar, file, library):
-    (tmp_path / file).write_bytes(b"1")
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=rf"need {library}: pip install 'scan3d\[tables\]'"):
-        scan3d.import_table(tmp_path / file, map_of(planar.rod, EXACT))
 
 
 @pytest.mark.slow
@@ -541,20 +532,6 @@ def test_filter_and_rate_state_the_noise_that_is_left(tmp_path, planar):
     del data["columns"]["time"]
     with pytest.raises(InputError, match=r"\[filter\] needs the time of the rows"):
         convert(raw, read_map(data))
-
-
-def test_the_filter_shifts_nothing_and_leaves_the_noise_that_is_stated():
-    clock = np.arange(20_000) / 1000
-    slow = np.sin(2 * np.pi * 2 * clock)[:, None]
-    passed = filtering.low_pass(slow, clock, 50.0, 1000.0, "log")
-    assert np.abs(passed - slow)[500:-500].max() < 1e-4
-    noise = np.random.default_rng(0).standard_normal((20_000, 1))
-    left = filtering.low_pass(noise, clock, 50.0, 1000.0, "log").std()
-    assert left == pytest.approx(filtering.noise_factor(50.0, 1000.0), rel=0.05)
-    # in two parts with a pause between them, each as if it were alone
-    paused = np.where(np.arange(20_000) < 9000, clock, clock + 5)
-    both = filtering.low_pass(noise, paused, 50.0, 1000.0, "log")
-    assert np.array_equal(both[:9000], filtering.low_pass(noise[:9000], clock[:9000], 50.0, 1000.0, "log"))
 
 
 @pytest.mark.parametrize(("noise", "snap"), [(0.0, 10_000), (1e-2, 10_000), (1e-2, 20_000)])

@@ -129,12 +129,3 @@ def test_vertices_that_float32_can_not_tell_apart_are_merged_in_exports(tmp_path
     for ending in (".stl", ".obj", ".glb"):
         export(path, tmp_path / f"out{ending}")
         assert trimesh.load(tmp_path / f"out{ending}", force="mesh").is_watertight
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scale", [1e-7, 1e-4, 1e-2, 1.0, 1e5])
-def test_bodies_of_all_sizes_keep_their_volume(scale):
-    mesh = hull(np.asarray(polytope(4, 60).vertices) * scale)
-    surface = scanned(mesh, "bracket", slices=8)
-    assert surface.is_volume or scale < 1e-3  # trimesh's own rule fails for triangles below 1e-13
-    assert surface.volume == pytest.approx(mesh.volume, rel=0.03)

@@ -17,7 +17,6 @@ import scan3d
 from scan3d import InputError, processes
 from scan3d.cli import main
 from scan3d.files.reading import check_file
-from scan3d.simulation import scan
 from tests.shapes import box, dimpled_box, without
 
 EGG = str(Path(__file__).parents[1] / "meshes" / "egg.stl")
@@ -48,14 +47,6 @@ def test_what_is_no_body_is_not_scanned(mesh, sentence):
         scan3d.simulate(mesh, PLAN)
 
 
-@pytest.mark.parametrize("mesh", [None, trimesh.Scene(box()), "part.stl"])
-def test_what_is_no_mesh_is_not_compared(mesh):
-    sentence = r"there is no mesh file part\.stl" if mesh == "part.stl" else r"must be a trimesh\.Trimesh"
-    for pair in ((mesh, box()), (box(), mesh)):
-        with pytest.raises(InputError, match=sentence):
-            scan3d.compare(*pair)
-
-
 @pytest.mark.parametrize(
     ("field", "value", "sentence"),
     [
@@ -74,30 +65,6 @@ def test_what_is_no_mesh_is_not_compared(mesh):
 def test_columns_that_are_no_real_numbers(recording, field, value, sentence):
     with pytest.raises(InputError, match=sentence):
         dataclasses.replace(recording, **{field: value(getattr(recording, field))})
-
-
-def test_lists_become_columns(recording):
-    columns = {name: getattr(recording, name).tolist() for name in ("sweep", "position_m", "force_N", "moment_Nm")}
-    again = dataclasses.replace(recording, **columns)
-    assert np.array_equal(scan3d.reconstruct(again).points, scan3d.reconstruct(recording).points)
-
-
-def test_arguments_of_other_types(recording):
-    with pytest.raises(InputError, match=r"from a scan3d\.Recording, got list"):
-        scan3d.reconstruct([])
-    with pytest.raises(InputError, match=r"can't read the recording log\.csv"):
-        scan3d.reconstruct("log.csv")
-    with pytest.raises(InputError, match=r"from a scan3d\.Cloud, got Recording"):
-        scan3d.surface(recording)
-    with pytest.raises(InputError, match=r"must be a scan3d\.Plan, got dict"):
-        scan3d.simulate(box(), {"slices": 3})
-    large = dataclasses.replace(recording, force_N=recording.force_N + 1e200)
-    with pytest.raises(InputError, match=r"force_N holds 1e\+200; check its unit"):
-        scan3d.reconstruct(large)
-    with pytest.raises(
-        InputError, match=r"position_m holds 1e\+16 m, where numbers are 2 m apart, too coarse for a rod"
-    ):
-        dataclasses.replace(recording, position_m=recording.position_m + 1e16)
 
 
 @pytest.mark.parametrize(
@@ -138,17 +105,6 @@ def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monk
             scan3d.simulate(box(), plan)
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
-
-
-def test_a_scan_that_takes_more_sweeps_than_at_first_is_refused_when_that_is_known(monkeypatch):
-    body, plan, amounts = trimesh.creation.icosphere(2), scan3d.Plan(slices=4, samples=20), []
-    with monkeypatch.context() as patched:
-        patched.setattr(scan, "check_memory", lambda needed, *_: amounts.append(needed))
-        scan3d.simulate(body, plan)
-    assert amounts[0] < amounts[-1]  # with so few contacts to a sweep more sweeps are needed
-    monkeypatch.setattr(processes, "memory_bytes", lambda: int((amounts[0] + amounts[-1]) / 2))
-    with pytest.raises(InputError, match=r"a scan of 6 slices with .* sweeps of 20 samples needs about"):
-        scan3d.simulate(body, plan)
 
 
 @pytest.mark.trust

@@ -48,17 +48,6 @@ def test_a_sweep(make, colors, tmp_path):
         assert np.all(np.diff([of_color(image[part], color).sum() for image in shown]) > 0)
 
 
-def test_the_rod_moves_as_the_clamp_did(egg):
-    # in the clamp's frame the base goes in -x: its black square in the picture to the left
-    squares = []
-    for image in movie._sweep_frames(egg, 4):
-        ink = of_color(image[LEFT].astype(int), parts.INK)
-        # the square is the only black thing some pixels thick
-        thick = ink[2:-2, 2:-2] & ink[:-4, 2:-2] & ink[4:, 2:-2] & ink[2:-2, :-4] & ink[2:-2, 4:]
-        squares.append(np.argwhere(thick)[:, 1].mean())
-    assert np.all(np.diff(squares) < 0)
-
-
 @pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("make", [lambda: scanned(EGG), scanned_in_space], ids=["planar", "spatial"])

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import formulas, one_stack
+from sample_bodies import formulas
 
 import planar
 import scan3d
 from scan3d.cloud import NormalSource
-from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes, with_slice_normals
 from scan3d.reconstruction.slices import stacks
@@ -80,44 +79,3 @@ def test_tip_contacts_get_normals_by_the_friction_that_the_tangential_contacts_a
     assert (cloud.normal_source[~tip] == NormalSource.SLICES).all()
     deviation = degrees_between(cloud.normals, formulas.normal("ellipsoid", cloud.points))
     assert np.percentile(deviation[tip], 95) < 1.5  # of which 1 is due to the facets
-
-
-@pytest.mark.slow
-def test_where_friction_varies_tip_contacts_have_no_normal():
-    plan = scan3d.Plan(slices=12, samples=32, friction=(0.0, 0.4))
-    cloud = with_slice_normals(contacts(scan3d.simulate(trimesh.creation.icosphere(4, 20.0), plan)))
-    tip = cloud.phase == planar.Phase.TIP
-    assert (cloud.normal_source[tip] == NormalSource.UNKNOWN).all()
-    assert np.isnan(cloud.normals[tip]).all()
-
-
-# --- slopes over the height, on bodies with edges ---
-
-
-def house():
-    """An upright box, 20 wide and 20 high, under a pyramid of height 10."""
-    walls = [(x, y, z) for x in (-10, 10) for y in (-10, 10) for z in (-20, 0)]
-    return hull(np.array([*walls, (0, 0, 10)], dtype=float))
-
-
-def test_walls_stay_upright_below_a_roof():
-    """Where the slices below and above are equally wide, both secants are 0, although the spline oscillates there."""
-    stack = one_stack(house(), slices=12, spacing="uniform")
-    slopes = height_slopes(stack)
-    walls = [i for i in range(1, len(stack.slices) - 1) if stack.heights[i + 1] < 0]
-    assert len(walls) >= 3
-    for i in walls:
-        assert np.abs(slopes[i].tangential).max() < 1e-9
-
-
-def test_the_slope_of_a_pyramid_is_found():
-    """The pyramid's half width divided by its height, on its slices that have one of its slices on either side."""
-    stack = one_stack(house(), slices=20, spacing="uniform")
-    slopes = height_slopes(stack)
-    checked = 0
-    for i in range(1, len(stack.slices) - 1):
-        if stack.heights[i - 1] > 0:
-            along_axis = np.abs(stack.slices[i].normals).max(axis=1) > 1 - 1e-9
-            assert slopes[i].tangential[along_axis] == pytest.approx(-1.0, abs=1e-6)
-            checked += np.count_nonzero(along_axis)
-    assert checked > 8

@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 import planar
-from scan3d import InputError
 from scan3d.cli import main
 from scan3d.laboratory.one_sweep import COLUMNS, SI_COLUMNS, OneSweep, read_sweep, reconstruct_sweep
 from scan3d.pictures.charts import sweep_figure
@@ -134,18 +133,6 @@ def test_noise_is_that_of_the_sidecar_or_the_options(tmp_path, left, capsys):
     assert written["sd_friction"][tangential] == pytest.approx(1e6 * step[tangential], rel=1e-3)
 
 
-def test_the_rounding_of_the_numbers_gives_error_bars(tmp_path, left, capsys):
-    table = columns(left)
-    step = 1e-3
-    table[:, 1:] = np.round(table[:, 1:] / step) * step
-    path = write(tmp_path / "sweep.csv", np.round(table, 3))
-    found = reconstruct_sweep(read_sweep(path))
-    assert found.only_rounding
-    assert found.noise[0] == pytest.approx(step / np.sqrt(12), rel=1e-6)
-    assert main(["reconstruct", str(path)]) == 0
-    assert "by rounding alone" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("column", range(4))
 def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, left, column):
     table = np.round(columns(left), 4)
@@ -178,14 +165,6 @@ def test_the_picture_has_contacts_and_error_bars_by_kind(left, tmp_path, capsys)
     table = write(tmp_path / "log.csv", columns(left))
     assert main(["reconstruct", str(table), "--out", str(tmp_path / "new" / "contour.pdf"), "--quiet"]) == 0
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["contacts.csv", "contour.pdf"]
-
-
-def test_only_tip_contacts_have_no_friction(tmp_path, left, capsys):
-    tips = columns(left)[left.phase == planar.Phase.TIP]
-    assert len(tips) > 10
-    table = write(tmp_path / "sweep.csv", tips)
-    assert main(["reconstruct", str(table)]) == 0
-    assert "not known, as no contact is tangential" in capsys.readouterr().out
 
 
 def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
@@ -226,47 +205,6 @@ def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
 )
 def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, capsys, text, sentence):
     assert sentence in refused(tmp_path, capsys, text)
-
-
-@pytest.mark.parametrize(
-    ("options", "sidecar", "si", "code", "sentence"),
-    [
-        (["--rod", ROD], None, False, 1, "its columns are dimensionless and need no rod"),
-        (["--noise-force", "-1"], None, False, 1, "must be finite and at least 0, got -1"),
-        (["--truth", "part.stl", "--strict"], None, False, 2, "--truth, --strict can be used only with a recording"),
-        (
-            [],
-            "[noise]\nforce_N = 1.0\n",
-            False,
-            1,
-            "unknown names: force_N; known are force, moment for a table that is dimensionless",
-        ),
-        ([], "[known]\nfriction = 0.25\n", False, 1, "has [known], but the table has all of x0, f0x, f0y, m0z"),
-        ([], "[rod]\nlength_m = 0.05\n", True, 1, "[rod] needs length_m and bending_stiffness_Nm2"),
-    ],
-)
-def test_wrong_settings_are_refused_in_one_sentence(tmp_path, capsys, left, options, sidecar, si, code, sentence):
-    text = write(tmp_path / "table.csv", columns(left, si), SI_COLUMNS if si else COLUMNS).read_text()
-    assert sentence in refused(tmp_path, capsys, text, *options, sidecar=sidecar, code=code)
-
-
-def test_noise_alone_is_no_contact(left):
-    rng = np.random.default_rng(1)
-    force, moment = rng.normal(scale=1e-3, size=(2, 50)), rng.normal(scale=1e-3, size=50)
-    with pytest.raises(InputError, match="no contact"):
-        reconstruct_sweep(OneSweep(np.linspace(1, 0, 50), *force, moment, None, 1e-3, 1e-3))
-
-
-def test_touches_at_one_place_of_the_base_are_read_row_by_row(left):
-    rows = np.flatnonzero(np.hypot(left.f0x, left.f0y) > 0.05)[::10]
-    for direction in (-1, 1):
-        reactions = direction * -left.f0x[rows], left.f0y[rows], direction * -left.m0z[rows]
-        found = reconstruct_sweep(OneSweep(np.full(len(rows), 0.2), *reactions))
-        assert found.sweep.direction == direction
-        place = (left.point[rows] - [left.x0[rows[0]], 0])[:1] * [-direction, 1] + [0.2, 0]
-        assert np.abs(found.contacts.point[0] - place).max() < 1e-9
-    alone = reconstruct_sweep(OneSweep(np.array([0.2]), *(column[:1] for column in reactions)))
-    assert np.array_equal(alone.contacts.point, found.contacts.point[:1])
 
 
 def test_a_tapered_rod_is_read_as_one(tmp_path):
@@ -311,11 +249,3 @@ def test_a_reaction_that_was_not_measured_is_completed_by_what_is_known(tmp_path
     found = reconstruct_sweep(read_sweep(table))
     assert np.abs(found.contacts.point - left.point[tips])[found.touching].max() < 1e-8
     assert found.touching.sum() > 10
-
-
-def test_channels_that_say_nothing_are_refused(tmp_path):
-    sweep = planar.sweep(ELLIPSE, 0.0, samples=20)
-    table = write(tmp_path / "sweep.csv", columns(sweep)[:, [0, 2, 3]], ("x0", "f0y", "m0z"))
-    (tmp_path / "sweep.toml").write_text("[known]\nfriction = 0.0\n")
-    with pytest.raises(InputError, match="axial force and moment do not locate a contact without friction"):
-        reconstruct_sweep(read_sweep(table))

@@ -6,12 +6,15 @@ import shutil
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 from small_scans import CUBE, EGG, FEW, scanned, scanned_folder
 
 import scan3d
 from scan3d.cli import main
 from scan3d.files.formats import CLOUD_ENDINGS, SURFACE_ENDINGS, export
 from scan3d.files.whole import RECORDING, check_file, earlier_files
+from scan3d.pictures import figures
+from scan3d.pictures.page import page
 from scan3d.scenes import read_folder
 
 FOREIGN = "can't be recognised as written by scan3d; give --overwrite"
@@ -184,15 +187,9 @@ def test_an_export_replaces_an_earlier_one_and_nothing_else(folder, ending):
 def test_pages_and_pictures_can_be_recognised(tmp_path, name):
     path = tmp_path / name
     if name == "a.html":
-        from scan3d.pictures.page import page
-
         path.write_bytes(page(scanned(CUBE)))
     else:
-        from matplotlib.figure import Figure
-
-        from scan3d.pictures.figures import save
-
-        save(Figure(), path)
+        figures.save(Figure(), path)
     check_file(path, {}, overwrite=False, option="--out")
     path.write_bytes(b"of the user")
     with pytest.raises(scan3d.InputError, match=FOREIGN):

@@ -15,7 +15,7 @@ from small_scans import CUBE, scanned, scanned_in_space
 
 import scan3d
 from scan3d.numbers import FORCES, MOMENTS
-from scan3d.pictures.page import page, player, samples_of
+from scan3d.pictures.page import page, player
 from scan3d.pictures.scene import Scene
 from scan3d.recording import Recording
 from scan3d.rods import Rod
@@ -162,15 +162,6 @@ def test_the_player_has_the_poses_and_reactions_of_the_recording(model):
     assert data["length"] == pytest.approx(1e3 * recording.rod.length_m)
 
 
-def test_contacts_without_rows_or_of_another_recording_have_no_player(cube):
-    columns = [name for name in cube.contacts.dtype.names if name != "row"]  # as of an earlier version
-    assert "player" in data_of(page(cube))
-    assert "player" not in data_of(page(replace(cube, contacts=cube.contacts[columns])))
-    other = replace(cube.recording, force_N=2 * cube.recording.force_N)
-    with pytest.raises(scan3d.InputError, match=r"the contacts of cube do not belong to its recording"):
-        page(replace(cube, recording=other))
-
-
 def log(sweep):
     n = len(sweep)
     return Recording(
@@ -181,21 +172,3 @@ def log(sweep):
         moment_Nm=np.zeros(n),
         rod=Rod(0.05, 1e-4),
     )
-
-
-def test_sweeps_are_shown_with_a_little_air_before_and_after_their_contacts():
-    # 100 samples in each of three sweeps, of which the second touches nothing
-    rows = np.concatenate([np.arange(50, 58), [299, 296]])
-    samples = samples_of(log(np.repeat([7, 8, 9], 100)), rows)
-    assert samples.numbers.tolist() == [7, 9]
-    # a quarter of eight contacts is two samples; the third sweep ends with its last contact
-    assert samples.rows.tolist() == [*range(48, 60), *range(295, 300)]
-    assert samples.starts.tolist() == [0, 12]
-    assert samples.rows[samples.of_contact].tolist() == rows.tolist()
-
-
-def test_samples_of_sweeps_that_alternate_in_the_log_are_put_in_order():
-    samples = samples_of(log([2, 1] * 4), np.arange(8))
-    assert samples.numbers.tolist() == [1, 2]
-    assert samples.rows.tolist() == [1, 3, 5, 7, 0, 2, 4, 6]
-    assert samples.rows[samples.of_contact].tolist() == list(range(8))

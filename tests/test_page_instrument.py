@@ -247,23 +247,6 @@ def test_a_picture_is_saved_as_it_is_seen(tab, tmp_path):
     assert 0.01 < (saved[:250, :300] < 250).any(axis=2).mean() < 0.5
 
 
-def test_a_place_of_the_surface_shows_its_deviation_and_its_bound(tab, cube):
-    tab.run("contacts.on = false; redraw()")
-    x, y = tab.run("(v => [v.x + 20, v.y - 30])(measures())")
-    tab.click(x, y)
-    text = tab.run("picked.textContent").replace("−", "-")
-    place = np.array([float(value) for value in re.findall(r"[xyz] = (\S+) mm", text)])
-    mesh, deviation, bound, _ = shown_surface(cube)
-    assert distances(place[None], mesh)[0] < 1e-3
-    units = {"nm": 1e-6, "µm": 1e-3, "mm": 1.0}
-    near = np.argsort(np.linalg.norm(mesh.vertices - place, axis=1))[:12]
-    for name, values in (("signed deviation", deviation), ("certified bound", bound)):
-        value, unit = re.search(rf"{name}: (.+) (\S+)", text).groups()
-        value = 0.0 if value == "under 1" else float(value) * units[unit]
-        assert values[near].min() - 0.01 <= value <= values[near].max() * 1.01 + 1e-3
-    assert tab.run("marks.points.length") == 1
-
-
 def test_numbers_are_those_of_the_terminal(tab):
     values = [*np.random.default_rng(0).normal(size=40) * 10.0 ** np.arange(-9, 11, 0.5), 999.96, 0.0, 1234567.0]
     shown = tab.run(f"{[float(value) for value in values]}.map(x => number(x))")
@@ -271,25 +254,6 @@ def test_numbers_are_those_of_the_terminal(tab):
     bounds = np.abs(values)
     shown = tab.run(f"{[float(value) for value in bounds]}.map(x => lengthText(x, 3, true))")
     assert shown == [length(value, "mm", up=True) for value in bounds]
-
-
-def test_dense_contacts_are_thinned_until_they_are_looked_at_closely(shows):
-    tab = shows(scanned(CUBE, samples=200))
-    everything = tab.run("contacts.points.length / 3")
-    tab.run("reset()")
-    tab.picture()
-    few = tab.run("contacts.shown")
-    assert few < everything / 2
-    assert sorted(tab.run("[...contacts.order]")) == list(range(everything))
-    # those that are seen are spread: no cell of a grid has two
-    places = np.array(tab.run("[...contacts.order].slice(0, contacts.shown).map(contactPoint)"))
-    cells = tab.run("data.radius / 2 ** contacts.counts.indexOf(contacts.shown)")
-    assert len(np.unique(np.round(places / cells), axis=0)) == few
-    # looked at closely there are more
-    tab.run("zoom(20)")
-    tab.picture()
-    assert tab.run("contacts.shown") > 2 * few
-    assert tab.complaints() == []
 
 
 # --- the player ---

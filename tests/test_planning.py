@@ -13,22 +13,11 @@ from scan3d.geometry.sections import slice_frame
 from scan3d.planning.plan import (
     AIMED_SLOPE,
     OPEN_FRACTION,
-    base_fractions,
     base_line,
     clamp_axes,
-    first_directions,
     further_directions,
     positions,
 )
-
-
-@pytest.mark.parametrize("samples", [2, 3, 64])
-def test_samples_go_from_touch_down_to_the_end_denser_at_the_start(samples):
-    shares = base_fractions(samples)
-    assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
-    assert np.all(np.diff(shares) > 0)
-    assert np.all(np.diff(shares, 2) > 0)
-
 
 directions = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 1e-3)
 
@@ -39,12 +28,6 @@ def test_frames_are_orthonormal_right_handed_with_z_along_the_axis(axis):
     assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-14)
     assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
     assert frame[2] == pytest.approx(axis / np.linalg.norm(axis), abs=1e-14)
-
-
-@pytest.mark.parametrize("sweeps", [1, 4, 7])
-def test_first_directions_are_evenly_spaced(sweeps):
-    angles = first_directions(Plan(sweeps=sweeps))
-    assert angles == pytest.approx(np.arange(sweeps) * 2 * np.pi / sweeps, abs=1e-15)
 
 
 def circle(angles):
@@ -68,10 +51,6 @@ def test_a_gap_is_aimed_at_in_its_middle():
     assert met == pytest.approx([np.cos(np.deg2rad(330)), np.sin(np.deg2rad(330))], abs=2e-3)  # rounded to 0.001 rad
 
 
-def test_half_a_circle_unseen_is_a_gap_however_narrow_the_slice():
-    assert len(further_directions(*circle(np.deg2rad(np.arange(0, 170.5, 0.5))), width=2.0)) == 1
-
-
 def square(reach):
     """Contacts on the sides of the square from -1 to 1, as far as `reach` from their middles."""
     along, side = np.linspace(-reach, reach, 11), np.ones(11)
@@ -80,20 +59,11 @@ def square(reach):
     return np.concatenate([np.stack(places, axis=1) for places in sides]), normals
 
 
-def test_a_corner_between_two_fully_touched_sides_is_not_open():
-    # the tangents of the last contacts are the sides themselves
-    assert len(further_directions(*square(1.0), width=2.0)) == 0
-
-
 def test_a_corner_that_was_not_reached_is_open():
     # its triangle is (1 - reach) / sqrt(2) high
     closed, open_ = (1 - fraction * OPEN_FRACTION * 2.0 * math.sqrt(2) for fraction in (0.9, 1.1))
     assert len(further_directions(*square(closed), width=2.0)) == 0
     assert len(further_directions(*square(open_), width=2.0)) == 4
-
-
-def test_without_tangential_contacts_there_are_no_further_directions():
-    assert further_directions(np.empty((0, 2)), np.empty((0, 2)), 1.0).shape == (0,)
 
 
 @pytest.mark.parametrize(
@@ -129,14 +99,6 @@ def test_the_base_line_keeps_its_distance_from_the_outline(angle, clearance):
     line = base_line(OUTLINE, angle, clearance)
     across = (OUTLINE - line.origin) @ line.axes[1]
     assert across.min() == pytest.approx(clearance, abs=1e-12)
-
-
-@given(angles)
-def test_the_undeformed_rod_points_in_the_direction_of_approach(angle):
-    x, y = base_line(OUTLINE, angle, 1.0).axes
-    assert y == pytest.approx([np.cos(angle), np.sin(angle)], abs=1e-15)
-    # x, y and the slice's normal are right-handed
-    assert x[0] * y[1] - x[1] * y[0] == pytest.approx(1.0, abs=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(3))

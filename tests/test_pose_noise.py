@@ -8,11 +8,8 @@ import trimesh
 from scipy.stats import chi2
 
 import scan3d
-from scan3d.files.recordings import read_recording, write_recording
 from scan3d.reconstruction.contacts import readings, without_normals
-from scan3d.recording import joined
 from scan3d.surfaces import enclosure
-from tests import rigs
 from tests.spatial_scans import LENGTH, SEMI_AXES, recorded
 
 SD_M = 20e-6
@@ -70,30 +67,3 @@ def test_without_the_statement_the_same_poses_are_trusted_too_far():
     _, rows, of_exact = np.intersect1d(cloud.row, exact.row, return_indices=True)
     off = cloud.points[rows] - exact.points[of_exact]
     assert (np.linalg.norm(off, axis=1) > 5 * cloud.place_sd[rows]).mean() > 0.5
-
-
-def test_the_file_of_a_recording_keeps_it(tmp_path):
-    recording = jittering(scan3d.simulate(BODY, plan_of(0.0)), 1)
-    write_recording(recording, tmp_path / "r.csv")
-    assert read_recording(tmp_path / "r.csv").noise_pose_m == SD_M
-    assert "20 µm of the pose" in str(recording)
-    write_recording(dataclasses.replace(recording, noise_pose_m=0.0), tmp_path / "r.csv", overwrite=True)
-    assert "pose_m" not in (tmp_path / "r.toml").read_text()
-    assert read_recording(tmp_path / "r.csv").noise_pose_m == 0
-
-
-@pytest.mark.slow
-def test_a_calibration_takes_it_from_the_recording_and_gives_it_to_others():
-    touches = rigs.recorded(sweeps=8, samples=60)
-    recording = dataclasses.replace(touches, noise_pose_m=SD_M)
-    stated = scan3d.calibrate(recording, rigs.DIAMETER)
-    assert (stated.details["pose_noise"], stated.pose_noise_m) == ("given", pytest.approx(SD_M))
-    assert stated.applied(recording).noise_pose_m == SD_M
-    estimated = scan3d.calibrate(touches, rigs.DIAMETER)
-    assert estimated.details["pose_noise"] == "estimated"
-    assert estimated.applied(touches).noise_pose_m == estimated.pose_noise_m > 0
-
-
-def test_joined_recordings_state_the_larger_one():
-    recording = scan3d.simulate(BODY, plan_of(0.0))
-    assert joined([jittering(recording, 1), recording]).noise_pose_m == SD_M

@@ -90,14 +90,6 @@ def columns():
     return SWEPT.x0, SWEPT.f0x, SWEPT.f0y, SWEPT.m0z
 
 
-def test_equation_10_where_the_force_is_steeper_than_the_clamp():
-    # α > π/2: the rod is in tension, and the integral of (10) runs over a negative root
-    swept = planar.sweep(CIRCLE, 0.6, base=[0.84])
-    reactions = (swept.x0, swept.f0x, swept.f0y, swept.m0z)
-    assert_no_contact(planar.reconstruct(*reactions, "will"), Status.UNDEFINED)
-    assert planar.reconstruct(*reactions).status[0] == Status.OK
-
-
 def test_a_batch_masks_its_bad_rows_and_keeps_the_others():
     bad = [dict(f0x=0, f0y=0), dict(m0z=-1), dict(m0z=100), dict(x0=np.nan), dict()]
     rows = np.array([row(**changes) for changes in bad])[:, :, 0].T
@@ -122,14 +114,6 @@ def test_more_rows_than_are_processed_at_once():
         np.testing.assert_array_equal(getattr(contacts, name), np.tile(getattr(once, name), repeat))
     for name in ("s1", "slope"):
         np.testing.assert_allclose(getattr(contacts, name), np.tile(getattr(once, name), repeat), rtol=1e-13)
-
-
-def test_no_rows_and_single_numbers():
-    empty = planar.reconstruct([], [], [], [])
-    assert len(empty) == 0
-    assert empty.point.shape == empty.normal.shape == (0, 2)
-    single = planar.reconstruct(*ROW)
-    np.testing.assert_array_equal(single.point, planar.reconstruct(*row()).point)
 
 
 def test_tolerance_decides_between_tip_and_tangential():
@@ -205,13 +189,6 @@ def test_elastic_lines_never_enter_the_object():
     lines = planar.elastic_lines(*columns(), points=200)
     for points in (lines.curved, lines.straight):
         assert np.linalg.norm(points - CIRCLE.center, axis=2).min() > CIRCLE.radius - 1e-12
-
-
-def test_elastic_lines_of_straight_rods_and_of_impossible_reactions():
-    lines = planar.elastic_lines([0.3, 0.3], [0.0, -1.0], [0.0, 1.0], [0.0, 50.0], points=3)
-    np.testing.assert_array_equal(lines.curved[0], [[0.3, 0], [0.3, 0.5], [0.3, 1]])
-    np.testing.assert_array_equal(lines.straight[0], [[0.3, 1], [0.3, 1]])
-    assert np.isnan(lines.curved[1]).all()
 
 
 # Refusals

@@ -52,17 +52,6 @@ def test_steps_of_a_converter(values, step):
     assert rounding_sd(few) == pytest.approx(3 * step / 12**0.5)
 
 
-@pytest.mark.parametrize("bits", [12, 16, 20, 24])
-def test_steps_of_a_converter_of_which_hardly_two_numbers_are_equal(values, bits):
-    """Steps were only looked for where numbers repeat: 300 numbers of 16 bits passed for exact."""
-    numbers = values[:300]
-    step = np.abs(numbers).max() * 2.0 ** (1 - bits)
-    converted = step * np.round(numbers / step)
-    assert rounding_sd(converted) == pytest.approx(step / 12**0.5)
-    if bits <= 16:
-        assert rounding_sd(rounded(converted, 9)) == pytest.approx(step / 12**0.5, rel=1e-4)
-
-
 def test_full_precision_and_empty_columns_have_no_rounding(values):
     assert rounding_sd(values) == 0
     assert rounding_sd(np.repeat(values[:100], 50)) == 0  # a symmetric scan repeats its numbers
@@ -133,19 +122,3 @@ def test_the_certificate_allows_for_the_digits(recording, digits):
     assert analysis.warnings == ()
     assert analysis.comparison.hausdorff <= analysis.certificate.bound
     assert analysis.certificate.bound < 1.2 * analyse(recording, mesh, "hull").certificate.bound
-
-
-def test_few_numbers_show_no_rounding():
-    """Ten numbers typed with four decimals, one of them without its point, had a step of 0.01."""
-    typed = np.array([0.1012, 0.2034, 0.3356, 0.4123, 0.4987, 0.5512, 0.6123, 0.6698, 0.7021, 0.7343])
-    assert rounding_sd(typed) == 0
-    assert rounding_sd(np.where(typed == 0.3356, 33.56, typed)) == 0
-
-
-@pytest.mark.parametrize("wrong", [40.0, 0.4])
-def test_one_typing_error_does_not_change_the_rounding(wrong):
-    rng = np.random.default_rng(3)
-    table = np.round(rng.uniform(0.1, 1.0, 60), 4)
-    assert rounding_sd(table) == pytest.approx(1e-4 / 12**0.5)
-    table[7] = wrong
-    assert rounding_sd(table) == pytest.approx(1e-4 / 12**0.5)

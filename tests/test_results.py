@@ -199,26 +199,6 @@ def test_a_recording_of_another_run_is_refused(copy):
         _ = scan3d.open(copy).recording
 
 
-def test_contacts_that_the_recording_does_not_give_are_refused(copy):
-    report = json.loads((copy / "report.json").read_text())
-    # as if another version had computed them: the report names no hashes of earlier versions
-    lines = (copy / "recording.csv").read_text().splitlines()
-    (copy / "recording.csv").write_text("\n".join(lines[: len(lines) // 2]) + "\n")
-    edit(copy, sha256=None, versions={**report["versions"], "scan3d": "0.0.1"})
-    with pytest.raises(scan3d.InputError, match=r"gives other contacts than cloud\.ply has, .* scan3d 0\.0\.1; run"):
-        _ = scan3d.open(copy).cloud
-
-
-def test_files_that_are_missing_are_named(copy):
-    (copy / "surface.ply").unlink()
-    stored = scan3d.open(copy)
-    with pytest.raises(scan3d.InputError, match=r"has no surface\.ply"):
-        _ = stored.surface
-    with pytest.raises(scan3d.InputError, match=r"lacks surface\.ply, which its report\.json names"):
-        stored.save(copy.parent / "other")
-    assert not (copy.parent / "other").exists()
-
-
 def test_a_report_of_an_earlier_version_has_no_comparison_and_an_unknown_bound_is_infinite(copy):
     report = json.loads((copy / "report.json").read_text())
     edit(copy, certificate={**report["certificate"], "bound": None})
@@ -231,11 +211,3 @@ def test_a_report_of_an_earlier_version_has_no_comparison_and_an_unknown_bound_i
 
 def test_the_table_without_a_renderer_says_why(made):
     assert rendering.NO_RENDERER.partition("'")[0] in made[1]._repr_html_()
-
-
-# --- pictures ---
-
-
-def test_a_truth_in_the_folder_is_found(copy):
-    shutil.copy(EGG, copy)
-    assert scan3d.open(copy)._scene().truth is not None

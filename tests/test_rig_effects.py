@@ -174,14 +174,6 @@ def test_the_spatial_bound_allows_for_the_calibration(space):
     assert certificate(bounds, hull).bound > certificate(smaller, hull).bound
 
 
-def test_a_contact_without_a_known_effect_is_left_out(flat):
-    """An error of the rig that is as large as the rod: some contacts have no rod any more, and the others stay."""
-    cloud = touched(dataclasses.replace(flat, rig=RigUncertainty(("stiffness_relative",), [[90.0**2]])))
-    assert 0 < len(cloud) < len(touched(flat))
-    assert np.isfinite(cloud.calibration.place_sd).all()
-    assert len(cloud.calibration.turn_sd) == len(cloud)
-
-
 @pytest.mark.slow
 def test_errors_of_the_calibration_are_no_contradiction(flat, space, monkeypatch):
     """Exact touches of a rig that is off by what is stated: without the statement they contradict the convex body."""

@@ -13,7 +13,7 @@ from scan3d.recording import joined
 from scan3d.rigs import RIG_QUANTITIES, RigUncertainty
 from tests import rigs
 from tests.rig_errors import calibrated, typical
-from tests.test_recording import TOML, random_recording, write
+from tests.test_recording import random_recording
 
 TWO = ("stiffness_relative", "clamp_x_m")
 
@@ -57,19 +57,6 @@ def test_a_recording_keeps_it_bit_for_bit(tmp_path, name):
     write_recording(random_recording(), tmp_path / name, overwrite=True)
     assert read_recording(tmp_path / name).rig is None
     assert "[rig]" not in (tmp_path / name).with_suffix(".toml").read_text()
-
-
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [
-        ("quantities = 3", r"log.toml: \[rig\] quantities must be a list of names, got 3"),
-        ('quantities = ["clamp_x_m"]', r"log.toml: \[rig\] rig: the covariance must be 1 by 1 finite numbers"),
-        ("sizes = []", r"log.toml: \[rig\] has unknown names: sizes; known are quantities, exact, covariance"),
-    ],
-)
-def test_a_wrong_section_names_the_file(tmp_path, section, message):
-    with pytest.raises(InputError, match=message):
-        read_recording(write(tmp_path, meta=f"{TOML}[rig]\n{section}\n"))
 
 
 def test_recordings_are_joined_with_one_calibration():

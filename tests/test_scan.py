@@ -14,13 +14,11 @@ from scipy.spatial.transform import Rotation
 
 import planar
 import scan3d
-from scan3d.bounds import certificate, enclosure, sigmas
 from scan3d.files.meshes import read_mesh
 from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
-from scan3d.simulation import scan as axis_scans
 from scan3d.simulation import scan as simulation
 
 FOLDER = Path(__file__).parents[1] / "meshes"
@@ -294,21 +292,6 @@ def test_friction_and_noise_each_follow_the_seed(random):
     assert not np.allclose(first.force_N, third.force_N)
 
 
-def test_the_certificate_under_noise_states_its_confidence(tmp_path, no_pictures):
-    folder = scan(tmp_path / "out", "--noise", "1e-4", "--method", "hull")
-    report = json.loads((folder / "report.json").read_text())
-    certified = report["certificate"]
-    cloud = scan3d.reconstruct(scan3d.read_recording(folder / "recording.csv"))
-    by_hand = certificate(enclosure(cloud), scan3d.surface(cloud, "hull")).bound
-    assert certified["confidence"] == 0.95
-    assert certified["bound"] == pytest.approx(by_hand)
-    assert certified["parts"]["noise"] == pytest.approx(sigmas(len(cloud)) * cloud.place_sd.max())
-    assert report["noise"]["force_N"] == report["noise"]["stated_force_N"] > 0
-    assert report["noise"]["contact_median"] == cloud.noise
-    # the contacts are off by no more than the certificate allows for
-    assert report["contact_error"]["max"] < certified["parts"]["noise"]
-
-
 @pytest.mark.slow
 def test_cloud_ply_holds_the_cloud(scanned, read_ply):
     cloud = scan3d.reconstruct(scan3d.read_recording(scanned / "recording.csv"))
@@ -444,29 +427,6 @@ def test_any_clearance(clearance):
     assert contour_errors(cloud, recording, *as_in_the_file(EGG)).max() <= EXACT
 
 
-@pytest.mark.slow
-def test_adaptive_slices_go_where_the_body_has_edges():
-    # the faces of the turned cube meet in eight corners, and slices at their heights are the most informative
-    cube = scan3d.load_mesh(CUBE)
-    turn = Rotation.random(rng=np.random.default_rng(1)).as_matrix()
-    vertices, faces = cube.vertices @ turn.T, np.asarray(cube.faces)
-    body = trimesh.Trimesh(vertices, faces, process=False)
-    recording, cloud = places(body, slices=40, spacing="adaptive", samples=24)
-    assert contour_errors(cloud, recording, vertices, faces).max() <= EXACT
-    assert len(cloud.slice_height) <= 40 + 2
-    # at most, because some lie beyond the ends and are empty
-    inside = np.unique(cloud.slice)
-    assert len(inside) <= 40
-    height = cloud.slice_height[inside]
-    away = np.abs(vertices[:, 2][:, None] - height).min(axis=1)
-    assert away.max() < 1e-3 * np.ptp(vertices[:, 2])
-    _, cosine_cloud = places(body, slices=40, spacing="cosine", samples=24)
-    assert (
-        scan3d.compare(hull(cloud.points), body).relative
-        < 0.1 * scan3d.compare(hull(cosine_cloud.points), body).relative
-    )
-
-
 def test_slices_along_several_axes():
     path = FOLDER / "gem.glb"
     recording, cloud = places(scan3d.load_mesh(path), slices=4, axis="xyz", samples=16, friction=(0.0, 0.4))
@@ -493,14 +453,6 @@ def test_poses_that_are_rounded_or_shake_keep_their_slices(spread):
     assert np.array_equal(rounded.slice, exact.slice)
 
 
-def test_a_body_that_no_slice_meets(monkeypatch):
-    monkeypatch.setattr(axis_scans, "sections", lambda mesh, frame, levels, *_: [[] for _ in levels])
-    with pytest.raises(
-        scan3d.InputError, match="the body is too thin to be sliced along this axis; choose another one"
-    ):
-        scan3d.simulate(scan3d.load_mesh(CUBE), scan3d.Plan(slices=2))
-
-
 def test_sweeps_without_contact_are_recorded():
     mesh = scan3d.load_mesh(CUBE)  # 40 mm, about the origin
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=3, sweeps=4, samples=10))
@@ -512,12 +464,3 @@ def test_sweeps_without_contact_are_recorded():
         assert side.sum() == 4 * 10
     # the first sample of a sweep only touches
     assert (np.any(recording.force_N != 0, axis=1)[~beyond].reshape(-1, 10)[:, 1:]).all()
-
-
-def test_progress_counts_the_slices():
-    seen = []
-    scan3d.simulate(
-        scan3d.load_mesh(CUBE), scan3d.Plan(slices=40, sweeps=1, samples=2), lambda *done: seen.append(done)
-    )
-    assert seen[-1] == (40, 40)
-    assert [done for done, _ in seen] == sorted({done for done, _ in seen})

@@ -129,12 +129,6 @@ def test_a_heavy_curved_rod_in_space_is_read_from_its_recording(tmp_path):
         scan3d.reconstruct(whole, model="planar")
 
 
-@pytest.mark.parametrize("direction", [(0, 0, 0), (1, 2), (np.nan, 0, 1)])
-def test_gravity_needs_a_direction(direction):
-    with pytest.raises(InputError, match="gravity needs a direction"):
-        Gravity(direction, tared=True)
-
-
 def test_scans_in_space_are_simulated_with_simple_rods_only():
     mesh = scan3d.load_mesh(MESH)
     with pytest.raises(InputError, match="simulate this rod with the planar model"):
@@ -143,26 +137,3 @@ def test_scans_in_space_are_simulated_with_simple_rods_only():
         scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, weight_N=0.01)))
     with pytest.raises(InputError, match="out of its clamp's xy plane"):
         scan3d.simulate(mesh, scan3d.Plan(slices=4, rod=replace(WIRE, curvature_per_m=(0.0, 1.0, 0.0))))
-
-
-@pytest.mark.parametrize(
-    ("rod", "words"),
-    [
-        ("bending_stiffness_Nm2 = [1.0, 2.0]", "must be a number or a list of rows"),
-        ("bending_stiffness_Nm2 = 1e-4\nweight_N = 0.01", "needs \\[gravity\\]"),
-        ("bending_stiffness_Nm2 = 1e-4\n[gravity]\ndirection = [0, 0, -1]", "tared is missing"),
-    ],
-)
-def test_files_of_rods_that_are_none(tmp_path, rod, words):
-    mesh = scan3d.load_mesh(MESH)
-    scan3d.write_recording(scan3d.simulate(mesh, scan3d.Plan(slices=2, sweeps=2, samples=4)), tmp_path / "r.csv")
-    (tmp_path / "r.toml").write_text(f"[rod]\nlength_m = 0.05\n{rod}\n")
-    with pytest.raises(InputError, match=words):
-        scan3d.read_recording(tmp_path / "r.csv")
-
-
-def test_gravity_is_a_value_of_its_own():
-    mesh = scan3d.load_mesh(MESH)
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=2, sweeps=2, samples=4))
-    with pytest.raises(InputError, match=r"gravity must be a scan3d\.Gravity, got tuple"):
-        replace(recording, gravity=(0, 0, -1))

@@ -1,7 +1,6 @@
 """A scene, read from files, in parts, colours and words: what is seen is what was scanned."""
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ import planar
 import scan3d
 from scan3d import scenes
 from scan3d.cli import main, show
-from scan3d.files.shapes import ply
 from scan3d.pictures import parts
 from scan3d.pictures.parts import contact_paths, outlines, shown_surface, shown_sweep, sweep_direction
 from scan3d.pictures.scene import contact_sentence, of_cloud, out_of_plane_deg
@@ -117,31 +115,6 @@ def test_plys_and_meshes(folder, tmp_path):
         mesh = show.read_scene(path, str(EGG), False, "mm")
         assert mesh.surface.extents == pytest.approx([40.0, 40.0, 40.0])
         assert mesh.truth is not None
-
-
-XYZ = [(name, "f8") for name in "xyz"]
-
-
-def test_files_that_can_not_be_shown(tmp_path, call):
-    flat = ply(np.zeros(3, XYZ), np.array([[0, 1, 2]]))
-    for number, (name, data, shown, sentence) in enumerate(
-        (
-            (None, b"", "nothing", "there is no .*nothing; show a scan's folder, a recording"),
-            ("report.json", b"[1]", ".", "is not a report: expected a JSON object; run the scan again"),
-            ("report.json", b"{", ".", "can't read .*report.json: .*; run the scan again"),
-            ("a.ply", ply(np.zeros(3, [("force", "f8")])), "a.ply", "a.ply has no points: expected the columns x, y"),
-            ("a.ply", ply(np.full(3, np.nan, XYZ)), "a.ply", "a.ply has no points, or points that are not numbers"),
-            ("a.ply", flat[:90], "a.ply", "can't read .*a.ply: .*; expected a PLY of points or triangles"),
-        )
-    ):
-        place = tmp_path / str(number)
-        place.mkdir()
-        if name:
-            (place / name).write_bytes(data)
-        code, _, err = call("show", place / shown, "--html", place / "page.html")
-        assert code == 1
-        assert re.search(sentence, err), err
-        assert not (place / "page.html").exists()
 
 
 # --- slices, paths and rods ---
@@ -285,13 +258,6 @@ def test_colours_of_bounds_between_vertices_are_on_the_scale(cube):
     assert len(colors) > 30
 
 
-def test_a_body_found_exactly_is_not_shown_in_colours(cube):
-    exact = replace(cube, surface=cube.truth)
-    _, shaded = parts.shade_surface(exact)
-    assert (shaded.rgb.min(axis=1) > 240).all()
-    assert (shaded.title, shaded.norm.vmax) == ("signed deviation in nm", 1.0)
-
-
 def test_colours_are_those_of_their_scales(egg):
     friction = parts.shade_contacts(egg, "friction")
     tip = egg.column("phase") == planar.Phase.TIP
@@ -319,45 +285,6 @@ def test_the_bending_out_of_the_plane(ellipsoid):
     # it is small for rods that bend backward
     angles = np.deg2rad([0.0, 30.0, 90.0, 150.0, 180.0, -170.0, -90.0, -10.0])
     assert out_of_plane_deg(angles) == pytest.approx([0, 30, 90, 30, 0, -10, -90, -10], abs=1e-9)
-
-
-# Linear red, green and blue as they are seen without one kind of cones (G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A
-# Physiologically-based Model for Simulation of Color Vision Deficiency, IEEE TVCG 15, 2009, severity 1).
-SEEN = {
-    "all": np.eye(3),
-    "no red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "no green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-    "no blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
-}
-
-
-def lab(color, seen):
-    """(3,) the colour "#rrggbb" in CIELAB, as it is seen."""
-    srgb = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    linear = (np.array(seen) @ linear).clip(0, 1)
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ linear
-    x, y, z = np.cbrt(xyz / [0.9505, 1.0, 1.089])
-    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
-def least_difference(colors):
-    """The smallest distance in CIELAB of two of some colours for any kind of sight."""
-    seen = [[lab(color, matrix) for color in colors] for matrix in SEEN.values()]
-    return min(np.linalg.norm(a - b) for found in seen for k, a in enumerate(found) for b in found[:k])
-
-
-def test_what_must_be_told_apart_is_so_by_the_colour_blind():
-    # red and green of one lightness, which this test is to find
-    assert least_difference(("#b2182b", "#3a6f1f")) < 20
-    for colors in (
-        (parts.TANGENTIAL, parts.TIP, parts.UNKNOWN, parts.NORMAL),
-        (parts.ROD, parts.TANGENTIAL, parts.BODY, parts.INK),
-        parts.REACTION_COLORS,
-        parts.ON_DEVIATION,
-        (parts.ROD, parts.BOUND),
-    ):
-        assert least_difference(colors) > 15, colors
 
 
 # --- words ---

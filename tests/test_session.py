@@ -90,12 +90,6 @@ def test_a_session_in_space(egg):
     assert scan3d.compare(session.surface, egg).hausdorff < session.certificate.bound
 
 
-def test_a_session_ends_where_the_tolerance_is_met(egg):
-    session = Session("cylinder:60x60", slices=5, samples=48, tolerance=1e6)
-    session.tell(recorded(egg, session.ask()))
-    assert session.ask() is None
-
-
 def test_the_table_closes_the_slices(batches):
     session, _ = batches
     assert np.isfinite(session.certificate.bound)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from image_checks import pixels
 from small_scans import CUBE, EGG, FEW, scanned, scanned_in_space
 from without_renderer import MISSING, hidden_renderer
@@ -16,7 +15,6 @@ from without_renderer import MISSING, hidden_renderer
 import scan3d
 from scan3d.pictures import canvas, parts, rendering
 from scan3d.pictures.scene import contact_sentence
-from scan3d.scenes import other_surface
 
 COMMAND = Path(sys.executable).with_name("scan3d")
 # The notebook is tried without a display, the command without libraries; `make trust` runs the rest.
@@ -44,16 +42,6 @@ def test_show_writes_what_it_is_asked_for_as_python_does(folder, tmp_path, shown
     assert (code, json.loads(out)) == (0, {"shown": "cloud", "files": [str(tmp_path / "a.png")]})
 
 
-def test_a_colour_shows_the_contacts(tmp_path, shown, monkeypatch):
-    """Without a view: the contacts if their colour is named, else the surface."""
-    drawn = []
-    monkeypatch.setattr(rendering, "can_render", lambda: True)
-    monkeypatch.setattr("scan3d.pictures.drawing.draw", lambda _, jobs: drawn.extend(jobs) or [b""])
-    for options in (("--color", "phase"), ()):
-        assert shown("--screenshot", tmp_path / "a.png", "--overwrite", *options)[0] == 0
-    assert [keywords["view"] for _, keywords in drawn] == ["cloud", "surface"]
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -69,18 +57,6 @@ def test_wrong_options_are_one_sentence(tmp_path, monkeypatch, shown, options, s
     assert (code, out) == (2, "")
     assert re.fullmatch(rf"scan3d: {sentence}.*; see 'scan3d show --help'\n", err)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_charts_need_no_renderer_and_have_no_camera(tmp_path, shown, no_pictures):
-    for view, ending in (("forces", "svg"), ("histogram", "png")):
-        file = tmp_path / f"{view}.{ending}"
-        assert shown("--view", view, "--screenshot", file, "--size", "90x70mm")[0] == 0
-        assert file.stat().st_size > 2000
-        code, _, err = shown("--view", view, "--screenshot", tmp_path / "b.png", "--camera", "top")
-        assert code == 1
-        assert f"the view {view} shows no body, so that it has no camera: leave the camera out" in err
-    assert shown("--screenshot", tmp_path / "a.svg") == (1, "", f"scan3d: {rendering.NO_RENDERER}\n")
 
 
 @pytest.mark.parametrize("missing", [pytest.param(name, marks=m) for name, m in zip(MISSING, LANES, strict=True)])
@@ -124,34 +100,6 @@ def test_the_difference_of_two_results(folder, tmp_path, shown, call):
     for image in images:
         np.testing.assert_array_equal(pixels(picture), np.asarray(image))
     assert result.plot(against=EGG, view="histogram").size == (1400, round(1400 / 2.3))
-
-
-def test_units_of_the_other_surface(folder, tmp_path):
-    mesh = trimesh.creation.box((1, 1, 1))
-    mesh.export(tmp_path / "box.stl")
-    assert other_surface(tmp_path / "box.stl", "mm", "in").extents == pytest.approx([25.4] * 3)
-    assert other_surface(mesh, "mm").extents == pytest.approx([1] * 3)
-    mesh.units = "m"
-    assert other_surface(mesh, "mm").extents == pytest.approx([1000] * 3)
-    assert other_surface(folder, "m").extents == pytest.approx(scan3d.open(folder).surface.extents / 1000)
-
-
-def test_what_has_no_surface_to_compare_with(folder, tmp_path, shown):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "notes.txt").write_text("none")
-    for path, sentence in (
-        (tmp_path / "missing", r"there is no .*missing to compare the surface with: expected a scan's folder"),
-        (tmp_path / "empty", r"empty holds no scan: expected cloud\.ply or surface\.ply in it"),
-        (tmp_path / "notes.txt", r"notes\.txt has no surface to compare with: expected a scan's folder, or a surf"),
-        (folder / "cloud.ply", r"cloud\.ply has no surface to compare with, but contacts only"),
-        (folder / "recording.csv", r"recording\.csv has no surface to compare with"),
-    ):
-        code, _, err = shown("--screenshot", tmp_path / "a.png", "--against", path)
-        assert code == 1
-        assert re.search(sentence, err)
-    for other, sentence in ((3, "there is no surface in a int: expected"), (trimesh.Trimesh(), "has no tri")):
-        with pytest.raises(scan3d.InputError, match=sentence):
-            scan3d.open(folder).plot(against=other)
 
 
 # --- the window ---

@@ -1,16 +1,12 @@
 """What `print` shows of results: a few lines, with the numbers that the results hold."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from small_scans import CUBE
 
 import scan3d
 from scan3d.bounds import Certificate
-from scan3d.numbers import length
 from scan3d.shown import described
-from tests import rigs
 
 
 @pytest.fixture(scope="module")
@@ -70,32 +66,6 @@ def test_the_rows_hold_the_numbers_of_the_results(result):
 def test_unknown_bounds_print():
     unknown = Certificate(np.inf, np.array([np.inf, np.inf]))
     assert repr(unknown) == "Certificate(bound=inf, at_vertices: unknown at 0 of 2)"
-
-
-def test_a_session_and_its_poses_say_what_is_known(result):
-    session = scan3d.Session("cylinder:60x60", result.recording.rod)
-    poses = session.ask()
-    assert rows(poses)[1]["poses"].startswith(f"{len(poses)} in {len(poses.sweeps())} sweeps, ")
-    assert rows(dataclasses.replace(poses, rod=None))[1]["rod"] == "not known"
-    assert rows(session)[1]["recordings"].startswith("none yet")
-    mesh = scan3d.load_mesh(CUBE)
-    mesh.apply_translation([0, 0, -mesh.bounds[0, 2]])
-    session.tell(scan3d.simulate(mesh, scan3d.Plan(slices=4, sweeps=4, samples=8, rod=result.recording.rod)))
-    known = rows(session)[1]
-    assert known["recordings"] == f"1 with {len(session.cloud)} contacts"
-    assert f"within {length(session.certificate.bound, 'mm', up=True)}" in known["certified"]
-
-
-@pytest.mark.slow
-def test_a_calibration_prints_its_rod_and_its_remarks():
-    calibration = scan3d.calibrate(rigs.recorded(sweeps=8, samples=60), rigs.DIAMETER)
-    title, known = rows(calibration)
-    assert title == "Calibration"
-    assert f"{1e3 * calibration.rod.length_m:.5g} mm long" in known["rod"]
-    assert known["well determined"] == f"{sum(calibration.well)} of {len(calibration.well)} quantities"
-    lines = repr(calibration).splitlines()
-    assert len(lines) <= 10
-    assert max(map(len, lines)) <= 120
 
 
 def test_long_lines_end_with_dots():

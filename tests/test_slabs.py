@@ -12,7 +12,7 @@ from scan3d.bounds.cells import slabs
 from scan3d.geometry.distance import signed_distances
 from scan3d.geometry.hulls import hull
 from scan3d.reconstruction.contacts import contacts
-from scan3d.reconstruction.slices import SliceStack, slices_of, stacks
+from scan3d.reconstruction.slices import SliceStack, stacks
 from scan3d.surfaces import Gap
 
 
@@ -59,18 +59,6 @@ def test_sides_of_a_slice_that_were_touched_at_different_heights_leave_the_body_
     assert missing.max() < 1e-9
 
 
-def test_slices_a_few_spreads_apart_stay_separate(ball):
-    """Sweeps of planned slices that are 0.35 mm apart became one with poses that jitter by 20 µm."""
-    _, recording = ball
-    heights = np.unique(np.round(recording.position_m[:, 2], 9))
-    near = recording.position_m * [1.0, 1.0, 0.00035 / np.diff(heights).min()]
-    assert np.diff(np.unique(np.round(near[:, 2], 9))).min() == pytest.approx(0.00035, rel=1e-4)
-    off = 2e-5 * np.random.default_rng(0).standard_normal(near.shape)
-    measured = dataclasses.replace(recording, position_m=near + off)
-    number = slices_of(measured, measured.axes()[:, 2])[0]
-    assert len(np.unique(number)) == len(heights)
-
-
 def pyramid(floor, ceiling, bounded_by_others=(False, False)):
     """Squares of half lengths 4, 3, 2, 1 at heights 0, 1, 2, 3: a pyramid with its apex at the height 4."""
     return stack_of_rectangles([0.0, 1.0, 2.0, 3.0], [4.0, 3.0, 2.0, 1.0], floor, ceiling, bounded_by_others)
@@ -101,17 +89,6 @@ def test_the_slabs_of_a_pyramid():
         assert part.volume == pytest.approx(volume_of_frustum(low, high))
 
 
-@pytest.mark.parametrize("thickness", [1.5, 3.0, 15.0, 150.0, 2e4, 1e7])
-def test_a_cap_that_reaches_the_apex_ends_there(thickness):
-    """However much farther away the next empty slice is."""
-    (*_, cap) = slabs(pyramid(-1.0, 3 + thickness))
-    assert cap.corners[:, 2].max() == pytest.approx(4.0, abs=1e-15 * thickness + 1e-9)
-    assert cap.volume == pytest.approx(volume_of_frustum(3.0, 4.0), rel=1e-6)
-    assert (cap.kind[cap.corners[:, 2] > 3.5] == Gap.CAPS).all()
-    # all its half-spaces are straight, whether or not the cap's plane is bounded by others
-    assert cap.straight[cap.corners[:, 2] > 3.5].all()
-
-
 @pytest.mark.parametrize("edges", [[0, 1, 2], [1, 2, 3], [0, 2], [1, 3]])
 def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
     """Squares of which one side, or two, are not touched: the half-spaces have room inside, and do not close."""
@@ -127,31 +104,3 @@ def test_slabs_are_unbounded_where_no_contact_shows_a_side(edges):
         assert part.kind.tolist() == [kind]
         assert not part.straight.any()
         assert part.volume == np.inf
-
-
-@pytest.mark.parametrize(("floor", "ceiling"), [(-np.inf, 3.5), (-1.0, np.inf), (-np.inf, np.inf)])
-def test_a_cap_without_an_end_is_unbounded(floor, ceiling):
-    parts = slabs(pyramid(floor, ceiling))
-    for part, open_end in ((parts[0], np.isinf(floor)), (parts[-1], np.isinf(ceiling))):
-        assert np.isinf(part.volume) == open_end
-        assert np.isinf(part.corners).any() == open_end
-        if open_end:
-            assert part.corners.shape == (1, 3)
-            assert part.kind.tolist() == [Gap.CAPS]
-            assert part.straight.tolist() == [[False, False]]
-    assert all(np.isfinite(part.volume) for part in parts[1:-1])
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("thickness", [1e-7, 1.0])
-def test_thin_slabs_are_as_exact(scale, thickness):
-    """Upright walls between slices that are close together, about a place far from the origin."""
-    heights = scale * thickness * np.arange(4.0)
-    stack = stack_of_rectangles(heights, [scale * 2.0] * 4, -scale * thickness, 4 * scale * thickness)
-    parts = slabs(stack)
-    for part in parts:
-        assert part.volume == pytest.approx(16 * scale**3 * thickness, rel=1e-9)
-        assert np.abs(part.corners[:, :2]) == pytest.approx(np.full((len(part.corners), 2), 2.0 * scale), rel=1e-9)
-    # in the plane of the first slice, which has no slice below, no half-space of a slice bounds the slab above it
-    height = parts[1].corners[:, 2]
-    assert (parts[1].kind == np.where(height > height.mean(), Gap.CONTACTS, Gap.SLICES)).all()

@@ -5,17 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from sample_bodies import one_stack, random_body, rotated
+from sample_bodies import one_stack, random_body
 from scipy.optimize import linprog
 from slices_by_hand import rectangle, slice_of
 
-import planar
 import scan3d
 from scan3d.geometry.hulls import hull
-from scan3d.geometry.sections import slice_polygons
 from scan3d.reconstruction.contacts import contacts
 from scan3d.reconstruction.normals import height_slopes
-from scan3d.reconstruction.slices import _outline, stacks
+from scan3d.reconstruction.slices import stacks
 
 
 @pytest.fixture(scope="module", params=[0, *(pytest.param(seed, marks=pytest.mark.trust) for seed in (4, 8))])
@@ -136,95 +134,3 @@ def test_the_support_of_a_smooth_slice_is_close_between_few_normals():
 def test_a_slice_is_closed_if_its_normals_leave_no_gap_of_half_a_turn(degrees, closed):
     section = dataclasses.replace(slice_of(rectangle(1.0), 0.0), angle=np.radians(np.sort(np.array(degrees, float))))
     assert section.closed == closed
-
-
-def test_with_all_normals_the_support_is_that_of_the_polygon():
-    for polygon in (rectangle(3.0, 1.0), prism(5)[0], prism(3)[0] + np.array([100.0, -40.0])):
-        section = slice_of(polygon, 0.0)
-        exact = (NORMALS @ polygon.T).max(axis=1)
-        assert section.support(ANGLES) == pytest.approx(exact, abs=1e-9)
-        assert section.support_of_contacts(NORMALS) == pytest.approx(exact, abs=1e-12)
-        assert section.closed
-
-
-@pytest.mark.parametrize("offset", [0.0, 1024.0])
-def test_contacts_on_a_line_have_no_outline(offset):
-    """The support function of such contacts is that of the line."""
-    line = np.outer(np.linspace(0, 1, 9), [3.0, 4.0]) + offset
-    assert _outline(line).shape == (0, 2)
-    assert _outline(line[:2]).shape == (0, 2)
-    assert _outline(np.empty((0, 2))).shape == (0, 2)
-    triangle = np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 3.0)]) + offset
-    with_middle = np.vstack([triangle, triangle.mean(axis=0)])
-    assert (
-        {tuple(p) for p in _outline(triangle)}
-        == {tuple(p) for p in _outline(with_middle)}
-        == {tuple(p) for p in triangle}
-    )
-    section = dataclasses.replace(slice_of(rectangle(1.0), 0.0), points=line, outline=_outline(line))
-    assert section.support_of_contacts(NORMALS) == pytest.approx((NORMALS @ line[[0, -1]].T).max(axis=1))
-
-
-@pytest.mark.parametrize("axis", [(1.0, 2.0, 3.0), (1.0, 0.0, 0.0)])
-def test_slices_across_any_axis_hold_the_contacts_in_their_frame(axis):
-    mesh = rotated(trimesh.creation.box((20, 30, 40)))
-    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=6, axis=axis, samples=12, sweeps=5)))
-    (stack,) = stacks(cloud)
-    assert stack.frame[2] == pytest.approx(np.array(axis) / np.linalg.norm(axis))
-    assert (np.diff(stack.heights) > 0).all()
-    polygons = slice_polygons(mesh, stack.frame, stack.heights)
-    for section, polygon in zip(stack.slices, polygons, strict=True):
-        points = cloud.points[section.rows] @ stack.frame.T
-        assert points[:, 2] == pytest.approx(np.full(len(points), section.height), abs=1e-7)
-        assert section.points == pytest.approx(points[:, :2])
-        tangential = section.points[section.tangential]
-        # the contacts lie on the support lines of the exact polygon
-        exact = (section.normals @ polygon.T).max(axis=1)
-        assert (section.normals * tangential).sum(axis=1) == pytest.approx(exact, abs=1e-6)
-        known = np.stack([np.cos(section.angle), np.sin(section.angle)], axis=1)
-        assert (np.diff(section.angle) > 1e-9).all()
-        assert section.value == pytest.approx((known @ polygon.T).max(axis=1), abs=1e-6)
-        across = np.stack([-known[:, 1], known[:, 0]], axis=1)
-        for end in (0, 1):
-            assert (section.corner[:, end] * known).sum(axis=1) == pytest.approx(section.value, abs=1e-6)
-            assert (section.corner[:, end] * across).sum(axis=1) == pytest.approx(section.slope[end], abs=1e-9)
-        assert (section.slope[0] <= section.slope[1]).all()
-        # an edge's contacts are all between its ends
-        for angle, low, high in zip(section.angle, *section.slope, strict=True):
-            same = np.abs(np.arctan2(section.normals[:, 1], section.normals[:, 0]) - angle) < 1e-9
-            along = tangential[same] @ [-np.sin(angle), np.cos(angle)]
-            assert (along.min(), along.max()) == pytest.approx((low, high), abs=1e-7)
-
-
-def test_the_nearest_empty_slices_bound_a_stack():
-    """Empty slices below and above, in any order; those farther away do not matter."""
-    mesh = trimesh.creation.box((20, 30, 40))
-    cloud = contacts(scan3d.simulate(mesh, scan3d.Plan(slices=4, spacing="uniform", samples=12, sweeps=4)))
-    filled = np.unique(cloud.slice)
-    heights = cloud.slice_height[filled]
-    rank = np.searchsorted(filled, cloud.slice)
-    empty = np.array([50.0, 25.0, -70.0, -30.0])
-    order = np.array([5, 0, 6, 2, 4, 1, 7, 3])[: len(filled) + 4]
-    number = np.argsort(order)
-    changed = dataclasses.replace(
-        cloud,
-        slice=number[rank].astype(np.int32),
-        slice_height=np.concatenate([heights, empty])[order],
-        slice_axis=np.tile([0.0, 0.0, 1.0], (len(order), 1)),
-    )
-    (stack,) = stacks(changed)
-    assert (stack.floor, stack.ceiling) == (-30.0, 25.0)
-    assert stack.heights == pytest.approx(heights)
-    assert stack.bounded_by_others == (False, False)
-
-
-@pytest.mark.parametrize("name", ["points", "in_plane_normals", "phase"])
-def test_slices_of_other_contacts_are_computed(name):
-    cloud = contacts(scan3d.simulate(trimesh.creation.icosphere(2, 20.0), scan3d.Plan(slices=6, samples=16)))
-    (stack,) = stacks(cloud)
-    row = stack.slices[2].rows[stack.slices[2].tangential[0]]
-    values = getattr(cloud, name).copy()
-    values[row] = planar.Phase.TIP if name == "phase" else -values[row]
-    (other,) = stacks(dataclasses.replace(cloud, **{name: values}))
-    same = [first is second for first, second in zip(stack.slices, other.slices, strict=True)]
-    assert same == [i != 2 for i in range(len(same))]

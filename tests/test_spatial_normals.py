@@ -8,10 +8,7 @@ from scan3d.spatial.normals import (
     Source,
     along_sweeps,
     angles,
-    extrapolating,
-    fitting,
     frictionless,
-    interpolating,
 )
 
 FRICTION = 0.3
@@ -105,29 +102,6 @@ def test_no_derivative_crosses_snaps_gaps_and_stick(rubbing):
     assert not normals.sticks[sample < 39].any()
 
 
-def test_rough_paths_have_no_certain_normals(rubbing):
-    """Where friction changes from sample to sample the contact jumps to and fro."""
-    rough = rubbing.point + 0.01 * np.random.default_rng(1).normal(size=rubbing.point.shape)
-    normals, exact = along_sweeps(rubbing._replace(point=rough)), ellipsoid_normal(rubbing.point)
-    wrong = angles(normals.normal, exact) > 5 * normals.sd + 0.05
-    assert wrong.mean() < 0.05
-
-
-def test_tracks_of_one_two_and_no_contacts_have_no_normals(rubbing):
-    for count in (0, 1, 2):
-        few = rubbing._replace(
-            **{name: value[:count] for name, value in rubbing._asdict().items() if value is not None}
-        )
-        normals = along_sweeps(few)
-        assert normals.normal.shape == (count, 3)
-        assert (normals.source == Source.UNKNOWN).all()
-
-
-def test_a_resting_clamp_gives_no_normals_and_no_exception(rubbing):
-    normals = along_sweeps(rubbing._replace(travel=np.zeros_like(rubbing.travel)))
-    assert (normals.source == Source.UNKNOWN).all()
-
-
 def test_without_friction_the_angles_say_so(rubbing):
     rng = np.random.default_rng(2)
     assert frictionless(np.zeros(50))
@@ -144,33 +118,3 @@ def samples(width, count=50):
     rng = np.random.default_rng(width)
     position = np.cumsum(rng.uniform(0.5, 1.5, (count, width)), axis=1)
     return position, rng.integers(0, width, count), rng.normal(size=(count, width))
-
-
-@pytest.mark.parametrize("width", [2, 3, 5, 7, 9])
-def test_interpolation_is_exact_for_polynomials_through_all_samples(width):
-    position, own, coefficients = samples(width)
-    x = position / 10
-    values = sum(c[:, None] * x**k for k, c in enumerate(coefficients.T))
-    at = x[np.arange(len(x)), own]
-    slope = sum(k * c * at ** (k - 1) for k, c in enumerate(coefficients.T) if k)
-    np.testing.assert_allclose((interpolating(x, own) * values).sum(axis=1), slope, rtol=1e-7, atol=1e-8)
-    outside = x[:, 0] - 0.07
-    slope = sum(k * c * outside ** (k - 1) for k, c in enumerate(coefficients.T) if k)
-    np.testing.assert_allclose((extrapolating(x, outside) * values).sum(axis=1), slope, rtol=1e-6, atol=1e-7)
-
-
-@pytest.mark.parametrize(("width", "degree"), [(5, 2), (7, 4), (41, 2), (41, 6)])
-def test_fits_are_exact_for_polynomials_of_their_degree(width, degree):
-    position, own, coefficients = samples(width)
-    x = (position - position[:, :1]) / 10
-    values = sum(c[:, None] * x**k for k, c in enumerate(coefficients.T[: degree + 1]))
-    at = x[np.arange(len(x)), own]
-    slope = sum(k * c * at ** (k - 1) for k, c in enumerate(coefficients.T[: degree + 1]) if k)
-    weight = np.random.default_rng(0).uniform(1, 4, x.shape)
-    weights, misfit = fitting(x, own, degree, weight, values[:, :, None])
-    np.testing.assert_allclose((weights * values).sum(axis=1), slope, rtol=1e-5, atol=1e-5)
-    assert misfit.max() < 1e-9
-    # noise of the variance 1 / weight has the misfit 1
-    noisy = np.random.default_rng(1).normal(size=(len(x), width)) / np.sqrt(weight)
-    _, misfit = fitting(x, own, degree, weight, (values + noisy)[:, :, None])
-    assert misfit.mean() == pytest.approx(1, abs=0.4)

@@ -250,19 +250,3 @@ def test_the_clamp_may_be_turned_about_its_axis(scene):
     turned_back = np.einsum("mji,mnj->mni", about, other.force)
     assert np.abs(result.force - turned_back)[rows].max() < 1e-6
     assert np.abs(result.moment - np.einsum("mji,mnj->mni", about, other.moment))[rows].max() < 1e-6
-
-
-@pytest.mark.slow
-def test_the_error_of_friction_is_of_the_first_order_in_the_steps_and_without_it_there_is_none():
-    """Over the near side of an ellipsoid, without snaps."""
-    body = Ellipsoid((0.9, 0.675, 0.45), (0.0, 1.075, 0.0))
-    position = np.zeros((2, 24, 3))
-    position[:, :, 0], position[:, :, 2] = np.linspace(0.92, 0.2, 24), [[0.08], [0.2]]
-    axes = np.broadcast_to(np.eye(3), (2, 3, 3))
-    coarse, fine, exact = (sweep(body, position, axes, 0.3, substeps=k).point for k in (1, 2, 16))
-    ratio = np.nanmax(np.abs(coarse - exact)) / np.nanmax(np.abs(fine - exact))
-    assert 1.7 < ratio < 2.5
-    one, other = (sweep(body, position, axes, substeps=k).point for k in (1, 3))
-    np.testing.assert_allclose(one, other, atol=1e-9)
-    with pytest.raises(ValueError, match="substeps"):
-        sweep(body, position, axes, substeps=0)

@@ -53,16 +53,6 @@ def test_without_friction():
 
 
 @pytest.mark.slow
-def test_without_friction_steps_do_not_matter():
-    base = np.linspace(0.92, -0.92, 47)
-    once, often, jump = columns(base, 0.0, 1), columns(base, 0.0, 5), columns(base[::4], 0.0, 1)
-    touching = np.isfinite(once).all(axis=1)
-    assert touching.sum() > 40
-    assert np.abs(once - often)[touching].max() < 1e-10
-    assert np.nanmax(np.abs(once[::4] - jump)) < 1e-10
-
-
-@pytest.mark.slow
 def test_with_friction_extrapolated_to_step_zero():
     """Steps of 1/150 to 1/1200 as the prototype's; two extrapolations, because the error is h and then h²."""
     expected, base = table(FRICTION_03), np.linspace(0.92, -0.10, 154)

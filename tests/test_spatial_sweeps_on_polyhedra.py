@@ -35,20 +35,6 @@ def swept(request):
     return radius, friction, turn, position, clamps, result
 
 
-def test_slivers_have_normals_for_friction():
-    """A vertex beside another one, as hulls have them: its sliver has an angle of 0 but for rounding, and sharp edges."""
-    box = trimesh.creation.box(2 * HALF)
-    near = (1 - 1e-9) * box.vertices[0] + 1e-9 * box.vertices[1] + [0.0, -1e-9, 0.0]
-    faces = [face for face in box.faces.tolist() if not {0, 1} <= set(face)]
-    left, right = ([*np.roll(face, -k)] for face in box.faces for k in range(3) if {*np.roll(face, -k)[:2]} == {0, 1})
-    faces += [left, [left[0], 8, left[1]], [right[0], 8, right[2]], [8, right[1], right[2]]]
-    body = RoundedPolyhedron(np.vstack([box.vertices, near]), faces, 0.001)
-    for feature in range(len(faces)):
-        middle = body.vertices[:, faces[feature]].mean(axis=1, keepdims=True)
-        normal = body.patch(np.array([feature]), middle).law_normal
-        assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-12)
-
-
 def test_contacts_lie_on_the_fattened_cuboid(swept):
     radius, _, turn, _, _, result = swept
     touching = np.isfinite(result.s1)

@@ -138,19 +138,3 @@ def test_a_rod_that_comes_back_touches_again(friction):
         assert np.abs(both.point[0, part] - alone.point[0])[touching].max() < 1e-8
         assert np.abs(both.force[0, part] - alone.force[0])[touching].max() < 1e-7
     assert both.end[0] == End.OFF
-
-
-@pytest.mark.slow
-def test_a_slightly_bent_path_is_as_the_straight_one():
-    body, _, _ = random_ellipsoid(1)
-    position, clamps = random_paths(body, 12, 50, np.random.default_rng(11))
-    straight = sweep(body, position, clamps, 0.3)
-    bent = position.copy()
-    bent[:, 1::2] += 1e-9
-    assert not Paths(bent, clamps).straight()[0].any()
-    other = sweep(body, bent, clamps, 0.3)
-    regular = ~np.logical_or.accumulate(straight.snapped | other.snapped, axis=1)
-    touching = np.isfinite(straight.s1) & np.isfinite(other.s1) & regular
-    assert (np.isfinite(straight.s1) != np.isfinite(other.s1))[regular].mean() < 0.01
-    assert touching.sum() > 100
-    assert np.abs(straight.point - other.point)[touching].max() < 1e-5

@@ -108,35 +108,3 @@ def test_paths_that_begin_in_the_body_are_refused():
     sweep(body, path, axes)
     path[0, :, 0] -= 2
     assert sweep(body, path, axes).end[0] == End.NO_TOUCH
-
-
-def test_paths_that_end_before_the_body_do_not_touch():
-    path = np.zeros((1, 10, 3))
-    path[0, :, 0], path[0, :, 1] = np.linspace(2, 1, 10), -0.8
-    swept = sweep(Ellipsoid((0.4, 0.3, 0.3)), path, np.eye(3)[None])
-    assert swept.end[0] == End.NO_TOUCH
-    assert np.isnan(swept.s1).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.trust), 0.3])
-def test_samples_may_be_unevenly_spaced(friction):
-    """The rod is at the same place at the same clamp; with friction the steps differ, hence its small difference."""
-    body, _, _ = random_ellipsoid(2)
-    position, clamps = random_paths(body, 20, 2, np.random.default_rng(2))
-    even = np.linspace(0, 1, 161)
-    uneven = np.unique(np.concatenate([even[::4], even[60:90]]))
-    travel = position[:, -1:] - position[:, :1]
-    first, second = (
-        sweep(body, position[:, :1] + part[:, None] * travel, clamps, friction, substeps=2) for part in (even, uneven)
-    )
-    rows = np.searchsorted(even, uneven)
-    regular = ~np.logical_or.accumulate(first.snapped, axis=1)[:, rows] & ~np.logical_or.accumulate(
-        second.snapped, axis=1
-    )
-    both = np.isfinite(second.s1) & np.isfinite(first.s1[:, rows]) & regular
-    assert both.sum() > 200
-    assert (np.isfinite(second.s1) != np.isfinite(first.s1[:, rows]))[regular].mean() < 0.02
-    difference = np.abs(first.point[:, rows] - second.point)[both].max(axis=1)
-    assert np.median(difference) < (1e-4 if friction else 1e-11)
-    assert difference.max() < (0.05 if friction else 1e-8)

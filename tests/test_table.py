@@ -10,7 +10,6 @@ from small_scans import EGG
 from spatial_bodies import Ellipsoid, largest_difference, random_polyhedron, spatial_cloud, unit
 
 import scan3d
-from scan3d import InputError
 from scan3d.bounds.enclosures import slice_enclosure
 from scan3d.cli import main
 from scan3d.geometry.hulls import hull
@@ -72,15 +71,6 @@ def test_the_table_bounds_horizontal_slices_as_an_empty_one_does(seed):
     assert enclosure(dataclasses.replace(open_below, fattened=with_empty)).bound == bounds.bound
 
 
-def test_the_table_below_slices_whose_normals_point_down():
-    mesh = body(1)
-    recording = scan3d.simulate(mesh, scan3d.Plan(slices=8, samples=20, axis=(0.0, 0.0, -1.0)))
-    filled = dataclasses.replace(recording, table_m=-0.001)
-    bounds = enclosure(scan3d.reconstruct(filled))
-    assert convex_hausdorff(bounds.inner, mesh) <= bounds.bound
-    assert bounds.corners[:, 2].min() > -1 - 1e-9
-
-
 @pytest.mark.parametrize("axis", ["x", (1.0, 0.0, 1.0)])
 def test_the_table_cuts_slices_along_other_axes(axis):
     mesh = body(2)
@@ -127,38 +117,6 @@ def test_contacts_below_the_table_contradict_it(recording):
     assert found.diagnosis.fault == "table"
 
 
-@pytest.mark.slow
-def test_contacts_in_space_below_the_table_contradict_it():
-    plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3)
-    recording = dataclasses.replace(scan3d.simulate(body(4), plan), table_m=0.0)
-    assert checked(recording, scan3d.reconstruct(recording)).contradictions == []
-    above = dataclasses.replace(recording, table_m=0.001)
-    found = checked(above, scan3d.reconstruct(above))
-    assert [warning.code for warning in found.contradictions] == ["below-table"]
-    assert found.diagnosis.fault == "table"
-
-
-@pytest.mark.slow
-def test_noise_below_the_table_is_no_contradiction():
-    plan = scan3d.Plan(slices=6, samples=24, model="spatial", sweeps=3, noise=1e-4)
-    recording = scan3d.simulate(body(4), plan)
-    cloud = scan3d.reconstruct(recording)
-    heights = cloud.centre_points[:, 2] + cloud.rod_radius
-    lowest = int(heights.argmin())
-    for sigmas, codes in ((3.0, []), (20.0, ["below-table"])):
-        table = (heights[lowest] + sigmas * np.sqrt(cloud.centre_covariance[lowest, 2, 2])) / 1000
-        on_table = dataclasses.replace(recording, table_m=float(table))
-        assert [found.code for found in checked(on_table, scan3d.reconstruct(on_table)).contradictions] == codes
-
-
-def test_a_session_refuses_another_table(recording):
-    session = Session("cylinder:46x48", ROD, slices=7)
-    with pytest.raises(InputError, match=r"the session's body stands on z = 0, and the recording's on z = 10 mm"):
-        session.tell(dataclasses.replace(recording, table_m=0.01))
-    session.tell(dataclasses.replace(recording, table_m=None))
-    assert session.recording.table_m == 0.0
-
-
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     """Poses, and an exact log of the egg on the table."""
@@ -195,18 +153,3 @@ def test_the_commands_know_the_table(logs, tmp_path, capsys):
     lower, _ = reconstructed(tmp_path / "log.csv", tmp_path / "out", capsys, "--table", "-5")
     assert lower["table"] == -5.0
     assert lower["bound"] > known["bound"]
-
-
-@pytest.mark.slow
-def test_a_map_states_the_table(logs, tmp_path):
-    folder, poses = logs
-    (tmp_path / "faults.toml").write_text("rate_hz = 50\n[noise]\nfraction = 1e-4\n")
-    raw = tmp_path / "raw.csv"
-    assert main([*poses, "--faults", str(tmp_path / "faults.toml"), "--out", str(raw)]) == 0
-    text = (tmp_path / "raw_map.toml").read_text()
-    assert scan3d.import_table(raw, tmp_path / "raw_map.toml").table_m == 0.0
-    (tmp_path / "raw_map.toml").write_text(text.replace("table_height_m = 0.0\n", ""))
-    assert scan3d.import_table(raw, tmp_path / "raw_map.toml").table_m is None
-    (tmp_path / "raw_map.toml").write_text(text.replace("table_height_m = 0.0", 'table_height_m = "low"'))
-    with pytest.raises(InputError, match="table_height_m must be a number, got 'low'"):
-        scan3d.import_table(raw, tmp_path / "raw_map.toml")

@@ -9,7 +9,7 @@ import pytest
 from small_scans import CUBE
 
 from scan3d.cli import main, terminal
-from scan3d.cli.terminal import Progress, duration, one_line, printable, printable_json
+from scan3d.cli.terminal import Progress
 
 SIZE = ["--slices", "3", "--sweeps", "4", "--samples", "8"]
 HEADING = "248222 contacts of 259840 samples"
@@ -53,13 +53,6 @@ def test_key_figures_are_bold_only_where_that_is_supported_and_wanted(
     assert found == ([HEADING, "1.3e-13 mm at most", "out"] if bold else [])
 
 
-def test_what_a_terminal_obeys_is_escaped():
-    assert printable("a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ") == r"a\x1b[2J\x07\x9b\u202eb\u2028\ud800µ"
-    assert printable_json('{\n "a": "\x9b\u202e"\n}') == '{\n "a": "\\u009b\\u202e"\n}'
-    assert one_line("a\nb\r\nc\td") == r"a b c\x09d"
-    assert len(one_line("1" * 10_000)) < 1100
-
-
 # --- progress ---
 
 
@@ -97,23 +90,6 @@ def test_nothing_is_shown_on_a_teletype_in_a_pipe_or_with_quiet(monkeypatch, tmp
     assert stream.getvalue() == ""
 
 
-def test_long_runs_leave_few_lines_in_a_pipe(monkeypatch):
-    now = 100.0
-    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
-    monkeypatch.setattr(sys, "stderr", stream := Stream(False))
-    with Progress("scan", quiet=False) as progress:
-        count = progress.counter("slices")
-        progress.step("load")
-        for second in range(3600):
-            now += 1
-            count(second + 1, 3600)
-    lines = stream.getvalue().splitlines()
-    assert len(lines) == 10  # the step, and after 10, 20, 40, ... 2560 seconds
-    assert lines[0] == "scan3d: 0.0 s: reading"
-    assert lines[1] == "scan3d: simulating 10/3600 slices, 10 s so far"
-    assert lines[-1] == "scan3d: simulating 2560/3600 slices, 42 min 40 s so far"
-
-
 def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_lasted_a_second(monkeypatch):
     now = 100.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
@@ -125,11 +101,3 @@ def test_without_a_terminal_each_step_is_one_line_with_the_time_once_a_run_has_l
             now += 0.4
     lines = stream.getvalue().splitlines()
     assert lines == [f"scan3d: {0.4 * k:.1f} s: {words}" for k, words in enumerate(terminal._STEPS.values())]
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(3.42, "3.4 s"), (12.3, "12 s"), (59.7, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],
-)
-def test_durations(seconds, text):
-    assert duration(seconds) == text

@@ -13,7 +13,6 @@ import scan3d
 from planar.equilibria import tangential
 from scan3d import Rod
 from scan3d.geometry.distance import nearest
-from scan3d.geometry.hulls import hull, offset_inwards
 from scan3d.geometry.sections import slice_frame
 from scan3d.pipeline import analyse
 from scan3d.report import measurands, report, summary
@@ -57,17 +56,6 @@ def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
         off = nearest(middles, body)[0] - radius
         assert off.max() < 1e-12 * length
         assert off.min() > -3e-10 * length
-
-
-def test_what_lies_deeper_than_the_radius_is_the_body_again():
-    body = random_body(0)
-    directions = ball(1.0).vertices
-    fat = hull((body.vertices[:, None] + 0.5 * directions).reshape(-1, 3))
-    again = offset_inwards(fat, 0.5)
-    # the fattened body is made of a polyhedron inside the ball
-    assert nearest(again.vertices, body)[0].max() < 1e-9
-    assert nearest(body.vertices, again)[0].max() < 0.01
-    assert offset_inwards(body, 1000.0) is None
 
 
 @pytest.mark.parametrize("noise", [1e-4, *(pytest.param(noise, marks=pytest.mark.trust) for noise in (0.0, 1e-3))])

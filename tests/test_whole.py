@@ -1,6 +1,5 @@
 """Results are written whole or not at all, at whatever call of the file system a run ends."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -8,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from crashes import every, run
+from crashes import every
 
 import scan3d
 from scan3d import InputError
@@ -116,37 +115,6 @@ def test_a_result_is_the_old_or_the_new_one(place, monkeypatch, how, step):
     assert {*outcomes} == {False, True}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("how", "step"), HOW)
-def test_a_first_result_is_there_or_not(place, how, step):
-    out = place(())
-
-    def check(kth, ended):
-        assert not out.exists() or seen(out) in ({}, NEW), kth
-        write(out, NEW)
-        assert names(out) == sorted([*NEW, "report.json"])
-
-    every(lambda: write(out, NEW), how, lambda: place(()), check, step)
-
-
-@pytest.mark.trust
-@can_fork
-def test_who_finishes_the_work_of_a_killed_run_may_be_killed_as_well(place):
-    out, kth = place(), 0
-    while not (out / whole._COMPLETE).exists():
-        kth += 1
-        place()
-        run(lambda: write(out, NEW), "kill", kth)
-
-    def prepare():
-        place()
-        run(lambda: write(out, NEW), "kill", kth)
-
-    assert (
-        every(lambda: whole.finish(out), "kill", prepare, lambda kth, ended: seen(out) == NEW or pytest.fail(kth)) > 5
-    )
-
-
 @pytest.mark.parametrize(("how", "step"), HOW)
 def test_a_recording_has_the_table_and_the_rod_of_one_run(tmp_path, how, step):
     path = tmp_path / "log.csv"
@@ -239,16 +207,6 @@ def test_what_is_left_behind_is_removed_and_the_work_of_others_is_not(tmp_path, 
     assert names(tmp_path) == sorted([*kept, "a.stl"])
 
 
-def test_the_results_of_an_earlier_version_are_replaced(place):
-    """Their reports name no hashes."""
-    out = place()
-    report = json.loads((out / "report.json").read_text())
-    del report["sha256"]
-    (out / "report.json").write_text(json.dumps(report))
-    write(out, NEW)
-    assert contents(out) == {**NEW, **FOREIGN}
-
-
 @can_fork
 def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
     """On Lustre and some NFS they raise errors."""
@@ -272,14 +230,6 @@ def test_a_scan_needs_no_locks(tmp_path, monkeypatch, no_pictures):
 
 
 # --- single files and folders ---
-
-
-def test_a_file_is_written_with_the_permissions_of_any_new_file(tmp_path):
-    (tmp_path / "plain").write_bytes(b"")
-    write_atomic(tmp_path / "a.bin", b"\x00new\n")
-    assert (tmp_path / "a.bin").read_bytes() == b"\x00new\n"
-    assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "plain").stat().st_mode
-    assert names(tmp_path) == ["a.bin", "plain"]
 
 
 def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path):

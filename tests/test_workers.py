@@ -62,18 +62,6 @@ def test_workers_have_one_thread_each_and_die_alone(monkeypatch):
         assert {workers.submit(os.getppid).result() for _ in range(4)} == {os.getpid()}
 
 
-def test_an_exception_ends_the_workers_at_once():
-    start, workers = time.monotonic(), Workers(1)
-    pid = workers.submit(os.getpid).result()
-    running, waiting = workers.submit(time.sleep, 600), workers.submit(time.sleep, 600)
-    with pytest.raises(KeyboardInterrupt), workers:
-        raise KeyboardInterrupt
-    assert time.monotonic() - start < 60
-    assert gone(pid)
-    for future in (running, waiting):
-        assert future.cancelled() or isinstance(future.exception(), BrokenExecutor)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_workers_end_with_a_process_that_is_killed():
     code = (

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from scan3d.recording import Recording
 from scan3d.rods import Rod
+from tests.rigs import with_wrench
 
 Fault = Callable[[Recording], Recording]
 
@@ -146,15 +147,7 @@ FAULTS: dict[str, Fault] = {
 
 def changed(recording, change):
     """A six-axis recording with force and moment (n, 3) changed by a function of both."""
-    force, moment = change(*recording.wrench())
-    return replace(
-        recording,
-        force_N=force[:, :2],
-        force_z_N=force[:, 2],
-        moment_x_Nm=moment[:, 0],
-        moment_y_Nm=moment[:, 1],
-        moment_Nm=moment[:, 2],
-    )
+    return with_wrench(recording, *change(*recording.wrench()))
 
 
 def sensor(euler_deg=(0, 0, 0), place_mm=(0, 0, 0)):

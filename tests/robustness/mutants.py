@@ -26,7 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 TESTS = {
     "planar": "against_* contours elastica inflections invariances paper_statements segments sweeping uncertainty",
-    "scan3d/geometry": "comparison convexity distance hausdorff hull* sections support triangles",
+    "scan3d/geometry": "comparison convexity distance hausdorff hull* sections support",
     "scan3d/bounds": "bounds bound_properties cells confidence spatial_bounds",
     "scan3d/reconstruction": "reconstruction slices normals agreement diagnosis spatial_reconstruction",
 }
