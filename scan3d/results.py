@@ -241,7 +241,7 @@ def scan(
     progress: Progress | None = None,
     **settings: Unpack[Given],
 ) -> Result:
-    """Scan a convex body: simulate its recording, reconstruct contacts and surface, certify and compare them.
+    """Scan a body: simulate its recording, reconstruct contacts and surface, certify and compare them.
 
     mesh
         path of a mesh file (STL, PLY, OBJ, OFF or GLB), or a `trimesh.Trimesh`, in the unit of the setting ``unit``.
@@ -254,7 +254,7 @@ def scan(
 
     The same mesh and settings give the same results as the command, byte for byte apart from times.
 
-    Raises InputError for unknown settings and values out of range, for a mesh that can't be read or is not closed and convex,
+    Raises InputError for unknown settings and values out of range, for a mesh that can't be read or is not closed,
     and if the folder can't be written into.
     """
     chosen = chosen_settings(settings, source="scan3d.scan")

@@ -29,7 +29,7 @@ GUIDE = """\
 scan3d: seeing by touch.  A flexible rod is swept along a body, and the body is reconstructed from the reactions at its clamp.
 
   scan3d demo                        scan a body that comes with the program
-  scan3d scan part.stl --out out     scan your own convex mesh (mm, unless you say --unit in)
+  scan3d scan part.stl --out out     scan your own mesh (mm, unless you say --unit in)
   scan3d show out                    look at the result; out/view.html opens in any browser
   scan3d reconstruct log.csv --out out
                                      reconstruct a body from measurements

@@ -48,7 +48,7 @@ def scan(
     Parameters
     ----------
     mesh
-        a convex body: STL, PLY, OBJ, OFF or GLB
+        a closed mesh: STL, PLY, OBJ, OFF or GLB
     out
         folder for the results
     """
@@ -107,7 +107,7 @@ def simulate(
     Parameters
     ----------
     mesh
-        a convex body: STL, PLY, OBJ, OFF or GLB
+        a closed mesh: STL, PLY, OBJ, OFF or GLB
     out
         the recording, a .csv; a .toml of the same name is written as well
     poses
