@@ -11,7 +11,8 @@ The moment keeps its sign up to the contact: rods with an
 inflection before it are not looked for.  Friction does not enter: reconstruction is friction invariant for any rod.
 
 All rods take the same fixed steps of the explicit Runge-Kutta method of order 8 of Dormand and Prince (E. Hairer, S. P.
-Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993); no step crosses a knot of the rod's table.
+Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993), shorter where the rod is thinner; no step crosses a
+knot of the rod's table.  The tangent ``cos φ, sin φ`` is marched in the place of its angle.
 """
 
 from __future__ import annotations
@@ -30,10 +31,13 @@ from planar.rods import Profile, Rod
 
 # Rows that are marched at once: their stages stay in the processor's cache.
 _BLOCK = 1024
-# Steps along the rod to start with, the most, and the difference of two runs, in rod lengths, at which they suffice.
-STEPS, _MOST_STEPS, _AGREED = 8, 256, 1e-10
+# Steps along the rod to start with, by what they grow, the most, and the difference of two runs, in rod lengths, at which
+# they suffice.
+STEPS, _GROWTH, _MOST_STEPS, _AGREED = 8, 1.5, 256, 1e-10
 # Rows by which the number of steps is chosen.
 _TRIED = 32
+# What the tangent's length may deviate from 1: steps that turn the rod by more than they can follow spoil it.
+_UNIT = 1e-3
 # Arc length up to which a contact past the tip is sought.
 _LONGEST = 1.5
 # Slopes of the tip, and arc lengths, at which the moment of the overhang is tabulated.
@@ -57,7 +61,7 @@ def contacts(rod: Rod, force: Array, moment: Array) -> Marched:
 
     def places(rows: Index, steps: int) -> Array:
         found = _contacts(rod, force[:, rows], moment[rows], steps)
-        return np.stack([found.x, found.y])
+        return np.stack([found.s1, found.x, found.y])
 
     steps = enough_steps(places, np.hypot(*force) + np.abs(moment))
     blocks = [slice(first, first + _BLOCK) for first in range(0, max(len(moment), 1), _BLOCK)]
@@ -69,14 +73,15 @@ def free_reactions(rod: Rod) -> tuple[float, float, float]:
     """Support reactions f0x, f0y and m0z of the rod in the air: those of its weight, which taring takes away."""
     moment = 0.0
     for _ in range(100):  # a clamp that gives: a contraction for clamps that hold
-        before, moment = moment, float(overhang(rod)(np.zeros(1), np.array([np.pi / 2 + rod.compliance * moment]))[0])
+        slope = np.array([np.pi / 2 + rod.compliance * moment])
+        before, moment = moment, float(overhang(rod)(np.zeros(1), np.exp(1j * slope))[0])
         if abs(moment - before) <= 1e-15:
             break
     return -rod.weight * rod.down[0], -rod.weight * rod.down[1], -moment
 
 
 def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
-    """The number of steps: doubled until two runs agree on some rows, those of the largest `size` (n,) among them.
+    """The number of steps: more and more until two runs agree on some rows, those of the largest `size` (n,) among them.
 
     `march` gives places of rows by a number of steps.
     """
@@ -84,79 +89,108 @@ def enough_steps(march: Callable[[Index, int], Array], size: Array) -> int:
     rows = order[np.unique(np.linspace(0, max(len(order) - 1, 0), _TRIED).astype(np.intp))] if len(order) else order
     steps, last = STEPS, march(rows, STEPS)
     while steps < _MOST_STEPS:
-        finer = march(rows, 2 * steps)
-        if not (np.abs(finer - last) > _AGREED).any():
+        more = round(_GROWTH * steps)
+        finer = march(rows, more)
+        if not ((np.abs(finer - last) > _AGREED) | (np.isnan(finer) != np.isnan(last))).any():
             break
-        steps, last = 2 * steps, finer
+        steps, last = more, finer
     return steps
 
 
 @lru_cache(maxsize=64)
 def grid(profile: Profile, steps: int) -> Array:
-    """Ends of the steps along a rod, its knots among them."""
-    pieces = [
-        np.linspace(start, end, max(round(np.ceil(steps * (end - start))), 1), endpoint=False)
-        for start, end in pairwise(profile.knots)
-    ]
+    """Ends of the steps along a rod, its knots among them: between two knots steps are as long as the rod is thick."""
+    pieces = []
+    for (start, first), (end, last) in pairwise(zip(profile.knots, profile.diameters, strict=True)):
+        count = max(round(np.ceil(steps * (end - start))), 1)
+        part = np.arange(count) / count
+        taper = last / first - 1
+        pieces.append(start + (end - start) * (np.expm1(np.log1p(taper) * part) / taper if taper else part))
     return np.append(np.concatenate(pieces), 1.0)
+
+
+def crossings(
+    ends: Array, state: Array, step: Callable[[Array, float, float], Array], value: Callable[[float, Array], Array]
+) -> tuple[Index, Array, Array]:
+    """Where a value (n,) of marched states (k, n) first falls through zero: the rows (m,), their states (k, m) before the
+    step in which it does, and its begin, its length, and the values at both ends of it (4, m).
+
+    Rows whose value ends to be a number are given up.
+    """
+    rows, low, falling = np.arange(state.shape[1]), value(ends[0], state), []
+    for at, end in pairwise(ends.tolist()):
+        after = step(state, at, end - at)
+        high = value(end, after)
+        here = (low > 0) & (high <= 0)
+        if here.any():
+            span = np.broadcast_to([[at], [end - at]], (2, int(here.sum())))
+            falling.append((rows[here], state[:, here], np.concatenate([span, [low[here], high[here]]])))
+        rest = ~here & np.isfinite(high)
+        if not rest.all():
+            rows, after, high = rows[rest], after[:, rest], high[rest]
+        state, low = after, high
+        if not len(rows):
+            break
+    if not falling:
+        return rows[:0], state[:, :0], np.empty((4, 0))
+    return tuple(np.concatenate(columns, axis=-1) for columns in zip(*falling, strict=True))  # type: ignore[return-value]
 
 
 def _contacts(rod: Rod, force: Array, moment: Array, steps: int) -> Marched:
     """`contacts` by a given number of steps; force (2, n)."""
-    s, hangs = grid(rod.profile, steps), overhang(rod)
+    hangs = overhang(rod)
+    # past the tip the rod goes on with the stiffness there and without weight
+    ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
     with np.errstate(all="ignore"):
-        states = np.zeros((len(s), 4, len(moment)))
-        states[0, 0], states[0, 1] = np.pi / 2 + rod.compliance * moment, moment
-        for k, length in enumerate(np.diff(s)):
-            states[k + 1] = step(rod, states[k], s[k], length, force)
-        excess = np.stack([state[1] - hangs(at, state[0]) for at, state in zip(s, states, strict=True)])
-        rises = (excess[:-1] < 0) & (excess[1:] >= 0)
-        crosses = rises.any(axis=0)
-        nowhere = np.full((4, len(moment)), np.nan)
-        found = Marched(nowhere[0], nowhere[1], nowhere[2], nowhere[3], excess[0])
-        rows = np.flatnonzero(crosses)
-        k = np.argmax(rises, axis=0)[rows]
-        ends = excess[[k, k + 1], rows]
-        _refine(rod, found, rows, states[k, :, rows].T, s[k], s[k + 1] - s[k], ends, force[:, rows])
-        # the others go on past the tip, with its stiffness and without weight
-        rows, state = np.flatnonzero((excess[0] < 0) & ~crosses), states[-1]
-        state = state[:, rows]
-        s = np.linspace(1.0, _LONGEST, steps + 1)
-        for start, length in zip(s, np.diff(s), strict=False):
-            after = step(rod, state, start, length, force[:, rows])
-            here = after[1] >= 0
-            n = int(here.sum())
-            ends = np.stack([state[1, here], after[1, here]])
-            steady = np.full(n, start), np.full(n, length)
-            _refine(rod, found, rows[here], state[:, here], *steady, ends, force[:, rows[here]])
-            rows, state = rows[~here], after[:, ~here]
+        state = started(np.pi / 2 + rod.compliance * moment, moment, np.zeros((2, len(moment))), force)
+        unknown = np.full((4, len(moment)), np.nan)
+        found = Marched(unknown[0], unknown[1], unknown[2], unknown[3], excess(hangs, 0.0, state))
+        rows, before, span = crossings(
+            ends,
+            state,
+            lambda state, at, length: step(rod, state, at, length),
+            lambda s, state: -excess(hangs, s, state),
+        )
+        _refine(rod, found, rows, before, *span)
     return found
 
 
+def started(slope: Array, moment: Array, place: Array, force: Array) -> Array:
+    """States (7, n) of rods by slopes (n,), moments (n,), places (2, n) and contact forces (2, n)."""
+    return np.stack([np.cos(slope), np.sin(slope), moment, *place, *force])
+
+
+def excess(hangs: Overhang, s: ArrayLike, state: Array) -> Array:
+    """(n,) moments ``e`` of states (7, n) over those of the parts of the rod that hang free."""
+    return np.asarray(state[2] - hangs(s, state[0] + 1j * state[1]))
+
+
 def _refine(
-    rod: Rod, found: Marched, rows: Index, before: Array, start: Array, length: Array, ends: Array, force: Array
+    rod: Rod, found: Marched, rows: Index, before: Array, start: Array, length: Array, low: Array, high: Array
 ) -> None:
-    """Fill in the rows (m,) whose excess vanishes in steps (m,) from the states `before`, with `ends` (2, m) there."""
-    hangs, low = overhang(rod), ends[0]
+    """Fill in the rows (m,) whose excess rises through zero, from -`low` to -`high`, in steps from the states `before`."""
+    hangs = overhang(rod)
     # e' = -(t × F), but for the overhang's part, which vanishes with e; the parabola with this rate through both ends
-    rate = _across(force, before[0])
-    bend = (ends[1] - low - rate * length) / length**2
-    part = -2 * low / (rate + np.sqrt(np.maximum(rate * rate - 4 * bend * low, 0.0)))
+    rate = _across(before)
+    bend = (low - high - rate * length) / length**2
+    part = 2 * low / (rate + np.sqrt(np.maximum(rate * rate + 4 * bend * low, 0.0)))
     part = np.clip(part, 0.0, length)
     for _ in range(2):
-        state = step(rod, before, start, part, force)
-        change = (hangs(start + part, state[0]) - state[1]) / _across(force, state[0])
+        state = step(rod, before, start, part)
+        change = -excess(hangs, start + part, state) / _across(state)
         part = part + change
-    phi, moment, x, y = state
+    cosine, sine, moment, x, y = state[:5]
+    lost = np.abs(cosine * cosine + sine * sine - 1) > _UNIT
+    part[lost] = change[lost] = np.nan
     curvature = moment / rod.profile.bending_stiffness(start + part) + rod.curvature
-    found.s1[rows], found.slope[rows] = start + part, phi + curvature * change
-    middle = phi + curvature * change / 2
-    found.x[rows], found.y[rows] = x + np.cos(middle) * change, y + np.sin(middle) * change
+    phi, turn = np.arctan2(sine, cosine), curvature * change
+    found.s1[rows], found.slope[rows] = start + part, phi + turn
+    found.x[rows], found.y[rows] = x + np.cos(phi + turn / 2) * change, y + np.sin(phi + turn / 2) * change
 
 
-def _across(force: Array, phi: Array) -> Array:
+def _across(state: Array) -> Array:
     """``F_x sin φ - F_y cos φ``: the force across the rod."""
-    return np.asarray(force[0] * np.sin(phi) - force[1] * np.cos(phi))
+    return np.asarray(state[5] * state[1] - state[6] * state[0])
 
 
 @lru_cache
@@ -167,24 +201,32 @@ def tableau() -> tuple[Array, Array, Array]:
     return DOP853.A[:12, :12], DOP853.B, DOP853.C[:12]
 
 
-def step(rod: Rod, state: Array, s: Array | float, length: Array | float, force: Array) -> Array:
-    """States ``φ, M, x, y`` (4, n) of rods one step past arc length `s`; `s` and `length` are numbers or (n,), force (2, n)."""
+def step(rod: Rod, state: Array, s: Array | float, length: Array | float) -> Array:
+    """States (7, n), ``cos φ, sin φ, M, x, y`` and the contact force, of rods one step past arc length `s`.
+
+    `s` and `length` are numbers or (n,).
+    """
     stages, weights, nodes = tableau()
-    at = np.multiply.outer(nodes, length) + s
-    stiffness, past = rod.profile.bending_stiffness(at), rod.profile.weight_past(at)
-    rates = np.empty((4, len(nodes), state.shape[1]))
-    fx, fy = force
+    stiffness, past = rod.profile.along(s, length, nodes)
+    rates = np.empty((5, len(nodes), state.shape[1]))
+    now, (fx, fy) = state[:3], state[5:]
     for i in range(len(nodes)):
-        phi, moment = state[:2] + length * (stages[i, :i] @ rates[:2, :i])
-        sine, cosine = np.sin(phi), np.cos(phi)
+        if i:
+            now = state[:3] + length * (stages[i, :i] @ rates[:3, :i])
+        cosine, sine, moment = now
         if rod.weight > 0:
-            fx, fy = force[0] + past[i] * rod.down[0], force[1] + past[i] * rod.down[1]
-        rates[:, i] = moment / stiffness[i] + rod.curvature, fx * sine - fy * cosine, cosine, sine
-    return np.asarray(state + length * (weights @ rates))
+            fx, fy = state[5] + past[i] * rod.down[0], state[6] + past[i] * rod.down[1]
+        bend = moment / stiffness[i] + rod.curvature
+        np.multiply(-bend, sine, out=rates[0, i])
+        np.multiply(bend, cosine, out=rates[1, i])
+        np.subtract(fx * sine, fy * cosine, out=rates[2, i])
+        rates[3, i], rates[4, i] = cosine, sine
+    return np.concatenate([state[:5] + length * (weights @ rates), state[5:]])
 
 
 Overhang = Callable[[ArrayLike, Array], Array]
-"""Moments (n,) at the roots of parts of a rod that hang free past arc lengths s, one or (n,), with slopes (n,) there."""
+"""Moments (n,) at the roots of parts of a rod that hang free past arc lengths s, one or (n,), with tangents ``exp(iφ)`` (n,)
+there."""
 
 
 @lru_cache(maxsize=8)
@@ -195,9 +237,9 @@ def overhang(rod: Rod) -> Overhang:
     the rod is so heavy that it hangs, or stands, in more than one shape.
     """
     if rod.weight == 0:
-        return lambda s, phi: np.zeros(np.broadcast_shapes(np.shape(s), phi.shape))
+        return lambda s, turn: np.zeros(np.broadcast_shapes(np.shape(s), turn.shape))
     turns = np.arange(_TIP_SLOPES) * (2 * np.pi / _TIP_SLOPES)
-    state, no_force = np.stack([turns, *np.zeros((3, _TIP_SLOPES))]), np.zeros((2, _TIP_SLOPES))
+    state = started(np.asarray(turns, dtype=float), np.zeros(_TIP_SLOPES), *np.zeros((2, 2, _TIP_SLOPES)))
     orders = np.arange(-_TIP_SLOPES // 4, _TIP_SLOPES // 4 + 1)
     nodes = chebyshev.chebpts1(_LENGTHS)[::-1]
     tables = []
@@ -205,34 +247,34 @@ def overhang(rod: Rod) -> Overhang:
     for start, end in zip(knots[-2::-1], knots[:0:-1], strict=True):
         at, rows = end, []
         for place in np.append((start + end) / 2 + (end - start) / 2 * nodes, start):
-            state = step(rod, state, at, place - at, no_force)
+            state = step(rod, state, at, place - at)
             at = place
-            if not (np.diff(state[0], append=state[0, 0] + 2 * np.pi) > 0).all():
+            phi = np.unwrap(np.arctan2(state[1], state[0]))
+            if not (np.diff(phi, append=phi[0] + 2 * np.pi) > 0).all():
                 raise ValueError(
                     f"a rod of weight {rod.weight:g} EI/L² takes more than one shape under its weight; is it so heavy?"
                 )
-            rows.append(np.linalg.lstsq(np.exp(1j * np.outer(state[0], orders)), state[1] + 0j, rcond=None)[0])
+            rows.append(np.linalg.lstsq(np.exp(1j * np.outer(phi, orders)), state[2] + 0j, rcond=None)[0])
         tables.append(np.linalg.solve(chebyshev.chebvander(nodes, _LENGTHS - 1), np.array(rows[:-1])))
     tables = tables[::-1]
-    # orders that are rounding are left out
+    # orders that are rounding, which many slopes sum up, are left out
     size = np.abs(np.array(tables)).max(axis=0)
-    kept = size > np.finfo(float).eps * size.max()
+    kept = size > _TIP_SLOPES * np.finfo(float).eps * size.max()
     lengths, harmonics = int(np.flatnonzero(kept.any(axis=1))[-1]) + 1, int(np.abs(orders[kept.any(axis=0)]).max())
     middle = len(orders) // 2
     # the moment is real: the series of positive orders is enough
     series = np.array(tables)[:, :lengths, middle : middle + harmonics + 1]
     series[:, :, 1:] *= 2
 
-    def moment(s: ArrayLike, phi: Array) -> Array:
+    def moment(s: ArrayLike, turn: Array) -> Array:
         piece = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(series) - 1)
         start, end = knots[piece], knots[piece + 1]
         powers = chebyshev.chebvander(
             np.clip((2 * np.asarray(s) - start - end) / (end - start), -1.0, 1.0), lengths - 1
         )
-        turn = np.exp(1j * phi)
         if np.ndim(s) == 0:
             return np.asarray(polynomial.polyval(turn, powers[0] @ series[piece]).real)
-        weights = np.empty((len(phi), harmonics + 1), dtype=complex)
+        weights = np.empty((len(turn), harmonics + 1), dtype=complex)
         for k in np.unique(piece):
             weights[piece == k] = powers[piece == k] @ series[k]
         return np.asarray(polynomial.polyval(turn, weights.T, tensor=False).real)

@@ -85,17 +85,18 @@ def _back(rod: Rod, course: Course, place: Array, tangential: Mask, force: Array
     alpha = slope + course.friction_angle
     at, phi = np.where(tangential, other, 1.0), np.where(tangential, slope, other)
     hangs = march.overhang(rod)
-    state = np.stack([phi, hangs(at, phi), x, y])
     carried = force * np.stack([np.sin(alpha), -np.cos(alpha)])
+    state = march.started(phi, hangs(at, np.exp(1j * phi)), np.stack([x, y]), carried)
     inflected = np.zeros(len(at), dtype=bool)
     for lower in march.grid(rod.profile, steps)[::-1]:
         below = np.minimum(at, lower)
         if (below < at).any():
-            state = march.step(rod, state, at, below - at, carried)
-            inflected |= (below < at) & (force > 0) & (state[1] - hangs(below, state[0]) >= 0)
+            state = march.step(rod, state, at, below - at)
+            inflected |= (below < at) & (force > 0) & (march.excess(hangs, below, state) >= 0)
         at = below
-    phi, moment, x, y = state
-    return _Clamped(np.stack([y, phi - np.pi / 2 - rod.compliance * moment]), x, moment, inflected)
+    cosine, sine, moment, x, y = state[:5]
+    tilt = np.arctan2(-cosine, sine)  # of the rod at its clamp from the y axis
+    return _Clamped(np.stack([y, tilt - rod.compliance * moment]), x, moment, inflected)
 
 
 def _newton(residuals: Callable[[Array, Index], Array], start: Array, scale: Array) -> tuple[Array, Mask]:

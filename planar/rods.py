@@ -30,18 +30,42 @@ class Profile:
 
     def bending_stiffness(self, s: Array) -> Array:
         """Bending stiffness at arc lengths of any shape, over that at the clamp."""
-        return np.asarray(self.diameter(s) ** 4)
+        return np.asarray(np.square(np.square(self.diameter(s))))
 
     def weight_past(self, s: Array) -> Array:
         """Weight of the part of the rod past arc lengths of any shape, in ``EI(0)/L²``."""
         if self.weight == 0:
             return np.zeros(np.shape(s))
-        widths, d, knots = np.diff(self.knots), np.array(self.diameters), np.array(self.knots)
-        volumes = np.append(np.cumsum((widths * (d[:-1] ** 2 + d[:-1] * d[1:] + d[1:] ** 2))[::-1])[::-1], 0.0)
-        following = np.clip(np.searchsorted(self.knots, s, side="right"), 1, len(widths))
-        here, end = self.diameter(s), d[following]
-        rest = np.clip(knots[following] - s, 0.0, None) * (here**2 + here * end + end**2)
+        knots, d, volumes = np.array(self.knots), np.array(self.diameters), self._volumes
+        following = np.clip(np.searchsorted(knots, s, side="right"), 1, len(knots) - 1)
+        rest = np.clip(knots[following] - s, 0.0, None) * _frustum(self.diameter(s), d[following])
         return np.asarray(self.weight * (rest + volumes[following]) / volumes[0])
+
+    def along(self, s: Array | float, length: Array | float, nodes: Array) -> tuple[Array, Array]:
+        """`bending_stiffness` and `weight_past` at the `nodes` (k,) between 0 and 1 of steps past arc lengths `s`, numbers or
+        (n,): (k,) or (k, n).  No step crosses a knot."""
+        end = np.asarray(s + length)
+        here, last = self.diameter(np.asarray(s)), self.diameter(end)
+        diameter = here + np.multiply.outer(nodes, last - here)
+        past = np.zeros(len(nodes))
+        if self.weight:
+            rest = np.multiply.outer(1 - nodes, np.where(np.minimum(s, end) < 1, length, 0.0)) * _frustum(
+                diameter, last
+            )
+            past = self.weight_past(end) + self.weight * rest / self._volumes[0]
+        return np.asarray(np.square(np.square(diameter))), past
+
+    @property
+    def _volumes(self) -> Array:
+        """(k,) volumes past the knots, over that of a frustum of height and diameter 1."""
+        d = np.array(self.diameters)
+        parts = np.diff(self.knots) * _frustum(d[:-1], d[1:])
+        return np.append(np.cumsum(parts[::-1])[::-1], 0.0)
+
+
+def _frustum(first: Array, last: Array) -> Array:
+    """Volumes of frustums of height 1, over a twelfth of π."""
+    return np.asarray(first * first + first * last + last * last)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,8 @@ from scan3d.spatial.march import SpatialRod
 CONE = Profile(diameters=(1.0, 0.5))
 CURLED = SpatialRod(CONE, (-0.3, 0.2, 0.5), 0.77)
 HEAVY = SpatialRod(Profile((0.0, 0.4, 1.0), (1.0, 0.8, 0.5), 0.3), (-0.3, 0.2, 0.5), 0.77, 0.05)
+# as heavy as a rod that a force of its own stiffness bends
+HEAVIEST = SpatialRod(Profile(diameters=(1.0, 0.7), weight=1.0), (-0.3, 0.2, 0.5), 0.77)
 DOWN = np.array([0.48, -0.6, 0.64])
 
 
@@ -48,12 +50,12 @@ def clamped(rod, moment):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("rod", "down"), [(CURLED, np.zeros(3)), (HEAVY, DOWN)])
+@pytest.mark.parametrize(("rod", "down"), [(CURLED, np.zeros(3)), (HEAVY, DOWN), (HEAVIEST, DOWN)])
 def test_integrated_rods_are_found(rod, down):
     # rods are shot so that they carry no moment behind a contact at a given place, and their reactions are read back
     rng = np.random.default_rng(0)
-    for _ in range(6):
-        s1, force = rng.uniform(0.4, 0.95), rng.normal(size=3) * [0.25, 0.1, 0.25]
+    for _ in range(4):
+        s1, force = rng.uniform(0.25, 0.95), rng.normal(size=3) * [0.25, 0.1, 0.25]
 
         def ends(moment, s1=s1, force=force):
             contact = integrated(rod, force, down, clamped(rod, moment), (0.0, s1))
@@ -65,11 +67,11 @@ def test_integrated_rods_are_found(rod, down):
         contact = ends(shot.x)[0]
         reaction = -force - rod.profile.weight * down
         found = march.contacts(rod, reaction[:, None], -shot.x[:, None], down[:, None])
-        np.testing.assert_allclose(found.s1, s1, atol=1e-8)
-        np.testing.assert_allclose(found.point[:, 0], contact[:3], atol=1e-8)
-        np.testing.assert_allclose(found.tangent[:, 0], contact[3:12].reshape(3, 3)[:, 2], atol=1e-8)
+        np.testing.assert_allclose(found.s1, s1, atol=1e-9)
+        np.testing.assert_allclose(found.point[:, 0], contact[:3], atol=1e-9)
+        np.testing.assert_allclose(found.tangent[:, 0], contact[3:12].reshape(3, 3)[:, 2], atol=1e-9)
         np.testing.assert_allclose(found.force[:, 0], force, atol=1e-12)
-        np.testing.assert_allclose([found.torsion, found.skew], 0.0, atol=1e-8)
+        np.testing.assert_allclose([found.torsion, found.skew], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("rod", [CURLED, SpatialRod(Profile((0.0, 1.0), (1.0, 0.6)))])

@@ -16,20 +16,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from planar.march import STEPS, enough_steps, grid, tableau
+from planar.march import STEPS, crossings, enough_steps, grid, tableau
 from planar.rods import Profile
 from scan3d.arrays import Array, Index
 
 _BLOCK = 512
 # Arc length up to which a contact past the tip is sought.
 _LONGEST = 2.0
-# Corrections of the moment of the part that hangs free, shots for each, and the moment left at the tip that ends them.
-_CORRECTIONS, _SHOTS, _SETTLED = 4, 8, 1e-13
+# Shots at the moment of the part that hangs free, at most, and the moment left at the tip that ends them.
+_SHOTS, _SETTLED = 40, 1e-13
 # Rows of the state: moment, force and gravity in the material frame, the frame's quaternion, and the place.
 _M, _N, _G, _Q, _R = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13), slice(13, 16)
 _CONJUGATE = np.array([[1.0], [-1.0], [-1.0], [-1.0]])
@@ -102,13 +101,12 @@ def contacts(
 def free_reactions(rod: SpatialRod, gravity: Array) -> tuple[Array, Array]:
     """Support reactions ``f0`` and ``m0`` (3, n) of the rod in the air under gravity along unit vectors (3, n)."""
     down = np.asarray(gravity, dtype=float)
-    moment = np.zeros_like(down)
-    for _ in range(40):  # a clamp that gives turns the rod by its weight
+    moment, base = np.zeros_like(down), np.zeros(down.shape[1])
+    for _ in range(_SHOTS):
         state = _start(rod, np.zeros_like(down), moment, down)
-        base = np.zeros(down.shape[1])
-        free = _rotated(state[_Q], _hanging(rod, base, state, _approach(rod)(base, state)))
-        moment, change = free, np.abs(free - moment).max()
-        if change < 1e-14 or rod.compliance == 0:
+        left = _rotated(state[_Q], _left(rod, base, state, state[_M]))
+        moment = moment - left
+        if not (np.abs(left) > _SETTLED).any():
             break
     return -rod.profile.weight * down, -moment
 
@@ -159,30 +157,19 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _contacts(rod: SpatialRod, start: Array, force: Array, steps: int) -> Marched:
-    found, approach = _nothing(start.shape[1], force), _approach(rod)
+    unknown, approach = np.full((9, start.shape[1]), np.nan), _approach(rod)
+    found = Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8])
     # past the tip the rod goes on with the stiffness there and without weight
     ends = np.append(grid(rod.profile, steps), np.linspace(1.0, _LONGEST, steps + 1)[1:])
-    rows, state, falling = np.arange(start.shape[1]), start, []
     with np.errstate(all="ignore"):
-        low = _turning(state, approach(np.zeros(len(rows)), state))
-        for at, end in pairwise(ends):
-            after = _step(rod, state, at, end - at)
-            high = _turning(after, approach(np.full(len(rows), end), after))
-            here = (low > 0) & (high <= 0)
-            step = np.broadcast_to([[at], [end - at]], (2, int(here.sum())))
-            falling.append(np.concatenate([rows[None, here], state[:, here], step, [low[here], high[here]]]))
-            rest = ~here & np.isfinite(high)
-            rows, state, low = rows[rest], after[:, rest], high[rest]
-            if not len(rows):
-                break
-        number, *before, at, length, low, high = np.concatenate(falling, axis=1)
-        _refine(rod, found, number.astype(np.intp), np.stack(before), at, length, (low, high))
+        falling = crossings(
+            ends,
+            start,
+            lambda state, at, length: _step(rod, state, at, length),
+            lambda s, state: _turning(state, approach(s, state)),
+        )
+        _refine(rod, found, *falling)
     return found
-
-
-def _nothing(n: int, force: Array) -> Marched:
-    unknown = np.full((9, n), np.nan)
-    return Marched(unknown[0], unknown[1:4], unknown[4:7], force, unknown[7], unknown[8])
 
 
 def _turning(state: Array, hanging: Array) -> Array:
@@ -204,23 +191,23 @@ def _turning_rates(rod: SpatialRod, s: Array, state: Array, hanging: Array) -> t
     return force[0] ** 2 + force[1] ** 2, np.asarray(bending)
 
 
-def _refine(
-    rod: SpatialRod, found: Marched, rows: Index, before: Array, start: Array, length: Array, ends: tuple[Array, Array]
-) -> None:
-    """Fill in rows (m,) whose `_turning` falls through zero in steps (m,) from the states `before` (16, m)."""
-    if not len(rows):
-        return
-    part = np.clip(length * ends[0] / (ends[0] - ends[1]), 0.0, length)
-    offset, approach = np.zeros((3, len(rows))), _approach(rod)
-    for correction in range(_CORRECTIONS if rod.profile.weight else 1):
-        for _ in range(3):
-            state = _step(rod, before, start, part)
-            hanging = approach(start + part, state) + offset
-            across, bending = _turning_rates(rod, start + part, state, hanging)
-            change = _turning(state, hanging) / (across - bending)
-            part = part + change
-        if rod.profile.weight and correction < _CORRECTIONS - 1:
-            offset = offset + _hanging(rod, np.minimum(start + part, 1.0), state, hanging) - hanging
+def _refine(rod: SpatialRod, found: Marched, rows: Index, before: Array, span: Array) -> None:
+    """Fill in rows (m,) whose `_turning` falls through zero in steps from the states `before` (16, m), as of `crossings`."""
+    start, length, low, high = span
+    part = np.clip(length * low / (low - high), 0.0, length)
+    hanging, approach = np.zeros((3, len(rows))), _approach(rod)
+    offset = np.zeros_like(hanging)
+    for _ in range(_SHOTS if rod.profile.weight else 3):
+        state = _step(rod, before, start, part)
+        hanging = approach(start + part, state) + offset
+        across, bending = _turning_rates(rod, start + part, state, hanging)
+        change = _turning(state, hanging) / (across - bending)
+        if rod.profile.weight:
+            left = _left(rod, np.minimum(start + part, 1.0), state, hanging)
+            offset = offset - left
+        part = part + change
+        if rod.profile.weight and not (np.abs(np.concatenate([left, change[None]])) > _SETTLED).any():
+            break
     # where the moment that is left turns the rod by more than the force does, no rod comes near these reactions
     part = np.where(np.abs(bending) < across, part, np.nan)
     excess = state[_M] - hanging
@@ -234,24 +221,20 @@ def _refine(
     found.torsion[rows], found.skew[rows] = excess[2], (excess * state[_N]).sum(axis=0)
 
 
-def _hanging(rod: SpatialRod, s: Array, state: Array, moment: Array) -> Array:
-    """Moments (3, n) in the material frame of the parts past s (n,) that hang free, by shooting from estimates."""
-    if rod.profile.weight == 0:
-        return moment
-    inverse = state[_Q] * _CONJUGATE
-    for _ in range(_SHOTS):
-        free, at = state.copy(), s
-        free[_M], free[_N] = moment, 0.0
-        for upper in grid(rod.profile, STEPS):
-            end = np.maximum(at, upper)
-            if (end > at).any():
-                free = _step(rod, free, at, end - at)
-            at = end
-        left = _rotated(inverse, _rotated(free[_Q], free[_M]))
-        moment = moment - left
-        if not (np.abs(left) > _SETTLED).any():
-            break
-    return np.asarray(moment)
+def _left(rod: SpatialRod, s: Array, state: Array, moment: Array) -> Array:
+    """What is left of moments (3, n) at the tips of parts that hang free past s (n,), in the material frame at their roots.
+
+    What the moments at their roots are wrong by, less the weight's lever: taking it off again and again ends in those of
+    the free rod.
+    """
+    free, at = state.copy(), s
+    free[_M], free[_N] = moment, 0.0
+    for upper in grid(rod.profile, STEPS):
+        end = np.maximum(at, upper)
+        if (end > at).any():
+            free = _step(rod, free, at, end - at)
+        at = end
+    return _rotated(state[_Q] * _CONJUGATE, _rotated(free[_Q], free[_M]))
 
 
 @lru_cache(maxsize=8)
@@ -274,13 +257,13 @@ def _shape(rod: SpatialRod) -> tuple[Array, Array]:
     return s, _rotated(inverse, total).T
 
 
-def _approach(rod: SpatialRod) -> Callable[[Array, Array], Array]:
+def _approach(rod: SpatialRod) -> Callable[[Array | float, Array], Array]:
     """First estimates of the moments of parts that hang free: those of their shapes without weight."""
     if rod.profile.weight == 0:
         return lambda s, state: np.zeros((3, state.shape[1]))
     grid_s, arms = _shape(replace(rod, profile=replace(rod.profile, weight=1.0), compliance=0.0))
 
-    def moment(s: Array, state: Array) -> Array:
+    def moment(s: Array | float, state: Array) -> Array:
         arm = rod.profile.weight * np.stack([np.interp(s, grid_s, column) for column in arms.T])
         return _cross(arm, state[_G])
 
@@ -290,8 +273,7 @@ def _approach(rod: SpatialRod) -> Callable[[Array, Array], Array]:
 def _step(rod: SpatialRod, state: Array, s: Array | float, length: Array | float) -> Array:
     """States (16, n) one step past arc length `s`; `s` and `length` are numbers or (n,)."""
     stages, weights, nodes = tableau()
-    at = np.multiply.outer(nodes, length) + s
-    stiffness, past = rod.profile.bending_stiffness(at), rod.profile.weight_past(at)
+    stiffness, past = rod.profile.along(s, length, nodes)
     heavy = rod.profile.weight > 0
     k1, k2, k3 = rod.curvature
     rates = np.zeros((16, len(nodes), state.shape[1]))
