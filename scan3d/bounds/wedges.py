@@ -1,9 +1,10 @@
-"""What contacts anywhere leave of a convex body where their errors are not negligible.
+"""What contacts anywhere prove and leave of a convex body where their errors are not negligible.
 
-A contact's supporting plane has one of the normals of its arc (S27).  The body K does not reach into the wedge of all points
-that lie beyond the plane whichever normal that is: of the points with ``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the
-normals n at both ends of the arc, with the error e of the place and ε of the tangent t.  For the normals between the ends this
-follows, since e is a norm, and so does it for the true normal when it is turned until it is perpendicular to the measured t.
+A contact's supporting plane has one of the normals of its arc (S27), by a polyhedron that lies in the body.  The body K does
+not reach into the wedge of all points that lie beyond the plane whichever normal that is: of the points with
+``<n, x - p> > e(n) + ε (|<t, x - p>| + e(t))`` for the normals n at both ends of the arc, with the error e of the place and ε
+of the tangent t.  For the normals between the ends this follows, since e is a norm, and so does it for the true normal when it
+is turned until it is perpendicular to the measured t.
 
 A wedge is a convex set, and if it contains x and not the centre o, it contains all points beyond x, as seen from o.  Where it
 contains the corners of a triangle, K therefore does not reach beyond the triangle in the directions of its points from o: there
@@ -19,16 +20,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 
-from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly
-from scan3d.bounds.constraints import arcs_of_contacts, frame_of, tangential
+from scan3d.arrays import AT_ONCE, NEGLIGIBLE, Array, Index, evenly, unit
+from scan3d.bounds.constraints import frame_of, tangential
+from scan3d.bounds.noise import averages_of, second_order
 from scan3d.cloud import Cloud
-from scan3d.geometry.arcs import Places
+from scan3d.geometry.arcs import Places, arcs_at
 from scan3d.geometry.distance import nearest_on
+from scan3d.geometry.hulls import hull
+from scan3d.geometry.polytopes import half_space_intersection
 
 # Wedges that are used at most: of more contacts neighbours say nearly the same.
 _MOST = 4000
 # Subdivisions of the icosahedron with whose faces the triangles begin, and rounds in which they are divided into four.
 _BEGIN, _ROUNDS = 3, 6
+# Subdivisions of the icosahedron in whose directions the points of the proven body are chosen, and the body bounded.
+_PROVEN = 3, 5
 # Part by which the bound may exceed what the wedges leave at the triangles' corners.
 _CLOSE = 0.03
 
@@ -46,15 +52,68 @@ class Outer(NamedTuple):
     """(3,)"""
 
 
-def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
+def proven_body(cloud: Cloud, places: Places, kappa: float) -> Any:
+    """A polyhedron inside the convex body of the centre points, as a `trimesh.Trimesh`; None if these prove no point of it.
+
+    In a direction u every centre point, and every mean of some, proves the body to reach as far as ``<u, p> - e(u)``, a concave
+    function of u.  A polyhedron that reaches no farther than one of them in three directions does not in those between either,
+    and lies in the body if this holds in all triangles of a sphere.
+    """
+    centre, shape = frame_of(places.points)
+    points = Places(places.points - centre, places.errors, places.spread)
+    if places.spread is not None:
+        points = points._replace(errors=points.errors + second_order(places.spread, cloud.rod_length) / kappa**2)
+        if cloud.independent:
+            points = _with_means(cloud, points, kappa)
+    (coarse, _), (fine, triangles) = (_sphere(subdivisions) for subdivisions in _PROVEN)
+    coarse, fine = (unit(u @ np.linalg.inv(shape)) for u in (coarse, fine))
+    blocks = np.array_split(np.arange(len(points.points)), 1 + len(points.points) * len(coarse) // AT_ONCE)
+    chosen = [rows[np.unique(_reach(coarse, points.select(rows)).argmax(axis=1))] for rows in blocks]
+    points = points.select(np.concatenate(chosen))
+    reach = _reach(fine, points)
+    value = np.full(len(fine), np.inf)
+    np.minimum.at(value, triangles.ravel(), reach[triangles, _best(-reach, triangles)[:, None]].ravel())
+    if value.min() <= 0:
+        return None
+    return hull(centre + half_space_intersection(np.column_stack([fine, -value]), np.zeros(3)).intersections)
+
+
+def _with_means(cloud: Cloud, points: Places, kappa: float) -> Places:
+    """The points, and means over successive rows of the cloud, whose errors are independent."""
+    order = np.lexsort((cloud.row, cloud.sweep))
+    place, errors, spread = points.select(order)
+    assert spread is not None
+    middle = np.asarray(np.linalg.eigvalsh(spread)[:, 1], dtype=float)
+    means = averages_of(place, cloud.sweep[order], middle, kappa)
+    wider = (means.kappa / kappa)[:, None, None] ** 2
+    return Places(
+        np.concatenate([place, means.mean(place)]),
+        np.concatenate([errors, means.mean(errors)]),
+        np.concatenate([spread, wider * means.variance(spread)]),
+    )
+
+
+def _reach(directions: Array, points: Places) -> Array:
+    """(d, n) how far points (n,) reach at least in unit vectors (d, 3)."""
+    reach: Array = directions @ points.points.T - points.errors
+    if points.spread is not None:
+        i, j = np.triu_indices(3)
+        squares = (directions[:, i] * directions[:, j] * np.where(i == j, 1, 2)) @ points.spread[:, i, j].T
+        reach -= np.sqrt(np.maximum(squares, 0.0))
+    return reach
+
+
+def outer_body(cloud: Cloud, places: Places, turns: Array, proven: Any, inner: Any) -> Outer:
     """The outer body by contacts with uncertain centre points, and errors (n,) of their tangents in radians.
 
+    proven
+        as `proven_body`.
     inner
         a convex `trimesh.Trimesh`, from which distances are measured.
     """
     centre, shape = frame_of(places.points)
-    normals, values = _wedges(cloud, places, turns, centre)
-    directions, triangles = _sphere()
+    normals, values = _wedges(cloud, places, turns, proven, centre)
+    directions, triangles = _sphere(_BEGIN)
     directions = directions @ shape
     distance = nearest_on(inner)
     planes = np.column_stack([inner.face_normals, (inner.face_normals * (inner.triangles[:, 0] - centre)).sum(axis=1)])
@@ -88,14 +147,15 @@ def outer_body(cloud: Cloud, places: Places, turns: Array, inner: Any) -> Outer:
     return Outer(corners, gap, directions[triangles].mean(axis=1), centre)
 
 
-def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[Array, Array]:
+def _wedges(cloud: Cloud, places: Places, turns: Array, proven: Any, centre: Array) -> tuple[Array, Array]:
     """Planes that bound the wedges (k,): normals (k, 4, 3), and their values (k, 4) from the centre, all above 0.
 
     The first stands for none: no direction enters it.
     """
     assert cloud.tangents is not None
     rows = evenly(tangential(cloud), _MOST)
-    arcs = arcs_of_contacts(places, cloud.tangents, rows, turns[rows])
+    body = Places(proven.vertices.view(np.ndarray), np.zeros(len(proven.vertices)))
+    arcs = arcs_at(places.select(rows), cloud.tangents[rows], turns[rows], body, proven.edges_unique)
     known = np.isfinite(arcs.half_width)
     own, ends = places.select(rows[known]), arcs.ends()[known]
     tangents, turn = cloud.tangents[rows[known], None], turns[rows[known], None]
@@ -109,9 +169,9 @@ def _wedges(cloud: Cloud, places: Places, turns: Array, centre: Array) -> tuple[
     return np.concatenate([np.zeros((1, 4, 3)), normals[outside]]), np.concatenate([np.ones((1, 4)), values[outside]])
 
 
-def _sphere() -> tuple[Array, Index]:
+def _sphere(subdivisions: int) -> tuple[Array, Index]:
     """Unit vectors (v, 3), and triangles (m, 3) of them over all directions."""
-    mesh = trimesh.creation.icosphere(subdivisions=_BEGIN)
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
     return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
 
 
