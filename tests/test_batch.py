@@ -19,7 +19,7 @@ from small_scans import CUBE, EGG, FEW, FOLDER
 
 import scan3d
 from scan3d import batches, workers
-from scan3d.batches import COLUMNS, _csv, body_names, mesh_files, read_grid, run_name
+from scan3d.batches import COLUMNS, _csv, body_names, mesh_files, read_grid
 from scan3d.cli import main
 from scan3d.pictures import rendering
 from scan3d.settings import settings
@@ -161,14 +161,6 @@ def test_names_of_bodies(paths, names):
     assert body_names([Path(path) for path in paths]) == names
 
 
-def test_names_are_distinct_and_not_too_long():
-    long = [Path("x" * 200 + f"{k}.stl") for k in range(3)]
-    names = [*body_names(long), *body_names([Path("a/b.stl"), Path("a/b.stl"), Path("a/B.stl")])]
-    assert len({name.casefold() for name in names}) == 6
-    assert max(map(len, names)) <= 100
-    assert run_name("egg", {"friction": "0.0:0.4", "axis": [1, 1, 0]}) == "egg_friction=0.0-0.4_axis=1,1,0"
-
-
 # --- grids ---
 
 
@@ -208,19 +200,6 @@ def test_grids_that_can_not_be_used(call, tmp_path, text, sentence):
     assert (code, stdout) == (1, "")
     assert re.fullmatch(rf"scan3d: .*{sentence}.*\n", stderr)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_setting_is_given_once(call, tmp_path):
-    (tmp_path / "grid.toml").write_text("slices = [4, 8]\n")
-    code, _, stderr = call(EGG, "--out", tmp_path / "out", "--grid", tmp_path / "grid.toml", "--slices", 4)
-    assert code == 2
-    assert "slices is given by the command line and by " in stderr
-    with pytest.raises(scan3d.InputError, match=r"noise is given by scan3d\.batch and by the grid; leave one"):
-        scan3d.batch(EGG, tmp_path / "out", grid={"noise": [0.0]}, noise=0.0)
-    with pytest.raises(scan3d.InputError, match=r"scan3d\.batch: slices must be a whole number"):
-        scan3d.batch(EGG, tmp_path / "out", grid={"noise": [0.0]}, slices="many")
-    with pytest.raises(scan3d.InputError, match=r"scan3d\.batch: unknown setting slises"):
-        scan3d.batch(EGG, tmp_path / "out", slises=4)
 
 
 # --- what a batch writes ---
@@ -325,28 +304,6 @@ def test_other_meshes_settings_versions_and_results_that_are_not_whole_are_compu
 # --- failures ---
 
 
-@pytest.mark.parametrize(
-    ("error", "sentence"),
-    [
-        (MemoryError(), r"there is not enough memory for this scan"),
-        (PermissionError(13, "Permission denied", "egg.stl"), r"Permission denied \(egg\.stl\)"),
-        (OSError("odd"), r"odd"),
-        (ZeroDivisionError("in\na library"), r"the program has failed: ZeroDivisionError: in a library"),
-    ],
-)
-def test_whatever_goes_wrong_is_a_sentence(tmp_path, monkeypatch, error, sentence):
-    def fail(*_, **__):
-        raise error
-
-    monkeypatch.setattr(batches.pipeline, "scan", fail)
-    (run,) = batches._runs([EGG], [({}, settings(SETTINGS))], tmp_path, False)
-    outcome = batches.perform(run)
-    assert re.match(sentence, outcome.error)
-    row = batches._row(run, outcome)
-    assert (row["status"], row["error"]) == ("failed", outcome.error)
-    assert batches._row(run, None)["error"].startswith("its results can't be read")
-
-
 class Fails(Executor):
     """An executor whose workers die."""
 
@@ -359,13 +316,6 @@ class Fails(Executor):
 def test_a_run_whose_worker_is_lost_is_a_failure(tmp_path):
     (row,) = scan3d.batch(EGG, tmp_path, Fails(), **SETTINGS).rows
     assert row["error"].startswith("its worker was lost (RuntimeError: the worker is gone)")
-
-
-def test_a_worker_that_writes_elsewhere_is_a_failure(tmp_path, monkeypatch):
-    monkeypatch.setattr(batches, "_PATIENCE_S", 0.2)
-    monkeypatch.setattr(batches, "perform", lambda run: batches.Outcome("", 1.0))
-    (row,) = scan3d.batch(EGG, tmp_path, Inline(), **SETTINGS).rows
-    assert "workers on other machines need a folder that all of them share" in row["error"]
 
 
 # --- the command ---
@@ -386,13 +336,6 @@ def test_the_command_prints_a_table(call, again):
     data = json.loads(stdout)
     assert (code, data["computed"], data["counts"]["failed"]) == (0, 0, 0)
     assert [row["run"] for row in data["runs"]] == ["egg", "cube", "gem"]
-
-
-def test_progress_counts_all_runs(again):
-    out, meshes = again
-    seen = []
-    scan3d.batch(meshes, out, progress=seen.append, **SETTINGS)
-    assert seen == [(3, 4, 0), (4, 4, 1)]
 
 
 # --- other processes ---

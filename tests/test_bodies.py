@@ -197,11 +197,9 @@ def test_glb_is_read_as_its_specification_says(tmp_path, name):
     ("changed", "why"),
     [
         (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compr"),
-        (lambda tree: tree["bufferViews"][0].update(byteStride=8), "a byteStride of 8, where each element has 12"),
         (lambda tree: tree["bufferViews"][0].update(byteStride=16, byteLength=168), "leave the box that it states"),
         (lambda tree: tree["buffers"][0].update(uri="box.bin"), "its data lie in another file, box.bin"),
         (lambda tree: tree["nodes"][0].update(skin=0), "bent by a skeleton"),
-        (lambda tree: tree["nodes"][0].update(children=[0]), "damaged"),
     ],
 )
 def test_glb_that_would_be_read_wrongly_is_refused(tmp_path, changed, why):
@@ -327,24 +325,14 @@ def ply_of_strips():
 
 
 BAD_FILES = {
-    "empty.stl": (b"", "is empty"),
     "notes.txt": (b"1 2 3", "isn't a mesh file by its ending"),
     "ending": (b"1 2 3", "isn't a mesh file by its ending"),
     "number.stl": (broken_ascii_stl(), "can't be read as STL"),
-    "cut.stl": (
-        box().export(file_type="stl")[:-99],
-        "cut off, damaged, or not a STL file",
-    ),
-    "cut.ply": (box().export(file_type="ply")[:-99], "cut off, damaged or another kind of file"),
-    "cut.glb": (box().export(file_type="glb")[:-99], "cut off, damaged or another kind of file"),
-    "index.obj": (text("v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1", "f 1 2 3", "f 1 2 9"), "can't be read as OBJ"),
-    "points.obj": (text("v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1"), "no triangles"),
     "points.ply": (trimesh.PointCloud(np.eye(4, 3)).export(file_type="ply"), "no triangles"),
     "strips.ply": (
         ply_of_strips(),
         "has strips of triangles (its element tristrips), where single triangles are expected",
     ),
-    "triangle.off": (text("OFF", "3 1 0", "0 0 0", "1 0 0", "0 1 0", "3 0 1 2"), "only 3 distinct vertices"),
     "same.off": (text("OFF", "4 2 0", "0 0 0", "1 0 0", "0 1 0", "1 0 0", "3 0 1 2", "3 0 3 2"), "only 3 distinct"),
     **{f"words.{kind}": (b"Dear reader,\nthis solid prose has no vertex.\n", f"{kind.upper()}") for kind in FORMATS},
     **{f"picture.{kind}": (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9, f"{kind.upper()}") for kind in FORMATS},

@@ -317,7 +317,6 @@ def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_
     assert np.abs((found.values[rig] - true) / found.standard_deviations[rig]).max() < 4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -326,8 +325,6 @@ def test_noise_that_is_alike_in_neighbouring_rows_enlarges_the_uncertainties(on_
         (dict(reference="plane", sphere=0.03), "give either a reference or the diameter"),
         (dict(sphere=1e297), r"a diameter of 1e\+297 m, and the rod a length of 60 mm; check the unit"),
         (dict(sphere=0.03, tare="cubic"), "tare must be one of auto, constant, linear, sweep"),
-        (dict(sphere=0.02), "do not fit a sphere of 20 mm"),
-        (dict(reference="plane"), r"do not fit a plane.*check that only the plane was touched"),
     ],
 )
 def test_wrong_arguments_have_a_sentence(arguments, sentence):
@@ -424,25 +421,11 @@ def test_reconstruct_takes_a_rig(call, tmp_path, monkeypatch, on_sphere):
 MINIMAL = "[rod]\nlength_m = 0.06\nbending_stiffness_Nm2 = 2e-4\n"
 
 
-def test_a_rig_by_hand_needs_the_rod_only(tmp_path):
-    """And former versions may have calibrated it by a mesh."""
-    (tmp_path / "rig.toml").write_text(
-        MINIMAL + "[sensor]\nposition_mm = [0, -20, 0]\neuler_deg = [0, 30, 0]\n[mesh]\nfile = 'cube.stl'\n"
-    )
-    found = scan3d.read_rig(tmp_path / "rig.toml")
-    assert found.names == ()
-    assert found.reference == {"kind": "mesh", "file": "cube.stl"}
-    assert found.sensor_position_m == pytest.approx([0, -0.02, 0])
-    assert found.applied(rigs.recorded()).rod.bending_stiffness_Nm2 == 2e-4
-
-
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
         ("", r"rig.toml: \[rod\] needs length_m and bending_stiffness_Nm2"),
-        ("[rod", "is not a TOML file"),
         (MINIMAL + "[sensr]\n", "unknown names: sensr.*did you mean sensor"),
-        ("schema = 7\n" + MINIMAL, "schema must be 1, got 7"),
         (MINIMAL.replace("2e-4", "-1"), "positive bending stiffness"),
         (
             MINIMAL + '[quantities]\na_mm = 1\n[covariance]\nquantities = ["a_mm"]\nmatrix = [["x"]]\n',

@@ -21,7 +21,7 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d import InputError, read_recording, scenes
+from scan3d import scenes
 from scan3d.choices import SHELLS
 from scan3d.cli import main, show, verbs
 from scan3d.cli.commands import COMMANDS, app
@@ -88,19 +88,6 @@ def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
         assert (code, stdout) == (1, "")
         assert_sentence(stderr, "can't write into the folder .*; choose another one with --out")
         assert tree(tmp_path) == {Path("file"): b"other content"}
-
-
-def test_the_place_of_a_recording_is_checked_before_the_work(call, tmp_path, monkeypatch):
-    monkeypatch.setattr("scan3d.simulation.scan.simulate", pytest.fail)
-    (tmp_path / "folder.csv").mkdir()
-    for name, sentence in (
-        ("new/log.txt", r"a recording is written as \.csv or \.parquet, got 'log\.txt'"),
-        ("folder.csv", r"can't write .*folder\.csv"),
-    ):
-        code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / name)
-        assert (code, stdout) == (1, "")
-        assert_sentence(stderr, sentence)
-    assert tree(tmp_path) == {Path("folder.csv"): None}
 
 
 def test_a_failed_run_leaves_nothing_new_and_the_results_of_the_one_before(call, scanned, tmp_path, no_pictures):
@@ -200,16 +187,6 @@ def test_every_setting_is_an_option_and_its_help_has_the_default(call, monkeypat
         assert setting.name == "hull" or f"[default: {setting.default}]" in stdout
 
 
-def test_the_command_and_the_module_in_a_terminal_with_ascii_only():
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run([COMMAND, "scan", "--help"], env=environment, capture_output=True, check=False)
-    assert done.returncode == 0
-    assert b"EI/L?" in done.stdout
-    done = subprocess.run([sys.executable, "-m", "scan3d", "peel"], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith('scan3d: Unknown command "peel"')
-
-
 @pytest.mark.slow
 def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, monkeypatch, no_pictures):
     mesh = scan3d.load_mesh(scenes.DEMO)
@@ -287,16 +264,6 @@ def test_the_report_without_the_truth(call, scanned, tmp_path, no_pictures):
     # settings of the simulation do not apply here
     assert report["settings"] == {"method": "auto", "hull": False}
     assert set(report["files"]) == RESULTS == {p.name for p in (tmp_path / "out").iterdir()}
-
-
-def test_simulate_prints_its_counts(call, tmp_path):
-    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW)
-    assert (code, stderr) == (0, "")
-    recording = read_recording(tmp_path / "new" / "log.csv")
-    assert stdout.startswith(f"{len(recording)} samples in {len(np.unique(recording.sweep))} sweeps, written to ")
-    assert {p.name for p in (tmp_path / "new").iterdir()} == {"log.csv", "log.toml"}
-    code, stdout, stderr = call("simulate", CUBE, "--out", tmp_path / "new" / "log.csv", *FEW, "--json")
-    assert json.loads(stdout)["samples"] == len(recording)
 
 
 def test_compare_prints_the_distance(call, tmp_path):
@@ -386,10 +353,3 @@ def test_signatures_in_python_show_every_setting():
             assert shown[setting.name].default == setting.default
             assert setting.metadata["meaning"] in function.__doc__
     assert list(Given.__annotations__) == [setting.name for setting in dataclasses.fields(Settings)]
-
-
-def test_settings_given_in_python():
-    assert settings({}) == Settings()
-    assert settings({"slices": 3}) == Settings(slices=3)
-    with pytest.raises(InputError, match="the command line: slices must be a whole number, got True"):
-        settings({"slices": True})

@@ -71,24 +71,6 @@ def test_a_missing_package_stops_a_scan(well, monkeypatch, capsys):
     assert [item["what"] for item in state["missing"]] == ["scipy"]
 
 
-def test_a_scan_works_without_open3d(well, monkeypatch, capsys):
-    without(monkeypatch, "open3d")
-    monkeypatch.setattr(doctor, "_error_of", lambda code: "No module" if "import open3d" in code else None)
-    state = doctor.examine()
-    assert state["ok"]
-    commands = {item["what"]: item["command"] for item in state["missing"]}
-    assert set(commands) == {"open3d"}
-    # the extra chooses between open3d and open3d-cpu
-    assert commands["open3d"].endswith("-m pip install 'scan3d[open3d]'")
-    assert main(["doctor"]) == 0
-    stdout = capsys.readouterr().out
-    assert "open3d             not installed (no scan needs it by default)\n" in stdout
-    assert (
-        "optional           open3d (not installed), for the surfaces poisson and ball-pivoting, and to_open3d" in stdout
-    )
-    assert "missing            nothing\n" in stdout
-
-
 @pytest.mark.parametrize(("platform", "known"), [("linux", True), ("darwin", False)])
 def test_missing_system_libraries(monkeypatch, platform, known):
     found = "libGL.so.1: no such file"

@@ -3,13 +3,11 @@
 `make docs` builds the pages with Sphinx, with warnings as errors, and checks the links among them.
 """
 
-import importlib.util
 import json
 import re
 import shlex
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
 import matplotlib
 import pytest
@@ -264,13 +262,3 @@ def test_the_report_has_the_sections_that_the_pages_name(folder: Path) -> None:
     rows = [row.split("|")[1] for row in page.split("\n") if row.startswith("| `")]
     sections = re.findall(r"`(\w+)`", " ".join(rows))
     assert sorted(sections) == sorted(json.loads((folder / "report.json").read_text(encoding="utf-8")))
-
-
-def script(path: Path) -> ModuleType:
-    """A script of the manual as a module."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

@@ -7,8 +7,6 @@ transitions that a script prints are checked against reference values, derived t
 import importlib
 import json
 import re
-import runpy
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -60,21 +58,6 @@ def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
     exec("\n".join(code).replace("slices=24", "slices=6"), {})
     within, truth = map(float, re.findall(r"([\d.e-]+) mm", capsys.readouterr().out.splitlines()[-1]))
     assert 0 < truth < within
-
-
-@pytest.mark.slow
-def test_a_script_saves_its_picture_in_the_current_folder_or_at_the_given_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("one_sweep", "paper_figure_3", "paper_figure_4", "paper_figure_5"):
-        script = str(EXAMPLES / f"{name}.py")
-        for given in ([], ["given.png"]):
-            monkeypatch.setattr(sys, "argv", [script, *given])
-            if not given or name == "paper_figure_5":
-                runpy.run_path(script, run_name="__main__")
-                made = tmp_path / (given[0] if given else f"{name}.png")
-                assert made.read_bytes().startswith(b"\x89PNG")
 
 
 def test_one_sweep() -> None:
@@ -171,16 +154,6 @@ def test_friction_from_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     scaled = script.ERROR / script.DEVIATION[script.RELIABLE]
     assert np.sqrt(np.mean(scaled**2)) == pytest.approx(1, abs=4 / np.sqrt(2 * len(scaled)))
     assert abs(scaled.mean()) < 4 / np.sqrt(len(scaled))
-    # the deviation agrees with differences of the reconstruction itself
-    step, gains = 1e-6, []
-    for row in range(3):
-        moved = script.REACTIONS + step * (np.arange(3) == row)[:, None]
-        friction = planar.reconstruct(script.SWEEP.x0, *moved, tolerance=1e-4).friction
-        gains.append((friction - script.CONTACTS.friction) / step)
-    deviation = script.deviation(script.CONTACTS, script.REACTIONS[2], 1.0)
-    both = tangential & np.isfinite(gains).all(axis=0)
-    assert both.sum() > 0.9 * tangential.sum()
-    np.testing.assert_allclose(np.linalg.norm(gains, axis=0)[both], deviation[both], rtol=1e-4)
     script.main(["--out", str(tmp_path / "friction.png")])
     assert (tmp_path / "friction.png").read_bytes().startswith(b"\x89PNG")
     assert "have a reliable friction" in capsys.readouterr().out

@@ -127,20 +127,6 @@ def test_static_transforms_hold_for_all_times(tmp_path, recording):
     assert (summary.rows, summary.left_out["without a pose"]) == (len(log.time), 0)
 
 
-def test_rows_without_a_pose_are_counted(tmp_path, recording):
-    log = track(recording, air=25)
-    map = read_map(made(recording, {}))
-    path = written(tmp_path / "run", 2, log, "pose", turned={0: (0, 0, 0, 0), 1: (0, 0, 0, 0), 9: (np.nan,) * 4})
-    summary = convert(load(path, map), map).summary
-    assert (summary.rows, summary.left_out["without a pose"]) == (len(log.time), 3)
-    path = written(tmp_path / "none.bag", 1, log, "pose", turned=dict.fromkeys(range(len(log.time)), (0, 0, 0, 0)))
-    with pytest.raises(InputError, match=r"none\.bag: all poses have a quaternion of length 0"):
-        load(path, map)
-    path = written(tmp_path / "half.bag", 1, log, "pose", turned={6: (0.5, 0, 0, 0)})
-    with pytest.raises(InputError, match=r"half\.bag: message 7 of /tool has a quaternion of length 0\.5, where 1 is"):
-        load(path, map)
-
-
 def test_topics_that_are_not_there(tmp_path, recording):
     log = track(recording, air=25)
     path = written(tmp_path / "run", 2, log, "pose")

@@ -89,9 +89,7 @@ def test_the_table_by_hand_is_imported(tmp_path):
     [
         (with_cell(7, "Fx", "o.5"), r"log\.csv: line 7 has 'o\.5' in column 'Fx', which is no number; correct the cell"),
         (with_cell(7, "Fx", ""), r"line 7 has no value in column 'Fx'.*1 of 70 rows; .*missing = \"drop\" under \[table\]"),
-        (with_cell(7, "x", "inf"), r"log\.csv: line 7 has inf in column 'x', where a finite number is expected"),
         ([*lines(), "0.7,1,2"], r"log\.csv: line 72 has 3 values, expected 14; it ends in column 3: is it cut off\?"),
-        ([*lines()[:9], lines()[9] + ",7", *lines()[10:]], r"line 10 has 15 values, expected 14"),
         (
             [lines()[0], "s,mm,mm,mm,,,,,N,N,N,N mm,N mm,N mm", *lines()[1:]],
             r"log\.csv: line 2 has 's' in column 1 \(t\), where data are expected: a second header line; .*units_row = true",
@@ -100,22 +98,12 @@ def test_the_table_by_hand_is_imported(tmp_path):
             [lines()[0], lines()[0], *lines()[1:]],
             r"line 2 has 't' in column 1 \(t\).*a second header line; .*else header = 2",
         ),
-        (
-            ["Experiment 7", "by A. Person", *lines()],
-            r"line 1 has 1 cells and the data have 14 columns, whose names stand in line 3; write header = 3 under \[table\]",
-        ),
         (semicolons(), r"log\.csv: line 2 has '20,0' in column 'x', a decimal comma; write decimal = \",\" under \[table\]"),
         (
             [lines()[0], *(line.replace(".", ",") for line in lines()[1:])],
             r"line 2 has 28 values, expected 14; are there decimal commas, first in column 1\?.*decimal = \",\"",
         ),
         (backwards(), r"log\.csv: line 22 has a time 0\.01 s before that of the row above, and time runs backwards in 1 of 70"),
-        (column("t", 3.0), "the column of the time has the same value in all 70 rows; leave time out of the map"),
-        (
-            column("qw", 0.5),
-            r"log\.csv: line 2 has a quaternion of length 0\.5, from column 'qw' on, where 1 is expected; check the four",
-        ),
-        (lines(log() * np.where(np.arange(14) < 8, 1, 0)), r"log\.csv: line 2 and all 69 rows below have zero in column 'Fx'"),
         (
             lines(log() * np.where(np.arange(14) < 11, 1, 0)),
             r"zero in column 'Tx', column 'Ty', column 'Tz': nothing was measured; check \[columns\] moment",
@@ -124,11 +112,6 @@ def test_the_table_by_hand_is_imported(tmp_path):
             lines(header=",".join(NAMES).replace("Fx", "Fx [mN]")),
             r"log\.csv: line 1 has no column 'Fx', which \[columns\] force .*; it has t, .*; did you mean Fx \[mN\]\?",
         ),
-        (lines(header=",".join(NAMES).replace("Fy", "Fx")), r"has 2 columns 'Fx' \(numbers 9, 10\).*; give its number"),
-        (lines(header=""), r"log\.csv has no line with names, and \[columns\] .* of the map names .*number of the column"),
-        ([lines()[0]], r"log\.csv has no row of data below line 1"),
-        ([""], r"log\.csv is empty; expected a table with one row per sample"),
-        (["\0\1\2binary"], r"log\.csv is no text"),
         (column("x", lambda x: 1e3 * x), r"log\.csv: the sweeps are 667 rod lengths long.*check \[units\] length"),
         (
             lines(log() * np.where(np.isin(np.arange(14), [1, 2, 3]), 1e-3, 1)),
@@ -136,9 +119,8 @@ def test_the_table_by_hand_is_imported(tmp_path):
         ),
         (column("x", 20.0), r"the clamp moves in contact mostly along \+y of its own frame, and not along -x as in a sweep"),
         (column("Tz", lambda m: 1e3 * m), r"the moments in contact are .* times the largest that the rod can have.*\[units\]"),
-        (lines(log() * np.where(np.isin(np.arange(14), [8, 9, 10]), 1e5, 1)), r"the largest force, .*check \[units\] force"),
     ],
-    ids=range(26),
+    ids=range(14),
 )  # fmt: skip
 def test_tables(tmp_path, rows, sentence):
     with pytest.raises(InputError, match=sentence) as error:
@@ -251,36 +233,23 @@ def changed(section, **entries):
     [
         (changed("units", moment="Nmmm"), r"map\.toml: \[units\] moment must be a unit of moment: N m, N cm, .*; got 'Nmmm'"),
         (changed("units", lenght="mm"), r"map\.toml: \[units\] has unknown names: lenght; .*; did you mean length\?"),
-        (data() | {"sensors": {}}, r"map\.toml: unknown names: sensors; known are .*; did you mean sensor\?"),
         (changed("columns", force=["Fx"]), r"\[columns\] force must be a list of 2 or 3 columns, or a pattern"),
-        (changed("columns", force=[0, 1, 2]), r"\[columns\] force counts columns from 1, got 0"),
-        (changed("columns", position=["x", "y", 1.5]), r"position must name columns by text or by number, got 1\.5"),
-        (changed("columns", orientation={}), r"\[columns\] orientation needs one of"),
         (changed("columns", orientation={"quat": []}), r"\[columns\] orientation needs one of quaternion, euler, rotvec"),
         (
             changed("columns", orientation={"euler": ["a", "b", "c"], "convention": "xYz"}),
             r"\[columns\.orientation\] convention must be one to three axes.*got 'xYz'",
         ),
-        (changed("columns", orientation={"quaternion": list("abcd"), "order": "zyxw"}), r"order must be one of wxyz, xyzw"),
         (changed("sensor", shows="rod on clamp"), r"\[sensor\] shows must be one of clamp-on-rod, rod-on-.*did you mean"),
-        (changed("sensor", position_mm=[1, 2]), r"\[sensor\] position_mm must be a list of 3 finite numbers, got \[1, 2\]"),
         (changed("tare", air="automatic"), r"\[tare\] air must be 'auto', 'none', or stretches in seconds"),
         (changed("tare", air=[[2.0, 1.0]]), r"\[tare\] air must be 'auto', .*; got \[2\.0, 1\.0\]"),
-        (changed("filter", lowpass_hz=-5), r"\[filter\] lowpass_hz must be a finite number above 0, got -5"),
         (changed("filter", lowpass_hz=80), r"log\.csv: \[filter\] lowpass_hz = 80 must be below half of .* rate of 100 Hz"),
         (changed("rod", length_m=0.0), r"map\.toml: \[rod\] a rod needs a positive length in metres, got 0\.0"),
-        (changed("rod", length_m="6 cm"), r"\[rod\] length_m must be a number, got '6 cm'"),
         (data() | {"rod": {"length_m": 0.05}}, r"map\.toml: \[rod\] needs length_m and bending_stiffness_Nm2, or length_m"),
-        (data() | {"rod": 3}, r"map\.toml: rod must be a section \[rod\] or a table in braces, got 3"),
         (changed("table", decimal=",", delimiter=","), r"\[table\] decimal and delimiter can't both be ','"),
-        (changed("table", header=300), r"log\.csv has no line 300 with the names of its columns"),
-        (changed("ros", tf=["world"]), r"\[ros\] tf must be a list of 2 names"),
-        (changed("noise", force_N=-1.0), r"\[noise\] force_N must be a finite number of at least 0"),
         (data() | {"unit": "furlong"}, r"map\.toml: unit must be one of m, cm, mm, um, in; got 'furlong'"),
         ({k: v for k, v in data().items() if k != "columns"}, r"map\.toml: \[columns\] is missing; it says which columns hold"),
-        ({k: v for k, v in data().items() if k != "units"}, r"map\.toml: \[units\] length is missing"),
     ],
-    ids=range(27),
+    ids=range(14),
 )  # fmt: skip
 def test_maps(tmp_path, made, sentence):
     (tmp_path / "map.toml").write_text(to_toml(made))

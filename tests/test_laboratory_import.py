@@ -261,23 +261,9 @@ def test_signals_of_a_transducer(tmp_path, planar, rows):
         known = found.log.present
         assert found.log.wrench[:, known] == pytest.approx(expected.log.wrench[:, known], abs=1e-12)
         assert found.recording.force_N == pytest.approx(expected.recording.force_N, abs=1e-12)
-    for change, why in (
-        ({"matrix": matrix[:2].tolist()}, r"\[sensor\] matrix must have a row for each of fx, fy, fz"),
-        ({"matrix": [*matrix[1:].tolist(), [1.0]]}, r"\[sensor\] matrix must have a row"),
-        (
-            {"matrix": np.zeros((rows, rows)).tolist()},
-            "have the force zero by .* from column 'ch0', .* signals of the map",
-        ),
-    ):
-        with pytest.raises(InputError, match=why):
-            imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})
-    del data["columns"]["signals"]
-    data["columns"] |= {"force": ["ch0", "ch1"], "moment": ["ch2"]}
-    with pytest.raises(InputError, match=r"\[sensor\] matrix and offset belong to the columns"):
-        imported(tmp_path / "volts.csv", columns, data)
-    data["columns"]["signals"] = "ch*"
-    with pytest.raises(InputError, match=r"\[columns\] signals can't be given beside force and moment"):
-        imported(tmp_path / "volts.csv", columns, data)
+    change = {"matrix": matrix[:2].tolist()}
+    with pytest.raises(InputError, match=r"\[sensor\] matrix must have a row for each of fx, fy, fz"):
+        imported(tmp_path / "volts.csv", columns, data | {"sensor": data["sensor"] | change})
 
 
 @pytest.mark.parametrize("given", ["sweep", "move", "both"])
@@ -354,12 +340,7 @@ def test_sensors_with_fewer_channels_give_planar_recordings(tmp_path, planar, ch
 
 
 @pytest.mark.slow
-def test_channels_that_are_missing_are_named(tmp_path, planar, spatial):
-    rig = Rig((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    columns, data = table(track(spatial), rig), map_of(spatial.rod, rig)
-    data["columns"]["moment"] = ["Tz"]
-    found = imported(tmp_path / "raw.csv", columns, data)
-    assert "% of the force in contact, and the planar model takes it for zero" in " ".join(found.summary.notes)
+def test_channels_that_are_missing_are_named(tmp_path, planar):
     columns, data = table(track(planar), EXACT), map_of(planar.rod, EXACT)
     data["columns"] |= {"force": ["Fx", "Fy"], "moment": ["Tz"]}
     with pytest.raises(

@@ -166,32 +166,6 @@ def test_a_comparison_shows_itself(comparison):
     assert rows["volume error"] == "unknown: open"
 
 
-def test_a_sweep_and_contacts_show_themselves():
-    sweep = planar.sweep(planar.Circle(radius=0.9, center=(0.0, 1.3)), friction=0.2, base=np.linspace(1.0, -1.5, 101))
-    shown = Reader(sweep._repr_html_())
-    counts = [int((sweep.phase == kind).sum()) for kind in planar.Phase]
-    assert shown.text.startswith("Sweep: 101 samples, {} none, {} tip, {} tangential".format(*counts))
-    head, *rows = shown.rows
-    assert len(rows) == 12
-    assert [rows[0][0], rows[-1][0]] == ["0", "100"]
-    for row in rows:
-        named = dict(zip(head, row, strict=True))
-        k = int(named[""])
-        assert float(named["x0"]) == pytest.approx(sweep.x0[k], rel=1e-5)
-        assert named["phase"] == planar.Phase(sweep.phase[k]).name.lower()
-        assert (named["m0z"] == "–") == np.isnan(sweep.m0z[k])
-    assert {row[1] for row in rows} == {"none", "tip", "tangential"}
-
-    contacts = planar.reconstruct(sweep.x0, sweep.f0x, sweep.f0y, sweep.m0z)
-    shown = Reader(contacts._repr_html_())
-    head, *rows = shown.rows
-    assert shown.text.startswith("Contacts: 101 samples, ")
-    assert rows[0][head.index("status")] == planar.Status.NO_FORCE.sentence
-    assert rows[6][head.index("status")] == "a contact"
-    assert float(rows[6][head.index("point y")]) == pytest.approx(contacts.point[int(rows[6][0]), 1], rel=1e-5)
-    assert Reader(planar.reconstruct([], [], [], [])._repr_html_()).rows == [head]
-
-
 # --- pictures ---
 
 

@@ -147,26 +147,6 @@ def test_a_row_without_a_value_has_no_contact_and_changes_no_other(tmp_path, lef
     sweep_figure(found)
 
 
-@pytest.mark.slow
-def test_the_picture_has_contacts_and_error_bars_by_kind(left, tmp_path, capsys):
-    exact = OneSweep(left.x0, left.f0x, left.f0y, left.m0z)
-    noisy = OneSweep(left.x0, left.f0x, left.f0y, left.m0z, None, 1e-3, 1e-3)
-    for sweep, bars in ((exact, 0), (noisy, 2)):
-        found = reconstruct_sweep(sweep)
-        figure = sweep_figure(found)
-        above, below = figure.axes
-        assert len(above.containers) == bars
-        drawn = np.concatenate([line.get_xydata() for line in above.lines if line.get_marker() in ("o", "s")])
-        assert {tuple(point) for point in drawn} == {tuple(point) for point in found.contacts.point[found.touching]}
-        # one scale along both axes
-        width, height = above.get_position().size * figure.get_size_inches()
-        assert np.ptp(above.get_xlim()) / width == pytest.approx(np.ptp(above.get_ylim()) / height, rel=1e-3)
-        assert len(below.containers) == bars / 2
-    table = write(tmp_path / "log.csv", columns(left))
-    assert main(["reconstruct", str(table), "--out", str(tmp_path / "new" / "contour.pdf"), "--quiet"]) == 0
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["contacts.csv", "contour.pdf"]
-
-
 def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
     """The one sentence with which a table is refused; nothing is written."""
     path = tmp_path / "sweep.csv"

@@ -158,11 +158,6 @@ def copy(made, tmp_path):
     return tmp_path / "copy"
 
 
-def edit(folder, **sections):
-    path = folder / "report.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **sections}))
-
-
 def test_a_folder_without_a_scan(tmp_path):
     with pytest.raises(scan3d.InputError, match=r"there is no folder .*nowhere"):
         scan3d.open(tmp_path / "nowhere")
@@ -197,16 +192,6 @@ def test_a_recording_of_another_run_is_refused(copy):
     log.write_text(log.read_text().replace("\n0,", "\n7,", 1))
     with pytest.raises(scan3d.InputError, match=r"recording\.csv is not the file that report\.json beside it names"):
         _ = scan3d.open(copy).recording
-
-
-def test_a_report_of_an_earlier_version_has_no_comparison_and_an_unknown_bound_is_infinite(copy):
-    report = json.loads((copy / "report.json").read_text())
-    edit(copy, certificate={**report["certificate"], "bound": None})
-    assert scan3d.open(copy).certificate.bound == np.inf
-    del report["comparison"]
-    (copy / "report.json").write_text(json.dumps(report))
-    with pytest.raises(scan3d.InputError, match=r"does not hold the comparison with the mesh: an earlier version"):
-        _ = scan3d.open(copy).comparison
 
 
 def test_the_table_without_a_renderer_says_why(made):

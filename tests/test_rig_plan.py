@@ -149,14 +149,6 @@ def test_a_force_limit_keeps_the_clamp_farther_away():
         plan_poses(RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=0.01))
 
 
-def test_the_thinner_rod_of_the_message_is_thin_enough():
-    around, rod = parse_envelope("cylinder:40x40"), Rod.wire(0.08, 0.0006, 210e9)
-    with pytest.raises(InputError, match="choose a rod of") as caught:
-        RigPlan(around, rod=rod, max_force_N=0.1).resolved_clearance()
-    times = float(str(caught.value).partition("choose a rod of ")[2].partition(" ")[0])
-    RigPlan(around, rod=Rod.wire(0.08, 0.0006 * times * 0.99, 210e9), max_force_N=0.1).resolved_clearance()
-
-
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
@@ -165,11 +157,7 @@ def test_the_thinner_rod_of_the_message_is_thin_enough():
             {"workspace": parse_envelope("box:200x300x300")},
             r"the clamp would leave the workspace box:200x300x300: \d+ of",
         ),
-        ({"clearance": 0.9}, "clearance must be above 0 and at most 0.8 rod lengths"),
-        ({"slices": 0}, "slices must be a whole number of at least 1, got 0"),
-        ({"max_force_N": -1.0}, "max-force must be a number above 0, got -1.0"),
         ({"floor": 90.0}, "floor must be a height from 0 to less than that of the bounding body, 90 mm, got 90"),
-        ({"model": "magic"}, "model must be one of planar, spatial, got 'magic'"),
         (
             {"sweeps": 10**130},
             r"a plan of 6e\+130 sweeps with 9 poses needs about .* GB, .* choose fewer",
@@ -233,15 +221,12 @@ GOOD = "0,0,0,0,1,0,0,0,sweep\n0,-1,0,0,1,0,0,0,sweep\n"
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "p.csv is empty; expected a table"),
         ("HEAD" + GOOD + "0,1,2\n", "p.csv: line 4 has 3 values, expected 9; it ends in column 3: is it cut off"),
-        ("HEAD" + GOOD.replace("-1", "here"), "p.csv: line 3 has 'here' in column 'x_m', which is no number"),
         (
             "HEAD" + GOOD.replace("sweep\n", "fly\n", 1),
             "line 2 has 'fly' in column 'move', where one of approach, sweep, retract is expected",
         ),
         ("HEAD" + GOOD + "1,0,0,0,1,0,0,0,sweep\n", "sweep 1 has 1 rows of the move sweep"),
-        ("HEAD" + GOOD + "0,0,0,0,1,0,0,0,approach\n", "row 3 is out of order"),
     ],
 )
 def test_lists_of_poses_with_errors_say_where(tmp_path, text, sentence):

@@ -254,13 +254,6 @@ def test_rows_are_lost(gap):
     assert not lost[[0, -1]].any()
 
 
-def test_one_fault_does_not_change_the_random_numbers_of_another():
-    noise = faulty(noise=Size(force_N=0.1), seed=3)
-    both = faulty(noise=Size(force_N=0.1), bias=Size(fraction=0.1), seed=3)
-    np.testing.assert_allclose(np.diff(both, axis=0), np.diff(noise, axis=0), atol=1e-12)
-    assert (faulty(noise=Size(force_N=0.1), seed=4) != noise).any()
-
-
 FAULTS = """\
 seed = 3
 rate_hz = 40

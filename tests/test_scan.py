@@ -19,7 +19,6 @@ from scan3d.geometry.hulls import hull
 from scan3d.geometry.sections import slice_frame
 from scan3d.reconstruction.contacts import contacts
 from scan3d.rods import parse_rod
-from scan3d.simulation import scan as simulation
 
 FOLDER = Path(__file__).parents[1] / "meshes"
 MESHES = sorted(p for p in FOLDER.iterdir() if p.suffix in {".stl", ".ply", ".obj", ".off", ".glb"})
@@ -376,26 +375,6 @@ def test_every_sweep_draws_different_friction(watched_sweeps):
     drawn = np.array([sweep.friction for sweep in watched_sweeps])
     assert drawn.shape == (27, 4)
     assert len(np.unique(drawn)) == drawn.size
-
-
-def test_friction_does_not_depend_on_the_order_of_work(watched_sweeps, monkeypatch):
-    mesh, plan = scan3d.load_mesh(CUBE), scan3d.Plan(slices=5, sweeps=3, samples=4, friction=(0.0, 0.4))
-    together = scan3d.simulate(mesh, plan)
-    monkeypatch.setattr(simulation, "_SLICES_AT_ONCE", (2, 2))
-    apart = scan3d.simulate(mesh, plan)
-    drawn = np.array([sweep.friction for sweep in watched_sweeps])
-    assert np.array_equal(drawn[:15], drawn[15:])
-    # to rounding, because sums over batches differ
-    assert together.force_N == pytest.approx(apart.force_N, rel=1e-9)
-
-
-@pytest.mark.parametrize("noise", [0.02, 0.1])
-def test_strong_noise_still_gives_a_closed_surface(noise):
-    cloud = scan3d.reconstruct(
-        scan3d.simulate(scan3d.load_mesh(EGG), scan3d.Plan(slices=8, sweeps=6, samples=16, noise=noise))
-    )
-    assert np.isfinite(cloud.points).all()
-    assert scan3d.surface(cloud).is_watertight
 
 
 def test_a_fixed_number_of_sweeps_is_evenly_spaced():

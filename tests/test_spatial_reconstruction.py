@@ -94,22 +94,6 @@ def test_noise_gives_the_errors_that_are_stated(noise):
     assert np.mean(error < 3 * cloud.normal_sd) > 0.95
 
 
-def test_rows_in_any_order_give_the_same_contacts(few):
-    recording, _, _ = few
-    # alternate the samples of two sweeps
-    half = len(recording) // 2
-    order = np.arange(len(recording)).reshape(2, half).T.ravel()
-    columns = ("sweep", "position_m", "quaternion", "force_N", "moment_Nm", "force_z_N", "moment_x_Nm", "moment_y_Nm")
-    mixed = replace(recording, **{name: getattr(recording, name)[order] for name in columns})
-    cloud, other = scan3d.reconstruct(recording), scan3d.reconstruct(mixed)
-    back = np.argsort(order[other.row])
-    np.testing.assert_allclose(other.points[back], cloud.points)
-    np.testing.assert_array_equal(np.isnan(other.normals[back]), np.isnan(cloud.normals))
-    error = angles(other.normals[back], cloud.normals)
-    assert np.nanmedian(error) < 1e-9
-    assert np.nanmax(error) < 1e-5
-
-
 def test_turning_moving_and_scaling_the_scene_moves_the_cloud(few):
     recording, _, _ = few
     turn, shift, scale = Rotation.from_rotvec([0.3, -1.1, 0.7]), np.array([0.1, 0.2, -0.3]), 3.0

@@ -15,7 +15,6 @@ from scan3d.files import whole
 from scan3d.files.whole import (
     RESULTS,
     check_belongs,
-    folder,
     locate,
     read_report,
     replacing,
@@ -35,10 +34,6 @@ OLD = {name: f"old {name}".encode() * 50 for name in RESULTS if name != "report.
 # the new result has neither a recording nor one of the pictures
 NEW = {name: f"new {name}".encode() * 60 for name in ("cloud.ply", "surface.ply", "view.html", "cloud.png")}
 FOREIGN = {"notes.txt": b"of the user", ".hidden": b"as well"}
-
-
-class DisasterError(Exception):
-    pass
 
 
 def write(place, files):
@@ -241,21 +236,3 @@ def test_of_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path
         write_together(tmp_path / "missing" / "a", {"a": b"new", "b": b"new"})
     assert (tmp_path / "a").read_bytes() == b"old"
     assert names(tmp_path) == ["a", "b"]
-
-
-def test_a_folder_created_in_vain_is_removed_and_an_existing_one_is_kept(tmp_path):
-    def work(path, file=None):
-        with folder(path):
-            if file:
-                (path / file).write_bytes(b"")
-            raise DisasterError
-
-    (tmp_path / "there").mkdir()
-    for path in (tmp_path / "a" / "b", tmp_path / "there", tmp_path / "there" / "c"):
-        with pytest.raises(DisasterError):
-            work(path)
-    assert names(tmp_path) == ["there"]
-    assert names(tmp_path / "there") == []
-    with pytest.raises(DisasterError):
-        work(tmp_path / "a" / "b", "result")
-    assert names(tmp_path / "a" / "b") == ["result"]

@@ -1,11 +1,11 @@
-"""Times of every stage over slices, facets and contacts, and of nearest points and Hausdorff distances beside other programs.
+"""Times of every stage of a scan over slices, facets and contacts.
 
-    python tests/benchmarks/performance.py [--only slices facets contacts nearest hausdorff] [--page docs/performance.md]
+    python tests/benchmarks/performance.py [--only slices facets contacts] [--page docs/performance.md]
 
 Prints tables in Markdown; with `--page` they replace those of the same name in the manual's page, between its marks.  Each
 measurement runs in a process of its own, with one thread.  Times are the processor's, so that other programs disturb them
 little; memory is the largest of the process.  An exponent is that of a power of the size, fitted to all times of at least
-`WORTH` seconds.  Other programs are measured where they are installed: libigl, open3d, pymeshlab, trimesh (with rtree).
+`WORTH` seconds.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -32,15 +31,12 @@ from scipy.spatial import ConvexHull
 
 import planar
 import scan3d
-from scan3d.geometry.distance import nearest
 
 EGG = Path(__file__).resolve().parents[2] / "meshes" / "egg.stl"
 SEMI_AXES = np.array([40.0, 30.0, 25.0])
 TURN = trimesh.transformations.rotation_matrix(0.3, (1.0, 2.0, 3.0))
 LARGER = 1 + 1e-4
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS", "LP_NUM_THREADS")
-# Points whose nearest ones are sought, and how far they lie outside of an ellipsoid, relative to it.
-POINTS, BESIDE = 100_000, 1e-3
 # Sweeps of 64 slices of the egg, of which each gives about as many contacts as it has samples.
 SWEEPS = 390
 # Seconds below which a time does not count for an exponent, and after which a measurement is given up.
@@ -50,16 +46,12 @@ SIZES = {
     "facets": [10_000, 100_000, 1_000_000, 2_000_000],
     "contacts": [10_000, 100_000, 1_000_000, 10_000_000],
     "reconstruct": [10_000, 100_000, 1_000_000, 10_000_000],
-    "nearest": [20_000, 80_000, 320_000],
-    "hausdorff": [20_000, 80_000, 320_000, 1_300_000],
 }
 TITLES = {
     "slices": "slices of a scan of the egg",
     "facets": "facets of an ellipsoid",
     "contacts": "contacts in 64 slices of the egg",
     "reconstruct": "contacts",
-    "nearest": f"facets; nearest points of {POINTS:,} points",
-    "hausdorff": "facets of each of the two ellipsoids",
 }
 Steps = dict[str, float]
 
@@ -141,120 +133,11 @@ def reconstruct(size: int) -> Steps:
     }
 
 
-def beside(body: trimesh.Trimesh) -> Any:
-    """Points near the surface."""
-    directions = np.random.default_rng(0).standard_normal((POINTS, 3))
-    return directions / np.linalg.norm(directions, axis=1)[:, None] * SEMI_AXES * (1 + BESIDE)
-
-
-def nearest_points(size: int) -> Steps:
-    body = ellipsoid(size)
-    points = beside(body)
-    exact = np.abs(nearest(points, body)[0])
-    steps: Steps = {}
-    for name, find in others_nearest(body, points):
-        start = time.process_time()
-        try:
-            found = find()
-        except ImportError:  # trimesh needs rtree for it
-            continue
-        steps[name] = time.process_time() - start
-        steps[f"error of {name}"] = float(np.abs(found - exact).max())
-    return steps
-
-
-def others_nearest(body: trimesh.Trimesh, points: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Distances of points from a mesh, by several programs; imports and conversions do not count."""
-    vertices, faces = body.vertices.view(np.ndarray), np.asarray(body.faces)
-    yield "scan3d", lambda: np.abs(nearest(points, body)[0])
-    with suppress(ImportError):
-        import igl
-
-        yield "libigl", lambda: np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
-    with suppress(ImportError):
-        find = by_open3d(body)
-        yield "Open3D, single precision", lambda: find(points)
-    with suppress(ImportError):
-        import pymeshlab
-
-        cloud, mesh = pymeshlab.Mesh(points), pymeshlab.Mesh(vertices, faces.astype(np.int32))
-
-        def by_meshlab() -> Any:
-            meshes = pymeshlab.MeshSet()
-            meshes.add_mesh(mesh)
-            meshes.add_mesh(cloud)
-            meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
-                measuremesh=1, refmesh=0, signeddist=False, maxdist=pymeshlab.PercentageValue(100)
-            )
-            return meshes.current_mesh().vertex_scalar_array()
-
-        yield "MeshLab", by_meshlab
-    yield "trimesh", lambda: trimesh.proximity.closest_point(body, points)[1]
-
-
-def by_open3d(body: trimesh.Trimesh) -> Callable[[Any], Any]:
-    """A function from points to their distances from a mesh, by Open3D in one thread."""
-    import open3d
-
-    vertices, faces = body.vertices.astype(np.float32), np.asarray(body.faces).astype(np.uint32)
-    tensors = [open3d.core.Tensor(np.asarray(part)) for part in (vertices, faces)]
-
-    def distances(points: Any) -> Any:
-        scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-        scene.add_triangles(*tensors)
-        return scene.compute_distance(open3d.core.Tensor(points.astype(np.float32)), nthreads=1).numpy()
-
-    return distances
-
-
-def hausdorff(size: int) -> Steps:
-    body = ellipsoid(size)
-    larger = changed(body, "larger")
-    exact = scan3d.compare(larger, body).hausdorff
-    steps: Steps = {}
-    for name, find in others_hausdorff(larger, body):
-        start = time.process_time()
-        found = find()
-        steps[name] = time.process_time() - start
-        steps[f"error of {name}"] = abs(float(found) - exact) / exact
-    return steps
-
-
-def others_hausdorff(one: trimesh.Trimesh, other: trimesh.Trimesh) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Hausdorff distances of two meshes, by several programs; those of the others are taken at vertices only."""
-    parts = [(mesh.vertices.view(np.ndarray), np.asarray(mesh.faces)) for mesh in (one, other)]
-    yield "scan3d, `compare`", lambda: scan3d.compare(one, other).hausdorff
-    with suppress(ImportError):
-        import igl
-
-        yield "libigl", lambda: igl.hausdorff(*parts[0], *parts[1])
-    with suppress(ImportError):
-        to_one, to_other = by_open3d(one), by_open3d(other)
-        yield "Open3D, single precision", lambda: max(to_other(parts[0][0]).max(), to_one(parts[1][0]).max())
-    with suppress(ImportError):
-        import pymeshlab
-
-        meshes = pymeshlab.MeshSet()
-        for vertices, faces in parts:
-            meshes.add_mesh(pymeshlab.Mesh(vertices, faces.astype(np.int32)))
-
-        def sampled(source: int, target: int) -> float:
-            found = meshes.get_hausdorff_distance(
-                sampledmesh=source, targetmesh=target, samplevert=True, sampleedge=False, sampleface=False,
-                samplenum=len(parts[source][0]), maxdist=pymeshlab.PercentageValue(100),
-            )  # fmt: skip
-            return float(found["max"])
-
-        yield "MeshLab", lambda: max(sampled(0, 1), sampled(1, 0))
-
-
 CASES: dict[str, Callable[[int], Steps]] = {
     "slices": slices,
     "facets": facets,
     "contacts": contacts,
     "reconstruct": reconstruct,
-    "nearest": nearest_points,
-    "hausdorff": hausdorff,
 }
 
 
@@ -296,17 +179,15 @@ def table(name: str, sizes: list[int], results: list[Steps]) -> str:
     ]
     for row in rows:
         values = [steps.get(row) for steps in results]
-        is_time = not row.startswith(("error", "memory"))
-        shown = [cell(row, value) for value in values]
+        is_time = not row.startswith("memory")
+        shown = [cell(value) for value in values]
         lines.append(f"| {row} | " + " | ".join(shown) + f" | {exponent(sizes, values) if is_time else ''} |")
     return "\n".join(lines)
 
 
-def cell(row: str, value: float | None) -> str:
+def cell(value: float | None) -> str:
     if value is None:
         return "–"
-    if row.startswith("error"):
-        return f"{value:.0e}"
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
 

@@ -22,11 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-import spatial_sweeps
 from numpy.typing import NDArray
 
 import planar
-from scan3d.spatial import inverse as spatial
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import shooting
@@ -41,9 +39,6 @@ CONTACTS, QUICK_CONTACTS = 300_000, 30_000
 SLOW_CONTACTS, SLOWEST_CONTACTS = 120, 30
 REPEATS = 5
 BVP_TOLERANCE = 1e-8
-
-# Sweeps in space past a smooth body and past a mesh, as many as those of a scan, and the rods that are integrated beside them.
-SPATIAL_SWEEPS, SPATIAL_MESH_SWEEPS, INTEGRATED_SWEEPS = 400, 200, 1
 
 
 class Line(NamedTuple):
@@ -169,34 +164,6 @@ def forward(contacts: int) -> list[Line]:
     ]
 
 
-# Step 1 in space
-
-
-def forward_in_space(sweeps: int) -> list[Line]:
-    """Step 1 in space, all sweeps in lockstep; errors as the largest distance of contacts from the ends of integrated rods."""
-    cases = []
-    for name, body, count in (
-        ("ellipsoid", spatial_sweeps.ellipsoid(), sweeps),
-        ("cube.stl", spatial_sweeps.polyhedron("cube.stl"), min(sweeps, SPATIAL_MESH_SWEEPS)),
-        ("egg.stl", spatial_sweeps.polyhedron("egg.stl"), min(sweeps, SPATIAL_MESH_SWEEPS)),
-    ):
-        scene = spatial_sweeps.paths(body, count)
-        cases += [(f"{name}, μ = {mu:g}", body, scene, mu) for mu in (0.0, 0.3)]
-    lines = []
-    for name, body, scene, mu in cases:
-        (taken,) = seconds(partial(spatial_sweeps.swept, body, scene, mu))
-        few = tuple(column[:INTEGRATED_SWEEPS] for column in scene)
-        count = spatial_sweeps.contacts(spatial_sweeps.swept(body, scene, mu))
-        error = spatial_sweeps.distance(spatial_sweeps.swept(body, few, mu), few)
-        lines.append(Line(name, count, count / taken, (error,)))
-    _, body, scene, mu = cases[0]
-    few = tuple(column[:INTEGRATED_SWEEPS] for column in scene)
-    result = spatial_sweeps.swept(body, few, mu)
-    (taken,) = seconds(lambda: spatial_sweeps.integrated(result, few[1], few[0]))
-    count = spatial_sweeps.contacts(result)
-    return [*lines, Line("rod integrated once, rtol=1e-12", count, count / taken, (np.nan,))]
-
-
 # Step 2
 
 
@@ -216,41 +183,6 @@ def inverse(contacts: int) -> list[Line]:
     return [
         Line(method, count, count / time_s, (error(method, 0.0), error(method, FRICTION)))
         for (method, count), time_s in zip(rows, taken, strict=True)
-    ]
-
-
-# Step 2 in space
-
-
-def in_space(swept: planar.Sweep) -> tuple[Array, Array, Array]:
-    """Support reactions (n, 3) of the rods of a planar sweep, each turned about the clamp's axis, and their contact points."""
-    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, len(swept))
-    zero = np.zeros(len(swept))
-    across, normal = (
-        np.stack(v, axis=1) for v in ((np.cos(angle), zero, np.sin(angle)), (-np.sin(angle), zero, np.cos(angle)))
-    )
-    along = np.array([0.0, 1.0, 0.0])
-    force = swept.f0x[:, None] * across + swept.f0y[:, None] * along
-    point = (swept.point[:, 0] - swept.x0)[:, None] * across + swept.point[:, 1:] * along
-    return force, swept.m0z[:, None] * normal, point
-
-
-def inverse_in_space(contacts: int) -> list[Line]:
-    """Step 2 in space, every error as largest distance to the true contact, without and with friction."""
-    noise = (1e-9, 1e-9)
-    force, moment, _ = (
-        np.resize(v, (contacts, 3)) for v in in_space(planar.sweep(CIRCLE, FRICTION, base=evenly(SLOW_CONTACTS)))
-    )
-
-    def error(friction: float, noise: tuple[float, float] | None) -> float:
-        force, moment, point = in_space(planar.sweep(CIRCLE, friction, samples=SLOW_CONTACTS))
-        return float(np.nanmax(np.linalg.norm(spatial.reconstruct(force, moment, noise=noise).point - point, axis=1)))
-
-    taken = seconds(lambda: spatial.reconstruct(force, moment), lambda: spatial.reconstruct(force, moment, noise=noise))
-    names = (("closed form in space", None), ("closed form in space, weighted", noise))
-    return [
-        Line(name, contacts, contacts / time_s, (error(0.0, used), error(FRICTION, used)))
-        for (name, used), time_s in zip(names, taken, strict=True)
     ]
 
 
@@ -289,14 +221,10 @@ def main() -> None:
     ratio, precision = closed.rate / rival.rate, max(rival.errors) / max(closed.errors)
     print(f"closed form over solve_bvp: {rounded(ratio)} x the contacts, error 1/{rounded(precision)}")
 
-    print("\nStep 1 in space, body to reactions")
-    print_lines(forward_in_space(SPATIAL_SWEEPS // 4 if options.quick else SPATIAL_SWEEPS), ("to integrated rod/L",))
-
     print("\nStep 2, reactions to contacts")
     lines = inverse(contacts)
     print_lines(lines, ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
     inverse_ratio = lines[0].rate / lines[1].rate
-    print_lines(inverse_in_space(contacts), ("error/L, μ = 0", f"error/L, μ = {FRICTION}"))
     print(f"closed form over Scholz & Rahn's integration: {rounded(inverse_ratio)} x the contacts")
 
 

@@ -10,13 +10,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import trimesh
 
 import scan3d
 from scan3d import pipeline
 from scan3d.files.recordings import write_recording
-from scan3d.files.shapes import ply
 from scan3d.pictures import rendering
 
 HUGE = "1" * 400
@@ -49,7 +47,7 @@ def make(folder):
         pipeline.write(analysis, folder / "scan", settings={"friction": "0.3"})
     finally:
         rendering.can_render = could
-    return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder), *_scans(folder)]
+    return [*_meshes(folder, box), *_recordings(folder), *_options(), *_configs(folder)]
 
 
 # --- meshes ---
@@ -98,13 +96,6 @@ def _meshes(folder, box):
         (folder / f"scaled{power}.off").write_text(big.export(file_type="off", digits=20))
         cases.append(Case(f"compare 1e{power}", ("compare", "box.stl", f"scaled{power}.off"), 0))
         cases.append(Case(f"compare 1e{power} back", ("compare", f"scaled{power}.off", "box.stl"), 0))
-    # beside the distance of the two either one is a point
-    near, far = (f"OFF\n4 4 0\n{x} 0 0\n{x} 1 0\n{x} 0 1\n{y} 0 0\n3 0 1 2\n3 0 1 3\n3 1 2 3\n3 2 0 3\n" for x, y in (
-        (0, 1), ("1e25", "1.0000000001e25")))  # fmt: skip
-    (folder / "near.off").write_text(near)
-    (folder / "far.off").write_text(far)
-    cases.append(Case("compare far", ("compare", "near.off", "far.off"), 0))
-    cases.append(Case("compare far back", ("compare", "far.off", "near.off"), 0))
     for power in (-300, -150, 150, 300):
         lines = text.split("\n")
         corners = [" ".join(f"{word}e{power}" for word in line.split()) for line in lines[2:10]]
@@ -284,78 +275,6 @@ def _configs(folder):
     cases.append(Case("config right", (*argv, "--slices=-3"), 2, "slices must be"))
     cases.append(Case("config is a device", (*argv[:-1], "/dev/zero"), 1, "device or a pipe"))
     return cases
-
-
-# --- folders of scans ---
-
-
-def _scans(folder):
-    scan, cases = folder / "scan", []
-    report = json.loads((scan / "report.json").read_text())
-    values = {"text": "x", "list": [1], "object": {"a": 1}, "huge": int(HUGE), "true": True, "null": None}
-    for section, content in report.items():
-        for name in content if isinstance(content, dict) else [None]:
-            kinds = values if name is None else {"text": "x", "null": None}
-            for kind, value in kinds.items():
-                data = json.loads(json.dumps(report))
-                if name is None:
-                    data[section] = value
-                else:
-                    data[section][name] = value
-                code = 1 if section == "schema" and value is not True else -1
-                cases.append(
-                    _show(
-                        folder, scan, f"{section} {name or ''} {kind}", {"report.json": json.dumps(data).encode()}, code
-                    )
-                )
-    texts = {
-        "cut": json.dumps(report)[:300],
-        "list": "[1]",
-        "deep": "[" * 100_000,
-        "digits": '{"schema": ' + "1" * 5000 + "}",
-    }
-    cases += [_show(folder, scan, f"report {name}", {"report.json": text.encode()}, 1) for name, text in texts.items()]
-    shape = (scan / "cloud.ply").read_bytes()
-    cloud, _, _ = scan3d.files.shapes.read_ply(scan / "cloud.ply")
-    for name in cloud.dtype.names:
-        for value in (-1, 1e306, np.nan, 2e9):
-            rows = cloud.copy()
-            with np.errstate(all="ignore"):
-                rows[name][3] = np.array(value).astype(cloud.dtype[name])
-            cases.append(
-                _show(folder, scan, f"cloud {name} {value}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1)
-            )
-            # the cloud alone, whose columns nothing contradicts
-            argv = ("show", f"{cases[-1].argv[1]}/cloud.ply", "--html", "o.html")
-            cases.append(Case(f"show cloud alone {name} {value}", argv, -1))
-        kept = [other for other in cloud.dtype.names if other != name]
-        rows = np.empty(len(cloud), [(other, cloud.dtype[other]) for other in kept])
-        for other in kept:
-            rows[other] = cloud[other]
-        cases.append(_show(folder, scan, f"cloud without {name}", {"cloud.ply": ply(rows, comments=("unit mm",))}, -1))
-    surface, faces, _ = scan3d.files.shapes.read_ply(scan / "surface.ply")
-    for value in (-1, 10_000, 2**31 - 1):
-        wrong = faces.copy()
-        wrong[2, 1] = value
-        data = {"surface.ply": ply(surface, wrong, comments=("unit mm",))}
-        cases.append(_show(folder, scan, f"surface index {value}", data, 1))
-    one = {"surface.ply": ply(surface, np.zeros((0, 3), np.int32), comments=("unit mm",))}
-    cases.append(_show(folder, scan, "surface without faces", one, -1))
-    for name, data in {"cut": shape[:-9], "empty": b"", "words": b"Dear reader,"}.items():
-        cases.append(_show(folder, scan, f"cloud {name}", {"cloud.ply": data}, 1))
-    return cases
-
-
-def _show(folder, scan, name, changed, code):
-    """A page of a copy of the scan with some files changed."""
-    copy = folder / "edited" / f"{len(os.listdir(folder / 'edited')) if (folder / 'edited').exists() else 0}"
-    copy.mkdir(parents=True)
-    for file in ("cloud.ply", "surface.ply", "report.json", "recording.csv", "recording.toml"):
-        if file in changed:
-            (copy / file).write_bytes(changed[file])
-        else:
-            os.link(scan / file, copy / file)
-    return Case(f"show {name}", ("show", str(copy), "--html", "o.html"), code)
 
 
 if __name__ == "__main__":
