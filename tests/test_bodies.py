@@ -193,6 +193,23 @@ def test_glb_is_read_as_its_specification_says(tmp_path, name):
     assert mesh.volume == pytest.approx(7200, rel=1e-4)
 
 
+@pytest.mark.parametrize("mode", [5, 6])
+def test_strips_and_fans_of_glb(tmp_path, mode):
+    """A tetrahedron, in a fan without the wall through the origin that adds nothing to the volume."""
+    points = np.zeros((8, 3), "<f4")
+    points[1:4] = 0.01 * np.eye(3)
+
+    def changed(tree):
+        tree["accessors"][0].update(min=[0, 0, 0], max=[0.01] * 3)
+        tree["accessors"][1].update(bufferView=2, count=6 if mode == 5 else 5)
+        tree["meshes"][0]["primitives"][0]["mode"] = mode
+
+    corners = [1, 2, 0, 3, 1, 2] if mode == 5 else [1, 2, 0, 3, 2]
+    mesh = read_mesh(written_glb(tmp_path / "corner.glb", points, changed, np.array(corners, "<u2").tobytes()))
+    assert len(mesh.faces) == (4 if mode == 5 else 3)
+    assert abs(mesh.volume) == pytest.approx(10**3 / 6)
+
+
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
@@ -286,6 +303,16 @@ def test_names_of_solids_in_text_stl_may_be_any(tmp_path, begin, end):
     assert load_mesh(path).volume == pytest.approx(6)
     path.write_text(f"{begin}\n{facets[: len(facets) // 2]}", encoding="utf-8", newline="")
     assert "cut off" in error(path)
+
+
+@pytest.mark.parametrize("header", [b"solid facet vertex 1 2 3", b""])
+def test_bytes_around_the_triangles_of_binary_stl(tmp_path, header):
+    counted = header.ljust(80) + b"\x0c\0\0\0" + box(3, 2, 1).export(file_type="stl")[84:]
+    for end in (b"", b"\r\n", bytes(200)):
+        (tmp_path / "box.stl").write_bytes(counted + end)
+        assert load_mesh(tmp_path / "box.stl").volume == pytest.approx(6)
+    (tmp_path / "box.stl").write_bytes(counted[:80] + b"\x0b" + counted[81:])
+    assert "counts 11 triangles, and 1 more may follow" in error(tmp_path / "box.stl")
 
 
 @pytest.mark.parametrize("kind", ["stl_ascii", "obj", "off", "ply"])

@@ -146,6 +146,15 @@ def test_what_is_certified_of_tilted_slices_on_a_table_is_true(seed):
 
 
 @pytest.mark.slow
+def test_adaptive_slices_find_the_corners_of_an_oblique_cube():
+    """Cosine spacing leaves 5e-3 of the diagonal there; a slice at a vertex's own height closes the gap at once."""
+    body = trimesh.creation.box((20, 20, 20))
+    body.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.5, 0.7])))
+    bounds = enclosure(contacts(scan3d.simulate(body, scan3d.Plan(slices=40, spacing="adaptive"))))
+    assert bounds.bound < 1e-3 * 20 * np.sqrt(3)
+
+
+@pytest.mark.slow
 def test_the_certificate_does_not_rest_on_an_inferred_friction():
     """A wrong coefficient would make the bound wrong: the enclosure is that of the tangential contacts alone."""
     cloud = scanned(random_body(2), slices=12)

@@ -53,6 +53,13 @@ def calibrated(kind):
     return recording, scan3d.calibrate(recording, touched), kind
 
 
+@pytest.fixture(autouse=True)
+def straight(request, monkeypatch):
+    """Wherever a straight rod does not fit, its shape is sought for half a minute: once here, and in tests of its own."""
+    if not (request.node.get_closest_marker("trust") or "diameter" in request.node.name):
+        monkeypatch.setattr(estimate, "_shaped", lambda *_: None)
+
+
 @pytest.fixture(params=["sphere", pytest.param("plane", marks=pytest.mark.slow)])
 def noisy(request):
     """Touches under noise, the calibration by them, and the kind of their reference."""
@@ -267,7 +274,8 @@ def test_touches_that_the_model_does_not_fit_leave_nothing_well_determined(case)
     elif case == "planar":
         recording, sentence = rigs.planar_model_recorded(), "forces lie in one plane, of a planar model"
     else:
-        recording, touched, sentence = rigs.recorded(), 0.031, "The likeliest cause is the diameter: one of"
+        recording, touched = rigs.recorded(sweeps=15, samples=40), 0.031
+        sentence = "The likeliest cause is the diameter: one of"
     found = scan3d.calibrate(recording, touched)
     assert not np.array(found.well)[of_rig(found)].any()
     assert sentence in found.sentences[-1]

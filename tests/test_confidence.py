@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import scan3d
-from scan3d.bounds.constraints import allowed
+from scan3d.bounds.constraints import allowed, sigmas
 from scan3d.bounds.noise import averages_of, beyond, confident
 from scan3d.geometry.distance import nearest
 from scan3d.geometry.hulls import hull
@@ -26,6 +26,14 @@ def scanned(name, noise, seed=1, slices=16, **plan):
     mesh = scan3d.load_mesh(MESHES / name)
     recording = scan3d.simulate(mesh, scan3d.Plan(slices=slices, friction=0.3, noise=noise, seed=seed, **plan))
     return mesh, recording, scan3d.reconstruct(recording)
+
+
+def test_errors_stay_within_the_standard_deviations_that_are_allowed():
+    """Of the errors of 100 contacts in all directions, the longest is longer in fewer than 5 % of all draws."""
+    longest = np.linalg.norm(np.random.default_rng(0).normal(size=(4000, 100, 3)), axis=2).max(axis=1)
+    assert 0.001 < (longest > sigmas(100)).mean() < 0.05
+    assert sigmas(100) < sigmas(100_000) < 7.0
+    assert sigmas(100, 0.5) < sigmas(100, 0.95) < sigmas(100, 0.999)
 
 
 # --- slices ---

@@ -127,6 +127,19 @@ def test_a_ply_keeps_every_bit(folder, tmp_path, cloud, surface):
         assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
 
 
+def test_an_stl_names_its_unit_and_faces_outwards(folder, tmp_path, surface):
+    data = written(folder, tmp_path / "a.stl")
+    assert len(data) == 84 + 50 * len(surface.faces)
+    assert b"unit mm" in data[:80]
+    assert not data.startswith(b"solid")  # which would be the start of a text file
+    assert struct.unpack("<I", data[80:84]) == (len(surface.faces),)
+    rows = np.frombuffer(data[84:], [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    assert np.array_equal(rows["corners"], surface.points[surface.faces].astype("f4"))
+    assert np.allclose(np.linalg.norm(rows["normal"], axis=1), 1, atol=1e-6)
+    centre = surface.points.mean(axis=0)
+    assert ((rows["corners"].mean(axis=1) - centre) * rows["normal"]).sum(axis=1).min() > 0
+
+
 def test_a_triangle_without_area_has_no_normal_in_an_stl(tmp_path, surface):
     faces = surface.faces.copy()
     faces[0] = faces[0, 0]
@@ -380,42 +393,17 @@ def test_the_ending_and_the_option_choose_what_is_exported(folder, tmp_path):
 @pytest.mark.parametrize(
     ("source", "to", "options", "sentence"),
     [
-        (
-            ".",
-            "a.step",
-            {},
-            r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, .* a surf",
-        ),
+        (".", "a.step", {}, r"can't export to files ending in '\.step': a cloud can be written as \.ply, \.pcd, "),
         (".", "a.stl", {"what": "cloud"}, r"\.stl cannot contain a cloud; a cloud can be written as \.ply, \.pcd"),
-        (
-            "cloud.ply",
-            "a.stl",
-            {},
-            r"cloud\.ply contains a cloud, but a surface is needed; a cloud can be written as \.ply",
-        ),
+        ("cloud.ply", "a.stl", {}, r"cloud\.ply contains a cloud, but a surface is needed; a cloud can be written as"),
         ("missing", "a.ply", {}, r"there is no .*missing; give the folder of a scan, or a PLY written by scan3d"),
         ("bare.ply", "a.ply", {}, r"bare\.ply is not a PLY file written by scan3d: its vertices lack nx, ny, nz"),
-        (
-            "cloud.ply",
-            "a.xyzn",
-            {},
-            r"4 of 162 points have no normal, which \.xyzn requires; leave them out with \.xyz",
-        ),
+        ("cloud.ply", "a.xyzn", {}, r"4 of 162 points have no normal, which \.xyzn requires; leave them out"),
         (".", "empty.ply", {}, r"can't write .*empty\.ply: Is a directory; choose another place with --to"),
-        (
-            ".",
-            "a.glb",
-            {"unit": "mm"},
-            r"\.glb is in metres by its specification, and can't be in mm; leave the unit out",
-        ),
+        (".", "a.glb", {"unit": "mm"}, r"\.glb is in metres by its specification, and can't be in mm; leave"),
         (".", "a.stl", {"color": "bound"}, r"\.stl has no place for colours; choose \.ply, \.pcd"),
         (".", "a.ply", {"color": "beauty"}, r"there is no 'beauty' to colour the surface by; it has bound"),
-        (
-            ".",
-            "a.vtp",
-            {"scalar_names": "meshlab"},
-            r"names of scalars are chosen for \.ply, which meshlab reads, and not",
-        ),
+        (".", "a.vtp", {"scalar_names": "meshlab"}, r"names of scalars are chosen for \.ply, which meshlab reads"),
     ],
 )
 def test_mistakes(gaps, cloud, call, source, to, options, sentence):

@@ -17,6 +17,8 @@ from scan3d.planning.heights import (
     BEYOND,
     FIRST_SLICES,
     SlabMemory,
+    cuts_at,
+    evened,
     first_heights,
     heights,
 )
@@ -56,6 +58,33 @@ def test_a_slice_beyond_either_end_shows_where_the_body_ends(spacing, slices):
 GEM = Path(__file__).parents[1] / "meshes" / "gem.glb"
 ROD = Rod.of_length(0.06)
 PLAN = Plan(slices=24, spacing="adaptive", sweeps=6, samples=20, friction=0.2, rod=ROD)
+
+
+def gaps_between(thickness, curvature=2.0):
+    """Distances of the corners in which the secants of each slab's neighbours meet, from the chord between its slices.
+
+    The contour is a parabola; beyond the end slices its tangents take the place of secants.
+    """
+    at = np.concatenate([[0.0], np.cumsum(thickness)])
+    height, chords = -curvature * at**2 / 2, np.diff(-curvature * at**2 / 2) / thickness
+    below, above = np.concatenate([[0.0], chords[:-1]]), np.concatenate([chords[1:], [-curvature * at[-1]]])
+    corner = (height[1:] - height[:-1] + below * at[:-1] - above * at[1:]) / (below - above)
+    line = height[:-1] + below * (corner - at[:-1])
+    return line - (height[:-1] + chords * (corner - at[:-1]))
+
+
+@pytest.mark.parametrize("thickness", [[1.0], [1.0, 1.0, 1.0], [1.0, 3.0, 0.5, 0.5, 2.0], [0.1, 1.0, 10.0]])
+def test_even_gaps_of_a_parabola_are_those_of_its_curvature(thickness):
+    thickness = np.array(thickness)
+    assert evened(gaps_between(thickness)) == pytest.approx(thickness**2, rel=1e-3)
+    assert evened(1e-30 * gaps_between(thickness)) == pytest.approx(1e-30 * thickness**2, rel=1e-3)
+
+
+def test_even_gaps_along_a_sphere_are_cut_as_by_cosine_spacing():
+    levels = heights(-3.0, 7.0, Plan(slices=9, spacing="cosine"))
+    known = np.concatenate([[-3.0 - (levels[0] + 3.0)], levels[[0, 4, 8]], [7.0 + (7.0 - levels[-1])]])
+    cuts = cuts_at(known, np.array([1, 2]), np.ones(2), np.array([[0.25], [0.5], [0.75]]))
+    assert cuts.T.ravel() == pytest.approx(levels[[1, 2, 3, 5, 6, 7]])
 
 
 class Rig:

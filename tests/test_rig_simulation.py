@@ -196,6 +196,14 @@ def test_linear_drift_has_its_size_at_the_end():
     np.testing.assert_allclose(drift[ROWS // 2], drift[-1] / 2, rtol=1e-3)
 
 
+def test_a_random_walk_has_steps_of_its_size():
+    walk = faulty(drift=Size(force_N=0.3), drift_kind="random-walk")
+    assert (walk[0] == 0).all()
+    steps = np.diff(walk[:, :3], axis=0)
+    assert np.sqrt(3 * len(steps)) * steps.std() == pytest.approx(0.3, rel=0.02)
+    assert np.abs(np.corrcoef(steps[:-1].T, steps[1:].T)[:3, 3:]).max() < 0.05
+
+
 def test_white_noise_has_its_standard_deviation():
     noise = faulty(noise=Size(fraction=0.01))
     assert noise[:, :3].std(axis=0) == pytest.approx(0.02, rel=0.03)
