@@ -304,13 +304,6 @@ def test_what_is_no_rod(settings, words):
         Rod(**settings)
 
 
-def test_an_object_out_of_reach():
-    high = planar.Circle(radius=0.3, center=(0.0, 1.28))
-    with pytest.raises(ValueError, match="out of the rod's reach"):
-        planar.sweep(high, samples=5, rod=Rod(curvature=-1.0))
-    assert (planar.sweep(high, base=[0.2, 0.1], rod=Rod(curvature=-1.0)).phase == Phase.NONE).all()
-
-
 def test_rods_that_are_too_heavy_and_methods_for_other_rods():
     with pytest.raises(ValueError, match="more than one shape under its weight"):
         planar.free_reactions(Rod(weight=20.0, gravity=(0, -1)))

@@ -23,7 +23,7 @@ import trimesh
 import scan3d
 from scan3d import scenes
 from scan3d.choices import SHELLS
-from scan3d.cli import main, show, verbs
+from scan3d.cli import main, verbs
 from scan3d.cli.commands import COMMANDS, app
 from scan3d.pictures import rendering
 from scan3d.settings import Given, Settings, settings
@@ -202,16 +202,6 @@ def test_the_demonstration_scans_its_body_and_says_what_to_open(call, tmp_path, 
     assert Path(named) == Path("scan3d-demo/view.html")
     assert Path(named).is_file()
     assert "Open" not in call("demo", "--quiet")[1]
-
-    # the commands to go on with are those that work here, and the demonstration knows its own truth
-    def further(printed):
-        return re.findall(r"^  scan3d (.*?)  ", printed, re.MULTILINE)
-
-    assert further(stdout) == ["doctor", "scan part.stl --out out"]  # as nothing can be shown here
-    monkeypatch.setattr(verbs, "_report", lambda *_: Path("scan3d-demo/surface.png").touch() or 0)
-    shows = ["show scan3d-demo", "show scan3d-demo --view compare"]
-    assert further(call("demo")[1]) == [*shows, "scan part.stl --out out"]
-    assert show.read_scene(Path("scan3d-demo"), None, False, "mm").truth is not None
 
 
 @pytest.mark.rendering

@@ -216,10 +216,8 @@ def test_what_planarity_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         # the others are off by per cents of the diagonal
         read = between & np.isfinite(cost.median)
         assert read.any()
-        assert (cost.median[read] > 0.012).all()
-        assert (cost.median[read] < 0.043).all()
-        assert (cost.largest[read] > 0.024).all()
-        assert (cost.largest[read] < 0.062).all()
+        assert 0.012 < cost.median[read].min() <= cost.median[read].max() < 0.043
+        assert 0.024 < cost.largest[read].min() <= cost.largest[read].max() < 0.062
         # and already in a slice nearly in the middle
         assert cost.median[at[0.02]] == pytest.approx(0.004, abs=0.0005)
     assert max(cost.out_of_plane[between].max() for cost in script.COSTS.values()) == pytest.approx(0.4, abs=0.01)

@@ -346,15 +346,6 @@ def test_a_bag_needs_rosbags(gaps, tmp_path, monkeypatch):
 # --- names ---
 
 
-def test_names_of_scalars_that_cloudcompare_recognises(gaps, tmp_path):
-    export(gaps, tmp_path / "a.ply", "cloud", color="force", scalar_names="cloudcompare")
-    rows, _, _ = read_ply(tmp_path / "a.ply")
-    spatial = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"]
-    cloud = read_shape(gaps / "cloud.ply")
-    assert list(rows.dtype.names) == [*spatial, *(f"scalar_{name}" for name in cloud.columns)]
-    assert np.array_equal(rows["scalar_force"], cloud.rows["force"])
-
-
 @pytest.mark.parametrize(
     ("what", "color", "shown"), [("cloud", None, "force"), ("surface", None, "bound"), ("cloud", "sweep", "sweep")]
 )

@@ -16,7 +16,6 @@ from scan3d.cli import main
 from scan3d.files.binary_tables import parquet_bytes
 from scan3d.files.text import to_toml
 from scan3d.laboratory.guessing import guess_map
-from scan3d.units import FACTORS
 
 RIG = Rig(noise=0.002)
 
@@ -218,20 +217,6 @@ def test_names_of_columns_that_robots_use(tmp_path, header, entries, left):
 def test_times_state_their_unit_by_their_size(tmp_path, step, start, unit):
     (tmp_path / "log.csv").write_text("time,x\n" + "".join(f"{start + step * k:.2f},0\n" for k in range(200)))
     assert tomllib.loads(guess_map(tmp_path / "log.csv").text)["units"]["time"] == unit
-
-
-@pytest.mark.parametrize(
-    ("names", "moment"),
-    [("{} (lbf),{} (lbf-in)", "lbf in"), ("{} [lb],{} [in-lbs]", "lbf in"), ("{}_lbf,{}_ft_lbf", "lbf ft")],
-)
-def test_pounds_are_units(tmp_path, names, moment):
-    force, torque = names.split(",")
-    header = ",".join([*(force.format(f"F{axis}") for axis in "xyz"), *(torque.format(f"T{axis}") for axis in "xyz")])
-    (tmp_path / "log.csv").write_text(f"{header},x (ft)\n1,2,3,4,5,6,7\n")
-    guess = tomllib.loads(guess_map(tmp_path / "log.csv").text)
-    assert guess["columns"]["moment"] == header.split(",")[3:6]
-    assert (guess["units"]["force"], guess["units"]["moment"]) == ("lbf", moment)
-    assert FACTORS["moment"]["lbf in"] == pytest.approx(0.1129848290276167, rel=1e-15)
 
 
 def test_titles_and_units_are_found_by_the_guess(tmp_path):

@@ -115,17 +115,3 @@ def test_a_closed_surface_stays_closed_when_edges_collapse(seed):
         left = collapsed(np.asarray(mesh.faces), chosen)
         assert len(left) <= len(mesh.faces) - 2
         assert trimesh.Trimesh(mesh.vertices, left, process=False).is_watertight
-
-
-def test_vertices_that_float32_can_not_tell_apart_are_merged_in_exports(tmp_path):
-    mesh = polytope(3, 40)
-    middle = mesh.vertices[mesh.faces[0, 0]] * (1 - 1e-9) + mesh.triangles[0].mean(axis=0) * 1e-9
-    near = trimesh.Trimesh(
-        np.vstack([mesh.vertices, middle]),
-        np.vstack([mesh.faces[1:], [[*mesh.faces[0, [k, (k + 1) % 3]], len(mesh.vertices)] for k in range(3)]]),
-        process=False,
-    )
-    path = written(near, tmp_path)
-    for ending in (".stl", ".obj", ".glb"):
-        export(path, tmp_path / f"out{ending}")
-        assert trimesh.load(tmp_path / f"out{ending}", force="mesh").is_watertight

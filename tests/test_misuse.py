@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import trimesh
 
-import planar
 import scan3d
 from scan3d import InputError, processes
 from scan3d.cli import main
@@ -81,19 +80,6 @@ def test_columns_that_are_no_real_numbers(recording, field, value, sentence):
 def test_settings_of_other_types(setting):
     with pytest.raises(InputError, match=next(iter(setting))):
         scan3d.Plan(**setting)
-
-
-@pytest.mark.parametrize("column", range(4))
-def test_reactions_that_are_no_real_numbers(column):
-    def given(change):
-        return [change(np.ones(3)) if k == column else np.ones(3) for k in range(4)]
-
-    with pytest.raises(ValueError, match="masked"):
-        planar.reconstruct(*given(lambda a: np.ma.masked_equal(a, 1)))
-    with pytest.raises(ValueError, match="real numbers, got complex128"):
-        planar.reconstruct(*given(lambda a: a + 1j))
-    with pytest.raises(ValueError, match="real numbers"):
-        planar.reconstruct(*given(lambda a: None))
 
 
 def test_a_scan_that_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch):

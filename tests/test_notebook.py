@@ -10,12 +10,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from PIL import Image
-from small_scans import CUBE, EGG, scanned, scanned_in_space
+from small_scans import CUBE, EGG, scanned
 
 import planar
 import scan3d
 from scan3d.numbers import number
-from scan3d.pictures import charts, rendering
+from scan3d.pictures import rendering
 
 
 @pytest.fixture(scope="module")
@@ -99,23 +99,6 @@ def test_a_recording_shows_itself(recording):
 
 
 @pytest.mark.slow
-def test_six_axis_recordings_and_their_clouds_show_themselves(no_pictures):
-    recording = scanned_in_space().recording
-    force, moment = recording.wrench()
-    rows = dict(Reader(recording._repr_html_()).rows)
-    assert rows["samples"] == f"{len(recording)}, {np.any(force != 0, axis=1).sum()} with a force"
-    largest = (np.linalg.norm(reaction, axis=1).max() for reaction in (force, moment))
-    assert rows["largest reactions"] == "{} mN, {} N mm".format(*map(number, np.multiply([1e3, 1e3], [*largest])))
-    assert "normals of the slices" not in rows
-    assert rows["z axes of the clamp"].startswith("(0, -0.343, 0.939)")
-    panels = charts.reactions(recording).axes[:6]
-    assert [axes.get_title(loc="left")[4:6] for axes in panels] == ["0x", "0x", "0y", "0y", "0z", "0z"]
-    rows = dict(Reader(scan3d.reconstruct(recording)._repr_html_()).rows)
-    assert "slices" not in rows
-    assert rows["model"].startswith("spatial")
-
-
-@pytest.mark.slow
 @pytest.mark.rendering
 def test_a_cloud_shows_itself(cloud):
     shown = Reader(cloud._repr_html_())
@@ -148,22 +131,6 @@ def test_clouds_without_a_renderer_and_without_contacts_are_tables(cloud, no_pic
     shown = Reader(cloud.select(np.zeros(len(cloud), dtype=bool))._repr_html_())
     assert dict(shown.rows)["contacts"] == "0: 0 tangential, 0 at the tip"
     assert shown.pictures == []
-
-
-def test_a_comparison_shows_itself(comparison):
-    shown = Reader(comparison._repr_html_())
-    rows = dict(shown.rows)
-    assert comparison.exact
-    assert rows["Hausdorff distance"] == f"{comparison.hausdorff:.4g} ({100 * comparison.relative:.2g} %), exact"
-    assert rows["mean"].startswith(f"{comparison.mean:.4g} (")
-    assert rows["worst at"].endswith(f"on the {comparison.worst_on}")
-    assert rows["normals differ by"].count("°") == 2
-    assert rows["volume error"] == f"{100 * comparison.volume_error:.2g} %"
-    assert "units of the meshes" in shown.text
-    inexact = replace(comparison, exact=False, lower=1.0, upper=2.0, volume_error=np.nan)
-    rows = dict(Reader(inexact._repr_html_()).rows)
-    assert rows["Hausdorff distance"].endswith(", certified between 1 and 2")
-    assert rows["volume error"] == "unknown: open"
 
 
 # --- pictures ---

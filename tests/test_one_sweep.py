@@ -169,13 +169,8 @@ def refused(tmp_path, capsys, text, *options, sidecar=None, code=1):
             "x0,f0x,m0z\n0,0,0\n",
             "the header of one sweep lacks f0y; expected x0,f0x,f0y,m0z or x0_m,f0x_N,f0y_N,m0z_Nm",
         ),
-        (
-            "x0;f0x;f0y;m0z\n0;0;0;0\n",
-            "lacks x0, f0x, f0y, m0z; expected x0,f0x,f0y,m0z or x0_m,f0x_N,f0y_N,m0z_Nm; its columns",
-        ),
         ("x0_m,f0x,f0y,m0z\n1,0,0,0\n", "mixes dimensionless columns (f0x, f0y, m0z) with columns in SI units (x0_m)"),
         ("x0,f0x,f0y,m0z\n1,-1,1,1\n0,-1,1,1\n1,-1,1,1\n", "must decrease or increase"),
-        ("x0,f0x,f0y,m0z\n1,0,0,0\n0,0,0,0\n", "the sweep has no contact: of 2 of its 2 rows, nothing touches"),
         ("x0,f0x,f0y,m0z\n1,-1,1,-1\n0,-1,1,-1\n", "the clamping moment is that of a rod bent against the sweep"),
         (
             "x0_m,f0x_N,f0y_N,m0z_Nm\n1,0,0,0\n0,0,0,0\n",

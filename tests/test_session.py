@@ -11,13 +11,9 @@ import scan3d
 from scan3d import InputError, Rod, Session
 from scan3d.cli import main
 from scan3d.files.poses import COLUMNS, read_poses
-from scan3d.geometry.distance import distances, segments_meet
-from scan3d.geometry.hulls import hull
-from scan3d.poses import Move
+from scan3d.geometry.distance import distances
 from scan3d.session import around_contacts
-from scan3d.simulation.felt import steps_touch
 from scan3d.simulation.rig import simulate_rig, standing
-from scan3d.spatial.bodies import sphere_directions
 
 
 @pytest.fixture(scope="module")
@@ -60,22 +56,6 @@ def test_further_sweeps_lie_where_none_were(batches):
     assert len(poses.sweeps()) <= 16
     # asking changes nothing
     assert (session.ask(8).position_m == poses.position_m).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_further_sweeps_keep_clear_as_the_planned_ones_do(egg, model):
-    session = Session("cylinder:60x60", model=model, slices=6, samples=33)
-    session.tell(recorded(egg, session.ask()))
-    poses, space = session.ask(8), session.plan.space()
-    fattened = space.points[:, None] + 0.999 * space.margin * sphere_directions(200).T
-    axes, position = poses.axes(), 1000 * poses.position_m
-    touches = steps_touch(hull(fattened.reshape(-1, 3)), position, axes, space.length, 0.0)
-    sweeping = (poses.move[:-1] == Move.SWEEP) & (poses.move[1:] == Move.SWEEP)
-    assert not touches[~sweeping].any()
-    tips = position + space.length * axes[:, 1]
-    assert min(position[:, 2].min(), tips[:, 2].min()) > space.floor - 1e-9
-    assert segments_meet(hull(space.points), position, axes[:, 1], space.length).any()
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from small_scans import CUBE
 
 import scan3d
 from scan3d.cli import main
-from scan3d.errors import InputError
 from scan3d.geometry.distance import nearest
 from scan3d.pictures import rendering
 from scan3d.planning import plan as aims
@@ -28,24 +27,6 @@ def tiny(cube):
     """The recording of a scan with all rounds of aimed sweeps, and what was told of its progress."""
     told = []
     return scan3d.simulate(cube, scan3d.Plan(**TINY), lambda *done: told.append(done)), told
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        (dict(model="flat"), r"model must be one of planar, spatial, got 'flat'"),
-        (
-            dict(spacing="cosine"),
-            r"spacing is a setting of slices, and the spatial model has none; leave out spacing 'cosine'",
-        ),
-        (dict(axis="x"), r"axis is a setting of slices"),
-        (dict(axis=[0.0, 0.0, 1.0]), r"axis is a setting of slices"),
-        (dict(tolerance=1e-3), r"tolerance is a setting of slices"),
-    ],
-)
-def test_impossible_plans(given, sentence):
-    with pytest.raises(InputError, match=sentence):
-        scan3d.Plan(**{"model": "spatial", **given})
 
 
 def test_the_directions_are_spread_evenly():
