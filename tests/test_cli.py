@@ -90,6 +90,7 @@ def test_a_folder_that_can_not_be_written_into(call, tmp_path, out):
         assert tree(tmp_path) == {Path("file"): b"other content"}
 
 
+@pytest.mark.slow
 def test_a_failed_run_leaves_nothing_new_and_the_results_of_the_one_before(call, scanned, tmp_path, no_pictures):
     # with a single slice the error occurs only after the simulation
     code, stdout, stderr = call("scan", CUBE, "--out", tmp_path / "a" / "b", "--slices", "1")

@@ -96,6 +96,7 @@ def scanned(tmp_path_factory):
         return scan3d.scan(letter_l(), folder, slices=3, samples=24, friction="0.0:0.4"), folder
 
 
+@pytest.mark.slow
 def test_contacts_lie_on_a_body_that_is_not_convex(scanned):
     result, _ = scanned
     wrong = result.analysis.contact_error > 1e-9 * result.cloud.rod_length
@@ -106,6 +107,7 @@ def test_contacts_lie_on_a_body_that_is_not_convex(scanned):
     assert not result.cloud.convex
 
 
+@pytest.mark.slow
 def test_second_contacts_are_found_by_friction_and_recovered_at_known_corners():
     """All contacts lie on the body then, and the rods of those that were recovered prove no free space."""
     mesh = letter_l()

@@ -60,6 +60,7 @@ def same_rows(log, found):
     return log.row[log.row >= 0]
 
 
+@pytest.mark.slow
 def test_without_noise_the_recording_comes_back_to_rounding(tmp_path, recording):
     log = track(recording)
     found = imported(tmp_path / "raw.csv", table(log, EXACT), map_of(recording.rod, EXACT))

@@ -73,12 +73,14 @@ def test_a_right_recording_has_no_relative_error(noise):
     assert relative_error(recorded(noise)) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize("wrong", WRONG)
 def test_sweeps_over_the_same_place_show_the_relative_error(wrong, noise):
     assert 1e-5 < relative_error(recorded(noise, **WRONG[wrong])) <= LARGEST
 
 
+@pytest.mark.slow
 def test_an_error_that_is_too_large_is_a_contradiction(undiagnosed):
     recording = recorded(1e-4, rod=tapered(0.1))
     cloud = scan3d.reconstruct(recording)

@@ -57,6 +57,7 @@ def test_the_body_lies_between_the_two_and_within_the_bound():
     assert found.bound < 7.0  # of which the grid of 0.8 mm takes more than half
 
 
+@pytest.mark.slow
 def test_the_report_has_the_bound_and_its_premise_but_none_for_a_thick_rod():
     recording, _ = peanut()
     assert recording.rod.diameter_m > 0

@@ -137,6 +137,7 @@ def test_the_force_factor_is_the_most_of_all_bent_rods():
     assert 0.95 < (np.maximum(shape.y, 0) ** 2).max() / FORCE_FACTOR < 1
 
 
+@pytest.mark.slow
 def test_a_force_limit_keeps_the_clamp_farther_away():
     rod = Rod.wire(0.08, 0.0003, 210e9)
     free, limited = (RigPlan(parse_envelope("cylinder:40x40"), rod=rod, max_force_N=f) for f in (None, 0.15))

@@ -65,6 +65,7 @@ def test_nothing_is_lost_of_logs_that_do_not_ring(spatial, noise):
         assert not ringing(log, sd, recording.sweep)[np.linalg.norm(force, axis=1) > 8 * sd[0]].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", [Rig(), Rig(noise=0.002)], ids=["exact", "noise"])
 def test_an_import_takes_ringing_for_air_and_counts_it(tmp_path, spatial, rig):
     """Every sweep ends in a swing of 12 Hz that outlasts the log's calm air."""

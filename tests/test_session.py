@@ -35,6 +35,7 @@ def batches(egg):
     return session, bounds
 
 
+@pytest.mark.slow
 def test_the_bound_shrinks_and_holds(batches, egg):
     session, bounds = batches
     assert bounds[1] < 0.75 * bounds[0]
@@ -45,6 +46,7 @@ def test_the_bound_shrinks_and_holds(batches, egg):
     assert session.surface.is_watertight
 
 
+@pytest.mark.slow
 def test_further_sweeps_lie_where_none_were(batches):
     session, _ = batches
     heights = np.unique(np.round(1000 * session.recording.position_m[:, 2], 6))
@@ -70,6 +72,7 @@ def test_a_session_in_space(egg):
     assert scan3d.compare(session.surface, egg).hausdorff < session.certificate.bound
 
 
+@pytest.mark.slow
 def test_the_table_closes_the_slices(batches):
     session, _ = batches
     assert np.isfinite(session.certificate.bound)

@@ -116,6 +116,7 @@ CONVEX = [
 ]
 
 
+@pytest.mark.slow
 def test_convex_contours_agree_with_their_tables():
     cases = [(contour, friction) for contour in CONVEX for friction in (0.0, 0.3)]
     tables = [planar.sweep(contour, friction, samples=32) for contour, friction in cases]

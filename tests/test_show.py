@@ -105,6 +105,7 @@ def test_the_difference_of_two_results(folder, tmp_path, shown, call):
 # --- the window ---
 
 
+@pytest.mark.slow
 @pytest.mark.rendering
 @pytest.mark.parametrize("spatial", [False, True])
 def test_the_window(spatial):

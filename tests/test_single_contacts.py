@@ -85,6 +85,7 @@ class Without(singles.Singles):
         self.known[:] = False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.3, (0.1, 0.4)], ids=["constant", "per sample"])
 def test_sweeps_led_by_tables_are_those_that_follow_the_rod(friction, monkeypatch):
     """Every sample, those with two contacts and behind snaps as well, but for one at which a snap may come a sample apart."""

@@ -125,6 +125,7 @@ def test_contradicting_tangents_are_not_believed():
     assert enclosure(dataclasses.replace(cloud, tangents=cloud.normals)).bound == np.inf
 
 
+@pytest.mark.slow
 def test_contacts_deeper_than_noise_explains_widen_the_bounds():
     """A rod that tapers by 2 % made the outer body false where the test of depths, by noise along the rod, did not see it."""
     right, _, _ = recorded(0.3, directions=8, heights=8, samples=48, substeps=2, noise=(2e-4, 2e-4))

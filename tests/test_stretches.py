@@ -23,6 +23,7 @@ def parts():
     return [(part, scan3d.reconstruct(part)) for part in (first, recording)]
 
 
+@pytest.mark.slow
 def test_aimed_sweeps_reach_into_the_bay(parts):
     before, after = (outer_contours(sheets_of(*part), part[1]).distance.max() for part in parts)
     assert after < 0.9 * before

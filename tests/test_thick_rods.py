@@ -58,6 +58,7 @@ def test_sections_of_a_fattened_body_lie_at_its_radius(body, axis):
         assert off.min() > -3e-10 * length
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1e-4, *(pytest.param(noise, marks=pytest.mark.trust) for noise in (0.0, 1e-3))])
 def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     truth, larger = ball(20.0), ball(20.15)
@@ -72,6 +73,7 @@ def test_a_thick_rod_on_a_ball_is_a_thin_one_on_a_larger_ball(noise):
     assert thick.contact_error.max() < 0.01 + 200 * noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.trust) for seed in range(20) if seed != 6)])
 def test_scans_with_thick_rods_are_certified(seed):
     body = random_body(seed)
